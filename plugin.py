@@ -1,0 +1,52 @@
+"""The plugin object: puts the Processing provider (with its settings) in, and takes it out. No work here."""
+
+from __future__ import annotations
+
+import os
+
+from qgis.core import QgsApplication, QgsSettings
+from qgis.PyQt.QtCore import QCoreApplication, QLocale, QTranslator
+
+from .processing_provider.provider import RepmProvider
+
+_FOLDER = os.path.dirname(os.path.abspath(__file__))
+
+
+class RepmPlugin:
+    """Registers the provider ``repm`` and the translator; ``unload`` undoes both."""
+
+    def __init__(self, iface) -> None:
+        self.iface = iface
+        self.provider = None
+        self.translator = None
+
+    def initProcessing(self) -> None:
+        """Register the provider: all that qgis_process needs, and no GUI."""
+        self._install_translator()
+        if self.provider is None:
+            self.provider = RepmProvider()
+            QgsApplication.processingRegistry().addProvider(self.provider)
+            # Our models are of our own algorithms, which the registry knows only now.
+            self.provider.refreshAlgorithms()
+
+    def initGui(self) -> None:
+        """Called by the desktop only."""
+        self.initProcessing()
+
+    def unload(self) -> None:
+        if self.provider is not None:
+            QgsApplication.processingRegistry().removeProvider(self.provider)
+            self.provider = None
+        if self.translator is not None:
+            QCoreApplication.removeTranslator(self.translator)
+            self.translator = None
+
+    def _install_translator(self) -> None:
+        locale = str(QgsSettings().value("locale/userLocale", QLocale().name()) or "")
+        for name in (locale, locale[:2]):
+            path = os.path.join(_FOLDER, "i18n", f"repm_{name}.qm")
+            if self.translator is None and name and os.path.exists(path):
+                translator = QTranslator()
+                if translator.load(path):
+                    QCoreApplication.installTranslator(translator)
+                    self.translator = translator

@@ -1,0 +1,187 @@
+"""What all our algorithms share: identity, help, early checks, running a stage, and dressing its results.
+
+An algorithm's parameters carry the names of the stage's options in upper case (repm_qgis/options.py), so a subclass
+only declares itself: it reads nothing and computes nothing.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Mapping
+
+from qgis.core import (
+    QgsMapLayer,
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProcessingParameterDefinition,
+    QgsProcessingUtils,
+)
+from qgis.PyQt.QtCore import QCoreApplication, QUrl
+from qgis.PyQt.QtGui import QIcon
+
+from . import engine, settings, styles
+from .helptext import to_html
+from .values import destination, input_options, is_empty, raster_items
+
+PLUGIN_FOLDER = engine.PLUGIN_FOLDER
+GROUPS = {
+    "whole": "Images to DSM",
+    "cameras": "1 Pinhole cameras",
+    "surface": "2 Surface",
+    "evaluation": "3 Evaluation",
+    "tools": "4 Tools",
+}
+
+
+def resource(*parts: str) -> str:
+    """The path of a file in resources/."""
+    return os.path.join(PLUGIN_FOLDER, "resources", *parts)
+
+
+class RepmAlgorithm(QgsProcessingAlgorithm):
+    """One stage as a Processing algorithm. Subclasses fill in the constants and ``parameters``."""
+
+    ID = ""  # also the stage's name and the help page's
+    GROUP = "tools"
+    TAGS = ""
+    HEAVY = True  # in a process of its own
+    USES_WORKERS = False
+    LAYERS: dict[str, tuple[str, str]] = {}  # output: (name on the map, style)
+
+    def name(self) -> str:
+        return self.ID
+
+    def group(self) -> str:
+        return self.tr(GROUPS[self.GROUP])
+
+    def groupId(self) -> str:
+        return self.GROUP
+
+    def tags(self) -> list[str]:
+        words = "DSM,DEM,stereo,satellite,RPC,photogrammetry,Pleiades,WorldView,pinhole," + self.TAGS
+        return [word for word in words.split(",") if word]
+
+    def icon(self) -> QIcon:
+        return QIcon(self.svgIconPath())
+
+    def svgIconPath(self) -> str:
+        path = resource("icons", f"{self.ID}.svg")
+        return path if os.path.exists(path) else resource("icons", "repm.svg")
+
+    def shortHelpString(self) -> str:
+        try:
+            with open(resource("help", f"{self.ID}.md"), encoding="utf-8") as stream:
+                return to_html(stream.read())
+        except OSError:
+            return self.shortDescription()
+
+    def helpUrl(self) -> str:
+        page = os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")
+        return QUrl.fromLocalFile(page).toString() if os.path.exists(page) else ""
+
+    def createInstance(self) -> RepmAlgorithm:
+        return type(self)()
+
+    def tr(self, text: str) -> str:
+        return QCoreApplication.translate(type(self).__name__, text)
+
+    def parameters(self) -> list[QgsProcessingParameterDefinition]:
+        """The parameters in the dialog's order; every call makes new ones."""
+        raise NotImplementedError
+
+    def initAlgorithm(self, configuration: Any = None) -> None:  # noqa: N803
+        for parameter in self.parameters():
+            self.addParameter(parameter)
+        for output in self.extra_outputs():
+            self.addOutput(output)
+
+    def extra_outputs(self) -> list:
+        """Outputs that are no destination parameters."""
+        return []
+
+    def checkParameterValues(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
+        for definition in self.parameterDefinitions():
+            problem = ""
+            if definition.type() == "multilayer":
+                problem = self._check_images(definition.name(), parameters.get(definition.name()), context)
+            elif definition.type() == "raster" and not is_empty(parameters.get(definition.name())):
+                problem = self._check_raster(definition.name(), parameters[definition.name()], context)
+            if problem:
+                return False, problem
+        low, high = (parameters.get(name) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
+        if not is_empty(low) and not is_empty(high):
+            low, high = (self.parameterAsDouble(parameters, name, context) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
+            if low >= high:
+                return False, self.tr("ALTITUDE_MIN ({low:g} m) must be below ALTITUDE_MAX ({high:g} m).").format(
+                    low=low, high=high)
+        return super().checkParameterValues(parameters, context)
+
+    def validateInputCrs(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> bool:
+        # Images in sensor geometry have no CRS to match, and QGIS would load each (and write statistics beside it).
+        return True
+
+    def _check_images(self, name: str, value: object, context: QgsProcessingContext) -> str:
+        items = raster_items(value, context)
+        for item in items:
+            if isinstance(item, QgsMapLayer) and item.providerType() != "gdal":
+                return self.tr("The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they "
+                               "have RPCs.").format(layer=item.name(), name=name, provider=item.providerType())
+        if len(items) < 2:
+            return self.tr("{name} names {count} image(s): give at least two images of the same ground, one image has "
+                           "no heights.").format(name=name, count=len(items))
+        return ""
+
+    def _check_raster(self, name: str, value: object, context: QgsProcessingContext) -> str:
+        for item in raster_items(value, context):
+            if isinstance(item, str) and not os.path.exists(item):
+                return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
+            if isinstance(item, str) and QgsProcessingUtils.mapLayerFromString(item, context) is None:
+                return self.tr("{name} '{path}' cannot be read as a raster: check that the file is whole.").format(
+                    name=name, path=item)
+        return ""
+
+    def prepareAlgorithm(self, parameters: Mapping[str, Any], context: QgsProcessingContext,
+                         feedback: QgsProcessingFeedback) -> bool:
+        self._inputs: dict[str, Any] = {}
+        for definition in self.parameterDefinitions():
+            if not definition.isDestination():
+                self._inputs.update(input_options(self, definition, parameters, context))
+        if self.USES_WORKERS:
+            self._inputs["workers"] = settings.workers()
+        return True
+
+    def processAlgorithm(self, parameters: Mapping[str, Any], context: QgsProcessingContext,
+                         feedback: QgsProcessingFeedback) -> dict[str, Any]:
+        kept_as = {definition.name(): destination(self, definition, parameters, context)
+                   for definition in self.destinationParameterDefinitions()}
+        options = dict(self._inputs)
+        options.update({name.lower(): os.path.abspath(path) if path else None for name, path in kept_as.items()})
+        result = self.run_stage(self.complete(options), feedback)
+        # Folders are results too, where a stage does not name them itself.
+        folders = {definition.name().lower(): options[definition.name().lower()]
+                   for definition in self.destinationParameterDefinitions() if definition.type() == "folderDestination"}
+        made = {**folders, **result}
+        outputs = {output.name(): made[output.name().lower()] for output in self.outputDefinitions()
+                   if made.get(output.name().lower()) is not None}
+        for name, (title, style) in self.LAYERS.items():
+            if outputs.get(name):
+                styles.dress(context, feedback, kept_as.get(name, ""), outputs[name],
+                             self._layer_name(title, options), style)
+        return outputs
+
+    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+        """The engine's options out of the parameters' values, where these are not the same."""
+        return options
+
+    def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+        run = engine.run_apart if self.HEAVY else engine.run_here
+        return run(self.ID, options, feedback)
+
+    def _layer_name(self, title: str, options: Mapping[str, Any]) -> str:
+        """The kind of layer and the scene it is of: the workspace's name, else the first image's."""
+        folder = options.get("workspace") or os.path.dirname(options.get("scene") or options.get("dsm") or "")
+        temporary = os.path.abspath(QgsProcessingUtils.tempFolder())
+        names = [] if os.path.abspath(folder or temporary).startswith(temporary) else [os.path.basename(folder)]
+        names += [os.path.splitext(os.path.basename(path))[0] for path in options.get("images") or []]
+        return f"{self.tr(title)} {names[0]}" if names else self.tr(title)

@@ -1,0 +1,42 @@
+"""Removes the half-written files of an engine process that was ended before it could do so itself."""
+
+from __future__ import annotations
+
+import glob
+import os
+from typing import Any, Iterator, Mapping
+
+_FOLDERS = ("workspace", "folder", "heights")
+_FILES_WITH_COMPANY = ("output_scene",)  # products lie below the scene's folder
+_FILES = ("output", "confidence", "ortho", "cloud", "tiles", "tie_points", "error", "report")
+_MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
+
+
+def _patterns(options: Mapping[str, Any]) -> Iterator[str]:
+    for name, value in options.items():
+        if not value or not isinstance(value, str):
+            continue
+        if name in _FOLDERS:
+            yield os.path.join(glob.escape(value), "**", _MARK)
+        elif name in _FILES_WITH_COMPANY:
+            yield os.path.join(glob.escape(os.path.dirname(value)), "**", _MARK)
+        elif name in _FILES:
+            stem = os.path.splitext(os.path.basename(value))[0]
+            yield os.path.join(glob.escape(os.path.dirname(value)), f".{glob.escape(stem)}.part*")
+
+
+def remove_half_written(options: Mapping[str, Any], since: float) -> list[str]:
+    """Remove temporary files of a stage with these options that changed after ``since`` (seconds since 1970).
+
+    Gives the files removed. Only the engine's own temporary names are touched, and only where this stage writes.
+    """
+    removed = []
+    for pattern in _patterns(options):
+        for path in glob.glob(pattern, recursive=True):
+            try:
+                if os.path.isfile(path) and os.path.getmtime(path) >= since - 2:  # some file systems count in 2 s
+                    os.unlink(path)
+                    removed.append(path)
+            except OSError:  # gone already, or not ours to remove: the next run overwrites it
+                continue
+    return removed

@@ -1,0 +1,75 @@
+"""repm:comparedsm."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Mapping
+
+from qgis.core import (
+    QgsProcessingContext,
+    QgsProcessingOutputNumber,
+    QgsProcessingParameterRasterDestination,
+    QgsProcessingParameterRasterLayer,
+    QgsProcessingParameterString,
+)
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+def thresholds(text: str) -> list[float]:
+    """Numbers between commas, semicolons or spaces; raises ValueError on anything else, or on none."""
+    values = [float(word) for word in re.split(r"[\s,;]+", text.strip()) if word]
+    if not values or not all(0 < value < 10000 for value in values):
+        raise ValueError(text)
+    return values
+
+
+class CompareDsm(RepmAlgorithm):
+    """Compares a DSM with a reference."""
+
+    ID = "comparedsm"
+    GROUP = "evaluation"
+    TAGS = "accuracy,RMSE,NMAD,completeness,co-registration,Nuth,LiDAR"
+    HEAVY = False
+    LAYERS = {"ERROR": ("Height error", "dsm_error")}
+
+    def displayName(self) -> str:
+        return self.tr("Compare a DSM with a reference")
+
+    def shortDescription(self) -> str:
+        return self.tr("Height errors of a DSM: map, statistics and completeness, after an optional alignment.")
+
+    def parameters(self) -> list:
+        from ..repm_qgis.options import ALIGNMENTS
+
+        return [
+            QgsProcessingParameterRasterLayer("DSM", self.tr("DSM to measure")),
+            QgsProcessingParameterRasterLayer("REFERENCE", self.tr("Reference DSM")),
+            parameters.choice("ALIGN", self.tr("Alignment before the comparison"), ALIGNMENTS, "none",
+                              self.tr("none: as they lie; vertical: a constant offset in height is taken off; 3d: a "
+                                      "shift in all three axes is taken off.")),
+            parameters.helped(QgsProcessingParameterString(
+                "THRESHOLDS", self.tr("Thresholds of the completeness (m)"), "1; 2.5; 5"),
+                self.tr("The part of the reference's cells whose height is right to within each of these.")),
+            QgsProcessingParameterRasterDestination("ERROR", self.tr("Height error"), optional=True),
+            parameters.report()]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputNumber(name, label) for name, label in (
+            ("RMSE", self.tr("RMSE (m)")), ("ME", self.tr("Mean error (m)")),
+            ("MAE", self.tr("Mean absolute error (m)")),
+            ("NMAD", self.tr("Normalised median absolute deviation (m)")),
+            ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")))]
+
+    def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
+        text = self.parameterAsString(values, "THRESHOLDS", context)
+        try:
+            thresholds(text)
+        except ValueError:
+            return False, self.tr("THRESHOLDS is '{text}': give heights in metres such as '1; 2.5; 5'.").format(
+                text=text)
+        return super().checkParameterValues(values, context)
+
+    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+        return {**options, "thresholds": thresholds(options["thresholds"])}

@@ -1,0 +1,26 @@
+"""repm:dsmfuse."""
+
+from __future__ import annotations
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class DsmFuse(RepmAlgorithm):
+    """Fuses height maps into a DSM."""
+
+    ID = "dsmfuse"
+    GROUP = "surface"
+    TAGS = "fusion,gridding,outliers,point cloud,orthophoto,surface model"
+    USES_WORKERS = True
+    LAYERS = {"OUTPUT": ("DSM", "dsm"), "CONFIDENCE": ("Confidence", "confidence"), "ORTHO": ("Orthophoto", "ortho")}
+
+    def displayName(self) -> str:
+        return self.tr("Fuse heights into a DSM")
+
+    def shortDescription(self) -> str:
+        return self.tr("One DSM from the height maps of all pairs, without outliers, with its confidence.")
+
+    def parameters(self) -> list:
+        return [parameters.scene(), parameters.resolution(), parameters.crs(), *parameters.fusion(),
+                *parameters.dsm_products()]

@@ -1,0 +1,288 @@
+"""Runs one engine stage: light ones in QGIS's process, heavy ones in a process tree of their own.
+
+The engine process speaks JSON lines (see repm_qgis/__main__.py). It is started in its own session, so that Cancel ends
+it with everything it started, and with a pipe on its standard input that closes when QGIS dies, so that it ends too.
+"""
+
+from __future__ import annotations
+
+import collections
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from typing import Any, Callable, Mapping, Optional
+
+from qgis.core import QgsProcessingException, QgsProcessingFeedback, QgsProjUtils
+
+from . import settings
+from .cleanup import remove_half_written
+
+PLUGIN_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+WATCH_VARIABLE = "REPM_ENGINE_WATCH_STDIN"
+# What QGIS or the shell may have set for another Python than the engine's.
+_MISLEADING = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "PYTHONUSERBASE", "PYTHONPLATLIBDIR",
+               "VIRTUAL_ENV", "__PYVENV_LAUNCHER__")
+_POLL_S = 0.1
+_GRACE_S = 1.2  # for the engine to remove half-written files; the whole of Cancel must take less than 2 s
+_WINDOWS = os.name == "nt"
+
+
+class FeedbackProgress:
+    """The engine's Progress, told to QGIS."""
+
+    def __init__(self, feedback: QgsProcessingFeedback) -> None:
+        self._feedback, self._text, self._percent = feedback, "", 0.0
+
+    def step(self, fraction: float, text: str = "") -> None:
+        self._percent = max(self._percent, 100.0 * min(max(float(fraction), 0.0), 1.0))
+        self._feedback.setProgress(self._percent)
+        if text and text != self._text:
+            self._text = text
+            self._feedback.setProgressText(text)
+
+    def info(self, text: str) -> None:
+        self._feedback.pushInfo(text)
+
+    def warn(self, text: str) -> None:
+        self._feedback.pushWarning(text)
+
+    def check_cancelled(self) -> None:
+        if self._feedback.isCanceled():
+            from ..repm_qgis.errors import Cancelled
+
+            raise Cancelled
+
+
+def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+    """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
+    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.stages import run_stage
+
+    try:
+        return run_stage(stage, options, FeedbackProgress(feedback))
+    except RepmError as error:
+        raise QgsProcessingException(str(error)) from None
+    except ImportError as error:
+        if "repm_qgis" in (error.name or ""):  # a part of the engine itself: a bug, or half a plugin
+            raise
+        raise QgsProcessingException(
+            f"The Python package '{error.name}' is not installed for QGIS's Python ({error}): run the algorithm "
+            "'Report the environment' for the command that installs it.") from None
+
+
+def run_apart(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback,
+              python: Optional[str] = None) -> dict[str, Any]:
+    """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
+    python = python or find_python()
+    start = time.time()
+    handle, job = tempfile.mkstemp(prefix=f"repm-{stage}-", suffix=".json")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            json.dump(dict(options), stream)
+        feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} {job}")
+        return _EngineProcess(stage, python, job).result(feedback)
+    except QgsProcessingException:
+        remove_half_written(options, start)
+        raise
+    finally:
+        os.unlink(job)
+
+
+def find_python() -> str:
+    """The interpreter for the engine: the setting, REPM_ENGINE_PYTHON, the plugin's .venv, else QGIS's own Python.
+
+    Never ``sys.executable``: inside QGIS that is whatever ``python3`` comes first on PATH.
+    """
+    chosen = settings.engine_python()
+    if chosen:
+        if not _is_program(chosen):
+            raise QgsProcessingException(
+                f"The engine interpreter '{chosen}' is not a program: correct or clear it in Settings > Options > "
+                "Processing > Providers > REPM (or the variable REPM_ENGINE_PYTHON).")
+        return chosen
+    candidates = _candidates()
+    for path in candidates:
+        if _is_program(path):
+            return path
+    raise QgsProcessingException(
+        f"No Python was found to run the engine (looked for {', '.join(candidates)}): run scripts/setup in "
+        f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM.")
+
+
+def _candidates() -> list[str]:
+    if _WINDOWS:
+        venv = os.path.join(PLUGIN_FOLDER, ".venv", "Scripts", "python.exe")
+        return [venv, os.path.join(sys.exec_prefix, "python.exe"), os.path.join(sys.base_exec_prefix, "python.exe")]
+    names = (f"python{sys.version_info[0]}.{sys.version_info[1]}", "python3")
+    prefixes = (sys.base_exec_prefix, "/usr") if sys.platform != "darwin" else (sys.base_exec_prefix,)
+    own = [os.path.join(prefix, "bin", name) for prefix in prefixes for name in names]
+    return [os.path.join(PLUGIN_FOLDER, ".venv", "bin", "python"), *dict.fromkeys(own)]
+
+
+def _is_program(path: str) -> bool:
+    return os.path.isfile(path) and os.access(path, os.X_OK)
+
+
+def environment(python: str) -> dict[str, str]:
+    """The engine's environment: this plugin's folder on PYTHONPATH, nothing that is meant for another Python."""
+    values = {name: value for name, value in os.environ.items() if name not in _MISLEADING}
+    values.update(PYTHONPATH=PLUGIN_FOLDER, PYTHONUNBUFFERED="1", PYTHONIOENCODING="utf-8", **{WATCH_VARIABLE: "1"})
+    # Distributions' pyproj looks for its data below the interpreter's prefix, which in a venv is the venv.
+    in_venv = os.path.exists(os.path.join(os.path.dirname(os.path.dirname(python)), "pyvenv.cfg"))
+    if in_venv and not ({"PROJ_DATA", "PROJ_LIB"} & set(values)):
+        found = [path for path in QgsProjUtils.searchPaths() if os.path.exists(os.path.join(path, "proj.db"))]
+        if found:
+            values["PROJ_DATA"] = values["PROJ_LIB"] = found[0]
+    return values
+
+
+class _EngineProcess:
+    """One engine process, from its start to its result."""
+
+    def __init__(self, stage: str, python: str, job: str) -> None:
+        self._stage, self._python = stage, python
+        self._lines: queue.Queue[Optional[str]] = queue.Queue()
+        self._last_words: collections.deque[str] = collections.deque(maxlen=50)
+        # "-m" looks for modules in the working folder first: that must be ours, and no folder that others write to.
+        apart = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - an argument list of our own
+                [python, "-m", "repm_qgis", stage, job], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE, cwd=PLUGIN_FOLDER, env=environment(python), **apart)
+        except OSError as error:
+            raise QgsProcessingException(
+                f"The engine interpreter '{python}' cannot be started ({error}): choose another in Settings > Options "
+                "> Processing > Providers > REPM.") from None
+        self._readers = [self._read(self._process.stdout, self._lines.put, at_end=True),
+                         self._read(self._process.stderr, self._last_words.append)]
+
+    def _read(self, stream, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
+        def read() -> None:
+            with stream:
+                for line in stream:
+                    keep(line.decode("utf-8", "replace").rstrip())
+            if at_end:
+                keep(None)
+
+        thread = threading.Thread(target=read, daemon=True)
+        thread.start()
+        return thread
+
+    def result(self, feedback: QgsProcessingFeedback) -> dict[str, Any]:
+        """Pass progress on until the process ends; its result, or QgsProcessingException."""
+        progress = FeedbackProgress(feedback)
+        last: dict[str, Any] = {}
+        try:
+            while True:
+                if feedback.isCanceled():
+                    raise QgsProcessingException("Cancelled by the user.")
+                try:
+                    line = self._lines.get(timeout=_POLL_S)
+                except queue.Empty:
+                    if self._process.poll() is None:
+                        continue
+                    line = None  # it has ended; workers that outlived it still hold its output open
+                if line is None:
+                    break
+                last = self._hear(line, progress, feedback) or last
+            code = self._wait(feedback)
+        finally:
+            self.end()
+        for text in self._last_words:
+            feedback.pushDebugInfo(text)
+        return self._outcome(last, code)
+
+    def _hear(self, line: str, progress: FeedbackProgress,
+              feedback: QgsProcessingFeedback) -> Optional[dict[str, Any]]:
+        """Act on one line; the closing messages are given back."""
+        try:
+            message = json.loads(line)
+            kind, text = message["type"], str(message.get("text", ""))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            feedback.pushDebugInfo(line)
+            return None
+        if kind == "progress":
+            progress.step(float(message.get("fraction", 0.0)), text)
+        elif kind == "info":
+            progress.info(text)
+        elif kind == "warning":
+            progress.warn(text)
+        else:
+            return message
+        return None
+
+    def _wait(self, feedback: QgsProcessingFeedback) -> int:
+        """The exit code; the process has closed its output and is about to end."""
+        while True:
+            try:
+                return self._process.wait(_POLL_S)
+            except subprocess.TimeoutExpired:
+                if feedback.isCanceled():
+                    raise QgsProcessingException("Cancelled by the user.") from None
+
+    def _outcome(self, last: dict[str, Any], code: int) -> dict[str, Any]:
+        kind = last.get("type")
+        if kind == "result" and code == 0 and isinstance(last.get("result"), dict):
+            return last["result"]
+        if kind == "error":
+            raise QgsProcessingException(str(last.get("text", "")))
+        if kind == "bug":
+            raise QgsProcessingException(f"The stage '{self._stage}' met an error it did not expect; please report "
+                                         f"it.\n{last.get('text', '')}")
+        raise QgsProcessingException(self._crash(code))
+
+    def _crash(self, code: int) -> str:
+        words = next((text for text in reversed(self._last_words) if text.strip()), "")
+        said = f" (its last words: {words.strip()[:300]})" if words else ""
+        if code < 0:
+            try:
+                name = signal.Signals(-code).name
+            except ValueError:
+                name = f"signal {-code}"
+            cause = f"was ended by {name}"
+            remedy = "it probably ran out of memory: use a smaller EXTENT or TILE_SIZE, or fewer workers" \
+                if name == "SIGKILL" else "QGIS and finished files are unharmed: run again, or choose another BACKEND"
+        else:
+            cause, remedy = f"ended with code {code} and no result", \
+                f"check with 'Report the environment' that '{self._python}' has what the engine needs"
+        return f"The engine process of the stage '{self._stage}' {cause}{said}; {remedy}."
+
+    def end(self) -> None:
+        """End the process and everything it started, at once if it has ended by itself."""
+        running = self._process.poll() is None
+        if _WINDOWS:
+            self._end_on_windows(running)
+        else:
+            self._end_group(running)
+        for thread in self._readers:
+            thread.join(0.5)
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+    def _end_group(self, running: bool) -> None:
+        if running and self._signal(signal.SIGTERM):
+            end = time.monotonic() + _GRACE_S
+            while time.monotonic() < end and self._process.poll() is None:
+                time.sleep(0.02)
+        self._signal(signal.SIGKILL)  # what is left of the group, workers of a crashed parent too
+        self._process.wait()
+
+    def _signal(self, number: int) -> bool:
+        try:
+            os.killpg(self._process.pid, number)
+        except (ProcessLookupError, PermissionError):
+            return False
+        return True
+
+    def _end_on_windows(self, running: bool) -> None:
+        if running:
+            taskkill = os.path.join(os.environ.get("SYSTEMROOT", r"C:\Windows"), "System32", "taskkill.exe")
+            subprocess.run([taskkill, "/F", "/T", "/PID", str(self._process.pid)],  # noqa: S603
+                           stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+        self._process.wait()

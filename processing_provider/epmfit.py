@@ -1,0 +1,33 @@
+"""repm:epmfit."""
+
+from __future__ import annotations
+
+from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class EpmFit(RepmAlgorithm):
+    """Fits pinhole cameras to the RPCs of images, tile by tile."""
+
+    ID = "epmfit"
+    GROUP = "cameras"
+    TAGS = "EPM,DLT,camera model,equivalent error,tiles"
+    HEAVY = False
+    LAYERS = {"TILES": ("Tiles", "tiles")}
+
+    def displayName(self) -> str:
+        return self.tr("Fit equivalent pinhole cameras")
+
+    def shortDescription(self) -> str:
+        return self.tr("Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.")
+
+    def parameters(self) -> list:
+        return [parameters.images(), parameters.extent(), parameters.dem(), *parameters.altitudes(),
+                *parameters.tiles_and_budget(), parameters.workspace(), parameters.tiles(), parameters.report()]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),
+                QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
+                QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)"))]

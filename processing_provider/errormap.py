@@ -1,0 +1,38 @@
+"""repm:errormap."""
+
+from __future__ import annotations
+
+from qgis.core import QgsProcessingOutputNumber, QgsProcessingParameterRasterDestination, QgsProcessingParameterString
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class ErrorMap(RepmAlgorithm):
+    """Maps one view's equivalent error on the ground."""
+
+    ID = "errormap"
+    GROUP = "cameras"
+    TAGS = "EPM,equivalent error,accuracy"
+    HEAVY = False
+    LAYERS = {"OUTPUT": ("Equivalent error", "error")}
+
+    def displayName(self) -> str:
+        return self.tr("Map the equivalent error")
+
+    def shortDescription(self) -> str:
+        return self.tr("What the pinhole model costs one view, as a raster on the ground.")
+
+    def parameters(self) -> list:
+        return [parameters.scene(),
+                parameters.helped(
+                    QgsProcessingParameterString("VIEW", self.tr("View (empty: the first)"), "", optional=True),
+                    self.tr("A view's name as in the scene's report: its image file's name without extension.")),
+                parameters.real("ALTITUDE", self.tr("Altitude (m, empty: the middle of the scene's range)"), None,
+                                -12000, 10000, self.tr("Metres above the WGS 84 ellipsoid.")),
+                QgsProcessingParameterRasterDestination("OUTPUT", self.tr("Equivalent error")),
+                parameters.report()]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
+                QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)"))]

@@ -1,0 +1,181 @@
+"""Parameters that several algorithms share, each with its bounds and its help."""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Sequence
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingParameterCrs,
+    QgsProcessingParameterDefinition,
+    QgsProcessingParameterEnum,
+    QgsProcessingParameterExtent,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterFileDestination,
+    QgsProcessingParameterFolderDestination,
+    QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterNumber,
+    QgsProcessingParameterRasterDestination,
+    QgsProcessingParameterRasterLayer,
+    QgsProcessingParameterVectorDestination,
+)
+from qgis.PyQt.QtCore import QCoreApplication
+
+SCENE_FILTER = "REPM scene (*.json)"
+HTML_FILTER = "HTML (*.html)"
+
+
+def tr(text: str) -> str:
+    return QCoreApplication.translate("RepmParameters", text)
+
+
+def helped(parameter: QgsProcessingParameterDefinition, text: str) -> QgsProcessingParameterDefinition:
+    """The parameter with its tooltip."""
+    parameter.setHelp(text)
+    return parameter
+
+
+def advanced(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParameterDefinition:
+    """The parameter, shown only when the dialog's advanced part is open."""
+    parameter.setFlags(parameter.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
+    return parameter
+
+
+def real(name: str, label: str, default: Optional[float], low: float, high: float,
+         text: str = "") -> QgsProcessingParameterDefinition:
+    """A number; no default makes it optional."""
+    return helped(QgsProcessingParameterNumber(
+        name, label, QgsProcessingParameterNumber.Type.Double, default, default is None, low, high), text)
+
+
+def whole(name: str, label: str, default: int, low: int, high: int,
+          text: str = "") -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterNumber(
+        name, label, QgsProcessingParameterNumber.Type.Integer, default, False, low, high), text)
+
+
+def choice(name: str, label: str, options: Sequence[str], default: str,
+           text: str = "") -> QgsProcessingParameterDefinition:
+    """A choice whose values are the words themselves, so that commands and models stay readable."""
+    return helped(QgsProcessingParameterEnum(
+        name, label, list(options), defaultValue=default, usesStaticStrings=True), text)
+
+
+class Images(QgsProcessingParameterMultipleLayers):
+    """Rasters that QGIS does not open to check them.
+
+    Its own check loads every image as a layer: slow, it may write statistics beside the image, and its message on a
+    damaged one names no file. The engine is the better judge.
+    """
+
+    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+        return super().checkValueIsAcceptable(input)
+
+    def clone(self) -> Images:
+        return Images(self)
+
+
+def images() -> QgsProcessingParameterDefinition:
+    parameter = Images(
+        "IMAGES", tr("Satellite images with RPCs"), QgsProcessing.SourceType.TypeRaster)
+    parameter.setMinimumNumberInputs(2)
+    return helped(parameter, tr("Two or more images of the same ground in sensor geometry (level Basic, Sensor or "
+                                "Primary), each with its RPC in the file or beside it."))
+
+
+def extent() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterExtent("EXTENT", tr("Area (empty: all that two images see)"), optional=True),
+                  tr("Only this area is computed."))
+
+
+def dem() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterRasterLayer("DEM", tr("Coarse elevation model"), optional=True),
+                  tr("Any DEM that covers the area; it narrows the range of altitudes. Heights above the ellipsoid "
+                     "or, where its CRS says so, above the geoid."))
+
+
+def altitudes() -> list[QgsProcessingParameterDefinition]:
+    text = tr("Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the RPCs.")
+    return [advanced(real("ALTITUDE_MIN", tr("Lowest altitude (m, empty: automatic)"), None, -12000, 10000, text)),
+            advanced(real("ALTITUDE_MAX", tr("Highest altitude (m, empty: automatic)"), None, -12000, 10000, text))]
+
+
+def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
+    return [advanced(whole("TILE_SIZE", tr("Tile size (px, 0: automatic)"), 0, 0, 20000,
+                           tr("0 takes the largest tile that keeps the error under the budget, and fits memory."))),
+            advanced(real("ERROR_BUDGET", tr("Error budget (px)"), 0.1, 0.001, 100,
+                          tr("What the pinhole model may cost at most, as equivalent error in the image.")))]
+
+
+def model() -> QgsProcessingParameterDefinition:
+    from ..repm_qgis.options import MODELS
+
+    return choice("MODEL", tr("Refinement model"), MODELS, "polynomial",
+                  tr("none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: second "
+                     "order, cures the curvature of the image."))
+
+
+def backend() -> QgsProcessingParameterDefinition:
+    from ..repm_qgis.options import BACKENDS
+
+    return choice("BACKEND", tr("Dense matching"), BACKENDS, "auto",
+                  tr("auto: the best that this machine can run; sgm: semi-global matching on the CPU."))
+
+
+def resolution() -> QgsProcessingParameterDefinition:
+    return real("RESOLUTION", tr("DSM resolution (m, 0: twice the ground sampling distance)"), 0.0, 0.0, 1000.0,
+                tr("Cell size in units of the CRS."))
+
+
+def crs() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterCrs("CRS", tr("CRS of the results (empty: the scene's UTM zone)"),
+                                            optional=True), tr("A projected CRS."))
+
+
+def fusion() -> list[QgsProcessingParameterDefinition]:
+    from ..repm_qgis.options import METHODS
+
+    return [advanced(choice("METHOD", tr("Fusion of the pairs' heights"), METHODS, "median",
+                            tr("median: robust, for three images or more; mean: smoother."))),
+            advanced(real("OUTLIER_RADIUS", tr("Outlier radius (m, empty: automatic, 0: off)"), None, 0.0, 1000.0,
+                          tr("Points with too few neighbours within this distance are dropped.")))]
+
+
+def scene(label: Optional[str] = None) -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterFile(
+        "SCENE", label or tr("Scene"), QgsProcessingParameterFile.Behavior.File, fileFilter=SCENE_FILTER),
+        tr("The scene.json that the stage before wrote."))
+
+
+def output_scene() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterFileDestination("OUTPUT_SCENE", tr("Scene after this stage"), SCENE_FILTER),
+                  tr("What this stage makes is kept in this file's folder."))
+
+
+def workspace() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterFolderDestination("WORKSPACE", tr("Workspace")),
+                  tr("A folder for the scene and all between; a second run there goes on where the first stopped."))
+
+
+def report() -> QgsProcessingParameterDefinition:
+    return QgsProcessingParameterFileDestination("REPORT", tr("Report"), HTML_FILTER, optional=True)
+
+
+def tiles() -> QgsProcessingParameterDefinition:
+    return QgsProcessingParameterVectorDestination(
+        "TILES", tr("Tiles"), QgsProcessing.SourceType.TypeVectorPolygon, optional=True)
+
+
+def tie_points() -> QgsProcessingParameterDefinition:
+    return QgsProcessingParameterVectorDestination(
+        "TIE_POINTS", tr("Tie points"), QgsProcessing.SourceType.TypeVectorPoint, optional=True)
+
+
+def dsm_products() -> list[QgsProcessingParameterDefinition]:
+    """The DSM, and what may come with it."""
+    extra: dict[str, Any] = {"optional": True, "createByDefault": False}
+    return [QgsProcessingParameterRasterDestination("OUTPUT", tr("DSM")),
+            QgsProcessingParameterRasterDestination("CONFIDENCE", tr("Confidence"), **extra),
+            QgsProcessingParameterRasterDestination("ORTHO", tr("Orthophoto"), **extra),
+            QgsProcessingParameterFileDestination(
+                "CLOUD", tr("Point cloud"), "LAZ (*.laz);;LAS (*.las)", **extra)]

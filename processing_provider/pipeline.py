@@ -1,0 +1,41 @@
+"""repm:pipeline."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qgis.core import QgsProcessingOutputFile
+
+from . import parameters
+from .base import RepmAlgorithm
+from .values import command_line
+
+
+class Pipeline(RepmAlgorithm):
+    """From images to a DSM: all stages in one workspace."""
+
+    ID = "pipeline"
+    GROUP = "whole"
+    TAGS = "SfM,MVS,surface model,point cloud,orthophoto,REPM,tri-stereo"
+    USES_WORKERS = True
+    LAYERS = {"OUTPUT": ("DSM", "dsm"), "CONFIDENCE": ("Confidence", "confidence"), "ORTHO": ("Orthophoto", "ortho"),
+              "TILES": ("Tiles", "tiles"), "TIE_POINTS": ("Tie points", "tie_points")}
+
+    def displayName(self) -> str:
+        return self.tr("Make a DSM from satellite images")
+
+    def shortDescription(self) -> str:
+        return self.tr("The whole way: pinhole cameras, refinement, tie points, dense matching, fusion.")
+
+    def parameters(self) -> list:
+        dsm, *extras = parameters.dsm_products()
+        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.resolution(), parameters.crs(),
+                *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.advanced(parameters.model()),
+                parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),
+                parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputFile("SCENE", self.tr("Scene"))]
+
+    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+        return {**options, "command": command_line(self.id(), options)}

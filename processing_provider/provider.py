@@ -1,0 +1,97 @@
+"""The provider ``repm``: every algorithm of this folder, then every model of resources/models."""
+
+from __future__ import annotations
+
+import configparser
+import glob
+import os
+
+from qgis.core import QgsApplication, QgsProcessingModelAlgorithm, QgsProcessingProvider
+from qgis.PyQt.QtGui import QIcon
+
+from . import settings
+from .base import GROUPS, PLUGIN_FOLDER, resource
+from .comparedsm import CompareDsm
+from .dsmfuse import DsmFuse
+from .environment import Environment
+from .epmfit import EpmFit
+from .errormap import ErrorMap
+from .pipeline import Pipeline
+from .reconstruct import Reconstruct
+from .refine import Refine
+from .sampledata import SampleData
+
+ALGORITHMS = (EpmFit, ErrorMap, Refine, Reconstruct, DsmFuse, Pipeline, CompareDsm, SampleData, Environment)
+
+
+class ShippedModel(QgsProcessingModelAlgorithm):
+    """A model whose file also says what people are to read in the toolbox: its name is an id for scripts."""
+
+    def displayName(self) -> str:
+        return self.helpContent().get("SHORT_DESCRIPTION") or super().displayName()
+
+    def groupId(self) -> str:
+        return next((key for key, name in GROUPS.items() if name == self.group()), super().groupId())
+
+    def icon(self) -> QIcon:
+        return QIcon(self.svgIconPath())
+
+    def svgIconPath(self) -> str:
+        return resource("icons", "pipeline.svg")
+
+
+class RepmProvider(QgsProcessingProvider):
+    """What the Processing Toolbox shows as "REPM"."""
+
+    def id(self) -> str:
+        return "repm"
+
+    def name(self) -> str:
+        return "REPM"
+
+    def longName(self) -> str:
+        return self.tr("REPM: surface models from satellite images ({version})").format(version=self.versionInfo())
+
+    def versionInfo(self) -> str:
+        metadata = configparser.ConfigParser(interpolation=None)
+        metadata.read(os.path.join(PLUGIN_FOLDER, "metadata.txt"), encoding="utf-8")
+        return metadata.get("general", "version", fallback="")
+
+    def icon(self) -> QIcon:
+        return QIcon(self.svgIconPath())
+
+    def svgIconPath(self) -> str:
+        return resource("icons", "repm.svg")
+
+    def load(self) -> bool:
+        settings.register(self.svgIconPath())
+        self.refreshAlgorithms()
+        return True
+
+    def unload(self) -> None:
+        settings.unregister()
+
+    def loadAlgorithms(self) -> None:
+        for algorithm in ALGORITHMS:
+            self.addAlgorithm(algorithm())
+        if QgsApplication.processingRegistry().providerById(self.id()) is None:
+            return  # a model asks the registry for its children's outputs; plugin.py refreshes once we are known
+        for path in sorted(glob.glob(resource("models", "*.model3"))):
+            model = ShippedModel()
+            if model.fromFile(path):
+                self.addAlgorithm(model)
+
+    def defaultVectorFileExtension(self, hasGeometry: bool = True) -> str:  # noqa: N803 - QGIS's name
+        return "gpkg"
+
+    def defaultRasterFileExtension(self) -> str:
+        return "tif"
+
+    def supportedOutputVectorLayerExtensions(self) -> list[str]:
+        return ["gpkg"]
+
+    def supportedOutputRasterLayerExtensions(self) -> list[str]:
+        return ["tif", "tiff"]
+
+    def supportsNonFileBasedOutput(self) -> bool:
+        return False

@@ -1,0 +1,29 @@
+"""repm:reconstruct."""
+
+from __future__ import annotations
+
+from qgis.core import QgsProcessingParameterFolderDestination
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class Reconstruct(RepmAlgorithm):
+    """Tie points, relative pointing and dense matching."""
+
+    ID = "reconstruct"
+    GROUP = "surface"
+    TAGS = "SfM,MVS,tie points,bundle adjustment,dense matching,SGM,disparity"
+    USES_WORKERS = True
+    LAYERS = {"TIE_POINTS": ("Tie points", "tie_points")}
+
+    def displayName(self) -> str:
+        return self.tr("Reconstruct heights")
+
+    def shortDescription(self) -> str:
+        return self.tr("Tie points and relative pointing of the views, then a height map of every pair and tile.")
+
+    def parameters(self) -> list:
+        heights = QgsProcessingParameterFolderDestination(
+            "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False)
+        return [parameters.scene(), parameters.backend(), parameters.output_scene(), parameters.tie_points(), heights]

@@ -1,0 +1,23 @@
+"""repm:refine."""
+
+from __future__ import annotations
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class Refine(RepmAlgorithm):
+    """Makes images that a pinhole camera would have seen."""
+
+    ID = "refine"
+    GROUP = "cameras"
+    TAGS = "EPM,REPM,resampling,polynomial,homography"
+
+    def displayName(self) -> str:
+        return self.tr("Refine the images")
+
+    def shortDescription(self) -> str:
+        return self.tr("Resamples every view's tiles to what its pinhole camera would have seen.")
+
+    def parameters(self) -> list:
+        return [parameters.scene(), parameters.model(), parameters.output_scene(), parameters.report()]

@@ -1,0 +1,42 @@
+"""repm:sampledata."""
+
+from __future__ import annotations
+
+from qgis.core import (
+    QgsProcessingOutputMultipleLayers,
+    QgsProcessingOutputRasterLayer,
+    QgsProcessingOutputVectorLayer,
+    QgsProcessingParameterFolderDestination,
+)
+
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class SampleData(RepmAlgorithm):
+    """Makes a truth scene: simulated images of a known surface."""
+
+    ID = "sampledata"
+    GROUP = "tools"
+    TAGS = "simulation,truth,example,tutorial,pushbroom,GCP"
+    LAYERS = {"TRUTH": ("True DSM", "dsm")}
+
+    def displayName(self) -> str:
+        return self.tr("Make sample images")
+
+    def shortDescription(self) -> str:
+        return self.tr("Simulated tri-stereo images with RPCs of a surface that is known, to try and to measure.")
+
+    def parameters(self) -> list:
+        from ..repm_qgis.options import KINDS
+
+        return [parameters.choice("KIND", self.tr("Landscape"), KINDS, "urban"),
+                parameters.whole("SIZE", self.tr("Size of the images (px)"), 800, 128, 20000),
+                parameters.whole("SEED", self.tr("Seed"), 1, 0, 2**31 - 1,
+                                 self.tr("The same seed makes the same files.")),
+                QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder"))]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputMultipleLayers("IMAGES", self.tr("Images")),
+                QgsProcessingOutputRasterLayer("TRUTH", self.tr("True DSM")),
+                QgsProcessingOutputVectorLayer("GCPS", self.tr("Ground control points"))]

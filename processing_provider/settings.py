@@ -1,0 +1,65 @@
+"""The provider's page in Settings > Options > Processing > Providers."""
+
+from __future__ import annotations
+
+import os
+
+from qgis.PyQt.QtCore import QCoreApplication
+from qgis.PyQt.QtGui import QIcon
+
+GROUP = "REPM"
+ENGINE_PYTHON = "REPM_ENGINE_PYTHON"
+WORKERS = "REPM_WORKERS"
+
+
+def _tr(text: str) -> str:
+    return QCoreApplication.translate("RepmSettings", text)
+
+
+def register(icon_path: str) -> None:
+    """Add the settings, and read what the user chose before."""
+    try:
+        from processing.core.ProcessingConfig import ProcessingConfig, Setting
+    except ImportError:  # a script that uses the provider without the Processing plugin has no settings page
+        return
+
+    ProcessingConfig.settingIcons[GROUP] = QIcon(icon_path)
+    ProcessingConfig.addSetting(Setting(
+        GROUP, ENGINE_PYTHON, _tr("Engine interpreter (empty: the plugin's .venv, else QGIS's Python)"), "",
+        valuetype=Setting.FILE))
+    ProcessingConfig.addSetting(Setting(
+        GROUP, WORKERS, _tr("Worker processes (0: one per core)"), 0, valuetype=Setting.INT))
+    ProcessingConfig.readSettings()
+
+
+def unregister() -> None:
+    """Take the settings out again; the user's values stay for the next time."""
+    try:
+        from processing.core.ProcessingConfig import ProcessingConfig
+    except ImportError:
+        return
+
+    for name in (ENGINE_PYTHON, WORKERS):
+        ProcessingConfig.removeSetting(name)
+    ProcessingConfig.settingIcons.pop(GROUP, None)
+
+
+def _value(name: str):
+    try:
+        from processing.core.ProcessingConfig import ProcessingConfig
+    except ImportError:  # a script that uses the provider without the Processing plugin
+        return None
+    return ProcessingConfig.getSetting(name)
+
+
+def engine_python() -> str:
+    """The interpreter that the user chose, in the settings or by REPM_ENGINE_PYTHON; "" for none."""
+    return str(_value(ENGINE_PYTHON) or "").strip() or os.environ.get("REPM_ENGINE_PYTHON", "").strip()
+
+
+def workers() -> int:
+    """How many worker processes the engine may use; 0 means one a core."""
+    try:
+        return max(0, int(_value(WORKERS) or 0))
+    except (TypeError, ValueError):
+        return 0

@@ -1,0 +1,126 @@
+"""Processing's parameter values as the engine's options: plain strings, numbers and lists."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from typing import Any, Mapping, Optional
+
+from qgis.core import (
+    QgsCoordinateReferenceSystem,
+    QgsMapLayer,
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingParameterDefinition,
+    QgsProcessingParameterNumber,
+    QgsProcessingUtils,
+    QgsProperty,
+    QgsProviderRegistry,
+)
+from qgis.PyQt.QtCore import QVariant
+
+
+def is_empty(value: object) -> bool:
+    """Whether a parameter's value means "not given"."""
+    return value is None or value == "" or value == [] or (isinstance(value, QVariant) and value.isNull())
+
+
+def layer_path(layer: QgsMapLayer) -> str:
+    """The file behind a layer: what its provider decodes, or the source where that is no file (subdatasets)."""
+    path = QgsProviderRegistry.instance().decodeUri(layer.providerType(), layer.source()).get("path", "")
+    subdataset = ":" in layer.source().split(path, 1)[0] if path else True
+    return layer.source() if subdataset else path
+
+
+def raster_items(value: object, context: QgsProcessingContext) -> list[Any]:
+    """A raster parameter's value as a list of QgsMapLayer, and str for files that are no layer of the project."""
+    if isinstance(value, QgsProperty):
+        value = value.valueAsString(context.expressionContext())[0]
+    if is_empty(value):
+        return []
+    if isinstance(value, (list, tuple)):
+        return [item for element in value for item in raster_items(element, context)]
+    if isinstance(value, QgsMapLayer):
+        return [value]
+    text = str(value)
+    # A file is the engine's to open: loading it as a layer here would cost time, and lose the name of a damaged one.
+    if not os.path.exists(text):
+        layer = QgsProcessingUtils.mapLayerFromString(text, context, allowLoadingNewLayers=False)
+        if layer is not None:
+            return [layer]
+    return [text]
+
+
+def raster_paths(value: object, context: QgsProcessingContext) -> list[str]:
+    """Absolute paths of the rasters that a parameter's value names."""
+    found = (layer_path(item) if isinstance(item, QgsMapLayer) else item for item in raster_items(value, context))
+    return [os.path.abspath(path) if os.path.exists(path) else path for path in found]
+
+
+def crs_text(crs: QgsCoordinateReferenceSystem) -> Optional[str]:
+    """The authority's code where there is one, else WKT 2; None for no CRS."""
+    if not crs.isValid():
+        return None
+    return crs.authid() or crs.toWkt(QgsCoordinateReferenceSystem.WKT_PREFERRED)
+
+
+def _extent(algorithm: QgsProcessingAlgorithm, name: str, parameters: Mapping[str, Any],
+            context: QgsProcessingContext) -> dict[str, Any]:
+    if is_empty(parameters.get(name)):
+        return {name.lower(): None}
+    box = algorithm.parameterAsExtent(parameters, name, context)
+    crs = crs_text(algorithm.parameterAsExtentCrs(parameters, name, context)) or "EPSG:4326"
+    corners = [box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()]
+    return {name.lower(): corners, f"{name.lower()}_crs": crs}
+
+
+def input_options(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingParameterDefinition,
+                  parameters: Mapping[str, Any], context: QgsProcessingContext) -> dict[str, Any]:
+    """One input parameter as engine options: the parameter's name in lower case, and its value.
+
+    Reads the project through the context: main thread only.
+    """
+    name, kind = definition.name(), definition.type()
+    given = parameters.get(name, definition.defaultValue())
+    if kind == "extent":
+        return _extent(algorithm, name, parameters, context)
+    if kind == "multilayer":
+        value: Any = raster_paths(given, context)
+    elif kind == "raster":
+        value = next(iter(raster_paths(given, context)), None)
+    elif kind == "crs":
+        value = crs_text(algorithm.parameterAsCrs(parameters, name, context))
+    elif kind == "number":
+        whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
+        read = algorithm.parameterAsInt if whole else algorithm.parameterAsDouble
+        value = None if is_empty(given) else read(parameters, name, context)
+    elif kind == "enum":
+        value = algorithm.parameterAsEnumString(parameters, name, context)
+    elif kind == "file":
+        text = algorithm.parameterAsString(parameters, name, context)
+        value = os.path.abspath(text) if text else None
+    else:
+        value = algorithm.parameterAsString(parameters, name, context)
+    return {name.lower(): value}
+
+
+def destination(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingParameterDefinition,
+                parameters: Mapping[str, Any], context: QgsProcessingContext) -> str:
+    """Where an output goes, as QGIS keeps it; "" for an output that is not wanted."""
+    if definition.type() in ("rasterDestination", "vectorDestination"):
+        return algorithm.parameterAsOutputLayer(parameters, definition.name(), context) or ""
+    return algorithm.parameterAsFileOutput(parameters, definition.name(), context) or ""
+
+
+def command_line(algorithm_id: str, options: Mapping[str, Any]) -> str:
+    """The ``qgis_process`` command that repeats a run with these engine options."""
+    words = []
+    for name, value in options.items():
+        if is_empty(value) or name in ("extent_crs", "workers", "command"):
+            continue
+        if name == "extent":
+            xmin, ymin, xmax, ymax = value
+            value = f"{xmin!r},{xmax!r},{ymin!r},{ymax!r} [{options.get('extent_crs', 'EPSG:4326')}]"
+        values = value if isinstance(value, (list, tuple)) else [value]
+        words += [f"{name.upper()}={item}" for item in values]
+    return " ".join(["qgis_process", "run", algorithm_id, "--", *map(shlex.quote, words)])

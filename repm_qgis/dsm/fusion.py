@@ -1,0 +1,102 @@
+"""Fusing the height maps of one tile into its cells of the DSM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..mvs.dense import HeightMap, load_heights
+from ..scene import Scene, View
+from .aggregation import Aggregate, aggregate, lonely
+from .grid import CellGrid, grid_points
+from .ortho import orthophoto
+
+FloatArray = NDArray[np.float64]
+
+_MARGIN_CELLS = 8   # fused beyond the tile's cells, so that neighbours count in the outlier filter
+
+
+@dataclass(frozen=True)
+class FuseTask:
+    """All a worker needs to fuse one tile. ``window`` are the tile's own cells of the whole ``grid``."""
+
+    scene: Scene
+    records: Tuple[Dict[str, Any], ...]
+    grid: CellGrid
+    window: Tuple[int, int, int, int]
+    crs: str
+    method: str
+    radius: float
+    ortho_views: Tuple[View, ...]
+    cloud: bool
+
+
+@dataclass(frozen=True)
+class FusedTile:
+    """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted."""
+
+    fused: Aggregate
+    ortho: Optional[NDArray[np.float32]]
+    points: Optional[FloatArray]
+    removed: int
+    needed: int
+
+
+def fuse_tile(task: FuseTask) -> FusedTile:
+    """Grid each height map, aggregate, remove lonely cells, cut to the tile's own cells."""
+    col, row, width, height = task.window
+    wide = (max(col - _MARGIN_CELLS, 0), max(row - _MARGIN_CELLS, 0))
+    ends = (min(col + width + _MARGIN_CELLS, task.grid.shape[1]), min(row + height + _MARGIN_CELLS, task.grid.shape[0]))
+    grid = task.grid.part((wide[0], wide[1], ends[0] - wide[0], ends[1] - wide[1]))
+    maps = [_placed(load_heights(record), record["crs"], task.crs) for record in task.records]
+    gridded = [grid_points(grid, m.x, m.y, m.height, m.score) for m in maps]
+    fused = aggregate([g[0] for g in gridded], [g[1] for g in gridded],
+                      [record["metres_per_px"] for record in task.records], task.method)
+    removed, needed = 0, 0
+    if task.radius > 0:
+        alone, needed = lonely(fused.height, grid.cell, task.radius)
+        removed = int(alone.sum())
+        fused = _without(fused, alone)
+    ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
+    own = (slice(row - wide[1], row - wide[1] + height), slice(col - wide[0], col - wide[0] + width))
+    points = _agreeing(task.grid.part(task.window), fused.height[own], maps, task.records) if task.cloud else None
+    cut = Aggregate(*(getattr(fused, name)[own] for name in ("height", "count", "spread", "score")))
+    return FusedTile(cut, None if ortho is None else ortho[own], points, removed, needed)
+
+
+def _placed(heights: HeightMap, source: str, target: str) -> HeightMap:
+    """A height map in another CRS. Only known points are transformed."""
+    if source == target:
+        return heights
+    known = np.isfinite(heights.height)
+    lon_lat = geodetic_from_projected(source, np.column_stack([heights.x[known], heights.y[known]]))
+    xy = projected_from_geodetic(target, lon_lat)
+    x, y = np.full_like(heights.x, np.nan), np.full_like(heights.y, np.nan)
+    x[known], y[known] = xy[:, 0], xy[:, 1]
+    return HeightMap(x, y, heights.height, heights.score)
+
+
+def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:
+    return Aggregate(np.where(cells, np.nan, fused.height), np.where(cells, 0, fused.count).astype(np.uint8),
+                     np.where(cells, np.nan, fused.spread), np.where(cells, np.nan, fused.score))
+
+
+def _agreeing(grid: CellGrid, height: FloatArray, maps: Sequence[HeightMap],
+              records: Sequence[Dict[str, Any]]) -> FloatArray:
+    """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
+    parts: List[FloatArray] = []
+    for heights, record in zip(maps, records):
+        known = np.isfinite(heights.height)
+        x, y, z, s = heights.x[known], heights.y[known], heights.height[known], heights.score[known]
+        column = np.floor((x - grid.west) / grid.cell).astype(np.int64)
+        row = np.floor((grid.north - y) / grid.cell).astype(np.int64)
+        inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])
+        x, y, z, s, column, row = x[inside], y[inside], z[inside], s[inside], column[inside], row[inside]
+        with np.errstate(invalid="ignore"):
+            agree = np.abs(z - height[row, column]) <= record["metres_per_px"]
+        parts.append(np.column_stack([x, y, z, s])[agree])
+    return np.concatenate(parts) if parts else np.empty((0, 4))

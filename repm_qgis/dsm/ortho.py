@@ -1,0 +1,84 @@
+"""A true orthophoto: each cell takes the brightness of a view that really sees it."""
+
+from __future__ import annotations
+
+import math
+from typing import List, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.frames import geodetic_from_projected
+from ..imagery.raster import opened
+from ..imagery.sampling import upsample_grid
+from ..imagery.warping import sample_source
+from ..scene import Scene, View
+from ..sfm.altitude_range import ground_slope
+from .grid import CellGrid
+
+FloatArray = NDArray[np.float64]
+
+_NODES = 9
+_CLEARANCE_M = 1.0
+
+
+def nadir_first(scene: Scene) -> List[View]:
+    """The views, steepest first."""
+    centre = np.array([scene.frame.lon, scene.frame.lat])
+    altitude = sum(scene.altitudes) / 2
+    return sorted(scene.views, key=lambda view: float(np.linalg.norm(ground_slope(view, centre, altitude))))
+
+
+def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.float32]:
+    """Brightness of each cell from the first of ``views`` that is not blocked there; NaN where all are, or no height."""
+    result = np.full(grid.shape, np.nan, dtype=np.float32)
+    if not np.isfinite(height).any():
+        return result
+    for view in views:
+        wanted = np.isnan(result) & np.isfinite(height)
+        if not wanted.any():
+            break
+        seen = wanted & ~_blocked(view, grid, height, crs)
+        with opened(view.image) as dataset:
+            values = sample_source(dataset, view.band, _pixels(view, grid, height, crs), "bilinear")
+        result = np.where(seen, values, result)
+    return result
+
+
+def _pixels(view: View, grid: CellGrid, height: FloatArray, crs: str) -> FloatArray:
+    """(H, W, 2) pixels of the cells: exact on a coarse grid at two heights, linear between."""
+    xs, ys = grid.centres()
+    lon_lat = geodetic_from_projected(crs, np.stack(np.meshgrid(
+        np.linspace(xs[0], xs[-1], _NODES), np.linspace(ys[0], ys[-1], _NODES)), axis=-1))
+    low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
+    ends = [upsample_grid(view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), z)], axis=-1)),
+                          grid.shape) for z in (low, high)]
+    share = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
+    return ends[0] + share * (ends[1] - ends[0])
+
+
+def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.bool_]:
+    """Cells whose ray to the satellite meets a higher part of the surface on its way up."""
+    xs, ys = grid.centres()
+    centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
+    slope = ground_slope(view, centre, float(np.nanmedian(height)))
+    steepness = float(np.linalg.norm(slope))
+    blocked = np.zeros(grid.shape, dtype=bool)
+    relief = float(np.nanmax(height) - np.nanmin(height))
+    reach = int(relief * steepness / grid.cell) + 1
+    if steepness < 1e-3:
+        return blocked
+    rows, columns = grid.shape
+    for step in range(1, min(reach, max(rows, columns)) + 1):
+        # One cell farther toward the satellite, the ray is cell / steepness metres higher.
+        dc = int(round(step * slope[0] / steepness))
+        dr = -int(round(step * slope[1] / steepness))
+        rise = math.hypot(dr, dc) * grid.cell / steepness
+        r0, r1 = max(0, -dr), min(rows, rows - dr)
+        c0, c1 = max(0, -dc), min(columns, columns - dc)
+        if r0 >= r1 or c0 >= c1:
+            break
+        with np.errstate(invalid="ignore"):
+            blocked[r0:r1, c0:c1] |= (height[r0 + dr:r1 + dr, c0 + dc:c1 + dc]
+                                      > height[r0:r1, c0:c1] + rise + _CLEARANCE_M)
+    return blocked

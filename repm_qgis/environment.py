@@ -1,0 +1,165 @@
+"""What is installed here, what is missing with the command that installs it, and what this machine has.
+
+Answers questions only: nothing is imported but what is asked about, nothing is changed. Packages whose import may take
+long or end the process are asked for their version in their metadata, not by importing them.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import Any, Optional
+
+_ASK_SECONDS = 60
+_MEMORY_FIELDS = {"MemTotal": "total_bytes", "MemAvailable": "available_bytes"}
+
+
+@dataclass(frozen=True)
+class Package:
+    """A Python package: what to import, how it is called on PyPI and in Debian ("" = not there), and what it is for."""
+
+    module: str
+    distribution: str
+    debian: str
+    purpose: str
+
+
+PACKAGES = (
+    Package("numpy", "numpy", "python3-numpy", "all arithmetic"),
+    Package("osgeo", "GDAL", "python3-gdal", "reading and writing rasters and vectors"),
+    Package("pyproj", "pyproj", "python3-pyproj", "map projections and datums"),
+    Package("scipy", "scipy", "python3-scipy", "outlier filter, robust least squares"),
+    Package("cv2", "opencv-python-headless", "", "keypoints, semi-global matching, resampling"),
+    Package("pycolmap", "pycolmap", "", "tie points, bundle adjustment, matching on CUDA"),
+    Package("laspy", "laspy", "", "point clouds (LAS)"),
+    Package("lazrs", "lazrs", "", "compressed point clouds (LAZ)"),
+)
+
+GRIDS = (("us_nga_egm96_15.tif", "EGM96 geoid"), ("us_nga_egm08_25.tif", "EGM2008 geoid"),
+         ("egm96_15.gtx", "EGM96 geoid, older format"), ("egm08_25.gtx", "EGM2008 geoid, older format"))
+
+
+def version_of(package: Package) -> Optional[str]:
+    """The installed version; "unknown" where a package does not say; None where it is missing."""
+    if importlib.util.find_spec(package.module) is None:
+        return None
+    try:
+        return importlib.metadata.version(package.distribution)
+    except importlib.metadata.PackageNotFoundError:
+        pass
+    if package.module == "osgeo":
+        from osgeo import gdal
+
+        return str(gdal.__version__)
+    module = importlib.import_module(package.module) if package.module in ("numpy", "pyproj", "scipy") else None
+    return str(getattr(module, "__version__", "unknown"))
+
+
+def install_command(package: Package) -> str:
+    """The exact command that installs a missing package for this interpreter."""
+    if package.debian:
+        if shutil.which("apt-get"):
+            return f"{'' if _is_root() else 'sudo '}apt-get install -y {package.debian}"
+        return f"install it with your QGIS (it is part of QGIS's own Python): {package.distribution}"
+    numpy = version_of(PACKAGES[0])
+    keep = f' "numpy=={numpy}"' if numpy else ""  # named, so that pip can never replace QGIS's own
+    quoted = f'"{sys.executable}"' if " " in sys.executable else sys.executable
+    return f"{quoted} -m pip install {_requirement(package.distribution)}{keep}"
+
+
+def _requirement(distribution: str) -> str:
+    """The line of requirements.txt, quoted for a shell."""
+    path = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "requirements.txt")
+    try:
+        with open(path, encoding="utf-8") as stream:
+            found = [line.strip() for line in stream if line.strip().startswith(distribution)]
+    except OSError:
+        found = []
+    return f'"{found[0]}"' if found else distribution
+
+
+def _is_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+def _ask(code: str) -> str:
+    """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure."""
+    try:
+        done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
+                              stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=_ASK_SECONDS, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.decode("utf-8", "replace").strip() if done.returncode == 0 else ""
+
+
+def _nvidia_devices() -> list[str]:
+    """Names and memory of the NVIDIA devices whose driver answers."""
+    program = shutil.which("nvidia-smi")
+    if not program:
+        return []
+    try:
+        done = subprocess.run([program, "--query-gpu=name,memory.total", "--format=csv,noheader"],  # noqa: S603
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                              timeout=20, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return []
+    lines = done.stdout.decode("utf-8", "replace").splitlines() if done.returncode == 0 else []
+    return [line.strip() for line in lines if line.strip()]
+
+
+def cuda(ask_pycolmap: bool = True) -> dict[str, Any]:
+    """Whether CUDA can be used: ``built`` (pycolmap was made with it), ``devices`` that answer, ``usable`` (both)."""
+    built = ask_pycolmap and importlib.util.find_spec("pycolmap") is not None and \
+        _ask("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
+    devices = _nvidia_devices()
+    return {"built": built, "devices": devices, "usable": bool(built and devices)}
+
+
+def memory() -> dict[str, Optional[int]]:
+    """``total_bytes`` and ``available_bytes`` of this machine; None where it does not say."""
+    found: dict[str, Optional[int]] = dict.fromkeys(_MEMORY_FIELDS.values())
+    try:
+        with open("/proc/meminfo", encoding="ascii") as stream:
+            for line in stream:
+                name, _, value = line.partition(":")
+                if name in _MEMORY_FIELDS:
+                    found[_MEMORY_FIELDS[name]] = int(value.split()[0]) * 1024
+    except (OSError, ValueError, IndexError):
+        names = getattr(os, "sysconf_names", {})
+        if "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
+            found["total_bytes"] = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return found
+
+
+def cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def proj() -> dict[str, Any]:
+    """PROJ's version and data folder, and which of the geoid grids are there: heights above a geoid need one."""
+    import pyproj
+
+    folders = [pyproj.datadir.get_data_dir(), pyproj.datadir.get_user_data_dir()]
+    folders = [folder for entry in folders for folder in entry.split(os.pathsep) if folder]
+    grids = {name: any(os.path.exists(os.path.join(folder, name)) for folder in folders) for name, _ in GRIDS}
+    return {"version": pyproj.proj_version_str, "folders": folders, "grids": grids,
+            "network": bool(pyproj.network.is_network_enabled())}
+
+
+def survey(folder: str = ".") -> dict[str, Any]:
+    """Everything above as one JSON-able object; ``folder`` is where free disk space is asked for."""
+    versions = {package.distribution: version_of(package) for package in PACKAGES}
+    missing = [{"package": package.distribution, "purpose": package.purpose, "command": install_command(package)}
+               for package in PACKAGES if versions[package.distribution] is None]
+    return {
+        "python": platform.python_version(), "interpreter": sys.executable, "platform": platform.platform(),
+        "versions": versions, "missing": missing, "cuda": cuda(), "memory": memory(), "cores": cores(),
+        "disk_free_bytes": shutil.disk_usage(folder).free, "proj": proj() if versions["pyproj"] else None,
+    }

@@ -1,0 +1,67 @@
+"""Everything the engine can say no to.
+
+Each message is one sentence or two for the analyst: the file, the value, and what to do about it. Errors inherit
+from :class:`RepmError` and from the builtin that fits, so library users may catch either.
+"""
+
+from __future__ import annotations
+
+
+class RepmError(Exception):
+    """Root of all expected failures. A traceback of anything else is a bug."""
+
+
+class OptionError(RepmError, ValueError):
+    """An option has a value it cannot have."""
+
+    def __init__(self, name: str, value: object, reason: str) -> None:
+        super().__init__(f"{name} is {value!r}: it {reason}.")
+        self.name = name
+        self.value = value
+
+
+class ImageError(RepmError, OSError):
+    """An image or raster cannot be read, or holds nothing that can be used."""
+
+
+class RpcError(RepmError, ValueError):
+    """The root of what can be wrong with an image's RPC."""
+
+
+class RpcMissingError(RpcError):
+    """No RPC was found for an image; the message lists where it was looked for."""
+
+
+class RpcInvalidError(RpcError):
+    """An RPC was found, but its numbers cannot be a sensor model."""
+
+
+class OverlapError(RepmError, ValueError):
+    """Images, extents or rasters do not meet on the ground."""
+
+
+class SceneError(RepmError, ValueError):
+    """A scene file is not one of ours, is damaged, or lacks what a stage needs."""
+
+
+class SceneVersionError(SceneError):
+    """A scene file was written by a newer version of the plugin."""
+
+
+class WorkspaceError(RepmError, OSError):
+    """A folder or file cannot be written."""
+
+
+class MissingPackageError(RepmError, ImportError):
+    """A Python package that a stage needs is not installed."""
+
+
+class EmptyResultError(RepmError, RuntimeError):
+    """A stage ran, but what it made is empty or too little to go on with; the message gives the counts."""
+
+
+class Cancelled(RepmError):
+    """The user asked to stop."""
+
+    def __init__(self) -> None:
+        super().__init__("Cancelled by the user.")

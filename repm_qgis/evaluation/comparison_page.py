@@ -1,0 +1,161 @@
+"""The HTML page of a comparison."""
+
+from __future__ import annotations
+
+from typing import List, Tuple
+
+import numpy as np
+
+from . import charts, pictures
+from .comparison import Comparison
+from .grids import Grid, flat_crs, vertical_part
+from .report import Report
+
+_METHODS = {
+    "none": "none: the rasters are compared as they are",
+    "vertical": "vertical: median height difference",
+    "3d": "3d: Nuth and Kääb, by the cells' slopes",
+}
+
+
+def comparison_page(found: Comparison, error_path: str = "") -> Report:
+    """What a comparison found, for the analyst."""
+    page = Report("DSM against reference", f"{found.dsm.path} against {found.reference.path}")
+    _summary(page, found)
+    page.section("Inputs").table(["", "DSM", "Reference"], _input_rows(found))
+    if error_path:
+        page.facts({"Error raster (DSM − reference)": error_path})
+    _alignment(page, found)
+    _metrics(page, found)
+    _distribution(page, found)
+    _pictures(page, found)
+    return page
+
+
+def _summary(page: Report, found: Comparison) -> None:
+    m = found.metrics
+    page.paragraph(
+        f"{m.cells} of {m.reference_cells} reference cells have a DSM height ({m.valid:.1f} %). "
+        f"Half of them are within {m.me:.3f} m of the reference; NMAD {m.nmad:.3f} m, RMSE {m.rmse:.3f} m, "
+        f"bias {m.bias:+.3f} m."
+    )
+    for text in found.warnings:
+        page.warning(text)
+    if m.valid < 50:
+        page.warning(
+            f"The DSM covers only {m.valid:.1f} % of the reference's cells, and completeness counts all of them.",
+            "cut the reference to the DSM's area if the rest was not meant to be covered.",
+        )
+    if abs(m.bias) > max(2 * m.nmad, 0.5):
+        page.warning(
+            f"The heights differ by {m.bias:+.2f} m as a whole, much more than they scatter.",
+            "check the vertical datums and the absolute pointing, or set ALIGN to vertical or 3d.",
+        )
+
+
+def _input_rows(found: Comparison) -> List[List[str]]:
+    def column(grid: Grid) -> Tuple[str, ...]:
+        x0, y0, x1, y1 = grid.bounds
+        digits = 6 if flat_crs(grid.crs).is_geographic else 1
+        return (
+            grid.path,
+            flat_crs(grid.crs).name,
+            vertical_part(grid.crs) or "not stated",
+            f"{grid.size[0]} × {grid.size[1]} cells",
+            f"{abs(grid.transform[1]):g} × {abs(grid.transform[5]):g}",
+            f"x {x0:.{digits}f}..{x1:.{digits}f}, y {y0:.{digits}f}..{y1:.{digits}f}",
+        )
+
+    names = ("File", "CRS", "Vertical datum", "Size", "Cell", "Extent")
+    return [[name, a, b] for name, a, b in zip(names, column(found.dsm), column(found.reference))]
+
+
+def _alignment(page: Report, found: Comparison) -> None:
+    a = found.alignment
+    page.section("Alignment").facts([("Method", _METHODS[a.method])])
+    if a.method == "none":
+        return
+    page.paragraph("This was added to the DSM before comparing; add the same to move the DSM onto the reference.")
+    rows = [
+        ["dx, to the east", f"{a.dx:+.3f} m"],
+        ["dy, to the north", f"{a.dy:+.3f} m"],
+        ["dz, up", f"{a.dz:+.3f} m"],
+        ["NMAD before", f"{a.nmad_before:.3f} m"],
+        ["NMAD after", f"{a.nmad_after:.3f} m"],
+    ]
+    page.table(["Shift", "Value"], rows, f"From {a.cells} cells.")
+
+
+def _metrics(page: Report, found: Comparison) -> None:
+    rows = [("all", found.metrics)] + [(name, m) for name, m in found.by_slope if m.reference_cells]
+    page.section("Accuracy and completeness")
+    page.table(
+        ["Reference slope", "Compared cells", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)"],
+        [
+            [name, m.cells] + [f"{v:.3f}" if m.cells else "–" for v in (m.rmse, m.me, m.mae, m.nmad, m.bias)]
+            for name, m in rows
+        ],
+        "Of e = DSM − reference, over the cells that have both heights: ME is the median of |e|, bias the median of "
+        "e. " + ("" if found.exact else "Medians are good to 0.5 mm. ") + "Medians by slope are good to 5 mm.",
+    )
+    page.table(
+        ["Reference slope", "Reference cells", "valid (%)"] + [f"< {t:g} m (%)" for t, _ in found.metrics.completeness],
+        [
+            [name, m.reference_cells, f"{m.valid:.1f}"] + [f"{share:.1f}" for _, share in m.completeness]
+            for name, m in rows
+        ],
+        "Completeness: |e| below each threshold, over all reference cells, so that a hole counts as a miss.",
+    )
+    page.paragraph(
+        "The DSM is resampled onto the reference's grid bilinearly, from cells that have heights only. Where less "
+        "than half of a cell's weight has a height there is no error, so holes neither grow nor shrink; gdalwarp "
+        "itself closes holes of one cell and would count some more cells."
+    )
+
+
+def _distribution(page: Report, found: Comparison) -> None:
+    edges, counts = found.histogram_edges(), found.histogram
+    total = np.cumsum(counts)
+    low, high = (int(np.searchsorted(total, q * total[-1])) for q in (0.005, 0.995))
+    group = max(1, -(-(high - low + 1) // 80))
+    count = -(-(high - low + 1) // group)
+    inside = counts[low : low + count * group]
+    padded = np.zeros(count * group)
+    padded[: inside.size] = inside
+    grouped_edges = edges[low] + np.arange(count + 1) * group * (edges[1] - edges[0])
+    page.section("Distribution of errors")
+    page.svg(
+        charts.histogram((padded.reshape(count, group).sum(1), grouped_edges), "DSM − reference (m)", "Errors"),
+        "The middle 99 % of the errors.",
+    )
+    half = counts.size // 2
+    size = counts[half:] + counts[:half][::-1]
+    share = 100.0 * np.cumsum(size) / max(found.metrics.reference_cells, 1)
+    end = int(min(np.searchsorted(share, 0.99 * share[-1]) * 1.2 + 50, size.size))
+    pick = np.unique(np.linspace(0, end - 1, 300).astype(int))
+    page.svg(
+        charts.curves(
+            {"cells": ((pick + 1) * (edges[1] - edges[0]), share[pick])},
+            "|DSM − reference| (m)",
+            "share of all reference cells (%)",
+            "Cumulative error",
+            ylim=(0.0, 100.0),
+        ),
+        f"The curve ends at {found.metrics.valid:.1f} %, the share of reference cells that have a DSM height.",
+    )
+
+
+def _pictures(page: Report, found: Comparison) -> None:
+    error = found.thumbnails["error"]
+    limit = max(abs(v) for v in pictures.spread(error))
+    page.section("Pictures")
+    page.png(
+        pictures.png_bytes(pictures.colour_map(error, -limit, limit, "diverging")),
+        "DSM − reference. Red: the DSM is higher; blue: it is lower; white: equal. Transparent: no error known.",
+    )
+    page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))
+    cell = abs(found.cell_m[0]) * found.thumbnail_factor
+    vmin, vmax = pictures.spread(found.thumbnails["reference"])
+    for name, text in (("dsm", "The DSM, aligned, on the reference's grid"), ("reference", "The reference")):
+        picture = pictures.shaded_relief(found.thumbnails[name], cell, vmin, vmax)
+        page.png(pictures.png_bytes(picture), f"{text}. Heights {vmin:.1f} to {vmax:.1f} m, same colours in both.")

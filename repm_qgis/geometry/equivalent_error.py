@@ -1,0 +1,138 @@
+"""The equivalent error: how far the pinhole camera's pixel of a ground point lies from the RPC's.
+
+Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMSE, RMSE and Max).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Callable, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .frames import EnuFrame
+from .pinhole import PinholeCamera, factorise, fit_projection
+from .refinement import RefinementMap, fit_map
+
+FloatArray = NDArray[np.float64]
+Localise = Callable[[FloatArray, FloatArray], FloatArray]
+
+GRID = (25, 25, 11)
+"""Columns, rows and altitudes of the virtual grid, ends included."""
+
+
+@dataclass(frozen=True)
+class EquivalentError:
+    """Statistics over the virtual grid in px; ``predicted`` is the paper's bound |x (Z - Zmean) / Zmean|."""
+
+    samp_rmse: float
+    line_rmse: float
+    rmse: float
+    max: float
+    predicted: float
+
+    @classmethod
+    def of(cls, difference: FloatArray, predicted: float) -> "EquivalentError":
+        """From (N, 2) differences in column and row."""
+        square = difference ** 2
+        return cls(float(np.sqrt(square[:, 0].mean())), float(np.sqrt(square[:, 1].mean())),
+                   float(np.sqrt(square.sum(axis=1).mean())), float(np.sqrt(square.sum(axis=1).max())), predicted)
+
+    def to_mapping(self) -> dict[str, float]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class VirtualGrid:
+    """Ground points over a pixel window and an altitude range, with their RPC pixels (paper, Algorithm 1, step 1)."""
+
+    pixels: FloatArray
+    ground: FloatArray
+    enu: FloatArray
+
+
+def virtual_grid(localise: Localise, window: Tuple[float, float, float, float], altitudes: Tuple[float, float],
+                 frame: EnuFrame, shape: Tuple[int, int, int] = GRID) -> VirtualGrid:
+    """Spread a regular grid over a window (col, row, width, height) and an altitude range.
+
+    The paper projects a grid in longitude and latitude and drops what falls outside the image; localising a grid of
+    pixels gives the same correspondences without the loss.
+    """
+    col, row, width, height = window
+    cols, rows, heights = np.meshgrid(
+        np.linspace(col, col + width - 1, shape[0]), np.linspace(row, row + height - 1, shape[1]),
+        np.linspace(altitudes[0], altitudes[1], shape[2]), indexing="ij")
+    pixels = np.stack([cols.ravel(), rows.ravel()], axis=1)
+    ground = localise(pixels, heights.ravel())
+    known = np.isfinite(ground).all(axis=1)
+    ground = ground[known]
+    return VirtualGrid(pixels[known], ground, frame.from_geodetic(ground))
+
+
+def predicted_error(camera: PinholeCamera, grid: VirtualGrid) -> float:
+    """The paper's prediction for a window, px: the largest |x (Z - Zmean) / Zmean| of the virtual grid.
+
+    x is the distance from the window's centre, Z the depth.
+    """
+    depth = camera.depth(grid.enu)
+    x = np.linalg.norm(grid.pixels - grid.pixels.mean(axis=0), axis=1)
+    return float(np.abs(x * (depth - depth.mean()) / depth.mean()).max())
+
+
+@dataclass(frozen=True)
+class EquivalentPinhole:
+    """A window's fitted camera (original pixels, with skew), and what it costs."""
+
+    camera: PinholeCamera
+    error: EquivalentError
+
+
+def fit_pinhole(grid: VirtualGrid) -> EquivalentPinhole:
+    """Fit and factorise the equivalent pinhole camera of a window, and measure its error (paper, Algorithm 1)."""
+    camera = factorise(fit_projection(grid.enu, grid.pixels))
+    return EquivalentPinhole(
+        camera, EquivalentError.of(camera.project(grid.enu) - grid.pixels, predicted_error(camera, grid)))
+
+
+@dataclass(frozen=True)
+class RefinedPinhole:
+    """A zero-skew camera, the map M from its image's pixels to the original's, that image's size, and what is left."""
+
+    camera: PinholeCamera
+    to_original: RefinementMap
+    size: Tuple[int, int]
+    error: EquivalentError
+
+    def to_mapping(self) -> dict[str, Any]:
+        return {"camera": self.camera.to_mapping(), "to_original": self.to_original.to_mapping(),
+                "size": list(self.size), "error": self.error.to_mapping()}
+
+
+def refine_pinhole(model: str, camera: PinholeCamera, grid: VirtualGrid,
+                   window: Tuple[float, float, float, float], order: int = 2) -> RefinedPinhole:
+    """Fit M for a window, and place the refined image so that it holds all of the window (paper, Algorithm 2).
+
+    The error is measured in original pixels: M(p') against p, where p' is the zero-skew camera's pixel of a ground
+    point and p the RPC's.
+    """
+    straight = camera.without_skew()
+    affinity = camera.K @ np.linalg.inv(straight.K)
+    refined = straight.project(grid.enu)
+    to_original = fit_map(model, refined, grid.pixels, affinity, order)
+    difference = to_original.original_from_refined(refined) - grid.pixels
+    error = EquivalentError.of(difference, predicted_error(straight, grid))
+    corners = to_original.refined_from_original(_border(window))
+    low = np.floor(corners.min(axis=0))
+    high = np.ceil(corners.max(axis=0))
+    size = (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
+    return RefinedPinhole(straight.moved(*low), to_original.moved(*low), size, error)
+
+
+def _border(window: Tuple[float, float, float, float], points: int = 9) -> FloatArray:
+    """(4 * points, 2) pixels along a window's border."""
+    col, row, width, height = window
+    u, v = np.linspace(col, col + width - 1, points), np.linspace(row, row + height - 1, points)
+    return np.concatenate([
+        np.column_stack([u, np.full(points, v[0])]), np.column_stack([u, np.full(points, v[-1])]),
+        np.column_stack([np.full(points, u[0]), v]), np.column_stack([np.full(points, u[-1]), v])])

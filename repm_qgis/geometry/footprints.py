@@ -1,0 +1,67 @@
+"""Where images lie on the ground, and where they meet."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Callable, List, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+from osgeo import ogr
+
+FloatArray = NDArray[np.float64]
+Polygon = FloatArray
+"""(N, 2) vertices, not closed."""
+
+
+def footprint(localise: Callable[[FloatArray, float], FloatArray], size: Tuple[int, int], altitude: float,
+              points: int = 6) -> Polygon:
+    """The ground outline of an image at one altitude.
+
+    ``localise`` maps (N, 2) pixels and a height to (N, 3) longitude, latitude, height; ``size`` is width, height.
+    Returns (4 * (points - 1), 2) longitude, latitude; vertices the model cannot place are left out.
+    """
+    u, v = np.linspace(-0.5, size[0] - 0.5, points), np.linspace(-0.5, size[1] - 0.5, points)
+    border = np.concatenate([
+        np.column_stack([u[:-1], np.full(points - 1, v[0])]), np.column_stack([np.full(points - 1, u[-1]), v[:-1]]),
+        np.column_stack([u[:0:-1], np.full(points - 1, v[-1])]), np.column_stack([np.full(points - 1, u[0]), v[:0:-1]])])
+    ground = localise(border, altitude)[:, :2]
+    return ground[np.isfinite(ground).all(axis=1)]
+
+
+def geometry_of(polygon: Polygon) -> ogr.Geometry:
+    """An OGR polygon from vertices, made valid."""
+    ring = ogr.Geometry(ogr.wkbLinearRing)
+    for x, y in np.vstack([polygon, polygon[:1]]):
+        ring.AddPoint_2D(float(x), float(y))
+    geometry = ogr.Geometry(ogr.wkbPolygon)
+    geometry.AddGeometry(ring)
+    return geometry if geometry.IsValid() else geometry.Buffer(0.0)
+
+
+def seen_twice(footprints: Sequence[Sequence[Polygon]]) -> ogr.Geometry:
+    """What at least two views see, over a range of altitudes.
+
+    ``footprints[altitude][view]`` are outlines in one plane; the result is the union over all altitudes of all
+    pairwise intersections (empty where no two views meet).
+    """
+    union = ogr.Geometry(ogr.wkbPolygon)
+    for outlines in footprints:
+        shapes: List[ogr.Geometry] = [geometry_of(p) for p in outlines if len(p) >= 3]
+        for first, second in combinations(shapes, 2):
+            common = first.Intersection(second)
+            if common is not None and common.GetArea() > 0:
+                union = union.Union(common)
+    return union
+
+
+def box(bounds: Sequence[float]) -> ogr.Geometry:
+    """The rectangle xmin, ymin, xmax, ymax."""
+    xmin, ymin, xmax, ymax = bounds
+    return geometry_of(np.array([[xmin, ymin], [xmax, ymin], [xmax, ymax], [xmin, ymax]]))
+
+
+def bounds_of(geometry: ogr.Geometry) -> Tuple[float, float, float, float]:
+    """xmin, ymin, xmax, ymax of a geometry."""
+    xmin, xmax, ymin, ymax = geometry.GetEnvelope()
+    return xmin, ymin, xmax, ymax

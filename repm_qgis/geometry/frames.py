@@ -1,0 +1,114 @@
+"""Geodetic, geocentric (ECEF), local (ENU) and projected coordinates on WGS 84.
+
+Longitude and latitude are in degrees, heights in metres above the WGS 84 ellipsoid, everything else in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Mapping
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from ..errors import OptionError
+
+FloatArray = NDArray[np.float64]
+
+_TO_ECEF = ("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+            "+step +proj=cart +ellps=WGS84")
+
+
+@lru_cache(maxsize=1)
+def _ecef_transformer() -> pyproj.Transformer:
+    return pyproj.Transformer.from_pipeline(_TO_ECEF)
+
+
+def ecef_from_geodetic(lon_lat_h: FloatArray) -> FloatArray:
+    """(..., 3) longitude, latitude, height to (..., 3) geocentric X, Y, Z in metres."""
+    points = np.asarray(lon_lat_h, dtype=np.float64)
+    return np.stack(_ecef_transformer().transform(points[..., 0], points[..., 1], points[..., 2]), axis=-1)
+
+
+def geodetic_from_ecef(xyz_ecef_m: FloatArray) -> FloatArray:
+    """(..., 3) geocentric X, Y, Z to (..., 3) longitude, latitude, height."""
+    points = np.asarray(xyz_ecef_m, dtype=np.float64)
+    result = _ecef_transformer().transform(
+        points[..., 0], points[..., 1], points[..., 2], direction=pyproj.enums.TransformDirection.INVERSE)
+    return np.stack(result, axis=-1)
+
+
+@dataclass(frozen=True)
+class EnuFrame:
+    """East, north, up at one point of the ellipsoid, in metres."""
+
+    lon: float
+    lat: float
+    height: float = 0.0
+
+    @property
+    def _rotation(self) -> FloatArray:
+        """(3, 3) rows are east, north and up in ECEF."""
+        lon, lat = np.radians(self.lon), np.radians(self.lat)
+        return np.array([
+            [-np.sin(lon), np.cos(lon), 0.0],
+            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+        ])
+
+    @property
+    def _origin(self) -> FloatArray:
+        return ecef_from_geodetic(np.array([self.lon, self.lat, self.height]))
+
+    def from_geodetic(self, lon_lat_h: FloatArray) -> FloatArray:
+        """(..., 3) longitude, latitude, height to (..., 3) east, north, up."""
+        return (ecef_from_geodetic(lon_lat_h) - self._origin) @ self._rotation.T
+
+    def to_geodetic(self, enu_m: FloatArray) -> FloatArray:
+        """(..., 3) east, north, up to (..., 3) longitude, latitude, height."""
+        return geodetic_from_ecef(np.asarray(enu_m, dtype=np.float64) @ self._rotation + self._origin)
+
+    def to_mapping(self) -> dict[str, float]:
+        return {"lon": self.lon, "lat": self.lat, "height": self.height}
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> "EnuFrame":
+        return cls(float(values["lon"]), float(values["lat"]), float(values["height"]))
+
+
+def utm_crs(lon: float, lat: float) -> str:
+    """The PROJ name of the UTM zone a point lies in, southern hemisphere included: ``EPSG:32631``."""
+    zone = int(np.floor((lon + 180.0) / 6.0)) % 60 + 1
+    return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"
+
+
+def projected_crs(text: str) -> pyproj.CRS:
+    """Parse a CRS and see that it is projected, in metres; raises OptionError otherwise."""
+    try:
+        crs = pyproj.CRS.from_user_input(text)
+    except pyproj.exceptions.CRSError as error:
+        raise OptionError("CRS", text, f"is not a coordinate reference system that PROJ knows ({error})") from error
+    if not crs.is_projected:
+        raise OptionError("CRS", text, "must be a projected CRS (UTM, say): a DSM's cells are in metres")
+    return crs
+
+
+@lru_cache(maxsize=32)
+def _to_wgs84(crs: str) -> pyproj.Transformer:
+    return pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+
+
+def projected_from_geodetic(crs: str, lon_lat: FloatArray) -> FloatArray:
+    """(..., 2 or more) longitude, latitude (further members ignored) to (..., 2) x, y in ``crs``."""
+    points = np.asarray(lon_lat, dtype=np.float64)
+    result = _to_wgs84(crs).transform(
+        points[..., 0], points[..., 1], direction=pyproj.enums.TransformDirection.INVERSE)
+    return np.stack(result, axis=-1)
+
+
+def geodetic_from_projected(crs: str, xy: FloatArray) -> FloatArray:
+    """(..., 2) x, y in ``crs`` to (..., 2) longitude, latitude."""
+    points = np.asarray(xy, dtype=np.float64)
+    return np.stack(_to_wgs84(crs).transform(points[..., 0], points[..., 1]), axis=-1)

@@ -1,0 +1,138 @@
+"""The equivalent pinhole camera: fitted to 3-D to 2-D correspondences, and factorised to K, R, t.
+
+Paper: Algorithm 1, steps 4 and 5. Pixels are column, row with the first pixel's centre at (0, 0); the world is a
+local metric frame (ENU).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RpcInvalidError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """K (3, 3) upper triangular with K[2, 2] = 1, R (3, 3) and t (3,): x ~ K (R X + t), depths positive."""
+
+    K: FloatArray
+    R: FloatArray
+    t: FloatArray
+
+    @property
+    def P(self) -> FloatArray:
+        """(3, 4) projection matrix K [R | t]."""
+        return self.K @ np.column_stack([self.R, self.t])
+
+    @property
+    def centre(self) -> FloatArray:
+        """(3,) projection centre in the world."""
+        return -self.R.T @ self.t
+
+    def project(self, xyz_m: FloatArray) -> FloatArray:
+        """(..., 3) world points to (..., 2) column, row."""
+        homogeneous = (np.asarray(xyz_m) @ self.R.T + self.t) @ self.K.T
+        return homogeneous[..., :2] / homogeneous[..., 2:]
+
+    def depth(self, xyz_m: FloatArray) -> FloatArray:
+        """(..., 3) world points to (...) depths in metres."""
+        return np.asarray(xyz_m) @ self.R[2] + self.t[2]
+
+    def without_skew(self) -> "PinholeCamera":
+        """The camera with the same pose, focal lengths and principal point whose pixels are not sheared."""
+        K = self.K.copy()
+        K[0, 1] = 0.0
+        return PinholeCamera(K, self.R, self.t)
+
+    def moved(self, col: float, row: float) -> "PinholeCamera":
+        """The camera of an image whose pixel (0, 0) is this image's pixel (col, row)."""
+        K = self.K.copy()
+        K[0, 2] -= col
+        K[1, 2] -= row
+        return PinholeCamera(K, self.R, self.t)
+
+    def to_mapping(self) -> dict[str, Any]:
+        return {"K": self.K.tolist(), "R": self.R.tolist(), "t": self.t.tolist()}
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> "PinholeCamera":
+        return cls(*(np.array(values[name], dtype=np.float64) for name in ("K", "R", "t")))
+
+
+def normaliser(points: FloatArray) -> FloatArray:
+    """(d+1, d+1) similarity that brings points to mean 0 and mean distance sqrt(d)."""
+    d = points.shape[1]
+    mean = points.mean(axis=0)
+    scale = np.sqrt(d) / np.linalg.norm(points - mean, axis=1).mean()
+    matrix = np.diag([scale] * d + [1.0])
+    matrix[:d, d] = -scale * mean
+    return matrix
+
+
+def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
+    """Projection matrix by the normalised direct linear transform.
+
+    Parameters
+    ----------
+    xyz_m : (N, 3) world points that do not lie in a plane, N >= 6.
+    col_row : (N, 2) their pixels.
+
+    Returns
+    -------
+    (3, 4) projection matrix, scaled to depths in metres (unit third row), depths positive.
+
+    Raises
+    ------
+    RpcInvalidError
+        Where the points determine no camera.
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, 2nd ed., algorithm 7.1. The design matrix's QR factor is
+    decomposed in place of the matrix itself: same singular vectors, a hundredth of the work.
+    """
+    T3, T2 = normaliser(xyz_m), normaliser(col_row)
+    X = np.column_stack([xyz_m, np.ones(len(xyz_m))]) @ T3.T
+    x = np.column_stack([col_row, np.ones(len(col_row))]) @ T2.T
+    zero = np.zeros_like(X)
+    design = np.concatenate([
+        np.hstack([X, zero, -x[:, :1] * X]),
+        np.hstack([zero, X, -x[:, 1:2] * X]),
+    ])
+    if not np.isfinite(design).all():
+        raise RpcInvalidError("the RPC gives no finite pixels over the window and altitude range.")
+    _, values, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
+    if values[-2] < 1e-12 * values[0]:
+        raise RpcInvalidError("the window and altitude range are too small to determine a camera.")
+    P = np.linalg.solve(T2, vectors[-1].reshape(3, 4) @ T3)
+    P /= np.linalg.norm(P[2, :3])
+    depths = xyz_m @ P[2, :3] + P[2, 3]
+    return P if np.median(depths) > 0 else -P
+
+
+def factorise(P: FloatArray) -> PinholeCamera:
+    """K, R, t of a projection matrix (3, 4): RQ decomposition with a positive diagonal of K and det R = +1.
+
+    Raises RpcInvalidError where P is no camera (singular, or mirrored, which no choice of sign can cure).
+    """
+    M = P[:, :3]
+    flip = np.eye(3)[::-1]
+    q, r = np.linalg.qr((flip @ M).T)
+    K, R = flip @ r.T @ flip, flip @ q.T
+    signs = np.sign(np.diag(K))
+    if (signs == 0).any() or not np.isfinite(K).all():
+        raise RpcInvalidError("the fitted projection matrix is singular.")
+    K, R = K * signs, signs[:, None] * R
+    t = np.linalg.solve(K, P[:, 3])
+    if np.linalg.det(R) < 0:
+        # Image rows of a scan may run so that the image is mirrored against a right-handed camera: turn the
+        # camera's row axis, which keeps K's zero pattern and every projection.
+        mirror = np.diag([1.0, -1.0, 1.0])
+        K, R, t = K @ mirror, mirror @ R, mirror @ t
+    return PinholeCamera(K / K[2, 2], R, t)

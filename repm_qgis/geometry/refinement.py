@@ -1,0 +1,166 @@
+"""The map M from a pixel of the refined image to its pixel in the original image, and back.
+
+Paper: Section 3.3 and Algorithm 2. The refined image is what a zero-skew pinhole camera would have seen; sampling
+the original at M(p') gives it. Pixels are column, row with the first pixel's centre at (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import OptionError, SceneError
+from .pinhole import normaliser
+
+FloatArray = NDArray[np.float64]
+
+_INVERSE_STEPS = 20
+_INVERSE_TOLERANCE_PX = 1e-7
+
+
+@dataclass(frozen=True)
+class HomographyMap:
+    """M as a homography (3, 3): the models ``none`` (an affinity that only takes the skew out) and ``homography``."""
+
+    matrix: FloatArray
+
+    def original_from_refined(self, points: FloatArray) -> FloatArray:
+        """(..., 2) refined to (..., 2) original pixels."""
+        return apply_homography(self.matrix, points)
+
+    def refined_from_original(self, points: FloatArray) -> FloatArray:
+        """(..., 2) original to (..., 2) refined pixels."""
+        return apply_homography(np.linalg.inv(self.matrix), points)
+
+    def moved(self, col: float, row: float) -> "HomographyMap":
+        """M of the refined image whose pixel (0, 0) is this one's pixel (col, row)."""
+        return HomographyMap(self.matrix @ translation(col, row))
+
+    def to_mapping(self) -> dict[str, Any]:
+        return {"kind": "homography", "matrix": self.matrix.tolist()}
+
+
+@dataclass(frozen=True)
+class PolynomialMap:
+    """M as two polynomials of total degree ``order`` in normalised refined pixels (p - offset) / scale.
+
+    ``coefficients`` (terms, 2) belong to :func:`polynomial_terms`; they give the *displacement* M(p) - p in px, so
+    that rounding matters as little as the displacement itself.
+    """
+
+    order: int
+    offset: FloatArray
+    scale: float
+    coefficients: FloatArray
+
+    def original_from_refined(self, points: FloatArray) -> FloatArray:
+        """(..., 2) refined to (..., 2) original pixels."""
+        p = np.asarray(points, dtype=np.float64)
+        terms = polynomial_terms((p - self.offset) / self.scale, self.order)
+        return p + terms @ self.coefficients
+
+    def refined_from_original(self, points: FloatArray) -> FloatArray:
+        """(..., 2) original to (..., 2) refined pixels: fixed-point iteration, as M is the identity but for a little.
+
+        NaN where it does not converge, far outside the window M was fitted to.
+        """
+        target = np.asarray(points, dtype=np.float64)
+        # The linear part first: its inverse makes the rest a strong contraction.
+        linear = np.eye(2) + self.coefficients[1:3].T / self.scale
+        inverse = np.linalg.inv(linear)
+        guess = (target - self.offset - self.coefficients[0]) @ inverse.T + self.offset
+        error = np.full(target.shape[:-1], np.inf)
+        for _ in range(_INVERSE_STEPS):
+            residual = target - self.original_from_refined(guess)
+            guess = guess + residual @ inverse.T
+            error = np.abs(residual).max(axis=-1, initial=0.0)
+            if not (error > _INVERSE_TOLERANCE_PX).any():
+                break
+        guess[~(error <= 1e-4)] = np.nan
+        return guess
+
+    def moved(self, col: float, row: float) -> "PolynomialMap":
+        """M of the refined image whose pixel (0, 0) is this one's pixel (col, row)."""
+        step = np.array([col, row], dtype=np.float64)
+        coefficients = self.coefficients.copy()
+        coefficients[0] += step
+        return PolynomialMap(self.order, self.offset - step, self.scale, coefficients)
+
+    def to_mapping(self) -> dict[str, Any]:
+        return {"kind": "polynomial", "order": self.order, "offset": self.offset.tolist(), "scale": self.scale,
+                "coefficients": self.coefficients.tolist()}
+
+
+RefinementMap = Union[HomographyMap, PolynomialMap]
+
+
+def map_from_mapping(values: Mapping[str, Any]) -> RefinementMap:
+    """The inverse of ``to_mapping``; raises SceneError for what is neither."""
+    if values.get("kind") == "homography":
+        return HomographyMap(np.array(values["matrix"], dtype=np.float64))
+    if values.get("kind") == "polynomial":
+        return PolynomialMap(int(values["order"]), np.array(values["offset"], dtype=np.float64),
+                             float(values["scale"]), np.array(values["coefficients"], dtype=np.float64))
+    raise SceneError(f"the scene has a refinement of the unknown kind {values.get('kind')!r}: make the scene anew.")
+
+
+def translation(col: float, row: float) -> FloatArray:
+    """(3, 3) homography that adds (col, row)."""
+    return np.array([[1.0, 0.0, col], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
+
+
+def apply_homography(matrix: FloatArray, points: FloatArray) -> FloatArray:
+    """(..., 2) points through a (3, 3) homography."""
+    p = np.asarray(points, dtype=np.float64)
+    homogeneous = p @ matrix[:, :2].T + matrix[:, 2]
+    return homogeneous[..., :2] / homogeneous[..., 2:]
+
+
+def polynomial_terms(points: FloatArray, order: int) -> FloatArray:
+    """(..., 2) x, y to (..., terms): 1, x, y, x y, x^2, y^2 for order 2, as the paper has them, then higher degrees."""
+    x, y = points[..., 0], points[..., 1]
+    terms = [np.ones_like(x), x, y]
+    if order >= 2:
+        terms += [x * y, x * x, y * y]
+    for degree in range(3, order + 1):
+        terms += [x ** (degree - k) * y ** k for k in range(degree + 1)]
+    return np.stack(terms, axis=-1)
+
+
+def fit_map(model: str, refined: FloatArray, original: FloatArray, skew_affinity: FloatArray,
+            order: int = 2) -> RefinementMap:
+    """Least-squares M from correspondences (paper, Algorithm 2, step 3).
+
+    Parameters
+    ----------
+    model : ``none``, ``homography`` or ``polynomial``.
+    refined, original : (N, 2) pixels p' of the pinhole camera and p of the RPC of the same ground points.
+    skew_affinity : (3, 3) affinity that puts the camera's skew back: all of M where the model is ``none``.
+    order : total degree of the polynomial.
+    """
+    if model == "none":
+        return HomographyMap(skew_affinity)
+    if model == "homography":
+        return HomographyMap(_fit_homography(refined, original))
+    if model == "polynomial":
+        offset = refined.mean(axis=0)
+        scale = float(np.abs(refined - offset).max())
+        terms = polynomial_terms((refined - offset) / scale, order)
+        coefficients, *_ = np.linalg.lstsq(terms, original - refined, rcond=None)
+        return PolynomialMap(order, offset, scale, coefficients)
+    raise OptionError("MODEL", model, "must be none, homography or polynomial")
+
+
+def _fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Homography by the normalised direct linear transform (Hartley and Zisserman, algorithm 4.2)."""
+    T1, T2 = normaliser(source), normaliser(target)
+    X = np.column_stack([source, np.ones(len(source))]) @ T1.T
+    x = np.column_stack([target, np.ones(len(target))]) @ T2.T
+    zero = np.zeros_like(X)
+    design = np.concatenate([np.hstack([X, zero, -x[:, :1] * X]), np.hstack([zero, X, -x[:, 1:2] * X])])
+    _, _, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
+    H = np.linalg.solve(T2, vectors[-1].reshape(3, 3) @ T1)
+    return H / H[2, 2]

@@ -1,0 +1,1 @@
+"""Windowed reading and writing of rasters, brightness, and warping."""

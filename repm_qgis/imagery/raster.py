@@ -1,0 +1,221 @@
+"""Opening, reading and writing rasters by window, with GDAL.
+
+Nothing here changes GDAL's global state: the engine may run inside somebody's desktop.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Iterator, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+from osgeo import gdal
+
+from ..errors import ImageError, WorkspaceError
+from ..workspace import temporary_name
+
+Window = Tuple[int, int, int, int]
+"""Column and row of the first pixel, width and height."""
+
+NODATA = -9999.0
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """GDAL's messages go into our exceptions, not to the console."""
+    gdal.ErrorReset()
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        yield
+    finally:
+        gdal.PopErrorHandler()
+
+
+def _reason(error: Optional[BaseException] = None) -> str:
+    text = (str(error) if error else "") or gdal.GetLastErrorMsg() or "no reason given"
+    return text.strip().rstrip(".").replace("\n", " ")[:300]
+
+
+@contextmanager
+def opened(path: str) -> Iterator[gdal.Dataset]:
+    """A raster opened for reading, closed in any case; raises ImageError with GDAL's own words."""
+    with quiet():
+        dataset, cause = None, None
+        try:
+            dataset = gdal.OpenEx(str(path), gdal.OF_RASTER | gdal.OF_READONLY)
+        except RuntimeError as error:
+            cause = error
+        reason = _reason(cause) if dataset is None else ""
+    if dataset is None:
+        hint = "it does not exist" if not os.path.exists(path) and "/vsi" not in str(path) else reason
+        raise ImageError(f"Cannot open the raster '{path}': {hint}. Check the path, or get the file again.")
+    try:
+        if dataset.RasterCount < 1:
+            raise ImageError(f"'{path}' has no raster band: choose the image itself, not a container.")
+        yield dataset
+    finally:
+        dataset = None
+
+
+def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
+         size: Optional[Tuple[int, int]] = None) -> NDArray[np.float32]:
+    """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
+
+    ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
+    for a truncated or damaged file.
+    """
+    col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
+    handle = dataset.GetRasterBand(band)
+    options = {} if size is None else {
+        "buf_xsize": size[0], "buf_ysize": size[1], "resample_alg": gdal.GRIORA_Average}
+    with quiet():
+        values, cause = None, None
+        try:
+            values = handle.ReadAsArray(col, row, width, height, **options)
+        except RuntimeError as error:
+            cause = error
+        # libtiff fills what a truncated file lacks and only warns; a complex file gives an array that is no image.
+        reason = _reason(cause) if values is None or gdal.GetLastErrorType() >= gdal.CE_Failure else ""
+    if reason or values is None:
+        raise ImageError(f"Cannot read pixels {col}..{col + width - 1}, rows {row}..{row + height - 1} of "
+                         f"'{dataset.GetDescription()}': {reason}. The file is damaged or cut short: get it again.")
+    nodata = handle.GetNoDataValue()
+    result = values.astype(np.float32)
+    if nodata is not None:
+        result[values == nodata] = np.nan
+    result[~np.isfinite(result)] = np.nan
+    return result
+
+
+class RasterWriter:
+    """A raster that is being written; :func:`created` opens and closes it."""
+
+    def __init__(self, dataset: gdal.Dataset, path: str) -> None:
+        self._dataset: Optional[gdal.Dataset] = dataset
+        self._path = path
+
+    def write(self, values: NDArray, col: int = 0, row: int = 0, band: int = 1) -> None:
+        """Put (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError."""
+        handle = self._dataset.GetRasterBand(band)
+        nodata = handle.GetNoDataValue()
+        if nodata is not None and values.dtype.kind == "f":
+            values = np.where(np.isfinite(values), values, values.dtype.type(nodata))
+        with quiet():
+            try:
+                failed = handle.WriteArray(np.ascontiguousarray(values), col, row) != 0
+            except RuntimeError:
+                failed = True
+            reason = _reason() if failed else ""
+        if failed:
+            raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
+
+    def set_metadata(self, tags: dict, domain: str = "") -> None:
+        """Metadata of one of GDAL's domains, such as "RPC"."""
+        self._dataset.SetMetadata(tags, domain)
+
+    def flush(self) -> None:
+        """Write out what GDAL still holds in its cache: keeps memory flat where much is written."""
+        self._dataset.FlushCache()
+
+    def build_overviews(self, shape: Tuple[int, int]) -> None:
+        """Reduced copies by 2, 4, 8 ... down to some 256 px, for quick display."""
+        self._dataset.FlushCache()
+        with quiet():
+            self._dataset.BuildOverviews("AVERAGE", [2 ** k for k in range(1, 8) if max(shape) >> k >= 256] or [2])
+
+    def close(self) -> None:
+        """Let the file go: it can be renamed only then (Windows), and is whole only then."""
+        self._dataset = None
+
+
+def write(path: str, bands: Sequence[NDArray], geotransform: Optional[Sequence[float]], crs_wkt: str, *,
+          nodata: Optional[float] = NODATA, descriptions: Sequence[str] = (), metadata: Optional[dict] = None,
+          unit: str = "", overviews: bool = False, compress: bool = True) -> str:
+    """Write bands (each (height, width), NaN = nodata for floats) as a tiled GeoTIFF, whole or not at all.
+
+    Raises WorkspaceError where the file cannot be written. Returns ``path``.
+    """
+    with created(path, bands[0].shape, bands[0].dtype, len(bands), geotransform, crs_wkt, nodata=nodata,
+                 descriptions=descriptions, metadata=metadata, unit=unit, overviews=overviews,
+                 compress=compress) as writer:
+        for index, values in enumerate(bands, start=1):
+            writer.write(values, band=index)
+    return path
+
+
+@contextmanager
+def created(path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, geotransform: Optional[Sequence[float]],
+            crs_wkt: str, *, nodata: Optional[float] = NODATA, descriptions: Sequence[str] = (),
+            metadata: Optional[dict] = None, unit: str = "", overviews: bool = False,
+            compress: bool = True) -> Iterator[RasterWriter]:
+    """A new GeoTIFF to fill by window: it takes its name only when the block ends without an error.
+
+    ``geotransform`` None: an image in its sensor's geometry.
+    """
+    temporary = temporary_name(path)
+    writer = RasterWriter(_create(temporary, path, shape, np.dtype(dtype), bands, compress), path)
+    try:
+        _describe(writer._dataset, geotransform, crs_wkt, nodata, descriptions, metadata, unit)
+        yield writer
+        if overviews and max(shape) > 512:
+            writer.build_overviews(shape)
+        writer.close()
+        os.replace(temporary, path)
+    finally:
+        writer.close()
+        if os.path.exists(temporary):
+            os.unlink(temporary)
+
+
+def _create(temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int,
+            compress: bool) -> gdal.Dataset:
+    kinds = {"float32": gdal.GDT_Float32, "float64": gdal.GDT_Float64, "uint8": gdal.GDT_Byte,
+             "uint16": gdal.GDT_UInt16, "int32": gdal.GDT_Int32}
+    options = ["TILED=YES", "BIGTIFF=IF_SAFER"]
+    if compress:
+        options += ["COMPRESS=DEFLATE", "ZLEVEL=1", f"PREDICTOR={3 if dtype.kind == 'f' else 2}"]
+    with quiet():
+        dataset, cause = None, None
+        try:
+            dataset = gdal.GetDriverByName("GTiff").Create(
+                temporary, shape[1], shape[0], bands, kinds[dtype.name], options)
+        except RuntimeError as error:
+            cause = error
+        reason = _reason(cause) if dataset is None else ""
+    if dataset is None:
+        raise WorkspaceError(f"Cannot write '{path}': {reason}. Choose a folder that can be written.")
+    return dataset
+
+
+def _describe(dataset: gdal.Dataset, geotransform: Optional[Sequence[float]], crs_wkt: str, nodata: Optional[float],
+              descriptions: Sequence[str], metadata: Optional[dict], unit: str) -> None:
+    if geotransform is not None:
+        dataset.SetGeoTransform(list(geotransform))
+    if crs_wkt:
+        dataset.SetProjection(crs_wkt)
+    if metadata:
+        dataset.SetMetadata({name: str(value) for name, value in metadata.items()})
+    for index in range(1, dataset.RasterCount + 1):
+        handle = dataset.GetRasterBand(index)
+        if nodata is not None:
+            handle.SetNoDataValue(nodata)
+        if index <= len(descriptions):
+            handle.SetDescription(descriptions[index - 1])
+        if unit:
+            handle.SetUnitType(unit)
+
+
+def grey_band(dataset: gdal.Dataset) -> int:
+    """The band to match on: the first one that holds brightness (an alpha or palette band does not)."""
+    for band in range(1, dataset.RasterCount + 1):
+        if dataset.GetRasterBand(band).GetColorInterpretation() not in (gdal.GCI_AlphaBand, gdal.GCI_PaletteIndex):
+            return band
+    return 1
+
+
+def name_of(path: str) -> str:
+    """An image's short name: that of its file, without the extension."""
+    return Path(path).stem

@@ -1,0 +1,1 @@
+"""Dense matching: pairs, epipolar rectification, matchers (one file a backend), and heights from disparities."""

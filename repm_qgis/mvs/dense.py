@@ -1,0 +1,129 @@
+"""One pair of views over one tile: from two windows of the images to a height map on disk."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from typing import Any, Dict, Optional, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import EmptyResultError
+from ..geometry.refinement import translation
+from ..imagery.enhancement import Stretch
+from ..imagery.raster import opened, read, write
+from ..imagery.warping import warp
+from ..scene import Scene, View
+from .backends import matcher_of
+from .pairing import grown, rectified_pair
+from .rectification import RectifiedPair
+from .triangulation import GridPolynomial, PairGeometry, pair_geometry
+
+FloatImage = NDArray[np.float32]
+
+_MARGIN_PX = 32         # matched beyond the tile's border, so that neighbours agree along it
+_RANGE_MARGIN_PX = 6    # disparities searched beyond the altitude range
+_SMALLEST_PX = 48
+_KEY = "REPM_FINGERPRINT"
+_RECORD = "REPM_RECORD"
+
+
+@dataclass(frozen=True)
+class DenseTask:
+    """All a worker needs: the scene without its tiles, the pair, the tile's ground and altitudes, where to write."""
+
+    scene: Scene
+    tile: str
+    bounds: Tuple[float, float, float, float]
+    altitudes: Tuple[float, float]
+    first: str
+    second: str
+    stretches: Tuple[Stretch, Stretch]
+    backend: str
+    path: str
+    key: str
+
+
+def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
+    """Rectify, match, and turn disparities into heights; gives the height map's record, None where nothing is shared.
+
+    The file has two bands in the geometry of the rectified first image: height in metres above the ellipsoid, and
+    the matching score. A file that an earlier, stopped run has finished is taken as it is (``reused`` in the record).
+    """
+    done = finished(task.path, task.key)
+    if done is not None:
+        return done
+    first, second = task.scene.view(task.first), task.scene.view(task.second)
+    bounds = grown(task.bounds, _MARGIN_PX * task.scene.gsd_m)
+    pair = rectified_pair(task.scene, first, second, bounds, task.altitudes)
+    if pair is None or min(pair.size) < _SMALLEST_PX:
+        return None
+    try:
+        geometry = pair_geometry(pair, first, second, task.altitudes, task.scene.crs)
+    except EmptyResultError:
+        return None
+    disparity, score = _match(task, pair, geometry, first, second)
+    columns, rows = np.arange(pair.size[0], dtype=np.float64), np.arange(pair.size[1], dtype=np.float64)
+    heights = geometry.height.on_grid(columns, rows, disparity.astype(np.float64)).astype(np.float32)
+    record = {
+        "tile": task.tile, "pair": [task.first, task.second], "file": task.path, "size": list(pair.size),
+        "valid": int(np.isfinite(heights).sum()), "metres_per_px": geometry.metres_per_px,
+        "row_px": geometry.row_px, "table_error_m": geometry.error_m, "crs": geometry.crs,
+        "x": geometry.x.to_mapping(), "y": geometry.y.to_mapping(),
+    }
+    write(task.path, [heights, score], (0, 1, 0, 0, 0, 1), "", metadata={_KEY: task.key, _RECORD: json.dumps(record)},
+          descriptions=("height above the WGS 84 ellipsoid (m)", "matching score"))
+    return record
+
+
+def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
+    """The record of a height map that is there and was made from the very same things; else None."""
+    if not os.path.exists(path):
+        return None
+    with opened(path) as dataset:
+        if dataset.GetMetadataItem(_KEY) != key:
+            return None
+        record = json.loads(dataset.GetMetadataItem(_RECORD))
+    return {**record, "file": path, "reused": True}
+
+
+def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: View,
+           second: View) -> Tuple[FloatImage, FloatImage]:
+    low = math.floor(geometry.disparities[0]) - _RANGE_MARGIN_PX
+    high = math.ceil(geometry.disparities[1]) + _RANGE_MARGIN_PX
+    width, height = pair.size
+    shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
+    a = _brightness(first, task.stretches[0], pair.first_original, (width, height))
+    b = _brightness(second, task.stretches[1], shifted.second_original, (width + high - low, height))
+    return matcher_of(task.backend)(a, b, (low, high))
+
+
+def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int, int]) -> FloatImage:
+    with opened(view.image) as dataset:
+        return stretch.apply(warp(dataset, view.band, to_original, size, "cubic"))
+
+
+@dataclass(frozen=True)
+class HeightMap:
+    """Ground points of a height map: ``x`` and ``y`` in the scene's CRS, ``height``, ``score``; all (H, W), NaN = none."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    height: NDArray[np.float64]
+    score: FloatImage
+
+
+def load_heights(record: Dict[str, Any]) -> HeightMap:
+    """Read a height map and place it on the ground."""
+    with opened(record["file"]) as dataset:
+        height = read(dataset, band=1).astype(np.float64)
+        score = read(dataset, band=2)
+    rows, columns = (np.arange(n, dtype=np.float64) for n in height.shape)
+    x = GridPolynomial.from_mapping(record["x"]).on_grid(columns, rows, height)
+    y = GridPolynomial.from_mapping(record["y"]).on_grid(columns, rows, height)
+    return HeightMap(x, y, height, score)
+
+

@@ -1,0 +1,280 @@
+"""One frozen, self-checking dataclass per stage: every knob, its default and its bounds in one place.
+
+Names are the Processing parameters' names in lower case. Files and folders are strings; "" or None means "not
+wanted" for outputs and "not given" for inputs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, Mapping, Optional, Tuple, TypeVar
+
+from .errors import OptionError
+
+MODELS = ("none", "homography", "polynomial")
+BACKENDS = ("auto", "sgm")
+METHODS = ("median", "mean")
+ALIGNMENTS = ("none", "vertical", "3d")
+KINDS = ("urban", "mountains")
+
+Extent = Tuple[float, float, float, float]
+T = TypeVar("T", bound="Options")
+
+
+def _within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not (isinstance(value, (int, float)) and math.isfinite(value) and low <= value <= high):
+        raise OptionError(name, value, f"must lie between {low:g} and {high:g}{' ' + unit if unit else ''}")
+
+
+def _one_of(name: str, value: object, choices: Tuple[str, ...]) -> None:
+    if value not in choices:
+        raise OptionError(name, value, f"must be one of {', '.join(choices)}")
+
+
+def _given(name: str, value: object) -> None:
+    if not value or not isinstance(value, str):
+        raise OptionError(name, value, "must be the path of a file or folder")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What all stages' options share: reading from and writing to JSON, strictly."""
+
+    @classmethod
+    def from_json(cls: type[T], values: Mapping[str, Any]) -> T:
+        """Build from a JSON object; an unknown name is an error, lists become tuples."""
+        known = {field.name for field in dataclasses.fields(cls)}
+        for name in values:
+            if name not in known:
+                raise OptionError(name, values[name], f"is not an option of this stage; known are {', '.join(sorted(known))}")
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+
+    def to_json(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True)
+class EpmFitOptions(Options):
+    """Fit pinhole cameras to the RPCs of images, tile by tile.
+
+    ``extent`` is xmin, ymin, xmax, ymax in ``extent_crs`` (any PROJ text); None takes all that two images see.
+    ``altitude_min/max`` in metres above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in
+    px of the finest image, 0 = the largest that keeps the equivalent error under ``error_budget`` px.
+    ``tiles`` and ``report`` name the vector file and the HTML page to write; None puts them into the workspace.
+    """
+
+    images: Tuple[str, ...]
+    workspace: str
+    extent: Optional[Extent] = None
+    extent_crs: str = "EPSG:4326"
+    dem: Optional[str] = None
+    altitude_min: Optional[float] = None
+    altitude_max: Optional[float] = None
+    tile_size: int = 0
+    error_budget: float = 0.1
+    crs: Optional[str] = None
+    tiles: Optional[str] = None
+    report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.images, str) or not all(isinstance(i, str) and i for i in self.images):
+            raise OptionError("IMAGES", self.images, "must be a list of image files")
+        if len(self.images) < 2:
+            raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
+        if len(set(self.images)) != len(self.images):
+            raise OptionError("IMAGES", list(self.images), "must not name the same image twice")
+        _given("WORKSPACE", self.workspace)
+        if self.extent is not None:
+            if len(self.extent) != 4 or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in self.extent):
+                raise OptionError("EXTENT", self.extent, "must be four finite numbers: xmin, ymin, xmax, ymax")
+            if self.extent[0] >= self.extent[2] or self.extent[1] >= self.extent[3]:
+                raise OptionError("EXTENT", self.extent, "must have xmin < xmax and ymin < ymax")
+        for name in ("altitude_min", "altitude_max"):
+            if getattr(self, name) is not None:
+                _within(name.upper(), getattr(self, name), -12000, 10000, "m")
+        if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
+            raise OptionError("ALTITUDE_MIN", self.altitude_min, f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)")
+        if self.tile_size != 0:
+            _within("TILE_SIZE", self.tile_size, 256, 20000, "px, or be 0 for automatic")
+        _within("ERROR_BUDGET", self.error_budget, 0.001, 100, "px")
+
+
+@dataclass(frozen=True)
+class ErrorMapOptions(Options):
+    """Map one view's equivalent error on the ground.
+
+    ``view`` is a view's name, "" the first. ``altitude`` in metres above the ellipsoid, None the middle of the
+    scene's range.
+    """
+
+    scene: str
+    output: str
+    view: str = ""
+    altitude: Optional[float] = None
+    report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        _given("SCENE", self.scene)
+        _given("OUTPUT", self.output)
+        if self.altitude is not None:
+            _within("ALTITUDE", self.altitude, -12000, 10000, "m")
+
+
+@dataclass(frozen=True)
+class RefineOptions(Options):
+    """Find the map from each refined pixel to its original pixel that makes the pinhole camera true."""
+
+    scene: str
+    output_scene: str
+    model: str = "polynomial"
+    write_images: bool = True
+    report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        _given("SCENE", self.scene)
+        _given("OUTPUT_SCENE", self.output_scene)
+        _one_of("MODEL", self.model, MODELS)
+
+
+@dataclass(frozen=True)
+class ReconstructOptions(Options):
+    """Tie points, relative pointing and dense matching.
+
+    ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them beside the
+    scene. ``workers`` 0 means one a core.
+    """
+
+    scene: str
+    output_scene: str
+    backend: str = "auto"
+    tie_points: Optional[str] = None
+    heights: Optional[str] = None
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        _given("SCENE", self.scene)
+        _given("OUTPUT_SCENE", self.output_scene)
+        _one_of("BACKEND", self.backend, BACKENDS)
+        _within("WORKERS", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True)
+class DsmFuseOptions(Options):
+    """Fuse height maps into a DSM.
+
+    ``resolution`` in units of the CRS, 0 = twice the ground sampling distance; ``crs`` any projected CRS, None the
+    scene's UTM zone. ``method`` of the cells' heights across pairs. ``outlier_radius`` in metres, None = from the
+    data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted.
+    """
+
+    scene: str
+    output: str
+    resolution: float = 0.0
+    crs: Optional[str] = None
+    method: str = "median"
+    outlier_radius: Optional[float] = None
+    confidence: Optional[str] = None
+    ortho: Optional[str] = None
+    cloud: Optional[str] = None
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        _given("SCENE", self.scene)
+        _given("OUTPUT", self.output)
+        if self.resolution != 0:
+            _within("RESOLUTION", self.resolution, 0.01, 1000, "m, or be 0 for automatic")
+        _one_of("METHOD", self.method, METHODS)
+        if self.outlier_radius is not None:
+            _within("OUTLIER_RADIUS", self.outlier_radius, 0, 1000, "m")
+        _within("WORKERS", self.workers, 0, 1024)
+
+
+@dataclass(frozen=True)
+class PipelineOptions(Options):
+    """From images to a DSM: all stages in one workspace."""
+
+    images: Tuple[str, ...]
+    workspace: str
+    output: str
+    extent: Optional[Extent] = None
+    extent_crs: str = "EPSG:4326"
+    dem: Optional[str] = None
+    altitude_min: Optional[float] = None
+    altitude_max: Optional[float] = None
+    tile_size: int = 0
+    error_budget: float = 0.1
+    model: str = "polynomial"
+    backend: str = "auto"
+    resolution: float = 0.0
+    crs: Optional[str] = None
+    method: str = "median"
+    outlier_radius: Optional[float] = None
+    confidence: Optional[str] = None
+    ortho: Optional[str] = None
+    cloud: Optional[str] = None
+    tiles: Optional[str] = None
+    tie_points: Optional[str] = None
+    report: Optional[str] = None
+    command: Optional[str] = None
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        # The stages' own options check everything else; building them here makes a wrong value fail at once.
+        self.fit_options()
+        RefineOptions("-", "-", self.model)
+        ReconstructOptions("-", "-", self.backend, workers=self.workers)
+        DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.outlier_radius)
+
+    def fit_options(self) -> EpmFitOptions:
+        """This run's first stage; its CRS is that of the DSM."""
+        names = {field.name for field in dataclasses.fields(EpmFitOptions)} - {"report"}
+        return EpmFitOptions(**{name: getattr(self, name) for name in names})
+
+
+@dataclass(frozen=True)
+class CompareDsmOptions(Options):
+    """Compare a DSM with a reference, on the reference's grid.
+
+    ``align`` removes a vertical offset, or a 3-D shift, first. ``thresholds`` in metres, for the completeness.
+    """
+
+    dsm: str
+    reference: str
+    align: str = "none"
+    thresholds: Tuple[float, ...] = (1.0, 2.5, 5.0)
+    error: Optional[str] = None
+    report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        _given("DSM", self.dsm)
+        _given("REFERENCE", self.reference)
+        _one_of("ALIGN", self.align, ALIGNMENTS)
+        if not self.thresholds:
+            raise OptionError("THRESHOLDS", self.thresholds, "must name at least one height in metres")
+        for value in self.thresholds:
+            _within("THRESHOLDS", value, 1e-6, 10000, "m")
+
+
+@dataclass(frozen=True)
+class SampleDataOptions(Options):
+    """Make a truth scene: simulated images of a known surface."""
+
+    folder: str
+    kind: str = "urban"
+    size: int = 800
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        _given("FOLDER", self.folder)
+        _one_of("KIND", self.kind, KINDS)
+        _within("SIZE", self.size, 128, 20000, "px")
+        _within("SEED", self.seed, 0, 2**31 - 1)
+
+
+@dataclass(frozen=True)
+class EnvironmentOptions(Options):
+    """Report what is installed here and what is missing."""
+
+    report: Optional[str] = None

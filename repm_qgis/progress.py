@@ -1,0 +1,112 @@
+"""How a stage tells what it is doing, and learns that it should stop."""
+
+from __future__ import annotations
+
+import json
+import threading
+from typing import Callable, Optional, Protocol, TextIO
+
+
+class Progress(Protocol):
+    """What every stage is given. Fractions run from 0 to 1 and never fall."""
+
+    def step(self, fraction: float, text: str = "") -> None: ...
+
+    def info(self, text: str) -> None: ...
+
+    def warn(self, text: str) -> None: ...
+
+    def check_cancelled(self) -> None:
+        """Raise :class:`repm_qgis.errors.Cancelled` if the user asked to stop."""
+        ...
+
+
+class Silent:
+    """Says nothing and is never cancelled: for tests and for library use."""
+
+    def step(self, fraction: float, text: str = "") -> None:
+        pass
+
+    def info(self, text: str) -> None:
+        pass
+
+    def warn(self, text: str) -> None:
+        pass
+
+    def check_cancelled(self) -> None:
+        pass
+
+
+class Part:
+    """The share [start, end] of a longer progress, under the name of one stage."""
+
+    def __init__(self, whole: Progress, start: float, end: float, name: str = "") -> None:
+        self._whole, self._start, self._end, self._name = whole, start, end, name
+
+    def step(self, fraction: float, text: str = "") -> None:
+        label = f"{self._name}: {text}" if self._name and text else (self._name or text)
+        self._whole.step(self._start + (self._end - self._start) * min(max(fraction, 0.0), 1.0), label)
+
+    def info(self, text: str) -> None:
+        self._whole.info(text)
+
+    def warn(self, text: str) -> None:
+        self._whole.warn(text)
+
+    def check_cancelled(self) -> None:
+        self._whole.check_cancelled()
+
+
+class Recorder:
+    """Passes everything on, and keeps the warnings and notes for a report."""
+
+    def __init__(self, whole: Progress) -> None:
+        self._whole = whole
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+
+    def step(self, fraction: float, text: str = "") -> None:
+        self._whole.step(fraction, text)
+
+    def info(self, text: str) -> None:
+        self.notes.append(text)
+        self._whole.info(text)
+
+    def warn(self, text: str) -> None:
+        self.warnings.append(text)
+        self._whole.warn(text)
+
+    def check_cancelled(self) -> None:
+        self._whole.check_cancelled()
+
+
+class JsonLines:
+    """One JSON object a line, for the process that started the engine.
+
+    ``cancelled`` is asked at every check; the parent may also simply end the process tree.
+    """
+
+    def __init__(self, stream: TextIO, cancelled: Optional[Callable[[], bool]] = None) -> None:
+        self._stream, self._cancelled, self._fraction = stream, cancelled, 0.0
+        self._lock = threading.Lock()
+
+    def send(self, **message: object) -> None:
+        with self._lock:
+            self._stream.write(json.dumps(message, allow_nan=False) + "\n")
+            self._stream.flush()
+
+    def step(self, fraction: float, text: str = "") -> None:
+        self._fraction = max(self._fraction, min(max(float(fraction), 0.0), 1.0))
+        self.send(type="progress", fraction=round(self._fraction, 4), text=text)
+
+    def info(self, text: str) -> None:
+        self.send(type="info", text=text)
+
+    def warn(self, text: str) -> None:
+        self.send(type="warning", text=text)
+
+    def check_cancelled(self) -> None:
+        if self._cancelled is not None and self._cancelled():
+            from .errors import Cancelled
+
+            raise Cancelled

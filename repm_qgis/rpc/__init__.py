@@ -1,0 +1,5 @@
+"""Rational polynomial camera models: the model itself, and the readers of vendors' formats."""
+
+from .model import Rpc
+
+__all__ = ["Rpc"]

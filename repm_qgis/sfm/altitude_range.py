@@ -1,0 +1,231 @@
+"""The altitude range of the ground, from the images themselves.
+
+An RPC's own range may be kilometres wide, and windows, cameras and tiles grow with it. A plane sweep over a few
+strongly reduced patches (Collins, A space-sweep approach to true multi-image matching, 1996) finds what is really
+there to within some ten metres; numpy alone suffices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import List, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import OptionError
+from ..geometry.frames import EnuFrame, geodetic_from_projected
+from ..geometry.tiles import pixel_window
+from ..imagery.dem import dem_range
+from ..imagery.raster import opened, read
+from ..imagery.sampling import box_mean, sample, upsample_grid
+from ..progress import Progress
+from ..scene import View
+
+FloatArray = NDArray[np.float64]
+
+_REDUCTION = 8          # image px a cell
+_CELLS = 160            # cells a side of a patch
+_PATCHES = 3            # patches a side of the area, at most
+_WINDOW = 5             # radius of the correlation window, cells
+_MIN_CORRELATION = 0.7
+_MIN_CELLS = 60
+_MAX_PLANES = 180
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """The range found (margins included), and on how many cells of how many it rests."""
+
+    altitudes: Tuple[float, float]
+    matched: int
+    cells: int
+    step_m: float
+
+
+def sweep_altitudes(views: Sequence[View], crs: str, bounds: Tuple[float, float, float, float],
+                    search: Tuple[float, float], progress: Progress) -> Optional[SweepResult]:
+    """Find the altitude range of the ground within ``bounds`` (in ``crs``), inside ``search`` metres.
+
+    None where the images do not say (no texture, too narrow a pair, no overlap).
+    """
+    first, second, base_to_height = _best_pair(views, bounds, crs, search)
+    if base_to_height < 0.05:
+        return None
+    gsd = max(first.gsd_m, second.gsd_m)
+    step = max(gsd * _REDUCTION / base_to_height, (search[1] - search[0]) / _MAX_PLANES)
+    planes = np.arange(search[0], search[1] + step, step)
+    found: List[FloatArray] = []
+    cells = 0
+    patches = _patches(bounds, gsd)
+    for index, patch in enumerate(patches):
+        progress.check_cancelled()
+        progress.step(index / len(patches), "altitude range from the images")
+        altitude, score = _sweep_patch(first, second, crs, patch, planes)
+        good = score > _MIN_CORRELATION
+        cells += score.size
+        found.append(altitude[good])
+    heights = np.concatenate(found) if found else np.empty(0)
+    if heights.size < max(_MIN_CELLS, 0.01 * cells):
+        return None
+    low, high = np.percentile(heights, (0.5, 99.5))
+    margin = max(15.0, 1.5 * step, 0.1 * (high - low))
+    # Buildings are too small to show in cells of several metres: leave them room above.
+    return SweepResult((float(max(search[0], low - margin)), float(min(search[1], high + margin + 25.0))),
+                       int(heights.size), cells, float(step))
+
+
+def _best_pair(views: Sequence[View], bounds: Tuple[float, float, float, float], crs: str,
+               search: Tuple[float, float]) -> Tuple[View, View, float]:
+    """The pair with the base-to-height ratio nearest to 0.3: wide enough to tell heights, narrow enough to match."""
+    centre = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
+    middle = (search[0] + search[1]) / 2
+    slopes = [ground_slope(view, centre, middle) for view in views]
+    ranked = []
+    for i, j in combinations(range(len(views)), 2):
+        ratio = float(np.linalg.norm(slopes[i] - slopes[j]))
+        ranked.append((abs(np.log(max(ratio, 1e-6) / 0.3)), i, j, ratio))
+    _, i, j, ratio = min(ranked)
+    return views[i], views[j], ratio
+
+
+def ground_slope(view: View, lon_lat: FloatArray, altitude: float) -> FloatArray:
+    """(2,) metres east and north by which a pixel's ground point moves for each metre it is taken higher."""
+    pixel = view.project(np.array([*lon_lat, altitude]))
+    points = view.localise(np.array([pixel, pixel]), np.array([altitude - 50.0, altitude + 50.0]))
+    enu = EnuFrame(float(lon_lat[0]), float(lon_lat[1]), altitude).from_geodetic(points)
+    return (enu[1] - enu[0])[:2] / (enu[1] - enu[0])[2]
+
+
+def _patches(bounds: Tuple[float, float, float, float], gsd: float) -> List[Tuple[float, float, float, float]]:
+    """Square patches spread over the area: all of it where it is small."""
+    side = _CELLS * _REDUCTION * gsd
+    axes = []
+    for low, high in ((bounds[0], bounds[2]), (bounds[1], bounds[3])):
+        # One patch takes up to half as much again, rather than two that overlap almost wholly.
+        count = int(np.clip(np.round((high - low) / side), 1, _PATCHES))
+        width = min(1.5 * side, high - low)
+        axes.append([(s, s + width) for s in np.linspace(low, high - width, count)])
+    return [(x0, y0, x1, y1) for y0, y1 in axes[1] for x0, x1 in axes[0]]
+
+
+def _sweep_patch(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],
+                 planes: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    """Best altitude and its correlation for each cell of a patch."""
+    cell = max(first.gsd_m, second.gsd_m) * _REDUCTION
+    shape = (max(8, int((patch[3] - patch[1]) / cell)), max(8, int((patch[2] - patch[0]) / cell)))
+    u, v = np.linspace(patch[0], patch[2], 9), np.linspace(patch[3], patch[1], 9)
+    lon_lat = geodetic_from_projected(crs, np.stack(np.meshgrid(u, v), axis=-1))
+    images = [_Reduced.of(view, crs, patch, (float(planes[0]), float(planes[-1]))) for view in (first, second)]
+    empty = np.full(shape, -1.0)
+    if any(image is None for image in images):
+        return empty, empty
+    best_score, best_altitude = empty.copy(), np.zeros(shape)
+    shift = _cross_shift(images, lon_lat, planes, shape)
+    for altitude in planes:
+        score = _correlation(*(_on_plane(image, lon_lat, altitude, shape) for image in images), shift)
+        better = score > best_score
+        best_score[better], best_altitude[better] = score[better], altitude
+    # A best plane at either end of the search is no maximum.
+    inner = (best_altitude > planes[0]) & (best_altitude < planes[-1])
+    return best_altitude, np.where(inner, best_score, -1.0)
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """A window of a view, reduced, with its mean brightness taken out."""
+
+    view: View
+    pixels: NDArray[np.float32]
+    window: Tuple[int, int, int, int]
+
+    @classmethod
+    def of(cls, view: View, crs: str, patch: Tuple[float, float, float, float],
+           altitudes: Tuple[float, float]) -> Optional["_Reduced"]:
+        window = pixel_window(view.project, lambda xy: geodetic_from_projected(crs, xy), patch, altitudes, view.size,
+                              smallest=8 * _REDUCTION)
+        if window is None:
+            return None
+        with opened(view.image) as dataset:
+            pixels = read(dataset, window, view.band,
+                          (max(1, window[2] // _REDUCTION), max(1, window[3] // _REDUCTION)))
+        return cls(view, np.sqrt(np.maximum(pixels, 0)), window)
+
+
+def _on_plane(image: _Reduced, lon_lat: FloatArray, altitude: float, shape: Tuple[int, int]) -> FloatArray:
+    """The image as it lies on a plane of one altitude, on the patch's cells."""
+    ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1)
+    pixels = upsample_grid(image.view.project(ground), shape)
+    height, width = image.pixels.shape
+    col, row, full_width, full_height = image.window
+    return sample(image.pixels, (pixels[..., 0] - col + 0.5) * width / full_width - 0.5,
+                  (pixels[..., 1] - row + 0.5) * height / full_height - 0.5)
+
+
+def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatArray:
+    """Normalised cross-correlation of windows around each cell; -1 where either has gaps or no contrast."""
+    b = np.roll(b, shift, axis=(0, 1))
+    known = np.isfinite(a) & np.isfinite(b)
+    a, b = np.where(known, a, 0.0), np.where(known, b, 0.0)
+    count = box_mean(known.astype(np.float64), _WINDOW)
+    safe = np.maximum(count, 1e-6)
+    mean_a, mean_b = box_mean(a, _WINDOW) / safe, box_mean(b, _WINDOW) / safe
+    var_a = box_mean(a * a, _WINDOW) / safe - mean_a ** 2
+    var_b = box_mean(b * b, _WINDOW) / safe - mean_b ** 2
+    covariance = box_mean(a * b, _WINDOW) / safe - mean_a * mean_b
+    # Contrast below a hundredth of the brightness's root is noise.
+    flat = (var_a < 1e-4 * mean_a ** 2) | (var_b < 1e-4 * mean_b ** 2) | (count < 0.8)
+    return np.where(flat, -1.0, covariance / np.sqrt(np.maximum(var_a * var_b, 1e-12)))
+
+
+def _cross_shift(images: Sequence[_Reduced], lon_lat: FloatArray, planes: FloatArray,
+                 shape: Tuple[int, int]) -> Tuple[int, int]:
+    """The whole-cell shift across the parallax that makes the pair agree best: pointing errors of tens of px."""
+    lon, lat = lon_lat.reshape(-1, 2).mean(axis=0)
+    slopes = [ground_slope(image.view, np.array([lon, lat]), float(planes.mean())) for image in images]
+    parallax = slopes[1] - slopes[0]
+    across = np.array([-parallax[1], parallax[0]]) / max(float(np.linalg.norm(parallax)), 1e-9)
+    some = planes[::max(1, len(planes) // 40)]
+    stack = [tuple(_on_plane(image, lon_lat, z, shape) for image in images) for z in some]
+    scored = []
+    for step in (0, -1, 1, -2, 2, -3, 3):
+        # Rows run south: a move north is a move up.
+        shift = (int(round(-step * across[1])), int(round(step * across[0])))
+        best = np.max([_correlation(a, b, shift) for a, b in stack], axis=0)
+        scored.append((float(np.mean(best)), -abs(step), shift))
+    return max(scored)[2]
+
+
+def altitude_range(views: Sequence[View], crs: str, bounds: Tuple[float, float, float, float],
+                   search: Tuple[float, float], given: Tuple[Optional[float], Optional[float]], dem: Optional[str],
+                   progress: Progress) -> Tuple[Tuple[float, float], str]:
+    """The altitude range to work in, and where it comes from.
+
+    Best first: what the user gives, a DEM, the images, the RPCs' own range (``search``). A given end replaces that
+    end of whatever the others say.
+    """
+    if given[0] is not None and given[1] is not None:
+        return (given[0], given[1]), "given"
+    if dem:
+        low, high, said = dem_range(dem, crs, bounds)
+        if not said:
+            progress.warn(f"The DEM '{dem}' does not say what its heights refer to: they are taken as metres above "
+                          "the WGS 84 ellipsoid.")
+        # The ground may have changed and buildings stand on it.
+        margin = max(20.0, 0.05 * (high - low))
+        found, source = (low - margin, high + margin + 40.0), "DEM"
+    else:
+        swept = sweep_altitudes(views, crs, bounds, search, progress)
+        if swept is None:
+            progress.warn(f"The images do not tell the altitude range: the RPCs' own is taken, {search[0]:.0f} to "
+                          f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors.")
+            found, source = search, "RPC"
+        else:
+            found, source = swept.altitudes, "images"
+    low = found[0] if given[0] is None else given[0]
+    high = found[1] if given[1] is None else given[1]
+    if low >= high:
+        raise OptionError("ALTITUDE_MIN" if given[0] is not None else "ALTITUDE_MAX", low if given[0] is not None
+                          else high, f"leaves no range: the ground lies between {found[0]:.0f} and {found[1]:.0f} m")
+    return (float(low), float(high)), source

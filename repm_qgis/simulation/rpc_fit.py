@@ -1,0 +1,108 @@
+"""The RPC of any sensor model: regularised, iteratively reweighted least squares on a virtual grid.
+
+Reference: Tao and Hu, "A comprehensive study of the rational function model for photogrammetric processing",
+Photogrammetric Engineering & Remote Sensing 67 (12), 2001: the terrain-independent, iterative solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RpcInvalidError
+from ..rpc.model import Rpc, _monomials
+
+FloatArray = NDArray[np.float64]
+Localise = Callable[[FloatArray, FloatArray], FloatArray]
+
+_RIDGE = 1e-6  # relative to the largest singular value: costs under 1e-3 px, and keeps denominators near one
+_REWEIGHTS = 4
+
+
+@dataclass(frozen=True)
+class RpcFit:
+    """An RPC, and how far it is from the sensor on an independent grid, px."""
+
+    rpc: Rpc
+    max_px: float
+    rms_px: float
+
+
+def virtual_grid(size: Tuple[int, int], heights: Tuple[float, float], nodes: Tuple[int, int, int],
+                 inset: float = 0.0) -> Tuple[FloatArray, FloatArray]:
+    """Pixels (N, 2) and heights (N,) of a regular grid of columns, rows, heights over image and height range.
+
+    ``inset`` moves the grid's ends inwards by that share of a grid step, so that grids do not share nodes.
+    """
+    def axis(low: float, high: float, count: int) -> FloatArray:
+        step = inset * (high - low) / max(count - 1, 1)
+        return np.linspace(low + step, high - step, count)
+
+    col, row, height = np.meshgrid(axis(-0.5, size[0] - 0.5, nodes[0]), axis(-0.5, size[1] - 0.5, nodes[1]),
+                                   axis(heights[0], heights[1], nodes[2]), indexing="ij")
+    return np.stack([col.ravel(), row.ravel()], axis=1), height.ravel()
+
+
+def fit_rpc(localise: Localise, size: Tuple[int, int], heights: Tuple[float, float],
+            nodes: Tuple[int, int, int] = (16, 16, 7)) -> RpcFit:
+    """Fit an RPC to a sensor model.
+
+    Parameters
+    ----------
+    localise : takes (N, 2) column, row and (N,) heights, gives (N, 3) longitude, latitude, height.
+    size : columns, rows of the image. heights : lowest, highest, metres above the ellipsoid.
+    nodes : of the virtual grid along columns, rows, heights.
+
+    Returns
+    -------
+    RpcFit, with residuals measured on another, denser grid.
+
+    Raises
+    ------
+    RpcInvalidError if the sensor model gives no finite ground points, or a height range is empty.
+    """
+    if not heights[1] > heights[0]:
+        raise RpcInvalidError(f"no RPC can be fitted to heights from {heights[0]} to {heights[1]} m: it needs a range.")
+    pixels, height = virtual_grid(size, heights, nodes)
+    ground = localise(pixels, height)
+    if not np.isfinite(ground).all():
+        raise RpcInvalidError("no RPC can be fitted: the sensor model has no ground point for some of its pixels.")
+    offset, scale = _normaliser(ground)
+    pixel_offset, pixel_scale = _normaliser(pixels)
+    terms = _monomials(*((ground - offset) / scale).T, np.empty((20, ground.shape[0]))).T
+    col, row = ((pixels - pixel_offset) / pixel_scale).T
+    (col_num, col_den), (row_num, row_den) = _rational(terms, col), _rational(terms, row)
+    rpc = Rpc(row_off=pixel_offset[1], row_scale=pixel_scale[1], col_off=pixel_offset[0], col_scale=pixel_scale[0],
+              lat_off=offset[1], lat_scale=scale[1], lon_off=offset[0], lon_scale=scale[0],
+              height_off=offset[2], height_scale=scale[2],
+              row_num=tuple(row_num), row_den=tuple(row_den), col_num=tuple(col_num), col_den=tuple(col_den))
+    dense = (2 * nodes[0] + 1, 2 * nodes[1] + 1, 2 * nodes[2] + 1)
+    check, check_height = virtual_grid(size, heights, dense, inset=0.3)
+    error = np.linalg.norm(rpc.project(localise(check, check_height)) - check, axis=1)
+    return RpcFit(rpc, float(error.max()), float(np.sqrt(np.mean(error ** 2))))
+
+
+def _normaliser(values: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    """Offset and scale of each column that take its values to -1..1."""
+    low, high = values.min(axis=0), values.max(axis=0)
+    return (low + high) / 2, (high - low) / 2
+
+
+def _rational(terms: FloatArray, value: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    """Twenty numerator and twenty denominator coefficients (the first is 1) with num / den = value.
+
+    The equations num - value den = 0 are linear; dividing each by the last pass's denominator makes their residuals
+    those of the quotient.
+    """
+    design = np.concatenate([terms, -value[:, None] * terms[:, 1:]], axis=1)
+    weight = np.ones_like(value)
+    for _ in range(_REWEIGHTS):
+        left, singular, right = np.linalg.svd(design * weight[:, None], full_matrices=False)
+        damped = singular / (singular ** 2 + (_RIDGE * singular[0]) ** 2)
+        solution = right.T @ (damped * (left.T @ (value * weight)))
+        denominator = np.concatenate([[1.0], solution[20:]])
+        weight = 1.0 / (terms @ denominator)
+    return solution[:20], denominator

@@ -1,0 +1,232 @@
+"""A truth scene on disk: images with RPCs, the true DSM, ground control points, and a record of it all.
+
+Files: ``img_01.tif``...: uint16 GeoTIFF with RPC tags and no other georeference. ``truth.tif``: the DSM where all
+views see the ground. ``gcps.csv``: points with their true ground position and noisy image position. ``truth.json``:
+seed, sensor, the pointing error of each RPC, and versions. Same seed and size: same bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from dataclasses import dataclass
+from typing import Any, Dict, List, Sequence, Tuple
+
+import numpy as np
+from osgeo import gdal, osr
+
+from .. import __version__
+from ..errors import OptionError
+from ..geometry.frames import projected_from_geodetic, utm_crs
+from ..imagery.raster import created
+from ..progress import Part, Progress
+from ..rpc.model import Rpc
+from ..workspace import ensure_folder, write_text
+from .gcps import GCP_NOISE_PX, Gcp, choose_gcps, common_square, write_gcps
+from .render import render_view
+from .rpc_fit import RpcFit, fit_rpc
+from .sensor import PLEIADES, PushbroomView, Sensor, aim
+from .surface import Bounds, FloatArray, Sun, Surface, build_mountains, build_urban
+
+_COMMON_POINTING_PX = 2.0  # pointing errors of one pass are mostly common to its views,
+_VIEW_POINTING_PX = 1.0  # and differ by less
+_RPC_MARGIN_M = 20.0
+_STRIP_ROWS = 256
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """What to simulate.
+
+    ``size``: side of the images, px. ``lon, lat``: degrees, the middle of the images. ``base_m``: the ground's lowest
+    height (mountains) or mean height (urban) above the ellipsoid. ``relief_m``: of mountains. ``heading_deg``: of the
+    flight. ``surface_step``: surface nodes a cell of the true DSM. ``cell_m``: of the true DSM.
+    """
+
+    kind: str
+    size: int
+    seed: int
+    sensor: Sensor
+    cell_m: float
+    surface_step: int
+    base_m: float
+    relief_m: float
+    lon: float = 1.44
+    lat: float = 43.60
+    heading_deg: float = 191.0
+    sun: Sun = Sun()
+
+    @classmethod
+    def default(cls, kind: str, size: int, seed: int) -> SceneSpec:
+        """A town seen at 0.5 m, or mountains at 1 m whose relief is three tenths of the scene's width.
+
+        Raises OptionError for an unknown kind.
+        """
+        if kind == "urban":
+            return cls(kind, size, seed, PLEIADES, cell_m=0.5, surface_step=2, base_m=190.0, relief_m=0.0)
+        if kind == "mountains":
+            return cls(kind, size, seed, PLEIADES.at_gsd(1.0), cell_m=1.0, surface_step=1, base_m=900.0,
+                       relief_m=min(0.3 * size, 2000.0), lon=6.65, lat=44.38)
+        raise OptionError("KIND", kind, "must be one of urban, mountains")
+
+    @property
+    def crs(self) -> str:
+        """The UTM zone of the scene's middle."""
+        return utm_crs(self.lon, self.lat)
+
+    @property
+    def height_bounds(self) -> Tuple[float, float]:
+        """Heights that the surface is sure to keep within, m."""
+        if self.kind == "mountains":
+            return self.base_m - 50.0, self.base_m + self.relief_m + 50.0
+        return self.base_m - 30.0, self.base_m + 90.0
+
+
+def make_views(spec: SceneSpec) -> List[PushbroomView]:
+    """The spec's sensor, aimed at its middle by each of the sensor's looks."""
+    low, high = spec.height_bounds
+    middle = (spec.lon, spec.lat, 0.5 * (low + high) if spec.kind == "mountains" else spec.base_m)
+    return [aim(spec.sensor, look, middle, (spec.size, spec.size), spec.heading_deg, spec.seed + 101 * number,
+                f"img_{number:02d}") for number, look in enumerate(spec.sensor.looks, start=1)]
+
+
+def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
+    """xmin, ymin, xmax, ymax in the UTM zone of all that any view may see, with a margin for shadows."""
+    places = []
+    for view in views:
+        edge = np.linspace(-8.0, spec.size + 7.0, 9)
+        pixels = np.stack(np.meshgrid(edge, edge), axis=-1).reshape(-1, 2)
+        for height in spec.height_bounds:
+            places.append(projected_from_geodetic(spec.crs, view.localise(pixels, height)))
+    every = np.concatenate(places)
+    margin = 10 * spec.cell_m
+    low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def make_surface(spec: SceneSpec, bounds: Bounds, progress: Progress) -> Surface:
+    """The spec's ground over bounds in its UTM zone."""
+    cell = spec.cell_m / spec.surface_step
+    if spec.kind == "mountains":
+        return build_mountains(bounds, cell, spec.crs, spec.base_m, spec.relief_m, spec.sun, spec.seed, progress)
+    return build_urban(bounds, cell, spec.crs, spec.base_m, spec.sun, spec.seed, progress)
+
+
+def rpc_tags(rpc: Rpc) -> Dict[str, str]:
+    """GDAL's RPC metadata of an RPC; GDAL's offsets count from the first pixel's centre, as ours."""
+    tags = {}
+    for ours, theirs in (("row", "LINE"), ("col", "SAMP"), ("lat", "LAT"), ("lon", "LONG"), ("height", "HEIGHT")):
+        tags[f"{theirs}_OFF"] = repr(float(getattr(rpc, f"{ours}_off")))
+        tags[f"{theirs}_SCALE"] = repr(float(getattr(rpc, f"{ours}_scale")))
+    for ours, theirs in (("row", "LINE"), ("col", "SAMP")):
+        for part in ("num", "den"):
+            tags[f"{theirs}_{part.upper()}_COEFF"] = " ".join(map(repr, getattr(rpc, f"{ours}_{part}")))
+    return tags
+
+
+def write_image(path: str, view: PushbroomView, rpc: Rpc, surface: Surface, seed: int, progress: Progress) -> None:
+    """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
+    _drop_side_file(path)
+    with created(path, (view.size[1], view.size[0]), np.dtype(np.uint16), 1, None, "", nodata=None,
+                 descriptions=("panchromatic",), compress=False) as dataset:
+        dataset.set_metadata(rpc_tags(rpc), "RPC")
+        for first, strip in render_view(surface, view, seed, progress):
+            dataset.write(strip, 0, first)
+
+
+def write_truth(path: str, surface: Surface, square: Tuple[int, int, int], step: int) -> None:
+    """The true DSM: every ``step``-th node of a square of the surface; a cell's value is the height at its middle."""
+    row, col, count = square
+    cell = step * surface.cell
+    reference = osr.SpatialReference()
+    reference.SetFromUserInput(surface.crs)
+    corner = (surface.west + col * surface.cell - cell / 2, cell, 0.0,
+              surface.north - row * surface.cell + cell / 2, 0.0, -cell)
+    _drop_side_file(path)
+    with created(path, (count, count), np.dtype(np.float32), 1, corner, reference.ExportToWkt(),
+                 descriptions=("height above the WGS 84 ellipsoid (m)",), unit="m",
+                 metadata={"VERTICAL_DATUM": "WGS 84 ellipsoid"}) as dataset:
+        for first in range(0, count, _STRIP_ROWS):
+            last = min(first + _STRIP_ROWS, count)
+            rows = slice(row + first * step, row + (last - 1) * step + 1, step)
+            dataset.write(surface.height[rows, col:col + (count - 1) * step + 1:step], 0, first)
+
+
+def _drop_side_file(path: str) -> None:
+    """Statistics that GDAL or QGIS kept beside an earlier file of this name are not the new one's."""
+    if os.path.exists(path + ".aux.xml"):
+        os.remove(path + ".aux.xml")
+
+
+def fit_view_rpcs(views: Sequence[PushbroomView], heights: Tuple[float, float]) -> List[RpcFit]:
+    """RPCs true to the sensor, for heights rounded outwards with a margin."""
+    low = math.floor((heights[0] - _RPC_MARGIN_M) / 10) * 10.0
+    high = math.ceil((heights[1] + _RPC_MARGIN_M) / 10) * 10.0
+    return [fit_rpc(view.localise, view.size, (low, high)) for view in views]
+
+
+def pointing_errors(count: int, seed: int) -> FloatArray:
+    """(count, 2) px column, row by which the vendor's RPC of each view is wrong: up to 3 px, mostly in common."""
+    rng = np.random.default_rng([seed, 4])
+    common = rng.uniform(-_COMMON_POINTING_PX, _COMMON_POINTING_PX, 2)
+    return common + rng.uniform(-_VIEW_POINTING_PX, _VIEW_POINTING_PX, (count, 2))
+
+
+def _record(spec: SceneSpec, views: Sequence[PushbroomView], fits: Sequence[RpcFit], biases: FloatArray,
+            surface: Surface, gcps: Sequence[Gcp]) -> Dict[str, Any]:
+    """What truth.json says."""
+    low, high = surface.height_range()
+    return {
+        "schema": 1,
+        "versions": {"repm": __version__, "numpy": np.__version__, "gdal": gdal.__version__},
+        "spec": dataclasses.asdict(spec),
+        "crs": spec.crs,
+        "vertical_datum": "WGS 84 ellipsoid",
+        "height_range_m": [low, high],
+        "gcp_noise_px": GCP_NOISE_PX,
+        "gcp_points": len({gcp.id for gcp in gcps}),
+        "rpc_bias_note": "projection with the file's RPC minus the true projection, px",
+        "views": [{"name": view.name, "pitch_deg": view.look.pitch_deg, "roll_deg": view.look.roll_deg,
+                   "gsd_m": view.look.gsd_m, "rpc_bias_px": {"col": float(bias[0]), "row": float(bias[1])},
+                   "rpc_fit_max_px": fit.max_px, "rpc_fit_rms_px": fit.rms_px, "true_rpc": fit.rpc.to_mapping()}
+                  for view, fit, bias in zip(views, fits, biases)],
+    }
+
+
+def make_scene(spec: SceneSpec, folder: str, progress: Progress) -> Dict[str, Any]:
+    """Simulate a scene and write it into a folder.
+
+    Returns
+    -------
+    ``folder``, ``images`` (paths), ``truth``, ``gcps`` (paths) and ``rpc_fit_max_px``, the RPCs' largest deviation
+    from the sensor before their pointing errors are added.
+
+    Raises
+    ------
+    WorkspaceError if the folder cannot be written, Cancelled if the user asked to stop: then no half file is left.
+    """
+    folder = str(ensure_folder(os.path.abspath(folder)))
+    views = make_views(spec)
+    surface = make_surface(spec, surface_bounds(spec, views), Part(progress, 0.0, 0.35))
+    progress.check_cancelled()
+    progress.step(0.35, "RPCs and control points")
+    fits = fit_view_rpcs(views, surface.height_range())
+    biases = pointing_errors(len(views), spec.seed)
+    square = common_square(surface, views, spec.surface_step)
+    gcps = choose_gcps(surface, views, square, spec.surface_step, spec.seed)
+    paths = {name: os.path.join(folder, name) for name in ("truth.tif", "gcps.csv", "truth.json")}
+    write_truth(paths["truth.tif"], surface, square, spec.surface_step)
+    write_gcps(paths["gcps.csv"], gcps)
+    images = []
+    for number, (view, fit, bias) in enumerate(zip(views, fits, biases)):
+        part = Part(progress, 0.4 + 0.6 * number / len(views), 0.4 + 0.6 * (number + 1) / len(views), view.name)
+        images.append(os.path.join(folder, f"{view.name}.tif"))
+        # Moving the image by -bias is moving its RPC's projections by +bias.
+        write_image(images[-1], view, fit.rpc.shifted(-bias[0], -bias[1]), surface, spec.seed + number, part)
+    record = json.dumps(_record(spec, views, fits, biases, surface, gcps), indent=1, allow_nan=False)
+    write_text(paths["truth.json"], record + "\n")
+    progress.step(1.0, "done")
+    return {"folder": folder, "images": images, "truth": paths["truth.tif"], "gcps": paths["gcps.csv"],
+            "rpc_fit_max_px": max(fit.max_px for fit in fits)}

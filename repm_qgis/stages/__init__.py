@@ -1,0 +1,36 @@
+"""The stages: options in, products out. Each module has ``run(options, progress) -> dict`` with JSON-able results.
+
+The names here are those of the Processing algorithms and of ``python -m repm_qgis STAGE JOB.json``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Mapping
+
+from .. import options as _options
+from ..errors import OptionError
+from ..progress import Progress
+
+STAGES: dict[str, type[_options.Options]] = {
+    "epmfit": _options.EpmFitOptions,
+    "errormap": _options.ErrorMapOptions,
+    "refine": _options.RefineOptions,
+    "reconstruct": _options.ReconstructOptions,
+    "dsmfuse": _options.DsmFuseOptions,
+    "pipeline": _options.PipelineOptions,
+    "comparedsm": _options.CompareDsmOptions,
+    "sampledata": _options.SampleDataOptions,
+    "environment": _options.EnvironmentOptions,
+}
+
+
+def run_stage(name: str, options: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+    """Run a stage by name with options as a JSON object, and give its results as a JSON object.
+
+    Raises OptionError for an unknown stage or a bad option, and whatever RepmError the stage raises.
+    """
+    if name not in STAGES:
+        raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
+    checked = STAGES[name].from_json(options)
+    return importlib.import_module(f"{__name__}.{name}").run(checked, progress)

@@ -1,0 +1,150 @@
+"""Fuse height maps into a DSM with confidence, orthophoto and point cloud."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import Any, Dict, List, Optional, Tuple
+
+import numpy as np
+import pyproj
+
+from .. import __version__
+from ..dsm.aggregation import automatic_radius
+from ..dsm.fusion import FusedTile, FuseTask, fuse_tile
+from ..dsm.grid import CellGrid
+from ..dsm.ortho import nadir_first
+from ..dsm.point_cloud import created_cloud
+from ..errors import EmptyResultError, SceneError
+from ..evaluation.styles import write_style
+from ..geometry.frames import projected_crs
+from ..imagery.raster import created
+from ..options import DsmFuseOptions
+from ..parallel import run_tasks
+from ..progress import Progress
+from ..scene import Scene, Tile
+
+_CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score")
+
+
+def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
+    """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
+    start = time.monotonic()
+    scene = Scene.load(options.scene)
+    tiles = [tile for tile in scene.tiles if tile.heights]
+    if not tiles:
+        raise SceneError(f"The scene '{options.scene}' has no height maps: run 'Reconstruct heights' first.")
+    crs = options.crs or scene.crs
+    projected_crs(crs)
+    grid, windows = _layout(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
+    radius = automatic_radius(grid.cell) if options.outlier_radius is None else options.outlier_radius
+    progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}; outlier radius "
+                  f"{radius:g} m.")
+    views = tuple(nadir_first(scene)) if options.ortho else ()
+    tasks = [FuseTask(_lean(scene), tuple(tile.heights), grid, window, crs, options.method, radius, views,
+                      bool(options.cloud)) for tile, window in zip(tiles, windows)]
+    results = run_tasks(fuse_tile, tasks, options.workers, progress, lambda task: f"fusing {task.records[0]['tile']}")
+    facts = _write(options, scene, grid, crs, windows, results)
+    _check(facts, progress)
+    progress.info(f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover; "
+                  f"{facts['removed']} lonely cells removed.")
+    progress.step(1.0, "DSM fused")
+    return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
+            "cloud": options.cloud, "seconds": round(time.monotonic() - start, 3), **facts}
+
+
+def _lean(scene: Scene) -> Scene:
+    return Scene(scene.views, scene.frame, scene.crs, "", scene.altitudes, [], scene.refinement)
+
+
+def _round_cell(cell: float) -> float:
+    """Two significant digits: a cell of 1.0 m, not of 1.0122 m."""
+    return float(f"{cell:.2g}")
+
+
+def _layout(scene: Scene, tiles: List[Tile], crs: str,
+            cell: float) -> Tuple[CellGrid, List[Tuple[int, int, int, int]]]:
+    """The DSM's grid, and each tile's own cells of it: every cell belongs to one tile."""
+    transformer = None if crs == scene.crs else pyproj.Transformer.from_crs(scene.crs, crs, always_xy=True)
+    boxes = [tile.bounds if transformer is None else transformer.transform_bounds(*tile.bounds) for tile in tiles]
+    grid = CellGrid.covering((min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes),
+                              max(b[3] for b in boxes)), cell)
+    return grid, [grid.window(box) for box in boxes]
+
+
+def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
+           windows: List[Tuple[int, int, int, int]], results: List[FusedTile]) -> Dict[str, Any]:
+    wkt = pyproj.CRS.from_user_input(crs).to_wkt()
+    metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method,
+                "VERTICAL_DATUM": "height above the WGS 84 ellipsoid (m)"}
+    crop = _valid_part(grid, windows, results)
+    valid = cells = points = 0
+    with ExitStack() as stack:
+        def raster(path: Optional[str], bands: Tuple[str, ...], unit: str) -> Any:
+            if not path:
+                return None
+            return stack.enter_context(created(
+                path, (crop[3], crop[2]), np.dtype(np.float32), len(bands), grid.part(crop).geotransform, wkt,
+                descriptions=bands, metadata=metadata, unit=unit, overviews=True))
+
+        dsm = raster(options.output, ("height above the WGS 84 ellipsoid (m)",), "m")
+        confidence = raster(options.confidence, _CONFIDENCE_BANDS, "")
+        ortho = raster(options.ortho, ("brightness",), "")
+        cloud = stack.enter_context(created_cloud(options.cloud, crs, (grid.west, grid.north, 0.0))) \
+            if options.cloud else None
+        for window, result in zip(windows, results):
+            place, cut = _placed(window, crop)
+            fused = result.fused
+            valid += int(np.isfinite(fused.height).sum())
+            cells += fused.height.size
+            if place is None:
+                continue
+            _put(dsm, [fused.height], place, cut)
+            _put(confidence, [np.where(fused.count > 0, fused.count, np.nan), fused.spread, fused.score], place, cut)
+            _put(ortho, [result.ortho], place, cut)
+            if cloud is not None:
+                cloud.write(*result.points.T)
+        points = cloud.count if cloud is not None else 0
+        if not valid:
+            raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
+    for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
+        if path:
+            write_style(kind, path)
+    return {"cells": cells, "valid": valid, "valid_percent": 100.0 * valid / cells, "points": points,
+            "removed": sum(result.removed for result in results), "resolution": grid.cell, "crs": crs}
+
+
+def _valid_part(grid: CellGrid, windows: List[Tuple[int, int, int, int]],
+                results: List[FusedTile]) -> Tuple[int, int, int, int]:
+    """The window of the grid that holds all heights: tiles reach beyond what the images see."""
+    columns, rows = np.zeros(grid.shape[1], dtype=bool), np.zeros(grid.shape[0], dtype=bool)
+    for (col, row, width, height), result in zip(windows, results):
+        known = np.isfinite(result.fused.height)
+        columns[col:col + width] |= known.any(axis=0)
+        rows[row:row + height] |= known.any(axis=1)
+    if not columns.any():
+        return 0, 0, grid.shape[1], grid.shape[0]
+    c, r = np.flatnonzero(columns), np.flatnonzero(rows)
+    return int(c[0]), int(r[0]), int(c[-1] - c[0] + 1), int(r[-1] - r[0] + 1)
+
+
+def _placed(window: Tuple[int, int, int, int], crop: Tuple[int, int, int, int]) -> Tuple[Any, Any]:
+    """Where a tile's cells go in the cropped raster, and which of them."""
+    c0, r0 = max(window[0], crop[0]), max(window[1], crop[1])
+    c1, r1 = min(window[0] + window[2], crop[0] + crop[2]), min(window[1] + window[3], crop[1] + crop[3])
+    if c0 >= c1 or r0 >= r1:
+        return None, None
+    cut = (slice(r0 - window[1], r1 - window[1]), slice(c0 - window[0], c1 - window[0]))
+    return (c0 - crop[0], r0 - crop[1]), cut
+
+
+def _put(raster: Any, bands: List[Any], place: Tuple[int, int], cut: Any) -> None:
+    if raster is not None:
+        for index, values in enumerate(bands, start=1):
+            raster.write(values[cut].astype(np.float32), *place, index)
+
+
+def _check(facts: Dict[str, Any], progress: Progress) -> None:
+    if facts["valid_percent"] < 20:
+        progress.warn(f"Only {facts['valid_percent']:.0f} % of the cells have a height: look at the confidence and at "
+                      "the reconstruction's report before you use this DSM.")

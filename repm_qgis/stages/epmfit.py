@@ -1,0 +1,197 @@
+"""Fit an equivalent pinhole camera to each image's RPC, tile by tile (paper, Algorithm 1)."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+import pyproj
+from osgeo import ogr
+
+from ..errors import OptionError, OverlapError
+from ..evaluation.stage_reports import fit_report
+from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.footprints import bounds_of, box, footprint, seen_twice
+from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs, projected_from_geodetic, utm_crs
+from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
+from ..options import EpmFitOptions
+from ..progress import Part, Progress, Recorder
+from ..scene import Scene, Tile, TileView, View, load_views, reusable
+from ..sfm.altitude_range import altitude_range
+from ..vector import write_layer
+from ..workspace import ensure_folder, file_identity, fingerprint
+
+_TILE_SIZES = (1600, 1400, 1200, 1000, 800)
+"""Sides of automatic tiles in px: dense matching of the largest takes about 0.5 GB a worker."""
+
+
+def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
+    """Read the RPCs, find area and altitudes, lay tiles, fit cameras; gives the scene, the TILES layer, the report."""
+    start = time.monotonic()
+    folder = ensure_folder(options.workspace)
+    scene_path = str(folder / "scene.json")
+    tiles_path = options.tiles or str(folder / "tiles.gpkg")
+    report_path = options.report or str(folder / "equivalent_error.html")
+    key = _key(options)
+    scene = reusable(scene_path, "epmfit", key)
+    if scene is not None:
+        progress.info(f"Reused the cameras of {len(scene.tiles)} tiles in '{scene_path}': images and options are "
+                      "unchanged.")
+    else:
+        notes = Recorder(progress)
+        scene = _fit(options, notes)
+        scene.record("epmfit", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
+                     notes=notes.notes)
+        scene.save(scene_path)
+    write_tiles(scene, tiles_path)
+    fit_report(scene).write(report_path)
+    errors = [view.error for tile in scene.tiles for view in tile.views.values()]
+    progress.step(1.0, "cameras fitted")
+    return {"scene": scene_path, "tiles": tiles_path, "report": report_path,
+            "rmse": float(np.sqrt(np.mean([e.rmse ** 2 for e in errors]))), "max_error": max(e.max for e in errors)}
+
+
+def _key(options: EpmFitOptions) -> str:
+    wanted = {k: v for k, v in options.to_json().items() if k not in ("workspace", "tiles", "report")}
+    files = [file_identity(path) for path in options.images + ((options.dem,) if options.dem else ())]
+    return fingerprint("epmfit", wanted, files)
+
+
+def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
+    views = load_views(options.images)
+    progress.info("; ".join(f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views))
+    crs = _crs(options, views)
+    search = _common_heights(views)
+    area = _area(views, crs, search, options)
+    altitudes, source = altitude_range(views, crs, bounds_of(area), search, (options.altitude_min,
+                                       options.altitude_max), options.dem, Part(progress, 0.0, 0.6))
+    progress.info(f"Altitudes {altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid (from: {source}).")
+    area = _area(views, crs, altitudes, options)
+    xmin, ymin, xmax, ymax = bounds_of(area)
+    lon, lat = geodetic_from_projected(crs, np.array([(xmin + xmax) / 2, (ymin + ymax) / 2]))
+    frame = EnuFrame(float(lon), float(lat), 0.0)
+    scene = Scene(views, frame, crs, area.ExportToWkt(), altitudes, [])
+    size = options.tile_size or _automatic_size(scene, area, options.error_budget, progress)
+    scene.tiles = _tiles(scene, lay_tiles(area, size * scene.gsd_m), progress)
+    progress.info(f"{len(scene.tiles)} tiles of up to {size} px a side.")
+    return scene
+
+
+def _crs(options: EpmFitOptions, views: Sequence[View]) -> str:
+    if options.crs:
+        projected_crs(options.crs)
+        return options.crs
+    return utm_crs(float(np.mean([v.rpc.lon_off for v in views])), float(np.mean([v.rpc.lat_off for v in views])))
+
+
+def _common_heights(views: Sequence[View]) -> Tuple[float, float]:
+    """The heights all RPCs were made for; all of theirs where they have none in common."""
+    low = max(v.rpc.height_range[0] for v in views)
+    high = min(v.rpc.height_range[1] for v in views)
+    if low >= high:
+        low, high = min(v.rpc.height_range[0] for v in views), max(v.rpc.height_range[1] for v in views)
+    return low, high
+
+
+def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], options: EpmFitOptions) -> ogr.Geometry:
+    """The ground that two views see at some altitude of the range, within the extent asked for."""
+    outlines = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views]
+                for z in np.linspace(*altitudes, 5)]
+    area = seen_twice(outlines)
+    if area.IsEmpty() or area.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
+        places = "; ".join(f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views)
+        raise OverlapError(f"The images do not overlap on the ground: {places}. Choose images of one place.")
+    if options.extent is None:
+        return area
+    wanted = _extent(options, crs)
+    common = area.Intersection(wanted)
+    if common is None or common.IsEmpty() or common.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
+        there, asked = bounds_of(area), bounds_of(wanted)
+        raise OverlapError(
+            f"EXTENT {asked[0]:.0f}, {asked[1]:.0f}, {asked[2]:.0f}, {asked[3]:.0f} ({crs}) lies outside what two "
+            f"images see: {there[0]:.0f}, {there[1]:.0f}, {there[2]:.0f}, {there[3]:.0f}. Draw it there, or leave it empty.")
+    return common
+
+
+def _extent(options: EpmFitOptions, crs: str) -> ogr.Geometry:
+    """The extent asked for as its bounding box in the scene's CRS."""
+    try:
+        transformer = pyproj.Transformer.from_crs(options.extent_crs, crs, always_xy=True)
+        return box(transformer.transform_bounds(*options.extent))
+    except pyproj.exceptions.ProjError as error:
+        raise OptionError("EXTENT", options.extent, f"cannot be brought into {crs} ({error})") from error
+
+
+def _automatic_size(scene: Scene, area: ogr.Geometry, budget: float, progress: Progress) -> int:
+    """The largest tile whose refined equivalent error keeps to the budget at the area's centre and ends."""
+    xmin, ymin, xmax, ymax = bounds_of(area)
+    places = [(xmin + f * (xmax - xmin), ymin + f * (ymax - ymin)) for f in (0.5, 0.1, 0.9)]
+
+    def error_of(size: int) -> float:
+        half = size * scene.gsd_m / 2
+        fitted = (fit_tile(scene, GroundTile("", (x - half, y - half, x + half, y + half))) for x, y in places)
+        errors = [refine_pinhole("polynomial", view.camera, grid, view.window).error.rmse
+                  for tile, grids in fitted for view, grid in zip(tile.views.values(), grids)]
+        return max(errors, default=0.0)
+
+    size, error = largest_within(budget, _TILE_SIZES, error_of)
+    if error > budget:
+        progress.warn(f"Even tiles of {size} px leave {error:.2f} px of equivalent error after refinement (budget "
+                      f"{budget:g} px) over {scene.altitudes[1] - scene.altitudes[0]:.0f} m of altitude; heights are "
+                      "computed with the RPCs and stay exact.")
+    return size
+
+
+def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
+    """Cameras of all views that see a tile, with the virtual grids they were fitted to."""
+    tile = Tile(ground.id, ground.bounds, scene.altitudes, {})
+    grids = []
+    for view in scene.views:
+        window = view_window(scene, view, ground.bounds, scene.altitudes)
+        if window is None:
+            continue
+        grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame)
+        fitted = fit_pinhole(grid)
+        tile.views[view.name] = TileView(window, fitted.camera, fitted.error)
+        grids.append(grid)
+    return tile, grids
+
+
+def view_window(scene: Scene, view: View, bounds: Tuple[float, float, float, float],
+                altitudes: Tuple[float, float], margin: int = 0) -> Optional[Tuple[int, int, int, int]]:
+    """The pixel window of a view that sees a ground rectangle at all of these altitudes; None where it does not."""
+    return pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size,
+                        margin)
+
+
+def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> List[Tile]:
+    tiles = []
+    for index, ground in enumerate(grounds):
+        progress.check_cancelled()
+        progress.step(0.6 + 0.4 * index / len(grounds), f"cameras of tile {index + 1} of {len(grounds)}")
+        tile, _ = fit_tile(scene, ground)
+        if len(tile.views) >= 2:
+            tiles.append(tile)
+    if not tiles:
+        raise OverlapError(f"None of {len(grounds)} tiles is seen by two images: choose a larger EXTENT or TILE_SIZE.")
+    return tiles
+
+
+def write_tiles(scene: Scene, path: str) -> None:
+    """The TILES layer: outlines with each view's equivalent error in px."""
+    from ..evaluation.styles import write_style
+
+    fields: Dict[str, type] = {"tile": str, "worst_rmse": float, "worst_max": float}
+    for number in range(1, max(len(tile.views) for tile in scene.tiles) + 1):
+        fields.update({f"view_{number}": str, f"samp_{number}": float, f"line_{number}": float,
+                       f"rmse_{number}": float, f"max_{number}": float})
+    rows = []
+    for tile in scene.tiles:
+        errors = [view.error for view in tile.views.values()]
+        values: List[Any] = [tile.id, max(e.rmse for e in errors), max(e.max for e in errors)]
+        for name, view in tile.views.items():
+            values += [name, view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max]
+        rows.append((box(tile.bounds), values))
+    write_layer(path, scene.crs, ogr.wkbPolygon, fields, rows)
+    write_style("tiles", path)

@@ -1,0 +1,104 @@
+"""Map a view's equivalent error on the ground, in the scene's CRS."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Dict, Tuple
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from ..dsm.grid import CellGrid
+from ..errors import OptionError
+from ..evaluation.stage_reports import errormap_report
+from ..evaluation.styles import write_style
+from ..geometry.frames import geodetic_from_projected
+from ..imagery.raster import created
+from ..imagery.sampling import upsample_grid
+from ..options import ErrorMapOptions
+from ..progress import Progress
+from ..scene import Scene, Tile, View
+
+FloatArray = NDArray[np.float64]
+
+_BANDS = ("magnitude (px)", "column (px)", "row (px)", "worst over the altitudes (px)")
+_CELLS = 1000       # cells along the longer side of the map
+_NODE_STEP = 8      # cells between exact errors; the error is smooth
+_LEVELS = 5
+
+
+def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
+    """Write the error map (four bands), its style and the report; gives RMSE and maximum at the altitude, px."""
+    start = time.monotonic()
+    scene = Scene.load(options.scene)
+    view = scene.view(options.view) if options.view else scene.views[0]
+    altitude = sum(scene.altitudes) / 2 if options.altitude is None else options.altitude
+    if not scene.altitudes[0] - 1.0 <= altitude <= scene.altitudes[1] + 1.0:
+        raise OptionError("ALTITUDE", altitude, f"must lie in the scene's range, {scene.altitudes[0]:.0f} to "
+                          f"{scene.altitudes[1]:.0f} m above the ellipsoid: cameras were fitted there")
+    tiles = [tile for tile in scene.tiles if view.name in tile.views]
+    if not tiles:
+        raise OptionError("VIEW", view.name, "sees none of the scene's tiles: choose another view")
+    bounds = [tile.bounds for tile in tiles]
+    whole = (min(b[0] for b in bounds), min(b[1] for b in bounds), max(b[2] for b in bounds), max(b[3] for b in bounds))
+    cell = max(scene.gsd_m, float(f"{max(whole[2] - whole[0], whole[3] - whole[1]) / _CELLS:.1g}"))
+    grid = CellGrid.covering(whole, cell)
+    squares, count, worst = 0.0, 0, 0.0
+    with created(options.output, grid.shape, np.dtype(np.float32), 4, grid.geotransform,
+                 pyproj.CRS.from_user_input(scene.crs).to_wkt(), descriptions=_BANDS, unit="px",
+                 metadata={"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude,
+                           "REPM_REFINEMENT": scene.refinement or "uncorrected"}) as raster:
+        for index, tile in enumerate(tiles):
+            progress.check_cancelled()
+            progress.step(index / len(tiles), f"error of tile {index + 1} of {len(tiles)}")
+            window = grid.window(tile.bounds)
+            if not window[2] or not window[3]:
+                continue
+            error = _tile_error(scene, view, tile, grid.part(window), altitude)
+            for band, values in enumerate(error, start=1):
+                raster.write(values.astype(np.float32), window[0], window[1], band)
+            known = error[0][np.isfinite(error[0])]
+            squares, count = squares + float((known ** 2).sum()), count + known.size
+            worst = max(worst, float(known.max(initial=0.0)))
+    if not count:
+        raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
+    rmse = float(np.sqrt(squares / count))
+    write_style("error", options.output)
+    facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
+    if options.report:
+        errormap_report(scene, view, options.output, facts).write(options.report)
+    progress.info(f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.3f} px, max {worst:.3f} px "
+                  f"({scene.refinement or 'uncorrected'}).")
+    progress.step(1.0, "error mapped")
+    return {"output": options.output, "report": options.report, **facts}
+
+
+def _tile_error(scene: Scene, view: View, tile: Tile, grid: CellGrid,
+                altitude: float) -> Tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Magnitude, column and row at the altitude, and the worst magnitude over the tile's altitudes; NaN outside."""
+    xs, ys = grid.centres()
+    nodes = tuple(max(2, n // _NODE_STEP + 1) for n in grid.shape)
+    xy = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], nodes[1]), np.linspace(ys[0], ys[-1], nodes[0])), axis=-1)
+    lon_lat = geodetic_from_projected(scene.crs, xy)
+    column, row = np.moveaxis(upsample_grid(_error(scene, view, tile, lon_lat, altitude), grid.shape), -1, 0)
+    magnitude = np.hypot(column, row)
+    worst = magnitude
+    for level in np.linspace(*tile.altitudes, _LEVELS):
+        other = upsample_grid(_error(scene, view, tile, lon_lat, float(level)), grid.shape)
+        worst = np.fmax(worst, np.hypot(other[..., 0], other[..., 1]))
+    return magnitude, column, row, worst
+
+
+def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float) -> FloatArray:
+    """(..., 2) pinhole minus RPC pixel at ground nodes: the refined camera's where there is one; NaN out of image."""
+    ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
+    pixels = view.project(ground)
+    fitted = tile.views[view.name]
+    enu = scene.frame.from_geodetic(ground)
+    if fitted.refined is None:
+        seen = fitted.camera.project(enu)
+    else:
+        seen = fitted.refined.to_original.original_from_refined(fitted.refined.camera.project(enu))
+    inside = ((pixels > -1) & (pixels < (view.width, view.height))).all(axis=-1, keepdims=True)
+    return np.where(inside, seen - pixels, np.nan)

@@ -1,0 +1,50 @@
+"""From images to a DSM: the four stages in one workspace, each taken up where an earlier run left it."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Callable, Dict
+
+from ..evaluation.stage_reports import pipeline_report
+from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
+from ..progress import Part, Progress
+from ..scene import Scene
+from ..workspace import ensure_folder
+from . import dsmfuse, epmfit, reconstruct, refine
+
+_SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
+"""How far the whole has come when each stage ends."""
+
+
+def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
+    """Run all stages; gives every product, and the seconds of each stage."""
+    folder = ensure_folder(options.workspace)
+    fitted, refined, scene_path = (str(folder / name) for name in ("scene.json", "refined.json", "reconstructed.json"))
+    seconds: Dict[str, float] = {}
+    begin = 0.0
+
+    def stage(name: str, title: str, work: Callable[[Progress], Dict[str, Any]]) -> Dict[str, Any]:
+        nonlocal begin
+        start = time.monotonic()
+        part = Part(progress, begin, _SHARES[name], title)
+        part.step(0.0, "begins")
+        result = work(part)
+        begin, seconds[name] = _SHARES[name], round(time.monotonic() - start, 3)
+        return result
+
+    first = stage("epmfit", "Pinhole cameras", lambda p: epmfit.run(options.fit_options(), p))
+    stage("refine", "Refinement", lambda p: refine.run(
+        RefineOptions(fitted, refined, options.model, write_images=False), p))
+    heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
+        ReconstructOptions(refined, scene_path, options.backend, options.tie_points, workers=options.workers), p))
+    fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
+        scene_path, options.output, options.resolution, options.crs, options.method, options.outlier_radius,
+        options.confidence, options.ortho, options.cloud, options.workers), p))
+    report_path = options.report or str(folder / "report.html")
+    pipeline_report(Scene.load(scene_path), fused, seconds, options.command).write(report_path)
+    progress.step(1.0, "done")
+    return {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
+            "tie_points": heights["tie_points"], "heights": heights["heights"], "rmse": first["rmse"],
+            "max_error": first["max_error"], "n_tie_points": heights["n_tie_points"], "seconds": seconds}
+
+

@@ -1,0 +1,154 @@
+"""Tie points and relative pointing, then dense matching of every pair over every tile."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Dict, List, Sequence, Tuple
+
+import numpy as np
+from osgeo import ogr
+
+from ..errors import EmptyResultError
+from ..evaluation.stage_reports import reconstruct_report
+from ..evaluation.styles import write_style
+from ..geometry.frames import projected_from_geodetic
+from ..imagery.enhancement import Stretch, view_stretch
+from ..mvs.backends import resolve
+from ..mvs.dense import DenseTask, match_tile
+from ..options import ReconstructOptions
+from ..parallel import run_tasks
+from ..progress import Part, Progress, Recorder
+from ..scene import Scene, Tile, reusable
+from ..sfm.adjustment import Adjustment, Track, adjust_shifts, tracks_from
+from ..sfm.tie_points import find_ties
+from ..sfm.view_pairs import ViewPair, choose_pairs
+from ..vector import write_layer
+from ..workspace import ensure_folder, file_identity, fingerprint
+
+_LEAST_TIES = 20        # a tile with fewer takes the scene's altitudes
+_LEAST_SHARE = 0.01     # of matched pixels: below that, nothing was reconstructed
+
+
+def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
+    """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
+    start = time.monotonic()
+    scene = Scene.load(options.scene)
+    if not scene.refinement:
+        scene.refinement = "polynomial"
+    backend = resolve(options.backend)
+    key = fingerprint("reconstruct", scene.fingerprint, backend, [file_identity(v.image) for v in scene.views])
+    beside = Path(options.output_scene)
+    ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
+    report_path = str(beside.with_name("reconstruction.html"))
+    folder = ensure_folder(options.heights or str(beside.parent / f"{beside.stem}_heights"))
+    done = reusable(options.output_scene, "reconstruct", key)
+    if done is not None and _complete(done) and Path(ties_path).exists():
+        progress.info(f"Reused {sum(len(t.heights) for t in done.tiles)} height maps and the relative pointing in "
+                      f"'{options.output_scene}'.")
+    else:
+        notes = Recorder(progress)
+        pairs = choose_pairs(scene)
+        stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
+        ties = _point(scene, pairs, stretches, ties_path, Part(notes, 0.0, 0.35))
+        _match(scene, pairs, stretches, backend, key, str(folder), options.workers, Part(notes, 0.35, 1.0))
+        scene.record("reconstruct", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
+                     backend=backend, ties=ties, pairs=[vars(pair) for pair in pairs])
+        scene.save(options.output_scene)
+        done = scene
+    reconstruct_report(done).write(report_path)
+    progress.step(1.0, "heights reconstructed")
+    return {"output_scene": options.output_scene, "tie_points": ties_path, "heights": str(folder),
+            "report": report_path, "n_tie_points": done.facts("reconstruct")["ties"]["count"]}
+
+
+def _complete(scene: Scene) -> bool:
+    return all(Path(record["file"]).exists() for tile in scene.tiles for record in tile.heights)
+
+
+def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], ties_path: str,
+           progress: Progress) -> Dict[str, Any]:
+    """Find ties, adjust the views' shifts, narrow the tiles' altitudes; gives the figures for the record."""
+    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.9))
+    tracks = tracks_from(matches)
+    adjusted = adjust_shifts(scene.views, tracks, sum(scene.altitudes) / 2)
+    scene.views = [view.with_pointing(np.column_stack([np.eye(2), adjusted.shifts[view.name]])) for view in scene.views]
+    xy = projected_from_geodetic(scene.crs, adjusted.ground)
+    for tile in scene.tiles:
+        tile.altitudes = _tile_altitudes(scene, tile, xy, adjusted)
+    _write_ties(scene, tracks, adjusted, xy, ties_path)
+    figures = {
+        "count": len(tracks), "before_px": float(np.median(adjusted.before_px)),
+        "after_px": float(np.median(adjusted.residual_px)),
+        "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
+        "pairs": [{"pair": [m.first, m.second], "count": len(m.rows_px), "rows_before_px": float(np.median(m.rows_px)),
+                   "rows_spread_px": _spread(m.rows_px)} for m in matches]}
+    shifts = ", ".join(f"{name} ({shift[0]:+.2f}, {shift[1]:+.2f})" for name, shift in adjusted.shifts.items())
+    progress.info(f"{len(tracks)} tie points; pointing corrected by {shifts} px; their median residual fell from "
+                  f"{figures['before_px']:.2f} to {figures['after_px']:.2f} px.")
+    return figures
+
+
+def _spread(values: np.ndarray) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustment) -> Tuple[float, float]:
+    """The altitudes of the ties in and around a tile, with room for what they miss."""
+    xmin, ymin, xmax, ymax = tile.bounds
+    reach = 0.25 * max(xmax - xmin, ymax - ymin)
+    near = ((xy[:, 0] > xmin - reach) & (xy[:, 0] < xmax + reach) & (xy[:, 1] > ymin - reach)
+            & (xy[:, 1] < ymax + reach) & (adjusted.residual_px < 1.5))
+    heights = adjusted.ground[near, 2]
+    if len(heights) < _LEAST_TIES:
+        return scene.altitudes
+    low, high = np.percentile(heights, (0.5, 99.5))
+    margin = max(15.0, 0.1 * (high - low))
+    # Towers are few, and SIFT likes the ground: leave room above.
+    return float(low - margin), float(high + margin + 30.0)
+
+
+def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: np.ndarray, path: str) -> None:
+    def features() -> Any:
+        for number, (track, (x, y)) in enumerate(zip(tracks, xy)):
+            point = ogr.Geometry(ogr.wkbPoint)
+            point.AddPoint_2D(float(x), float(y))
+            yield point, (number, ", ".join(sorted(track.pixels)), float(adjusted.ground[number, 2]),
+                          float(adjusted.residual_px[number]), float(adjusted.before_px[number]))
+
+    write_layer(path, scene.crs, ogr.wkbPoint,
+                {"track": int, "views": str, "height": float, "residual": float, "before": float}, features())
+    write_style("tie_points", path)
+
+
+def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], backend: str, key: str,
+           folder: str, workers: int, progress: Progress) -> None:
+    """Match all pairs over all tiles, and note the height maps in the scene."""
+    lean = replace(scene, tiles=[], history=[])
+    tasks = [
+        DenseTask(lean, tile.id, tile.bounds, tile.altitudes, pair.first, pair.second,
+                  (stretches[pair.first], stretches[pair.second]), backend,
+                  str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
+                  fingerprint(key, tile.id, pair.first, pair.second))
+        for tile in scene.tiles for pair in pairs if pair.first in tile.views and pair.second in tile.views]
+    records = run_tasks(match_tile, tasks, workers, progress,
+                        lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
+    reused = sum(bool(record and record.pop("reused", False)) for record in records)
+    if reused:
+        progress.info(f"Reused {reused} of {len(tasks)} height maps that an earlier run had finished.")
+    for tile in scene.tiles:
+        tile.heights = [record for record in records if record and record["tile"] == tile.id and record["valid"]]
+    _check(records, len(tasks), progress)
+
+
+def _check(records: List[Any], tasks: int, progress: Progress) -> None:
+    made = [record for record in records if record]
+    pixels = sum(record["size"][0] * record["size"][1] for record in made)
+    valid = sum(record["valid"] for record in made)
+    if valid < max(1000, _LEAST_SHARE * pixels):
+        raise EmptyResultError(
+            f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {tasks} tile pairs. Are the "
+            "altitudes right, and do the images show the same ground without clouds?")
+    progress.info(f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on {len(made)} tile "
+                  "pairs (the frames' empty corners count).")

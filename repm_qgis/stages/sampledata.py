@@ -1,0 +1,23 @@
+"""Make a truth scene: simulated satellite images of a known surface, its DSM and control points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..options import SampleDataOptions
+from ..progress import Progress
+from ..simulation.scene import SceneSpec, make_scene
+
+
+def run(options: SampleDataOptions, progress: Progress) -> dict[str, Any]:
+    """Write the scene into ``options.folder``.
+
+    Returns ``folder``, ``images`` (paths), ``truth`` (GeoTIFF), ``gcps`` (CSV) and ``rpc_fit_max_px``, how far the
+    RPCs are from the simulated sensor before their pointing errors are added. Raises WorkspaceError if the folder
+    cannot be written.
+    """
+    spec = SceneSpec.default(options.kind, options.size, options.seed)
+    result = make_scene(spec, options.folder, progress)
+    progress.info(f"{len(result['images'])} images of {options.size} x {options.size} px; the RPCs are within "
+                  f"{result['rpc_fit_max_px']:.1e} px of the simulated sensor.")
+    return result

@@ -1,0 +1,301 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+from pyproj import Transformer
+from pyproj.transformer import TransformerGroup
+
+from repm_qgis.errors import Cancelled, EmptyResultError, ImageError, OverlapError
+from repm_qgis.evaluation.grids import Grid, metres_per_unit
+from repm_qgis.progress import Silent
+from repm_qgis.stages import run_stage
+
+ORIGIN = (500000.0, 5000000.0)
+
+
+class Watch(Silent):
+    def __init__(self):
+        self.fractions, self.warnings = [], []
+
+    def step(self, fraction, text=""):
+        self.fractions.append(fraction)
+
+    def warn(self, text):
+        self.warnings.append(text)
+
+
+def compare(dsm, reference, progress=None, **options):
+    return run_stage("comparedsm", {"dsm": dsm, "reference": reference, **options}, progress or Silent())
+
+
+def score(shared_data, dsm, reference):
+    tool = shared_data.parent / "tools" / "score_dsm.py"
+    if not tool.exists():
+        pytest.skip(f"{tool} is absent")
+    done = subprocess.run(
+        [sys.executable, str(tool), dsm, reference, "--json"], capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)["raw"]
+
+
+def test_numbers_raster_and_report(make_raster, tmp_path, terrain):
+    rng = np.random.default_rng(1)
+    reference = terrain(300, 340)
+    error = rng.normal(0.4, 0.3, reference.shape).astype(np.float32)
+    dsm = reference + error
+    dsm[40:80, 100:200] = np.nan
+    reference[:, :30] = np.nan
+    a, b = make_raster("dsm.tif", dsm), make_raster("ref.tif", reference)
+    watch = Watch()
+    got = compare(a, b, watch, error=str(tmp_path / "e.tif"), report=str(tmp_path / "r.html"), thresholds=[0.5, 1])
+    e = (gdal.Open(a).ReadAsArray() - gdal.Open(b).ReadAsArray())[np.isfinite(dsm) & np.isfinite(reference)].astype(
+        float
+    )
+    n = np.isfinite(reference).sum()
+    assert got["cells"] == e.size
+    assert got["rmse"] == pytest.approx(np.sqrt((e**2).mean()), abs=1e-6)
+    assert got["me"] == pytest.approx(np.median(abs(e)), abs=1e-6)
+    assert got["mae"] == pytest.approx(abs(e).mean(), abs=1e-6)
+    assert got["bias"] == pytest.approx(np.median(e), abs=1e-6)
+    assert got["nmad"] == pytest.approx(1.4826 * np.median(abs(e - np.median(e))), abs=1e-6)
+    assert got["valid"] == pytest.approx(100 * e.size / n, abs=1e-6)
+    assert got["completeness"] == pytest.approx(100 * (abs(e) < 0.5).sum() / n, abs=1e-6)
+    assert set(got["completeness_by_threshold"]) == {"0.5", "1"}
+    json.dumps(got, allow_nan=False)
+    raster = gdal.Open(str(tmp_path / "e.tif"))
+    values, band = raster.ReadAsArray(), raster.GetRasterBand(1)
+    assert raster.GetGeoTransform() == gdal.Open(b).GetGeoTransform() and band.DataType == gdal.GDT_Float32
+    assert band.GetBlockSize() == [256, 256]
+    good = values != band.GetNoDataValue()
+    assert np.array_equal(good, np.isfinite(dsm) & np.isfinite(reference))
+    assert np.abs(values[good] - e).max() < 1e-4
+    assert (tmp_path / "e.qml").exists() and not list(tmp_path.glob(".*"))
+    assert "NMAD" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert watch.fractions == sorted(watch.fractions) and watch.fractions[-1] == 1.0
+
+
+@pytest.mark.parametrize("align", ["none", "vertical", "3d"])
+def test_alignment_removes_what_was_put_in(make_raster, align, terrain):
+    a = make_raster("dsm.tif", terrain(300, 340), origin=(ORIGIN[0] + 1.8, ORIGIN[1] - 0.9))
+    b = make_raster("ref.tif", terrain(300, 340) - 2.0)
+    got = compare(a, b, align=align)
+    if align == "3d":
+        assert (got["dx"], got["dy"], got["dz"]) == pytest.approx((-1.8, 0.9, -2.0), abs=0.025)
+        assert got["rmse"] < 0.02
+    elif align == "vertical":
+        assert abs(got["bias"]) < 1e-5 and (got["dx"], got["dy"]) == (0, 0) and got["rmse"] > 1
+    else:
+        assert (got["dx"], got["dy"], got["dz"]) == (0, 0, 0) and got["bias"] == pytest.approx(2.0, abs=0.5)
+
+
+def test_other_grid_and_crs(make_raster, terrain, surface):
+    """The same surface in two UTM zones and cell sizes; what is left is bilinear interpolation."""
+    reference = make_raster(
+        "ref.tif", terrain(200, 220, cell=1.0), cell=1.0, crs="EPSG:32631", origin=(499890.0, 5000000.0)
+    )
+    to_zone_31 = Transformer.from_crs("EPSG:32632", "EPSG:32631", always_xy=True)
+    x0, y0 = Transformer.from_crs("EPSG:32631", "EPSG:32632", always_xy=True).transform(499900.0, 4999980.0)
+    row, column = np.mgrid[:300, :320].astype(float)
+    x, y = to_zone_31.transform(x0 + (column + 0.5) * 0.5, y0 - (row + 0.5) * 0.5)
+    dsm = make_raster(
+        "dsm.tif", surface(x - 499890.0, y - 5000000.0) + 0.5, cell=0.5, crs="EPSG:32632", origin=(x0, y0)
+    )
+    got = compare(dsm, reference)
+    assert got["cells"] > 15000
+    assert got["bias"] == pytest.approx(0.5, abs=0.01) and got["nmad"] < 0.05
+    moved = compare(dsm, reference, align="3d")
+    assert np.hypot(moved["dx"], moved["dy"]) < 0.05 and moved["dz"] == pytest.approx(-0.5, abs=0.01)
+
+
+def test_reference_in_degrees(make_raster, surface):
+    """Shifts come in metres although the reference's unit is the degree."""
+    cell = 1e-5
+    grid = Grid("", (300, 260), (5.4, cell, 0, 43.3, 0, -cell), "EPSG:4326")
+    mx, my = metres_per_unit(grid)
+    row, column = np.mgrid[:260, :300].astype(float)
+
+    def at(dx, dy):
+        return surface((column + 0.5) * cell * mx - dx, -(row + 0.5) * cell * my - dy)
+
+    b = make_raster("ref.tif", at(0, 0), cell=cell, crs="EPSG:4326", origin=(5.4, 43.3))
+    a = make_raster("dsm.tif", at(2.2, -1.4) + 1, cell=cell, crs="EPSG:4326", origin=(5.4, 43.3))
+    got = compare(a, b, align="3d")
+    assert (got["dx"], got["dy"], got["dz"]) == pytest.approx((-2.2, 1.4, -1.0), abs=0.04)
+
+
+def test_metres_per_degree_against_geodesics():
+    from pyproj import Geod
+
+    grid = Grid("", (2, 2), (5.0, 0.01, 0, 45.01, 0, -0.01), "EPSG:4326")
+    geod = Geod(ellps="WGS84")
+    _, _, east = geod.inv(5.0, 45.0, 5.001, 45.0)
+    _, _, north = geod.inv(5.0, 44.9995, 5.0, 45.0005)
+    assert metres_per_unit(grid) == pytest.approx((east * 1000, north * 1000), rel=1e-6)
+
+
+def test_holes_do_not_bleed(make_raster):
+    dsm = np.full((60, 60), 10.0)
+    dsm[:, 30:] = np.nan
+    dsm[10, 10] = np.nan
+    a = make_raster("dsm.tif", dsm, origin=(ORIGIN[0] + 0.2, ORIGIN[1]), nodata=-32768.0)
+    b = make_raster("ref.tif", np.full((60, 60), 10.0))
+    got = compare(a, b)
+    assert got["rmse"] < 1e-6
+    # the edge and the single hole keep their places (the nearest cells of the DSM's are those of the same number)
+    assert got["cells"] == 60 * 30 - 1
+
+
+@pytest.mark.parametrize("missing", [np.nan, -9999.0])
+def test_undeclared_nodata(make_raster, missing):
+    dsm = np.full((50, 50), 7.0)
+    dsm[5:10] = missing
+    got = compare(make_raster("dsm.tif", dsm, nodata=None), make_raster("ref.tif", np.full((50, 50), 6.0)))
+    assert got["cells"] == 2250 and got["rmse"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("site", ["pleiades_pair", "pleiades_triplet", "truth_urban"])
+def test_agrees_with_the_scoring_tool_on_real_dsms(shared_data, make_raster, site):
+    path = shared_data / site / ("truth.tif" if site == "truth_urban" else "s2p_dsm.tif")
+    dataset = gdal.Open(str(path))
+    z = dataset.ReadAsArray().astype(np.float32)
+    z[z < -9000] = np.nan
+    gt = dataset.GetGeoTransform()
+    rng = np.random.default_rng(4)
+    noisy = z + rng.normal(0.2, 0.4, z.shape)
+    dsm = make_raster("dsm.tif", noisy, origin=(gt[0] + 0.13, gt[3] - 0.21), cell=gt[1], wkt=dataset.GetProjection())
+    got, want = compare(dsm, str(path), thresholds=[1, 2.5, 5]), score(shared_data, dsm, str(path))
+    assert got["nmad"] == pytest.approx(want["NMAD"], abs=0.01)
+    assert got["bias"] == pytest.approx(want["bias"], abs=0.01)
+    assert got["me"] == pytest.approx(want["ME"], abs=0.01)
+    # only holes differ: the tool's resampling closes small ones, ours keeps their size
+    assert np.isfinite(z).sum() == pytest.approx(got["cells"] / got["valid"] * 100)
+    assert 98 < got["valid"] <= want["valid"] + 0.01
+    assert want["C1"] - 3 < got["completeness"] <= want["C1"] + 0.01
+    same = compare(str(path), str(path))
+    assert same["rmse"] == 0 and same["valid"] == pytest.approx(100)
+
+
+def test_identical_grids_agree_exactly_with_the_tool(shared_data, make_raster):
+    path = shared_data / "truth_urban" / "truth.tif"
+    dataset = gdal.Open(str(path))
+    z = dataset.ReadAsArray().astype(np.float32)
+    gt = dataset.GetGeoTransform()
+    rng = np.random.default_rng(4)
+    noisy = np.where((z > -9000) & (rng.random(z.shape) > 0.1), z + rng.normal(0.2, 0.4, z.shape), np.nan)
+    dsm = make_raster("dsm.tif", noisy, origin=(gt[0], gt[3]), cell=gt[1], wkt=dataset.GetProjection())
+    got, want = compare(dsm, str(path)), score(shared_data, dsm, str(path))
+    for ours, theirs in (
+        ("rmse", "RMSE"),
+        ("me", "ME"),
+        ("mae", "MAE"),
+        ("nmad", "NMAD"),
+        ("bias", "bias"),
+        ("valid", "valid"),
+        ("completeness", "C1"),
+    ):
+        assert got[ours] == pytest.approx(want[theirs], abs=0.00051), ours
+
+
+def test_vertical_datums_that_differ(make_raster, terrain):
+    """Ellipsoidal heights against EGM96, checked with pyproj's own answer."""
+    group = TransformerGroup("EPSG:4979", "EPSG:4326+5773", always_xy=True, allow_ballpark=False)
+    if not group.transformers:
+        pytest.skip("PROJ's EGM96 grid is not installed")
+    lon, lat = Transformer.from_crs("EPSG:32631", 4326, always_xy=True).transform(500025.0, 4999975.0)
+    geoid = -group.transformers[0].transform(lon, lat, 0.0)[2]
+    z = terrain(100, 100)
+    a = make_raster("dsm.tif", z + geoid, wkt=ellipsoidal_utm31())
+    b = make_raster("ref.tif", z, crs="EPSG:32631+5773")
+    got = compare(a, b)
+    assert abs(geoid) > 40
+    assert abs(got["bias"]) < 0.01 and got["nmad"] < 0.01
+
+
+def ellipsoidal_utm31():
+    from pyproj import CRS
+
+    return CRS("EPSG:32631").to_3d().to_wkt("WKT2_2019")
+
+
+def test_missing_vertical_grid_is_named(make_raster, terrain):
+    group = TransformerGroup("EPSG:4979", "EPSG:4326+3855", always_xy=True, allow_ballpark=False)
+    if group.transformers:
+        pytest.skip("PROJ's EGM2008 grid is installed here")
+    a = make_raster("dsm.tif", terrain(50, 50), wkt=ellipsoidal_utm31())
+    b = make_raster("ref.tif", terrain(50, 50), crs="EPSG:32631+3855")
+    with pytest.raises(ImageError, match=r"EGM2008.*us_nga_egm08.*Install"):
+        compare(a, b)
+
+
+def test_one_silent_datum_is_a_warning(make_raster, terrain):
+    watch = Watch()
+    compare(
+        make_raster("dsm.tif", terrain(50, 50)), make_raster("ref.tif", terrain(50, 50), crs="EPSG:32631+5773"), watch
+    )
+    assert len(watch.warnings) == 1 and "dsm.tif" in watch.warnings[0] and "EGM96" in watch.warnings[0]
+
+
+def test_apart_says_both_extents(make_raster, terrain):
+    a, b = (
+        make_raster("dsm.tif", terrain(50, 50)),
+        make_raster("ref.tif", terrain(50, 50), origin=(510000.0, 5000000.0)),
+    )
+    with pytest.raises(OverlapError, match=r"500000\.\.500025.*510000\.\.510025"):
+        compare(a, b)
+
+
+def test_nothing_in_common_but_frames(make_raster, tmp_path, terrain):
+    left, right = terrain(60, 60), terrain(60, 60)
+    left[:, 30:] = np.nan
+    right[:, :30] = np.nan
+    a, b = make_raster("dsm.tif", left), make_raster("ref.tif", right)
+    with pytest.raises(EmptyResultError, match="1800 cells"):
+        compare(a, b, error=str(tmp_path / "e.tif"))
+    assert not (tmp_path / "e.tif").exists() and not list(tmp_path.glob(".*"))
+    with pytest.raises(EmptyResultError, match="Only 0 cells"):
+        compare(a, b, align="vertical")
+
+
+def test_bad_files(make_raster, tmp_path, terrain):
+    good = make_raster("good.tif", terrain(50, 50))
+    with pytest.raises(ImageError, match="absent.tif.*does not exist"):
+        compare(str(tmp_path / "absent.tif"), good)
+    (tmp_path / "text.tif").write_text("no raster")
+    with pytest.raises(ImageError, match="text.tif"):
+        compare(good, str(tmp_path / "text.tif"))
+    with pytest.raises(ImageError, match="bare.tif.*no coordinate reference system"):
+        compare(make_raster("bare.tif", terrain(50, 50), crs=None), good)
+    whole = Path(make_raster("cut.tif", np.random.default_rng(0).normal(size=(400, 400)))).read_bytes()
+    (tmp_path / "cut.tif").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ImageError, match="cut.tif"):
+        compare(str(tmp_path / "cut.tif"), make_raster("large.tif", terrain(400, 400)))
+
+
+def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
+    class Stop(Silent):
+        def check_cancelled(self):
+            raise Cancelled
+
+    a = make_raster("dsm.tif", terrain(50, 50))
+    with pytest.raises(Cancelled):
+        compare(a, a, Stop(), error=str(tmp_path / "e.tif"), report=str(tmp_path / "r.html"))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["dsm.tif"]
+
+
+def test_blocks_do_not_show(make_raster, tmp_path, monkeypatch, terrain):
+    from repm_qgis.evaluation import comparison
+
+    a = make_raster("dsm.tif", terrain(150, 170, 0.3, 0.4), origin=(ORIGIN[0] - 3.2, ORIGIN[1] + 2.7))
+    b = make_raster("ref.tif", terrain(150, 170))
+    whole = compare(a, b, error=str(tmp_path / "one.tif"))
+    monkeypatch.setattr(comparison._Blocks, "_side", lambda self: 40)
+    parts = compare(a, b, error=str(tmp_path / "many.tif"))
+    one, many = gdal.Open(str(tmp_path / "one.tif")).ReadAsArray(), gdal.Open(str(tmp_path / "many.tif")).ReadAsArray()
+    assert np.array_equal(one == -9999, many == -9999) and np.abs(one - many).max() < 1e-3
+    assert parts["rmse"] == pytest.approx(whole["rmse"], abs=1e-5)

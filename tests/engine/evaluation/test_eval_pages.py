@@ -1,0 +1,252 @@
+from __future__ import annotations
+
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+from repm_qgis.errors import ImageError, OptionError, WorkspaceError
+from repm_qgis.evaluation import charts, pictures, styles
+from repm_qgis.evaluation.report import Report, number
+from repm_qgis.progress import Silent
+from repm_qgis.stages import run_stage
+
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+
+
+class Checker(HTMLParser):
+    """Every tag is closed in order, and nothing refers to another place than the page itself."""
+
+    def __init__(self):
+        super().__init__(convert_charrefs=True)
+        self.open, self.text, self.tags = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        for name, value in attributes:
+            if name in ("src", "href", "xlink:href", "action", "data", "srcset"):
+                assert value.startswith(("#", "data:image/png;base64,")), (tag, name, value[:80])
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open.pop() == tag, tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def checked(text):
+    page = Checker()
+    page.feed(text)
+    page.close()
+    assert page.open == []
+    assert "@import" not in text and "url(http" not in text and "<script" not in text
+    return page
+
+
+def full_page():
+    rng = np.random.default_rng(0)
+    outline = np.array([[5.0, 43.0], [5.1, 43.0], [5.1, 43.1], [5.0, 43.1]])
+    page = Report("A <b>title</b> & more", "sub")
+    page.section("One").paragraph("<i>x</i>").facts({"a<": 1.5}).facts([("b", None)])
+    page.section("Two").table(["name", "value"], [["<x>", 1.25], ["y", None]], "a caption").warning("odd", "do this")
+    page.section("Three").command("run --x <y>").png(pictures.png_bytes(np.zeros((3, 4, 3), np.uint8)), 'a "quote"', 40)
+    page.svg(charts.histogram(rng.normal(size=500), "m", "<t>")).svg(charts.bars({"<a>": 2, "b": 1}, "s"))
+    page.svg(charts.curves({"<c>": (np.arange(9), np.arange(9) ** 2), "d": ([0, 1], [np.nan, 2])}, "x", "y"))
+    page.svg(charts.footprints({"<img>": outline}, outline * 1.0)).svg(
+        charts.arrows(rng.uniform(0, 9, (5, 2)), np.ones((5, 2)))
+    )
+    return page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -1, 1, "m"))
+
+
+def test_page_is_whole_escaped_and_offline():
+    page = checked(full_page().html())
+    text = "".join(page.text)
+    for piece in ("A <b>title</b> & more", "<i>x</i>", "<x>", "run --x <y>", "<img>", "<c>", "do this"):
+        assert piece in text
+    assert "i" not in page.tags and "x" not in page.tags and page.tags.count("svg") == 6
+    assert page.tags.count("nav") == 1
+
+
+def test_comparison_report_is_whole_and_offline(make_raster, tmp_path, terrain):
+    a, b = make_raster("dsm.tif", terrain(120, 120, 0.4) + 3), make_raster("ref.tif", terrain(120, 120))
+    run_stage("comparedsm", {"dsm": a, "reference": b, "align": "3d", "report": str(tmp_path / "r.html")}, Silent())
+    page = checked((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert page.tags.count("img") == 3 and page.tags.count("svg") == 3 and page.tags.count("table") >= 5
+    assert "-0.400 m" in "".join(page.text)
+
+
+def test_report_refuses_what_it_cannot_show(tmp_path):
+    page = Report("x")
+    with pytest.raises(ValueError, match="1 cells under 2"):
+        page.table(["a", "b"], [[1]])
+    for bad in (
+        "<svg><script>1</script></svg>",
+        "<p>",
+        '<svg onload="x()"></svg>',
+        '<svg><image href="http://x"/></svg>',
+    ):
+        with pytest.raises(ValueError):
+            page.svg(bad)
+    with pytest.raises(ValueError):
+        page.png(b"GIF89a")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WorkspaceError):
+        page.write(tmp_path / "file" / "r.html")
+
+
+@pytest.mark.parametrize(
+    "value, text",
+    [
+        (0.0123456, "0.01235"),
+        (12345.678, "12345.7"),
+        (None, "–"),
+        (float("nan"), "–"),
+        (np.int64(12345), "12345"),
+        (np.float32(2.5), "2.5"),
+        (True, "yes"),
+        (-0.0, "0"),
+        ("a", "a"),
+        (3e-7, "3.00e-07"),
+    ],
+)
+def test_numbers_read_well(value, text):
+    assert number(value) == text
+
+
+def test_numbers_are_right_aligned_by_column():
+    text = Report("x").table(["a", "b", "c"], [["x1 y", "0.4 m", 3], ["z", "–", None]]).html()
+    head = text[text.index("<thead>") : text.index("</thead>")]
+    assert head == '<thead><tr><th>a</th><th class="n">b</th><th class="n">c</th></tr>'
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda: charts.histogram(np.full(9, np.nan)),
+        lambda: charts.histogram([]),
+        lambda: charts.histogram(np.full(9, 2.0)),
+        lambda: charts.curves({}),
+        lambda: charts.curves({"a": ([1], [1])}),
+        lambda: charts.bars({}),
+        lambda: charts.bars({"a": 0}),
+        lambda: charts.footprints({}),
+        lambda: charts.footprints({"a": [[1, 1]]}),
+        lambda: charts.arrows([], []),
+        lambda: charts.arrows([[5, 5]], [[0, 0]]),
+        lambda: charts.histogram((np.array([0, 0]), np.array([0, 1, 2]))),
+    ],
+)
+def test_charts_of_next_to_nothing(draw):
+    text = draw()
+    assert "nan" not in text.replace("Noto Sans", "") and "inf" not in text
+    checked(text)
+
+
+def test_histogram_bars_add_up():
+    import re
+
+    text = charts.histogram((np.array([1.0, 3.0]), np.array([0.0, 1.0, 2.0])))
+    heights = [float(h) for h in re.findall(r'<rect [^>]*height="([\d.]+)" fill="#2b83ba"', text)]
+    assert len(heights) == 2 and heights[1] == pytest.approx(3 * heights[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("low, high", [(0, 1), (-3.2, 7.9), (2270.4, 2376.1), (0, 1e-5), (-1e6, 1e6)])
+def test_ticks_are_round_and_inside(low, high):
+    found = charts.ticks(low, high)
+    assert 2 <= len(found) <= 8 and low - 1e-9 <= found[0] and found[-1] <= high * (1 + 1e-9) + 1e-9
+    step = found[1] - found[0]
+    assert round(step / 10 ** np.floor(np.log10(step) + 1e-9)) in (1, 2, 5, 10)
+
+
+def test_png_keeps_every_pixel():
+    rng = np.random.default_rng(0)
+    for shape in ((17, 23), (17, 23, 3), (17, 23, 4)):
+        picture = rng.integers(0, 256, shape).astype(np.uint8)
+        gdal.FileFromMemBuffer("/vsimem/test_eval.png", pictures.png_bytes(picture))
+        dataset = gdal.Open("/vsimem/test_eval.png")
+        back = dataset.ReadAsArray()
+        dataset = None
+        gdal.Unlink("/vsimem/test_eval.png")
+        assert np.array_equal(back if picture.ndim == 2 else np.moveaxis(back, 0, 2), picture)
+    assert not [name for name in (gdal.ReadDir("/vsimem/") or []) if name.startswith("repm_")]
+    with pytest.raises(ValueError):
+        pictures.png_bytes(np.zeros((3, 3)))
+
+
+def test_hillshade_is_gdals(terrain):
+    z = terrain(80, 90).astype(np.float32)
+    memory = gdal.GetDriverByName("MEM").Create("", 90, 80, 1, gdal.GDT_Float32)
+    memory.SetGeoTransform((0, 0.5, 0, 0, 0, -0.5))
+    memory.GetRasterBand(1).WriteArray(z)
+    want = (
+        gdal.DEMProcessing("", memory, "hillshade", format="MEM", azimuth=300, altitude=40).ReadAsArray().astype(float)
+    )
+    got = 1 + 254 * pictures.hillshade(z, 0.5, 300, 40)
+    assert np.abs(got - want)[1:-1, 1:-1].max() < 1.0
+
+
+def test_colours_and_relief(terrain):
+    got = pictures.colour_map(np.array([[0.0, 5.0, 10.0, np.nan, 99.0]]), 0, 10, "diverging")
+    assert [tuple(c) for c in got[0]][0] == pictures.rgb(pictures.RAMPS["diverging"][0]) + (255,)
+    assert got[0, 1, :3].min() >= 253 and got[0, 3, 3] == 0 and np.array_equal(got[0, 4], got[0, 2])
+    relief = pictures.shaded_relief(np.where(np.eye(40) > 0, np.nan, terrain(40, 40)), 0.5)
+    assert relief.shape == (40, 40, 4) and np.array_equal(relief[..., 3] == 0, np.eye(40) > 0)
+    assert pictures.shaded_relief(np.full((5, 5), np.nan), 1.0)[..., 3].max() == 0
+    for ramp in ("viridis", "magma", "elevation", "grey"):
+        light = pictures.ramp_table(ramp) @ np.array([0.299, 0.587, 0.114])
+        assert (np.diff(light) > -0.6).all() and light[-1] - light[0] > 120, ramp
+
+
+def test_relief_png_of_a_file(make_raster, tmp_path, terrain):
+    path = make_raster("dsm.tif", terrain(300, 600))
+    pictures.shaded_relief_png(path, tmp_path / "p.png", max_px=200)
+    dataset = gdal.Open(str(tmp_path / "p.png"))
+    assert (dataset.RasterXSize, dataset.RasterYSize, dataset.RasterCount) == (200, 100, 4)
+    values, cell = pictures.preview(path, 200)
+    assert values.shape == (100, 200) and cell == pytest.approx(1.5)
+    with pytest.raises(ImageError):
+        pictures.shaded_relief_png(tmp_path / "none.tif", tmp_path / "q.png")
+
+
+@pytest.mark.parametrize("kind", ["dsm", "error", "dsm_error", "confidence", "ortho", "hillshade"])
+def test_raster_styles_carry_the_rasters_range(make_raster, tmp_path, kind):
+    import xml.dom.minidom as minidom
+
+    values = np.linspace(-2, 8, 10000).reshape(100, 100)
+    sidecar = styles.write_style(kind, make_raster("layer.tif", values))
+    assert sidecar == str(tmp_path / "layer.qml")
+    text = open(sidecar, encoding="utf-8").read()
+    assert "@" not in text
+    document = minidom.parseString(text.split("\n", 1)[1])  # noqa: S318 - our own file
+    if kind == "hillshade":
+        return
+    if kind == "ortho":
+        found = [float(document.getElementsByTagName(t)[0].firstChild.data) for t in ("minValue", "maxValue")]
+    else:
+        items = [float(i.getAttribute("value")) for i in document.getElementsByTagName("item")]
+        assert items == sorted(items) and len(items) >= 9
+        found = [items[0], items[-1]]
+    want = {"error": [0.0, 7.8], "dsm_error": [-7.8, 7.8]}.get(kind, [-1.8, 7.8])
+    assert found == pytest.approx(want, abs=0.01)
+
+
+@pytest.mark.parametrize("heights", [np.full((30, 30), 5.0), np.full((30, 30), np.nan)])
+def test_styles_of_flat_and_empty_rasters(make_raster, heights):
+    text = open(styles.write_style("dsm", make_raster("layer.tif", heights)), encoding="utf-8").read()
+    assert "nan" not in text and "@" not in text
+
+
+def test_vector_styles_and_unknown_kinds(tmp_path):
+    for kind, field in (("tiles", "worst_rmse"), ("tie_points", "residual")):
+        text = open(styles.write_style(kind, tmp_path / f"{kind}.gpkg"), encoding="utf-8").read()
+        assert f'attr="{field}"' in text
+    with pytest.raises(OptionError, match="kind is 'x'"):
+        styles.write_style("x", tmp_path / "a.tif")

@@ -1,0 +1,35 @@
+"""The environment stage: its report says what it found."""
+
+from __future__ import annotations
+
+from repm_qgis.progress import Recorder, Silent
+from repm_qgis.stages import environment, run_stage
+
+
+def test_the_report_holds_versions_and_machine(tmp_path):
+    import numpy
+
+    report = tmp_path / "environment.html"
+    result = run_stage("environment", {"report": str(report)}, Silent())
+    page = report.read_text(encoding="utf-8")
+    assert result["report"] == str(report)
+    assert numpy.__version__ in page and result["interpreter"] in page
+    for name in result["versions"]:
+        assert name in page
+    assert f"{result['memory']['total_bytes'] / 2**30:.1f} GiB" in page
+
+
+def test_what_is_missing_is_warned_of_with_its_command(tmp_path, monkeypatch):
+    found = environment.survey()
+    found["missing"] = [{"package": "pycolmap", "purpose": "tie points", "command": "python -m pip install pycolmap"}]
+    monkeypatch.setattr(environment, "survey", lambda folder: found)
+    heard, report = Recorder(Silent()), tmp_path / "r.html"
+    result = run_stage("environment", {"report": str(report)}, heard)
+    assert heard.warnings == ["pycolmap is missing (tie points). Install it with: python -m pip install pycolmap"]
+    assert "python -m pip install pycolmap" in report.read_text(encoding="utf-8")
+    assert result["missing"] == found["missing"]
+
+
+def test_without_a_report_it_only_tells():
+    result = run_stage("environment", {}, Silent())
+    assert result["report"] is None and result["cores"] >= 1

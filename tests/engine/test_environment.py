@@ -1,0 +1,93 @@
+"""What the environment survey finds, against what the machine says by other ways."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import subprocess
+import sys
+
+import pytest
+
+from repm_qgis import environment
+from repm_qgis.environment import PACKAGES, Package, install_command, survey, version_of
+
+
+@pytest.fixture(scope="module")
+def found():
+    return survey()
+
+
+def test_versions_are_those_of_the_packages_themselves(found):
+    import numpy
+    import pyproj
+    from osgeo import gdal
+
+    assert found["versions"]["numpy"] == numpy.__version__
+    assert found["versions"]["GDAL"] == gdal.__version__
+    assert found["versions"]["pyproj"] == pyproj.__version__
+    assert found["versions"]["opencv-python-headless"] == importlib.metadata.version("opencv-python-headless")
+    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert found["interpreter"] == sys.executable
+
+
+def test_what_is_missing_comes_with_the_command_that_installs_it(monkeypatch):
+    import numpy
+
+    gone = Package("surely_no_such_module", "opencv-python-headless", "", "a test")
+    system = Package("surely_no_such_module_either", "scipy", "python3-scipy", "a test")
+    monkeypatch.setattr(environment, "PACKAGES", (*PACKAGES[:3], gone, system))
+    monkeypatch.setattr(environment.shutil, "which", lambda name: "/usr/bin/apt-get" if name == "apt-get" else None)
+    missing = {entry["package"]: entry["command"] for entry in survey()["missing"]}
+    assert set(missing) == {"opencv-python-headless", "scipy"}
+    pip = missing["opencv-python-headless"]
+    assert pip.startswith(f'{sys.executable} -m pip install "opencv-python-headless>=')
+    assert f'"numpy=={numpy.__version__}"' in pip  # QGIS's own stays
+    assert missing["scipy"].endswith("apt-get install -y python3-scipy")
+    monkeypatch.setattr(environment.shutil, "which", lambda name: None)
+    assert "with your QGIS" in install_command(system)
+
+
+def test_a_module_that_is_not_there_has_no_version():
+    assert version_of(Package("surely_no_such_module", "x", "", "")) is None
+    assert version_of(PACKAGES[0]) is not None
+
+
+def test_memory_and_cores_agree_with_the_kernel(found):
+    pages = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert found["memory"]["total_bytes"] == pytest.approx(pages, rel=0.01)
+    assert 0 < found["memory"]["available_bytes"] <= found["memory"]["total_bytes"]
+    assert found["cores"] == len(os.sched_getaffinity(0))
+    assert found["disk_free_bytes"] > 0
+
+
+def test_cuda_needs_a_build_and_a_device(monkeypatch):
+    for built in (True, False):
+        for devices in ([], ["NVIDIA X, 80 GiB"]):
+            monkeypatch.setattr(environment, "_ask", lambda code, built=built: str(built))
+            monkeypatch.setattr(environment, "_nvidia_devices", lambda devices=devices: devices)
+            assert environment.cuda() == {"built": built, "devices": devices, "usable": built and bool(devices)}
+
+
+def test_a_package_that_crashes_when_imported_does_not_end_the_survey():
+    assert environment._ask("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)") == ""
+    assert environment._ask("print('yes')") == "yes"
+
+
+def test_proj_grids_are_looked_for_where_proj_looks(found, tmp_path, monkeypatch):
+    import pyproj
+
+    assert found["proj"]["version"] == pyproj.proj_version_str
+    assert os.path.exists(os.path.join(found["proj"]["folders"][0], "proj.db"))
+    monkeypatch.setattr(pyproj.datadir, "get_user_data_dir", lambda: str(tmp_path))
+    assert not environment.proj()["grids"]["us_nga_egm08_25.tif"] or found["proj"]["grids"]["us_nga_egm08_25.tif"]
+    (tmp_path / "us_nga_egm08_25.tif").touch()
+    assert environment.proj()["grids"]["us_nga_egm08_25.tif"]
+
+
+def test_the_survey_imports_none_of_the_heavy_packages():
+    code = ("import sys; from repm_qgis.environment import survey; survey();"
+            "print(sorted(set(sys.modules) & {'cv2', 'pycolmap', 'laspy', 'lazrs', 'qgis'}))")
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True,
+                          cwd=os.path.dirname(os.path.dirname(environment.__file__)))
+    assert done.stdout.strip() == "[]"

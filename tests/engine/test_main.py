@@ -1,0 +1,74 @@
+"""``python -m repm_qgis``: what goes over standard output, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def engine(*arguments, **keywords):
+    return subprocess.run([sys.executable, "-m", "repm_qgis", *map(str, arguments)], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False, **keywords)
+
+
+def messages(done):
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def job(tmp_path, **options):
+    path = tmp_path / "job.json"
+    path.write_text(json.dumps(options))
+    return path
+
+
+def test_a_result_is_the_last_of_json_lines_and_code_0(tmp_path):
+    done = engine("environment", job(tmp_path, report=str(tmp_path / "r.html")))
+    assert done.returncode == 0
+    said = messages(done)
+    assert said[-1]["type"] == "result" and said[-1]["result"]["report"] == str(tmp_path / "r.html")
+    fractions = [message["fraction"] for message in said if message["type"] == "progress"]
+    assert fractions == sorted(fractions) and fractions[-1] == 1
+
+
+def test_expected_failures_are_sentences_and_code_1(tmp_path):
+    broken = tmp_path / "broken.json"
+    broken.write_text('{"report": ')
+    for arguments, words in (
+            (["environment"], "must be a STAGE and a JOB.json"),
+            (["nonsense", job(tmp_path)], "must be one of epmfit"),
+            (["environment", broken], "must be a readable JSON file"),
+            (["environment", tmp_path / "gone.json"], "must be a readable JSON file"),
+            (["environment", job(tmp_path, colour="red")], "is not an option of this stage")):
+        done = engine(*arguments)
+        assert done.returncode == 1
+        assert messages(done)[-1]["type"] == "error"
+        assert words in messages(done)[-1]["text"]
+        assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_sigterm_cancels_and_cleans_up(tmp_path):
+    folder = tmp_path / "scene"
+    running = subprocess.Popen([sys.executable, "-m", "repm_qgis", "sampledata",
+                                str(job(tmp_path, folder=str(folder), size=2000))], cwd=ROOT, text=True,
+                               stdout=subprocess.PIPE, start_new_session=True)
+    running.stdout.readline()  # it has begun
+    time.sleep(0.5)
+    os.killpg(running.pid, signal.SIGTERM)
+    said, _ = running.communicate(timeout=10)
+    assert running.returncode == 1
+    assert json.loads(said.splitlines()[-1]) == {"type": "error", "kind": "Cancelled", "text": "Cancelled by the user."}
+
+
+def test_the_engine_runs_where_qgis_cannot_be_imported(tmp_path):
+    code = ("import sys; sys.modules['qgis'] = None; sys.modules['PyQt5'] = None; "
+            "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))")
+    done = subprocess.run([sys.executable, "-c", code, "environment", str(job(tmp_path))], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, check=False)
+    assert done.returncode == 0 and messages(done)[-1]["type"] == "result"

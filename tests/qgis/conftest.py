@@ -1,0 +1,124 @@
+"""A session with QGIS's core, Processing and our plugin loaded as it is in a profile: as the package "repm"."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+pytest.importorskip("qgis.core", reason="QGIS's Python modules are not visible here: run 'make setup'")
+
+
+@pytest.fixture(scope="session")
+def plugin(tmp_path_factory):
+    """The plugin, loaded and registered without a desktop; unloaded, and QGIS ended, at the end."""
+    from qgis.core import QgsApplication
+
+    profile = tmp_path_factory.mktemp("profile")
+    os.environ["QGIS_CUSTOM_CONFIG_PATH"] = str(profile)
+    os.environ.setdefault("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
+    plugins = tmp_path_factory.mktemp("plugins")
+    (plugins / "repm").symlink_to(ROOT)
+    application = QgsApplication([], False)
+    application.initQgis()
+    sys.path[:0] = [os.path.join(QgsApplication.pkgDataPath(), "python", "plugins"), str(plugins)]
+    from processing.core.Processing import Processing
+
+    Processing.initialize()
+    loaded = importlib.import_module("repm").classFactory(None)
+    loaded.initProcessing()
+    yield loaded
+    loaded.unload()
+    Processing.deinitialize()
+    application.exitQgis()
+
+
+@pytest.fixture
+def provider(plugin):
+    return plugin.provider
+
+
+@pytest.fixture
+def context(plugin):
+    from qgis.core import QgsProcessingContext
+
+    return QgsProcessingContext()
+
+
+class Ears:
+    """A feedback that keeps what it hears."""
+
+    def __new__(cls):
+        from qgis.core import QgsProcessingFeedback
+
+        class Feedback(QgsProcessingFeedback):
+            def __init__(self):
+                super().__init__(False)
+                self.heard = {"info": [], "warning": [], "error": [], "text": [], "progress": []}
+                self.progressChanged.connect(self.heard["progress"].append)
+
+            def pushInfo(self, info):
+                self.heard["info"].append(info)
+
+            def pushWarning(self, warning):
+                self.heard["warning"].append(warning)
+
+            def reportError(self, error, fatalError=False):
+                self.heard["error"].append(error)
+
+            def setProgressText(self, text):
+                self.heard["text"].append(text)
+
+        return Feedback()
+
+
+@pytest.fixture(scope="session")
+def ears(plugin):
+    """Makes a feedback that keeps what it hears."""
+    return Ears
+
+
+@pytest.fixture
+def feedback(ears):
+    return ears()
+
+
+@pytest.fixture(scope="session")
+def headless(tmp_path_factory):
+    """Runs scripts/qgis-headless in a configuration folder of this session's; gives the finished process."""
+    config = tmp_path_factory.mktemp("headless")
+
+    def run(*arguments, timeout=120, config=config, **variables):
+        # The tests' own interpreter must not tell qgis_process where Python is.
+        environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_"))}
+        environment.update(REPM_QGIS_CONFIG=str(config), **variables)
+        return subprocess.run([str(ROOT / "scripts" / "qgis-headless"), *map(str, arguments)], env=environment,
+                              stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, timeout=timeout, check=False)
+
+    return run
+
+
+def _truth_scene(folder, size):
+    from repm_qgis.progress import Silent
+    from repm_qgis.stages import run_stage
+
+    return run_stage("sampledata", {"folder": str(folder), "kind": "urban", "size": size, "seed": 7}, Silent())
+
+
+@pytest.fixture(scope="session")
+def sample(tmp_path_factory):
+    """A small truth scene: {"images": [...], "truth": ..., ...}."""
+    return _truth_scene(tmp_path_factory.mktemp("sample"), 256)
+
+
+@pytest.fixture(scope="session")
+def town(tmp_path_factory):
+    """A truth scene that is large enough for a DSM."""
+    return _truth_scene(tmp_path_factory.mktemp("town"), 500)

@@ -1,0 +1,103 @@
+"""Runs inside a real QGIS desktop (``qgis --code``): opens an algorithm from the toolbox, runs it, tells what came.
+
+Reads the plan from REPM_DESKTOP_PLAN (JSON): title, parameters, folder, seconds. Writes found.json, dialog.png, log.png
+and map.png into the folder, and ends QGIS.
+"""
+
+import json
+import os
+import sys
+import traceback
+
+from qgis.core import QgsProject
+from qgis.PyQt.QtCore import QTimer
+from qgis.PyQt.QtWidgets import QApplication
+from qgis.utils import iface, plugins
+
+with open(os.environ["REPM_DESKTOP_PLAN"], encoding="utf-8") as stream:
+    PLAN = json.load(stream)
+FOUND = {"steps": [], "layers": []}
+
+
+def finish(code=0):
+    with open(os.path.join(PLAN["folder"], "found.json"), "w", encoding="utf-8") as output:
+        json.dump(FOUND, output, indent=1)
+    QgsProject.instance().setDirty(False)
+    sys.stdout.flush()
+    os._exit(code)  # the questions that QGIS asks at its end have nobody to answer them here
+
+
+def guarded(step):
+    def run(*arguments):
+        try:
+            FOUND["steps"].append(step.__name__)
+            step(*arguments)
+        except Exception:
+            FOUND["error"] = traceback.format_exc()
+            finish(1)
+    return run
+
+
+def picture(widget, name):
+    widget.grab().save(os.path.join(PLAN["folder"], name))
+
+
+@guarded
+def open_from_toolbox():
+    iface.mainWindow().resize(1280, 860)
+    toolbox = plugins["processing"].toolbox
+    toolbox.setUserVisible(True)
+    toolbox.searchBox.setText(PLAN["title"])
+    tree = toolbox.algorithmTree
+    tree.setFilterString(PLAN["title"])
+    tree.expandAll()
+    index = tree.model().index(0, 0)
+    while index.isValid() and tree.algorithmForIndex(index) is None:
+        index = tree.model().index(0, 0, index)
+    tree.setCurrentIndex(index)
+    chosen = tree.selectedAlgorithm()
+    FOUND["chosen"] = chosen.id() if chosen else None
+    QTimer.singleShot(1500, fill_in)
+    toolbox.executeAlgorithm()
+
+
+@guarded
+def fill_in():
+    dialogs = [widget for widget in QApplication.topLevelWidgets()
+               if hasattr(widget, "algorithm") and hasattr(widget, "runButton") and widget.isVisible()]
+    dialog = dialogs[0]
+    dialog.setParameters(PLAN["parameters"])
+    dialog.resize(980, 760)
+    FOUND["title"] = dialog.windowTitle()
+    FOUND["help"] = len(dialog.algorithm().shortHelpString())
+    QApplication.processEvents()
+    picture(dialog, "dialog.png")
+    dialog.algorithmFinished.connect(lambda success, results: QTimer.singleShot(1500, lambda: look(dialog, success)))
+    dialog.runButton().click()
+
+
+@guarded
+def look(dialog, success):
+    FOUND["success"] = bool(success)
+    picture(dialog, "log.png")
+    dialog.close()
+    for layer in QgsProject.instance().mapLayers().values():
+        renderer = layer.renderer() if hasattr(layer, "renderer") else None
+        FOUND["layers"].append({"name": layer.name(), "valid": layer.isValid(), "crs": layer.crs().authid(),
+                                "source": layer.source(), "renderer": type(renderer).__name__})
+    if QgsProject.instance().mapLayers():
+        iface.mapCanvas().zoomToFullExtent()
+    plugins["processing"].toolbox.setUserVisible(False)
+    iface.mapCanvas().refresh()
+    QTimer.singleShot(2500, show_map)
+
+
+@guarded
+def show_map():
+    iface.mapCanvas().waitWhileRendering()
+    picture(iface.mainWindow(), "map.png")
+    finish()
+
+
+QTimer.singleShot(120000 if "seconds" not in PLAN else 1000 * PLAN["seconds"], lambda: finish(3))
+QTimer.singleShot(1000, open_from_toolbox)

@@ -1,0 +1,93 @@
+"""The stages one by one, as the shipped model, and as repm:pipeline: the same DSM."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from osgeo import gdal
+from qgis.core import QgsApplication, QgsProcessingContext
+
+
+def heights(path):
+    dataset = gdal.OpenEx(str(path))
+    band = dataset.GetRasterBand(1)
+    values = band.ReadAsArray().astype(float)
+    values[values == band.GetNoDataValue()] = np.nan
+    placed = (dataset.GetGeoTransform(), dataset.GetProjection(), values.shape)
+    del band, dataset
+    return values, placed
+
+
+@pytest.fixture(scope="module")
+def run(plugin, ears):
+    def run(name, **parameters):
+        feedback = ears()
+        algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
+        results, fine = algorithm.run(parameters, QgsProcessingContext(), feedback)
+        assert fine, feedback.heard["error"]
+        assert feedback.heard["progress"] == sorted(feedback.heard["progress"])
+        return results, feedback.heard
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def whole(run, town, tmp_path_factory):
+    """repm:pipeline with everything it can make."""
+    folder = tmp_path_factory.mktemp("whole")
+    given = {"IMAGES": town["images"], "WORKSPACE": str(folder / "w"), "OUTPUT": str(folder / "dsm.tif"),
+             "CONFIDENCE": str(folder / "confidence.tif"), "ORTHO": str(folder / "ortho.tif"),
+             "CLOUD": str(folder / "cloud.laz"), "TILES": str(folder / "tiles.gpkg"),
+             "TIE_POINTS": str(folder / "ties.gpkg"), "REPORT": str(folder / "report.html"), "RESOLUTION": 1.0}
+    return given, *run("pipeline", **given)
+
+
+def test_the_pipeline_makes_all_that_it_names(whole):
+    given, results, heard = whole
+    for name in ("OUTPUT", "CONFIDENCE", "ORTHO", "CLOUD", "TILES", "TIE_POINTS", "REPORT", "WORKSPACE"):
+        assert results[name] == given[name]
+        assert os.path.exists(results[name])
+    assert os.path.exists(results["SCENE"])
+    assert os.path.exists(given["OUTPUT"].replace(".tif", ".qml"))
+    assert heard["progress"][-1] == 100
+    with open(results["REPORT"], encoding="utf-8") as stream:
+        assert "qgis_process run repm:pipeline -- IMAGES=" in stream.read()
+
+
+def test_a_second_run_says_what_it_reused(whole, run):
+    given, results, _ = whole
+    before = heights(results["OUTPUT"])[0]
+    _, heard = run("pipeline", **given)
+    assert [text for text in heard["info"] if "eused" in text]
+    np.testing.assert_array_equal(heights(results["OUTPUT"])[0], before)
+
+
+def test_the_dsm_is_near_the_truth(whole, run, town):
+    results, _ = run("comparedsm", DSM=whole[1]["OUTPUT"], REFERENCE=town["truth"], ALIGN="3d", THRESHOLDS="2")
+    assert results["NMAD"] < 0.6
+    assert results["COMPLETENESS"] > 60
+
+
+def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
+    fitted, _ = run("epmfit", IMAGES=town["images"], WORKSPACE=str(tmp_path / "w"))
+    refined, _ = run("refine", SCENE=fitted["SCENE"], OUTPUT_SCENE=str(tmp_path / "refined" / "scene.json"))
+    rebuilt, _ = run("reconstruct", SCENE=refined["OUTPUT_SCENE"],
+                     OUTPUT_SCENE=str(tmp_path / "rebuilt" / "scene.json"))
+    fused, _ = run("dsmfuse", SCENE=rebuilt["OUTPUT_SCENE"], RESOLUTION=1.0, OUTPUT=str(tmp_path / "dsm.tif"))
+    assert os.path.isdir(rebuilt["HEIGHTS"])
+    got, want = heights(fused["OUTPUT"]), heights(whole[1]["OUTPUT"])
+    assert got[1] == want[1]
+    np.testing.assert_array_equal(got[0], want[0])
+
+
+def test_the_shipped_model_gives_the_pipelines_dsm(whole, run, town, tmp_path):
+    results, _ = run("dsm_by_stages", IMAGES=town["images"], RESOLUTION=1.0, **{
+        "dsmfuse:DSM": str(tmp_path / "dsm.tif"), "epmfit:WORKSPACE": str(tmp_path / "w"),
+        "epmfit:TILES": str(tmp_path / "t.gpkg"), "epmfit:REPORT": str(tmp_path / "r.html"),
+        "errormap:ERROR_MAP": str(tmp_path / "e.tif"), "reconstruct:TIE_POINTS": str(tmp_path / "p.gpkg")})
+    got, want = heights(results["dsmfuse:DSM"]), heights(whole[1]["OUTPUT"])
+    assert got[1] == want[1]
+    np.testing.assert_array_equal(got[0], want[0])
+    assert os.path.exists(tmp_path / "e.tif")

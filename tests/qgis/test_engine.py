@@ -1,0 +1,276 @@
+"""The process runner against a small engine that does, on demand, what engines do at their worst.
+
+The engine here is the real repm_qgis/__main__.py with stages of the test's own.
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from qgis.core import QgsProcessingException
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+VENV_PYTHON = sys.executable
+
+STAGES = '''
+import multiprocessing, os, signal, subprocess, sys, time
+from ..errors import RpcMissingError
+
+def nap(pids):
+    with open(pids, "a") as stream:
+        stream.write(f"{os.getpid()}\\n")
+    time.sleep(60)
+
+def run_stage(name, options, progress):
+    if name == "fine":
+        print("native libraries print to standard output")
+        os.write(1, b"also so\\n")
+        progress.step(0.5, "half")
+        progress.step(0.2, "never back")
+        progress.info("a note")
+        progress.warn("a warning")
+        return {"got": options, "here": os.getcwd(), "path": os.environ.get("PYTHONPATH"),
+                "home": os.environ.get("PYTHONHOME"), "prefix": sys.prefix}
+    if name == "sentence":
+        raise RpcMissingError("No RPC found for 'a.tif'.")
+    if name == "bug":
+        return {"x": 1 / 0}
+    if name == "package":
+        import surely_no_such_package
+    if name == "segfault":
+        sys.stderr.write("the last words\\n")
+        sys.stderr.flush()
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if name == "memory":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name == "mute":
+        os._exit(7)
+    workers = [multiprocessing.get_context("spawn" if name == "spawned" else "fork").Process(
+        target=nap, args=(options["pids"],)) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    half = os.path.join(os.path.dirname(options["pids"]), ".dsm.part.tif")
+    try:
+        open(half, "w").close()
+        if name == "stubborn":
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        nap(options["pids"])
+    finally:
+        os.unlink(half)
+'''
+
+
+@pytest.fixture
+def engine(plugin, tmp_path, monkeypatch):
+    """processing_provider.engine, with the test's stages behind it and temporary files counted."""
+    from repm.processing_provider import engine
+
+    package = tmp_path / "plugin folder" / "repm_qgis"
+    (package / "stages").mkdir(parents=True)
+    for name in ("__init__", "__main__", "errors", "progress", "options"):
+        shutil.copy(ROOT / "repm_qgis" / f"{name}.py", package)
+    (package / "stages" / "__init__.py").write_text(STAGES)
+    jobs = tmp_path / "jobs"
+    jobs.mkdir()
+    monkeypatch.setattr(engine.tempfile, "tempdir", str(jobs))
+    monkeypatch.setattr(engine, "PLUGIN_FOLDER", str(package.parent))
+    yield engine
+    assert list(jobs.iterdir()) == [], "the job file was left behind"
+
+
+def alive(pid):
+    try:
+        state = pathlib.Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def started(pids, count=3, seconds=10):
+    """The process ids in the file once there are so many."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = [int(line) for line in pids.read_text().split()] if pids.exists() else []
+        if len(found) >= count:
+            return found
+        time.sleep(0.05)
+    raise AssertionError("the engine did not start")
+
+
+def all_gone(pids, seconds=0.5):
+    end = time.monotonic() + seconds
+    while any(map(alive, pids)) and time.monotonic() < end:
+        time.sleep(0.02)
+    return not any(map(alive, pids))
+
+
+def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
+    monkeypatch.setenv("PYTHONHOME", "/nonsense")
+    monkeypatch.setenv("PYTHONPATH", "/nonsense")
+    result = engine.run_apart("fine", {"images": ["ä b.tif"], "x": 1.5, "y": None}, feedback, VENV_PYTHON)
+    assert result["got"] == {"images": ["ä b.tif"], "x": 1.5, "y": None}
+    assert result["path"] == engine.PLUGIN_FOLDER
+    assert result["home"] is None
+    assert result["prefix"] == sys.prefix
+    assert feedback.heard["progress"] == [50.0]
+    assert feedback.heard["text"] == ["half", "never back"]
+    assert feedback.heard["info"] == ["a note"]
+    assert feedback.heard["warning"] == ["a warning"]
+
+
+@pytest.mark.parametrize(("stage", "words"), [
+    ("sentence", ["No RPC found for 'a.tif'."]),
+    ("package", ["'surely_no_such_package' is not installed", VENV_PYTHON]),
+    ("segfault", ["'segfault'", "SIGSEGV", "the last words"]),
+    ("memory", ["'memory'", "SIGKILL", "out of memory", "EXTENT"]),
+    ("mute", ["'mute'", "code 7", "Report the environment"]),
+])
+def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
+    with pytest.raises(QgsProcessingException) as caught:
+        engine.run_apart(stage, {}, feedback, VENV_PYTHON)
+    text = str(caught.value)
+    assert all(word in text for word in words), text
+    assert "\n" not in text and "Traceback" not in text
+
+
+def test_a_bug_keeps_its_traceback(engine, feedback):
+    with pytest.raises(QgsProcessingException, match="(?s)please report.*Traceback.*ZeroDivisionError"):
+        engine.run_apart("bug", {}, feedback, VENV_PYTHON)
+
+
+@pytest.mark.parametrize("stage", ["forked", "spawned", "stubborn"])
+def test_cancel_ends_the_whole_tree_within_two_seconds(engine, feedback, tmp_path, stage):
+    pids = tmp_path / "pids"
+    cancelled = []
+
+    def cancel():
+        started(pids)
+        cancelled.append(time.monotonic())
+        feedback.cancel()
+
+    thread = threading.Thread(target=cancel)
+    thread.start()
+    with pytest.raises(QgsProcessingException, match="Cancelled by the user"):
+        engine.run_apart(stage, {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON)
+    seconds = time.monotonic() - cancelled[0]
+    thread.join()
+    assert seconds < 2
+    assert all_gone(started(pids))
+    # The stubborn one ignores SIGTERM and so never cleans up: then the runner does.
+    assert not (tmp_path / ".dsm.part.tif").exists()
+
+
+def test_the_engine_ends_when_the_process_that_started_it_is_killed(engine, tmp_path):
+    """As when QGIS dies: only the pipe on the engine's standard input tells."""
+    pids, job = tmp_path / "pids", tmp_path / "job.json"
+    job.write_text(f'{{"pids": "{pids}"}}')
+    parent = subprocess.Popen([VENV_PYTHON, "-c", (
+        "import subprocess, sys, time\n"
+        "subprocess.Popen(sys.argv[1:], stdin=subprocess.PIPE, start_new_session=True)\n"
+        "time.sleep(60)"), VENV_PYTHON, "-m", "repm_qgis", "forked", str(job)],
+        cwd=engine.PLUGIN_FOLDER, env=engine.environment(VENV_PYTHON))
+    try:
+        found = started(pids)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    assert all_gone(found, seconds=2)
+    assert not (tmp_path / ".dsm.part.tif").exists()
+
+
+def test_workers_of_a_crashed_engine_are_ended(engine, feedback, tmp_path, monkeypatch):
+    pids = tmp_path / "pids"
+
+    def crash():
+        os.kill(started(pids)[-1], signal.SIGKILL)
+        main = [pid for pid in started(pids) if os.path.exists(f"/proc/{pid}") and
+                b"repm_qgis" in pathlib.Path(f"/proc/{pid}/cmdline").read_bytes() and os.getpgid(pid) == pid]
+        for pid in main:
+            os.kill(pid, signal.SIGKILL)
+
+    thread = threading.Thread(target=crash)
+    thread.start()
+    with pytest.raises(QgsProcessingException, match="SIGKILL"):
+        engine.run_apart("forked", {"pids": str(pids)}, feedback, VENV_PYTHON)
+    thread.join()
+    assert all_gone(started(pids))
+
+
+def test_an_interpreter_that_cannot_be_started_is_named(engine, feedback, tmp_path):
+    script = tmp_path / "python"
+    script.write_text("not a program")
+    script.chmod(0o755)
+    with pytest.raises(QgsProcessingException, match="cannot be started.*choose another"):
+        engine.run_apart("fine", {}, feedback, str(script))
+
+
+def test_the_interpreter_is_the_setting_then_the_variable_then_the_venv_then_qgis_own(engine, tmp_path, monkeypatch):
+    from processing.core.ProcessingConfig import ProcessingConfig
+
+    setting = ProcessingConfig.settings["REPM_ENGINE_PYTHON"]
+    monkeypatch.delenv("REPM_ENGINE_PYTHON", raising=False)
+    own = engine.find_python()
+    assert os.path.realpath(own) == os.path.realpath(f"{sys.base_exec_prefix}/bin/python3")
+    assert own != sys.executable
+    venv = pathlib.Path(engine.PLUGIN_FOLDER) / ".venv" / "bin" / "python"
+    venv.parent.mkdir(parents=True)
+    venv.symlink_to(own)
+    assert engine.find_python() == str(venv)
+    monkeypatch.setenv("REPM_ENGINE_PYTHON", "/usr/bin/env")
+    assert engine.find_python() == "/usr/bin/env"
+    chosen = tmp_path / "nothing"
+    chosen.touch(mode=0o755)
+    setting.setValue(str(chosen))
+    try:
+        assert engine.find_python() == str(chosen)
+        chosen.unlink()
+        with pytest.raises(QgsProcessingException, match="nothing' is not a program.*Settings"):
+            engine.find_python()
+    finally:
+        setting.setValue("")
+
+
+def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch):
+    monkeypatch.delenv("REPM_ENGINE_PYTHON", raising=False)
+    monkeypatch.setattr(engine, "_is_program", lambda path: False)
+    with pytest.raises(QgsProcessingException, match="looked for .*python3.*scripts/setup"):
+        engine.find_python()
+
+
+def test_light_stages_turn_errors_into_sentences(plugin, feedback, tmp_path):
+    from repm.processing_provider import engine
+
+    with pytest.raises(QgsProcessingException, match="TILE_SIZE is 3: it must lie between"):
+        engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w", "tile_size": 3}, feedback)
+    with pytest.raises(TypeError):  # a bug keeps its traceback
+        engine.run_here("epmfit", {"images": 5, "workspace": "w"}, feedback)
+    feedback.cancel()
+    from repm.repm_qgis.errors import Cancelled
+
+    with pytest.raises(Cancelled):
+        engine.FeedbackProgress(feedback).check_cancelled()
+
+
+def test_cancel_ends_a_real_stage(plugin, feedback, tmp_path):
+    """A truth scene that would take minutes, stopped while it is made."""
+    from qgis.core import QgsApplication, QgsProcessingContext
+
+    folder = tmp_path / "big"
+    cancelled = []
+    timer = threading.Timer(2.0, lambda: (cancelled.append(time.monotonic()), feedback.cancel()))
+    timer.start()
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:sampledata").create()
+    with pytest.raises(QgsProcessingException, match="Cancelled"):
+        algorithm.run({"KIND": "urban", "SIZE": 6000, "SEED": 1, "FOLDER": str(folder)}, QgsProcessingContext(),
+                      feedback, catchExceptions=False)
+    assert time.monotonic() - cancelled[0] < 2
+    left = [path.name for path in folder.rglob("*") if path.is_file()] if folder.exists() else []
+    assert not [name for name in left if "part" in name or "tmp" in name], left

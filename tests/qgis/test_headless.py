@@ -1,0 +1,147 @@
+"""A real qgis_process: exit codes, results, and sentences in place of tracebacks."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import time
+import zipfile
+
+import pytest
+from osgeo import gdal
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def said(done):
+    return done.stdout + done.stderr
+
+
+def test_the_toolbox_lists_us_and_nobody_elses_plugins(headless):
+    headless("plugins")  # the first start makes the profile
+    start = time.monotonic()
+    done = headless("--json", "list")
+    assert time.monotonic() - start < 6  # about 1.2 s on an idle machine
+    assert done.returncode == 0, said(done)
+    providers = json.loads(done.stdout)["providers"]
+    assert len(providers["repm"]["algorithms"]) == 10
+    assert not {"grass7", "saga", "otb"} & set(providers)
+
+
+def test_environment_reports_on_the_engines_interpreter(headless, tmp_path):
+    report = tmp_path / "environment.html"
+    done = headless("--json", "run", "repm:environment", "--", f"REPORT={report}", REPM_ENGINE_PYTHON=sys.executable)
+    assert done.returncode == 0, said(done)
+    assert json.loads(done.stdout)["results"] == {"REPORT": str(report)}
+    page = report.read_text(encoding="utf-8")
+    assert sys.executable in page
+    assert "opencv-python-headless" in page
+    import numpy
+
+    assert numpy.__version__ in page
+
+
+def image(path):
+    gdal.UseExceptions()
+    dataset = gdal.GetDriverByName("GTiff").Create(str(path), 64, 64)
+    dataset.GetRasterBand(1).Fill(7)
+    del dataset
+    return path
+
+
+@pytest.mark.parametrize("stage", ["epmfit", "pipeline"])  # in QGIS's process, and in one of its own
+def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, stage):
+    given = [f"IMAGES={image(tmp_path / name)}" for name in ("a.tif", "b.tif")]
+    products = [f"OUTPUT={tmp_path / 'dsm.tif'}"] if stage == "pipeline" else []
+    done = headless("run", f"repm:{stage}", "--", *given, *products, f"WORKSPACE={tmp_path / 'w'}",
+                    f"TILES={tmp_path / 't.gpkg'}", REPM_ENGINE_PYTHON=sys.executable)
+    assert done.returncode == 1, said(done)
+    assert "No RPC found for" in said(done) and "a.tif'" in said(done)
+    assert "Traceback" not in said(done)
+    assert not (tmp_path / "dsm.tif").exists()
+    assert sorted(path.name for path in tmp_path.glob("[ab].tif*")) == ["a.tif", "b.tif"]  # nothing beside the images
+
+
+@pytest.mark.parametrize(("words", "sentence"), [
+    (["repm:epmfit", "--", "IMAGES=a.tif", "WORKSPACE=w", "TILES=t.gpkg"], "at least two images"),
+    (["repm:errormap", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
+    (["repm:dsmfuse", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
+    (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif"], "DSM 'gone.tif' is not there"),
+    (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif", "THRESHOLDS=high"], "THRESHOLDS is 'high'"),
+])
+def test_user_errors_are_one_sentence_and_code_1(headless, tmp_path, words, sentence):
+    done = headless("run", *words, REPM_ENGINE_PYTHON=sys.executable)
+    assert done.returncode == 1, said(done)
+    assert sentence in said(done)
+    assert "Traceback" not in said(done)
+
+
+def test_a_wrong_interpreter_is_one_sentence_and_code_1(headless, tmp_path):
+    done = headless("run", "repm:sampledata", "--", "SIZE=128", f"FOLDER={tmp_path}", REPM_ENGINE_PYTHON="/no/python")
+    assert done.returncode == 1
+    assert "The engine interpreter '/no/python' is not a program" in said(done)
+    assert "Traceback" not in said(done)
+
+
+def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample, tmp_path):
+    images = [f"IMAGES={path}" for path in sample["images"]]
+    done = headless("--json", "run", "repm:epmfit", "--", *images, f"WORKSPACE={tmp_path / 'w'}",
+                    f"TILES={tmp_path / 'tiles.gpkg'}", f"REPORT={tmp_path / 'fit.html'}")
+    assert done.returncode == 0, said(done)
+    fitted = json.loads(done.stdout)["results"]
+    assert 0 < fitted["RMSE"] <= fitted["MAX_ERROR"] < 5
+    assert json.loads(pathlib.Path(fitted["SCENE"]).read_text())["format"] == "repm-scene"
+    done = headless("--json", "run", "repm:errormap", "--", f"SCENE={fitted['SCENE']}", f"OUTPUT={tmp_path / 'e.tif'}")
+    assert done.returncode == 0, said(done)
+    assert json.loads(done.stdout)["results"]["MAX_ERROR"] > 0
+    assert (tmp_path / "e.qml").exists()
+
+
+def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
+    done = subprocess.run([sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path / "dist")],
+                          stdout=subprocess.PIPE, text=True, check=True)
+    archive, = (tmp_path / "dist").iterdir()
+    assert archive.name in done.stdout
+    plugins = tmp_path / "config" / "profiles" / "default" / "python" / "plugins"
+    plugins.mkdir(parents=True)
+    with zipfile.ZipFile(archive) as opened:
+        names = opened.namelist()
+        opened.extractall(plugins)
+    assert {name.split("/")[0] for name in names} == {"repm"}
+    assert {"repm/metadata.txt", "repm/LICENSE", "repm/__init__.py", "repm/repm_qgis/__main__.py",
+            "repm/resources/models/repm_stages.model3", "repm/scripts/setup", "repm/requirements.txt"} <= set(names)
+    parts = {part for name in names for part in name.split("/")}
+    assert not [part for part in parts if part.startswith(".") or part == "tests" or part == "__pycache__"]
+    assert not [name for name in names if name.endswith((".pyc", ".so", ".dll", ".exe", ".zip"))]
+    assert archive.stat().st_size < 25e6
+    shutil.copy(plugins / "repm" / "metadata.txt", tmp_path)  # what runs is the unzipped folder, no link to this one
+    assert not (plugins / "repm").is_symlink()
+
+    folder = tmp_path / "sample"
+    done = headless("--json", "run", "repm:sampledata", "--", "KIND=mountains", "SIZE=128", f"FOLDER={folder}",
+                    config=tmp_path / "config", REPM_ENGINE_PYTHON="")
+    assert done.returncode == 0, said(done)
+    assert os.path.exists(json.loads(done.stdout)["results"]["TRUTH"])
+    ran = [line for line in json.loads(done.stdout)["log"]["info"] if "-m repm_qgis" in line]
+    assert ran and not ran[0].startswith(str(ROOT)), "the unzipped plugin has no .venv: QGIS's own Python is to run"
+
+
+def test_setup_has_nothing_to_do_a_second_time(tmp_path):
+    if not (ROOT / ".venv" / ".repm-setup").exists():
+        pytest.skip("this checkout was not set up by scripts/setup")
+    subprocess.run([str(ROOT / "scripts" / "setup")], check=True, stdout=subprocess.PIPE)
+    start = time.monotonic()
+    done = subprocess.run([str(ROOT / "scripts" / "setup")], check=True, stdout=subprocess.PIPE, text=True)
+    assert done.stdout == ""
+    assert time.monotonic() - start < 1
+
+
+def test_make_help_lists_the_targets():
+    done = subprocess.run(["make", "-C", str(ROOT), "--no-print-directory"], check=True, stdout=subprocess.PIPE,
+                          text=True)
+    for target in ("help", "setup", "demo", "test", "lint", "package"):
+        assert f"make {target} " in done.stdout

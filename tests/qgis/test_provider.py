@@ -1,0 +1,150 @@
+"""The provider: what the toolbox and qgis_process see."""
+
+from __future__ import annotations
+
+import pathlib
+
+import pytest
+from qgis.core import QgsApplication, QgsProcessingParameterDefinition
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+# Issue 2's table: models and scripts rely on these names.
+PARAMETERS = {
+    "epmfit": "IMAGES EXTENT DEM ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
+    "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
+    "refine": "SCENE MODEL OUTPUT_SCENE REPORT",
+    "reconstruct": "SCENE BACKEND OUTPUT_SCENE TIE_POINTS HEIGHTS",
+    "dsmfuse": "SCENE RESOLUTION CRS METHOD OUTLIER_RADIUS OUTPUT CONFIDENCE ORTHO CLOUD",
+    "pipeline": "IMAGES EXTENT DEM RESOLUTION CRS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL BACKEND "
+                "METHOD OUTLIER_RADIUS OUTPUT WORKSPACE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD",
+    "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS ERROR REPORT",
+    "sampledata": "KIND SIZE SEED FOLDER",
+    "environment": "REPORT",
+}
+OUTPUTS = {
+    "epmfit": "SCENE TILES REPORT RMSE MAX_ERROR WORKSPACE",
+    "errormap": "OUTPUT REPORT RMSE MAX_ERROR",
+    "refine": "OUTPUT_SCENE REPORT",
+    "reconstruct": "OUTPUT_SCENE TIE_POINTS HEIGHTS",
+    "dsmfuse": "OUTPUT CONFIDENCE ORTHO CLOUD",
+    "pipeline": "OUTPUT SCENE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD WORKSPACE",
+    "comparedsm": "ERROR REPORT RMSE ME MAE NMAD COMPLETENESS",
+    "sampledata": "FOLDER IMAGES TRUTH GCPS",
+    "environment": "REPORT",
+}
+
+
+def algorithm(name):
+    found = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
+    assert found is not None, f"repm:{name} is not in the registry"
+    return found
+
+
+def test_every_algorithm_and_every_model_is_there(provider):
+    names = {entry.name() for entry in provider.algorithms()}
+    assert names == set(PARAMETERS) | {"dsm_by_stages"}
+    assert provider.id() == "repm"
+    assert provider.versionInfo() in provider.longName()
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_parameters_and_outputs_are_those_that_scripts_rely_on(plugin, name):
+    found = algorithm(name)
+    assert [entry.name() for entry in found.parameterDefinitions()] == PARAMETERS[name].split()
+    assert {entry.name() for entry in found.outputDefinitions()} == set(OUTPUTS[name].split())
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_parameter_is_an_option_of_the_engine_with_its_default(plugin, name):
+    import dataclasses
+
+    from repm_qgis.stages import STAGES
+
+    fields = {field.name: field for field in dataclasses.fields(STAGES[name])}
+    for definition in algorithm(name).parameterDefinitions():
+        option = definition.name().lower()
+        assert option in fields
+        default = fields[option].default
+        if definition.isDestination() or default is dataclasses.MISSING or definition.name() == "THRESHOLDS":
+            continue
+        assert definition.defaultValue() == default, f"{name}.{option}"
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_identity_and_help_are_complete(plugin, name):
+    found = algorithm(name)
+    assert found.create().id() == f"repm:{name}"
+    assert type(found.create()) is type(found)
+    assert len(found.shortHelpString()) > 400
+    assert "<h3>Outputs</h3>" in found.shortHelpString()
+    assert found.shortDescription().endswith(".")
+    assert found.displayName()[0].isupper()
+    assert found.displayName() != found.name()
+    assert (ROOT / "resources" / "icons" / f"{name}.svg").samefile(found.svgIconPath())
+    assert not found.icon().isNull()
+    assert "DSM" in found.tags()
+    assert found.group()
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_a_dialog_stays_readable(plugin, name):
+    advanced = QgsProcessingParameterDefinition.Flag.FlagAdvanced
+    inputs = [entry for entry in algorithm(name).parameterDefinitions() if not entry.isDestination()]
+    assert len([entry for entry in inputs if not entry.flags() & advanced]) <= 8
+    for entry in inputs:
+        assert entry.description() and entry.description() != entry.name()
+
+
+def test_what_is_not_built_is_not_offered(plugin):
+    assert algorithm("refine").parameterDefinition("MODEL").options() == ["none", "homography", "polynomial"]
+    assert algorithm("reconstruct").parameterDefinition("BACKEND").options() == ["auto", "sgm"]
+    assert algorithm("pipeline").parameterDefinition("MODEL").defaultValue() == "polynomial"
+
+
+def test_the_model_is_valid_and_of_our_stages(provider):
+    model = next(entry for entry in provider.algorithms() if entry.name() == "dsm_by_stages")
+    assert model.validate()[0], model.validate()[1]
+    stages = {child.algorithmId() for child in model.childAlgorithms().values()}
+    assert stages == {f"repm:{name}" for name in ("epmfit", "errormap", "refine", "reconstruct", "dsmfuse")}
+    assert model.displayName() == "Make a DSM stage by stage (model)"
+    assert model.groupId() == algorithm("pipeline").groupId()
+    assert "dsmfuse:DSM" in [entry.name() for entry in model.parameterDefinitions()]
+    assert model.create().parameterDefinition("RESOLUTION").defaultValue() == 0
+
+
+def test_settings_come_and_go_with_the_provider(plugin):
+    from processing.core.ProcessingConfig import ProcessingConfig
+    from repm.processing_provider import settings
+
+    assert {settings.ENGINE_PYTHON, settings.WORKERS} <= set(ProcessingConfig.settings)
+    settings.unregister()
+    assert not {settings.ENGINE_PYTHON, settings.WORKERS} & set(ProcessingConfig.settings)
+    assert settings.workers() == 0
+    settings.register(plugin.provider.svgIconPath())
+    assert settings.ENGINE_PYTHON in ProcessingConfig.settings
+
+
+def test_outputs_are_of_formats_that_the_engine_writes(provider):
+    assert provider.defaultVectorFileExtension() == "gpkg"
+    assert provider.defaultRasterFileExtension() == "tif"
+    assert provider.supportedOutputVectorLayerExtensions() == ["gpkg"]
+    assert not provider.supportsNonFileBasedOutput()
+
+
+def test_helps_markdown_becomes_html(plugin):
+    from repm.processing_provider.helptext import to_html
+
+    assert to_html("One <b> & `two`.\n## Head\n- **a**: x\n  y\n- *b*") == (
+        "<p>One &lt;b&gt; &amp; <code>two</code>.</p><h3>Head</h3>"
+        "<ul><li><b>a</b>: x y</li><li><i>b</i></li></ul>")
+
+
+def test_the_engine_imports_itself_relatively_only():
+    """In a profile the engine is repm.repm_qgis: an absolute import of itself would not be found there."""
+    import re
+
+    for path in (ROOT / "repm_qgis").rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert not re.search(r"^\s*(from|import) repm_qgis", text, re.MULTILINE), path
+        assert not re.search(r"^\s*(from|import) (qgis|PyQt)", text, re.MULTILINE), path

@@ -1,0 +1,152 @@
+"""Parameters' values become the engine's options; wrong ones are refused in a sentence before anything runs."""
+
+from __future__ import annotations
+
+import json
+import shlex
+
+import pytest
+from osgeo import gdal
+from qgis.core import (
+    QgsApplication,
+    QgsCoordinateReferenceSystem,
+    QgsProject,
+    QgsRasterLayer,
+    QgsRectangle,
+    QgsReferencedRectangle,
+    QgsVectorLayer,
+)
+
+
+def algorithm(name):
+    return QgsApplication.processingRegistry().algorithmById(f"repm:{name}").create()
+
+
+def options(name, parameters, context, feedback):
+    """What the algorithm would hand to the engine, and its destinations."""
+    found = algorithm(name)
+    assert found.prepareAlgorithm(parameters, context, feedback)
+    return found._inputs
+
+
+@pytest.fixture
+def rasters(tmp_path):
+    """Two georeferenced rasters of 4 x 4 px."""
+    paths = [str(tmp_path / f"a b{i}.tif") for i in range(2)]
+    for path in paths:
+        dataset = gdal.GetDriverByName("GTiff").Create(path, 4, 4)
+        dataset.SetGeoTransform((0, 1, 0, 4, 0, -1))
+        dataset = None  # noqa: F841 - closes the file
+    return paths
+
+
+def test_inputs_become_options_of_the_engine(plugin, context, feedback, rasters):
+    from repm_qgis.options import EpmFitOptions
+
+    area = QgsReferencedRectangle(QgsRectangle(1.5, 2.5, 3.5, 4.5), QgsCoordinateReferenceSystem("EPSG:32631"))
+    found = options("epmfit", {"IMAGES": rasters, "EXTENT": area, "ALTITUDE_MIN": -5.5, "TILE_SIZE": 512,
+                               "DEM": rasters[0]}, context, feedback)
+    assert found == {"images": rasters, "extent": [1.5, 2.5, 3.5, 4.5], "extent_crs": "EPSG:32631",
+                     "dem": rasters[0], "altitude_min": -5.5, "altitude_max": None, "tile_size": 512,
+                     "error_budget": 0.1}
+    EpmFitOptions.from_json(json.loads(json.dumps({**found, "workspace": "w"})))
+
+
+def test_an_extent_as_text_is_in_degrees_unless_it_says_more(plugin, context, feedback, rasters):
+    plain = options("epmfit", {"IMAGES": rasters, "EXTENT": "7,8,45,46"}, context, feedback)
+    assert (plain["extent"], plain["extent_crs"]) == ([7, 45, 8, 46], "EPSG:4326")
+    named = options("epmfit", {"IMAGES": rasters, "EXTENT": "7,8,45,46 [EPSG:2056]"}, context, feedback)
+    assert (named["extent"], named["extent_crs"]) == ([7, 45, 8, 46], "EPSG:2056")
+
+
+def test_layers_of_the_project_give_their_files(plugin, context, feedback, rasters):
+    project = QgsProject()
+    layer = QgsRasterLayer(rasters[0], "first", "gdal")
+    project.addMapLayer(layer)
+    context.setProject(project)
+    found = options("epmfit", {"IMAGES": [layer.id(), rasters[1]]}, context, feedback)
+    assert found["images"] == rasters
+    assert options("epmfit", {"IMAGES": [layer, rasters[1]]}, context, feedback)["images"] == rasters
+
+
+def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context, feedback):
+    found = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": "", "CRS": "EPSG:32632"}, context, feedback)
+    assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "method": "median",
+                     "outlier_radius": None, "workers": 0}
+    zero = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": 0}, context, feedback)
+    assert zero["outlier_radius"] == 0.0
+    assert zero["crs"] is None
+
+
+def test_workers_come_from_the_settings(plugin, context, feedback):
+    from processing.core.ProcessingConfig import ProcessingConfig
+
+    ProcessingConfig.settings["REPM_WORKERS"].setValue(3)
+    try:
+        assert options("reconstruct", {"SCENE": "/s/scene.json"}, context, feedback)["workers"] == 3
+    finally:
+        ProcessingConfig.settings["REPM_WORKERS"].setValue(0)
+
+
+def test_the_command_repeats_the_run(plugin, context, feedback, rasters):
+    given = {"IMAGES": rasters, "EXTENT": "7.1,8,45,46 [EPSG:4326]", "ALTITUDE_MAX": 1200.5, "METHOD": "mean"}
+    found = options("pipeline", given, context, feedback)
+    products = {"output": "/o/my dsm.tif", "workspace": "/w", "cloud": None}
+    command = algorithm("pipeline").complete({**found, **products})["command"]
+    words = shlex.split(command)
+    assert words[:4] == ["qgis_process", "run", "repm:pipeline", "--"]
+    again = {}
+    for word in words[4:]:
+        name, value = word.split("=", 1)
+        again[name] = [*again[name], value] if name == "IMAGES" and name in again else (
+            [value] if name == "IMAGES" else value)
+    assert (again["OUTPUT"], again["WORKSPACE"], "CLOUD" in again) == ("/o/my dsm.tif", "/w", False)
+    assert options("pipeline", again, context, feedback) == found
+
+
+def check(name, parameters, context):
+    return algorithm(name).checkParameterValues(parameters, context)
+
+
+def test_one_image_has_no_heights(plugin, context, rasters):
+    for images in (rasters[:1], rasters[0], [], None):
+        fine, text = check("epmfit", {"IMAGES": images, "WORKSPACE": "/w"}, context)
+        assert not fine
+        assert "at least two images" in text
+    fine, text = check("epmfit", {"IMAGES": rasters, "WORKSPACE": "/w", "TILES": "/w/t.gpkg"}, context)
+    assert fine, text
+
+
+def test_layers_that_are_no_files_are_refused_by_name(plugin, context, rasters):
+    memory = QgsVectorLayer("Point", "my points", "memory")
+    fine, text = check("pipeline", {"IMAGES": [memory, rasters[0]], "OUTPUT": "o.tif", "WORKSPACE": "/w"}, context)
+    assert not fine
+    assert "'my points'" in text and "'memory'" in text
+
+
+def test_altitudes_must_rise(plugin, context, rasters):
+    given = {"IMAGES": rasters, "WORKSPACE": "/w", "ALTITUDE_MIN": 300, "ALTITUDE_MAX": "200"}
+    assert check("epmfit", given, context) == (False, "ALTITUDE_MIN (300 m) must be below ALTITUDE_MAX (200 m).")
+
+
+def test_a_raster_that_is_not_there_or_damaged_is_named(plugin, context, rasters, tmp_path):
+    gone = str(tmp_path / "gone.tif")
+    fine, text = check("comparedsm", {"DSM": gone, "REFERENCE": rasters[0], "THRESHOLDS": "1"}, context)
+    assert not fine and f"DSM '{gone}' is not there" in text
+    damaged = tmp_path / "damaged.tif"
+    damaged.write_bytes(b"II*\0garbage")
+    fine, text = check("comparedsm", {"DSM": rasters[0], "REFERENCE": str(damaged), "THRESHOLDS": "1"}, context)
+    assert not fine and f"REFERENCE '{damaged}' cannot be read" in text
+
+
+@pytest.mark.parametrize("text", ["", "high", "1; -2", "0", "nan", "inf"])
+def test_thresholds_must_be_heights(plugin, context, rasters, text):
+    fine, problem = check("comparedsm", {"DSM": rasters[0], "REFERENCE": rasters[1], "THRESHOLDS": text}, context)
+    assert not fine
+    assert "THRESHOLDS" in problem
+
+
+def test_thresholds_are_read_with_any_separator(plugin):
+    from repm.processing_provider.comparedsm import thresholds
+
+    assert thresholds("1;2.5; 5") == thresholds("1, 2.5 5") == [1.0, 2.5, 5.0]
