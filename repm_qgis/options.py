@@ -48,7 +48,8 @@ class Options:
         known = {field.name for field in dataclasses.fields(cls)}
         for name in values:
             if name not in known:
-                raise OptionError(name, values[name], f"is not an option of this stage; known are {', '.join(sorted(known))}")
+                raise OptionError(name, values[name],
+                                  f"is not an option of this stage; known are {', '.join(sorted(known))}")
         return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
     def to_json(self) -> dict[str, Any]:
@@ -95,7 +96,8 @@ class EpmFitOptions(Options):
             if getattr(self, name) is not None:
                 _within(name.upper(), getattr(self, name), -12000, 10000, "m")
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
-            raise OptionError("ALTITUDE_MIN", self.altitude_min, f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)")
+            raise OptionError("ALTITUDE_MIN", self.altitude_min,
+                              f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)")
         if self.tile_size != 0:
             _within("TILE_SIZE", self.tile_size, 256, 20000, "px, or be 0 for automatic")
         _within("ERROR_BUDGET", self.error_budget, 0.001, 100, "px")

@@ -146,7 +146,8 @@ class Scene:
         for view in self.views:
             if view.name == name:
                 return view
-        raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {', '.join(v.name for v in self.views)}.")
+        names = ", ".join(view.name for view in self.views)
+        raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {names}.")
 
     @property
     def gsd_m(self) -> float:
@@ -272,7 +273,7 @@ def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:
     enu = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
     gsd = math.sqrt(float(np.linalg.norm(enu[1] - enu[0]) * np.linalg.norm(enu[2] - enu[0])))
     if not 0.01 <= gsd <= 1000:
-        raise RpcInvalidError(f"The RPC of '{path}' gives pixels of {gsd:g} m on the ground: that is no satellite image.")
+        raise RpcInvalidError(f"The RPC of '{path}' gives pixels of {gsd:g} m on the ground: no satellite's.")
     return gsd
 
 

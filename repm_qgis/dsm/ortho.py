@@ -30,7 +30,7 @@ def nadir_first(scene: Scene) -> List[View]:
 
 
 def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.float32]:
-    """Brightness of each cell from the first of ``views`` that is not blocked there; NaN where all are, or no height."""
+    """Brightness of each cell from the first of ``views`` not blocked there; NaN where all are, or without height."""
     result = np.full(grid.shape, np.nan, dtype=np.float32)
     if not np.isfinite(height).any():
         return result

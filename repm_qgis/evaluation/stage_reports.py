@@ -103,7 +103,7 @@ def add_reconstruction(report: Report, scene: Scene) -> None:
     report.facts([("Tie points", facts["ties"]["count"]), ("Median residual before, px", facts["ties"]["before_px"]),
                   ("Median residual after, px", facts["ties"]["after_px"]), ("Matcher", facts["backend"])])
     report.section("Height maps")
-    report.table(["tile", "first", "second", "size, px", "heights, %", "m of height a px", "rows left by the model, px"],
+    report.table(["tile", "first", "second", "size, px", "heights, %", "m of height a px", "rows left, px"],
                  [[tile.id, *record["pair"], "{} x {}".format(*record["size"]),
                    100.0 * record["valid"] / (record["size"][0] * record["size"][1]), record["metres_per_px"],
                    record["row_px"]] for tile in scene.tiles for record in tile.heights][:500])
@@ -117,7 +117,8 @@ def errormap_report(scene: Scene, view: View, path: str, facts: Mapping[str, flo
     values, _ = pictures.preview(path, 900)
     report.png(pictures.png_bytes(pictures.colour_map(values, 0.0, max(facts["max_error"], 1e-6), "viridis")),
                f"Magnitude of the equivalent error, dark 0 to bright {facts['max_error']:.3f} px.")
-    report.svg(charts.histogram(values[np.isfinite(values)], "px", "Magnitude of the equivalent error"), "Distribution.")
+    report.svg(charts.histogram(values[np.isfinite(values)], "px", "Magnitude of the equivalent error"),
+               "Distribution.")
     return report
 
 

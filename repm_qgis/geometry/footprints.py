@@ -24,7 +24,8 @@ def footprint(localise: Callable[[FloatArray, float], FloatArray], size: Tuple[i
     u, v = np.linspace(-0.5, size[0] - 0.5, points), np.linspace(-0.5, size[1] - 0.5, points)
     border = np.concatenate([
         np.column_stack([u[:-1], np.full(points - 1, v[0])]), np.column_stack([np.full(points - 1, u[-1]), v[:-1]]),
-        np.column_stack([u[:0:-1], np.full(points - 1, v[-1])]), np.column_stack([np.full(points - 1, u[0]), v[:0:-1]])])
+        np.column_stack([u[:0:-1], np.full(points - 1, v[-1])]),
+        np.column_stack([np.full(points - 1, u[0]), v[:0:-1]])])
     ground = localise(border, altitude)[:, :2]
     return ground[np.isfinite(ground).all(axis=1)]
 

@@ -108,7 +108,7 @@ def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int,
 
 @dataclass(frozen=True)
 class HeightMap:
-    """Ground points of a height map: ``x`` and ``y`` in the scene's CRS, ``height``, ``score``; all (H, W), NaN = none."""
+    """Ground points of a height map: ``x``, ``y`` in the scene's CRS, ``height``, ``score``; all (H, W), NaN = none."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import EmptyResultError
+from ..geometry.equivalent_error import RefinedPinhole
+from ..geometry.refinement import apply_homography
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened
 from ..imagery.warping import warp
-from ..geometry.equivalent_error import RefinedPinhole
-from ..geometry.refinement import apply_homography
-from ..mvs.pairing import grown, ground_points, rectify_over, refined_view
+from ..mvs.pairing import ground_points, grown, rectify_over, refined_view
 from ..mvs.rectification import RectifiedPair
 from ..progress import Progress
 from ..scene import Scene, View
@@ -48,7 +48,7 @@ class PairMatches:
 
 @dataclass(frozen=True)
 class _Features:
-    """A view over a patch: its refined camera, and SIFT keypoints (N, 2) in refined pixels with descriptors (N, 128)."""
+    """A view over a patch: its refined camera, SIFT keypoints (N, 2) in refined pixels, descriptors (N, 128)."""
 
     view: View
     camera: RefinedPinhole
@@ -184,9 +184,9 @@ def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMa
     count = sum(len(part.rows_px) for part in kept)
     if count < _MIN_TIES:
         raise EmptyResultError(
-            f"{first} and {second} have only {count} tie points that agree, of {found} candidates on {len(parts)} tiles "
-            f"(needed: {_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT with more "
-            "texture, or another pair, may do.")
+            f"{first} and {second} have only {count} tie points that agree, of {found} candidates on {len(parts)} "
+            f"tiles (needed: {_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT "
+            "with more texture, or another pair, may do.")
     return PairMatches(first, second, *(np.concatenate([getattr(part, name) for part in kept])
                                         for name in ("first_px", "second_px", "rows_px")))
 

@@ -43,7 +43,8 @@ def choose_pairs(scene: Scene) -> List[ViewPair]:
             candidates.append(ViewPair(first.name, second.name, angle, ratio, shared))
     usable = sorted((c for c in candidates if c.base_to_height >= _LEAST_RATIO), key=_badness)
     if not usable:
-        angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates) or "no tile shared"
+        angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
+        angles = angles or "they share no tile"
         raise EmptyResultError(f"No pair of images can tell heights ({angles}): choose images that look at the ground "
                                "from directions at least 3 degrees apart.")
     return usable if len(scene.views) <= _ALL_UP_TO else _few(usable, [view.name for view in scene.views])

@@ -100,7 +100,8 @@ def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], optio
                 for z in np.linspace(*altitudes, 5)]
     area = seen_twice(outlines)
     if area.IsEmpty() or area.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
-        places = "; ".join(f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views)
+        places = "; ".join(f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}"
+                           for v in views)
         raise OverlapError(f"The images do not overlap on the ground: {places}. Choose images of one place.")
     if options.extent is None:
         return area
@@ -110,7 +111,8 @@ def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], optio
         there, asked = bounds_of(area), bounds_of(wanted)
         raise OverlapError(
             f"EXTENT {asked[0]:.0f}, {asked[1]:.0f}, {asked[2]:.0f}, {asked[3]:.0f} ({crs}) lies outside what two "
-            f"images see: {there[0]:.0f}, {there[1]:.0f}, {there[2]:.0f}, {there[3]:.0f}. Draw it there, or leave it empty.")
+            f"images see: {there[0]:.0f}, {there[1]:.0f}, {there[2]:.0f}, {there[3]:.0f}. Draw it there, or leave it "
+            "empty.")
     return common
 
 
