@@ -164,10 +164,14 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         made = {**folders, **result}
         outputs = {output.name(): made[output.name().lower()] for output in self.outputDefinitions()
                    if made.get(output.name().lower()) is not None}
+        vectors: list[str] = []
         for name, (title, style) in self.LAYERS.items():
             if outputs.get(name):
                 styles.dress(context, feedback, kept_as.get(name, ""), outputs[name],
-                             self._layer_name(title, options), style)
+                             self._layer_name(title, options), style, vectors)
+        if isinstance(result.get("seconds"), dict):
+            feedback.pushInfo(self.tr("Seconds: {stages}").format(
+                stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())))
         return outputs
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:

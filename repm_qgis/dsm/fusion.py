@@ -8,7 +8,6 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..mvs.dense import HeightMap, load_heights
 from ..scene import Scene, View
 from .aggregation import Aggregate, aggregate, lonely
@@ -22,9 +21,13 @@ _MARGIN_CELLS = 8   # fused beyond the tile's cells, so that neighbours count in
 
 @dataclass(frozen=True)
 class FuseTask:
-    """All a worker needs to fuse one tile. ``window`` are the tile's own cells of the whole ``grid``."""
+    """All a worker needs to fuse one tile.
+
+    ``scene`` without its tiles, ``bounds`` the tile's, ``window`` the tile's own cells of the whole ``grid``.
+    """
 
     scene: Scene
+    bounds: Tuple[float, float, float, float]
     records: Tuple[Dict[str, Any], ...]
     grid: CellGrid
     window: Tuple[int, int, int, int]
@@ -52,7 +55,7 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     wide = (max(col - _MARGIN_CELLS, 0), max(row - _MARGIN_CELLS, 0))
     ends = (min(col + width + _MARGIN_CELLS, task.grid.shape[1]), min(row + height + _MARGIN_CELLS, task.grid.shape[0]))
     grid = task.grid.part((wide[0], wide[1], ends[0] - wide[0], ends[1] - wide[1]))
-    maps = [_placed(load_heights(record), record["crs"], task.crs) for record in task.records]
+    maps = [load_heights(task.scene, task.bounds, record, task.crs) for record in task.records]
     gridded = [grid_points(grid, m.x, m.y, m.height, m.score) for m in maps]
     fused = aggregate([g[0] for g in gridded], [g[1] for g in gridded],
                       [record["metres_per_px"] for record in task.records], task.method)
@@ -66,18 +69,6 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     points = _agreeing(task.grid.part(task.window), fused.height[own], maps, task.records) if task.cloud else None
     cut = Aggregate(*(getattr(fused, name)[own] for name in ("height", "count", "spread", "score")))
     return FusedTile(cut, None if ortho is None else ortho[own], points, removed, needed)
-
-
-def _placed(heights: HeightMap, source: str, target: str) -> HeightMap:
-    """A height map in another CRS. Only known points are transformed."""
-    if source == target:
-        return heights
-    known = np.isfinite(heights.height)
-    lon_lat = geodetic_from_projected(source, np.column_stack([heights.x[known], heights.y[known]]))
-    xy = projected_from_geodetic(target, lon_lat)
-    x, y = np.full_like(heights.x, np.nan), np.full_like(heights.y, np.nan)
-    x[known], y[known] = xy[:, 0], xy[:, 1]
-    return HeightMap(x, y, heights.height, heights.score)
 
 
 def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:

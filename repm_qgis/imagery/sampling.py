@@ -45,10 +45,16 @@ def box_mean(values: FloatArray, radius: int) -> FloatArray:
 def upsample_grid(grid: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Bilinear interpolation of a coarse (m, n, ...) grid, corners on corners, to (height, width, ...)."""
     m, n = grid.shape[:2]
-    u = np.linspace(0, m - 1, shape[0])
-    v = np.linspace(0, n - 1, shape[1])
-    i, j = np.minimum(u.astype(int), m - 2), np.minimum(v.astype(int), n - 2)
+    return interpolate_grid(grid, np.linspace(0, m - 1, shape[0]), np.linspace(0, n - 1, shape[1]))
+
+
+def interpolate_grid(grid: FloatArray, rows: FloatArray, columns: FloatArray) -> FloatArray:
+    """Bilinear interpolation of a (m, n, ...) grid at (H,) rows and (W,) columns, in units of nodes; ends extended."""
+    m, n = grid.shape[:2]
+    i = np.clip(rows.astype(int), 0, m - 2)
+    j = np.clip(columns.astype(int), 0, n - 2)
     extra = (1,) * (grid.ndim - 2)
-    fu, fv = (u - i).reshape(-1, 1, *extra), (v - j).reshape(1, -1, *extra)
-    rows = grid[i] * (1 - fu) + grid[i + 1] * fu
-    return rows[:, j] * (1 - fv) + rows[:, j + 1] * fv
+    fi, fj = (rows - i).reshape(-1, 1, *extra), (columns - j).reshape(1, -1, *extra)
+    # Rows first: they are few, and the wide passes that follow run along memory.
+    tall = grid[i] * (1 - fi) + grid[i + 1] * fi
+    return tall[:, j] * (1 - fj) + tall[:, j + 1] * fj

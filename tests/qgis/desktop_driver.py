@@ -81,7 +81,8 @@ def look(dialog, success):
     FOUND["success"] = bool(success)
     picture(dialog, "log.png")
     dialog.close()
-    for layer in QgsProject.instance().mapLayers().values():
+    for node in QgsProject.instance().layerTreeRoot().findLayers():  # from top to bottom
+        layer = node.layer()
         renderer = layer.renderer() if hasattr(layer, "renderer") else None
         FOUND["layers"].append({"name": layer.name(), "valid": layer.isValid(), "crs": layer.crs().authid(),
                                 "source": layer.source(), "renderer": type(renderer).__name__})

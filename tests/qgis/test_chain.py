@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import pathlib
+import time
 
 import numpy as np
 import pytest
@@ -91,3 +93,39 @@ def test_the_shipped_model_gives_the_pipelines_dsm(whole, run, town, tmp_path):
     assert got[1] == want[1]
     np.testing.assert_array_equal(got[0], want[0])
     assert os.path.exists(tmp_path / "e.tif")
+
+
+def test_cancel_in_the_middle_leaves_a_workspace_that_goes_on(plugin, ears, run, whole, town, tmp_path):
+    given = {"IMAGES": town["images"], "WORKSPACE": str(tmp_path / "w"), "OUTPUT": str(tmp_path / "dsm.tif"),
+             "RESOLUTION": 1.0, "TILES": str(tmp_path / "t.gpkg"), "TIE_POINTS": str(tmp_path / "p.gpkg")}
+    feedback, cancelled = ears(), []
+    told = feedback.setProgressText
+
+    def listen(text):
+        told(text)
+        if "matching" in text and not cancelled:
+            cancelled.append(time.monotonic())
+            feedback.cancel()
+
+    feedback.setProgressText = listen
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
+    _, fine = algorithm.run(given, QgsProcessingContext(), feedback)
+    seconds = time.monotonic() - cancelled[0]
+    assert not fine
+    assert seconds < 2
+    assert not os.path.exists(given["OUTPUT"])
+    assert not [path for path in tmp_path.rglob("*") if ".part" in path.name]
+    assert not [entry for entry in pathlib.Path("/proc").glob("[0-9]*/cmdline") if _is_our_engine(entry)]
+
+    results, heard = run("pipeline", **given)
+    assert [text for text in heard["info"] if "eused" in text]
+    np.testing.assert_array_equal(heights(results["OUTPUT"])[0], heights(whole[1]["OUTPUT"])[0])
+
+
+def _is_our_engine(entry):
+    """A pipeline that this test process started and that is still there."""
+    try:
+        ours = f"PPid:\t{os.getpid()}\n" in (entry.parent / "status").read_text()
+        return ours and b"repm_qgis\0pipeline" in entry.read_bytes()
+    except OSError:
+        return False

@@ -68,6 +68,7 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     assert layers["DSM old town"]["renderer"] == "QgsSingleBandPseudoColorRenderer"
     assert layers["Tiles old town"]["renderer"] == "QgsGraduatedSymbolRenderer"
     assert layers["Tie points old town"]["renderer"] != "QgsSingleSymbolRenderer"
+    assert [layer["name"] for layer in found["layers"]].index("DSM old town") == len(layers) - 1  # hides nothing
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())
 
 

@@ -1,0 +1,163 @@
+"""What the engine's tests share: recorded progress, small images with RPCs, truth scenes and runs of the pipeline."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+from repm_qgis.errors import Cancelled
+from repm_qgis.rpc import Rpc
+from repm_qgis.scene import load_views
+from repm_qgis.simulation.scene import rpc_tags
+from repm_qgis.stages import run_stage
+
+
+class Told:
+    """Keeps all that a stage says; raises Cancelled at the ``cancel_at``-th check."""
+
+    def __init__(self, cancel_at=None):
+        self.fractions, self.notes, self.warnings, self.checks, self.cancel_at = [], [], [], 0, cancel_at
+
+    def step(self, fraction, text=""):
+        self.fractions.append(fraction)
+
+    def info(self, text):
+        self.notes.append(text)
+
+    def warn(self, text):
+        self.warnings.append(text)
+
+    def check_cancelled(self):
+        self.checks += 1
+        if self.cancel_at is not None and self.checks >= self.cancel_at:
+            raise Cancelled
+
+
+class TruthScene:
+    """A simulated tri-stereo scene with its true surface and the true RPC of each view."""
+
+    def __init__(self, kind, folder, size):
+        self.folder = Path(folder)
+        self.made = run_stage("sampledata", {"folder": str(folder), "kind": kind, "size": size, "seed": 3}, Told())
+        self.images, self.truth = self.made["images"], self.made["truth"]
+        self.record = json.loads((self.folder / "truth.json").read_text())
+        self.true_rpcs = [Rpc.from_mapping(view["true_rpc"]) for view in self.record["views"]]
+        self.biases = np.array([[v["rpc_bias_px"]["col"], v["rpc_bias_px"]["row"]] for v in self.record["views"]])
+        self.crs, self.height_range = self.record["crs"], tuple(self.record["height_range_m"])
+        self.views = load_views(tuple(self.images))
+        self.true_views = [view.__class__(**{**vars(view), "rpc": rpc})
+                           for view, rpc in zip(self.views, self.true_rpcs)]
+        dataset = gdal.Open(self.truth)
+        self.surface, self.transform = dataset.ReadAsArray().astype(np.float64), dataset.GetGeoTransform()
+        dataset = None
+
+    @property
+    def bounds(self):
+        """xmin, ymin, xmax, ymax of the true DSM."""
+        x, cell, _, y, _, _ = self.transform
+        rows, columns = self.surface.shape
+        return x, y - rows * cell, x + columns * cell, y
+
+
+class Pipeline:
+    """One run of the whole pipeline on a truth scene, with what it said."""
+
+    def __init__(self, scene, folder, **options):
+        self.scene, self.workspace, self.said = scene, folder / "ws", Told()
+        self.options = {"images": scene.images, "workspace": str(self.workspace), "output": str(folder / "dsm.tif"),
+                        "confidence": str(folder / "confidence.tif"), "ortho": str(folder / "ortho.tif"),
+                        "cloud": str(folder / "cloud.laz"), **options}
+        self.result = run_stage("pipeline", self.options, self.said)
+
+
+@pytest.fixture(scope="session")
+def told():
+    """The class of a progress that remembers: ``told()`` or ``told(cancel_at=5)``."""
+    return Told
+
+
+@pytest.fixture(scope="session")
+def urban(tmp_path_factory):
+    return TruthScene("urban", tmp_path_factory.mktemp("urban"), 400)
+
+
+@pytest.fixture(scope="session")
+def mountains(tmp_path_factory):
+    return TruthScene("mountains", tmp_path_factory.mktemp("mountains"), 400)
+
+
+@pytest.fixture(scope="session")
+def urban_run(urban, tmp_path_factory):
+    """The town's DSM at 0.5 m, in four tiles, with every product."""
+    return Pipeline(urban, tmp_path_factory.mktemp("urban_run"), resolution=0.5, tile_size=256, workers=1)
+
+
+@pytest.fixture(scope="session")
+def mountains_run(mountains, tmp_path_factory):
+    return Pipeline(mountains, tmp_path_factory.mktemp("mountains_run"), resolution=1.0, workers=1)
+
+
+def _synthetic_rpc(lon=1.44, lat=43.6, **changes):
+    """A made-up RPC with all eighty coefficients at work: 0.5 m px, 20 km a side, looking 15 degrees off nadir."""
+    numbers = np.random.default_rng(7)
+
+    def polynomial(leading, size):
+        values = numbers.normal(0.0, size, 20)
+        for index, value in leading.items():
+            values[index] = value
+        return tuple(values)
+
+    members = {
+        "row_off": 18999.5, "row_scale": 19000.0, "col_off": 20749.5, "col_scale": 20750.0,
+        "lat_off": lat, "lat_scale": 0.09, "lon_off": lon, "lon_scale": 0.13, "height_off": 500.0,
+        "height_scale": 400.0,
+        "row_num": polynomial({0: 0.002, 1: -0.21, 2: -1.02, 3: 0.012}, 2e-5), "row_den": polynomial({0: 1.0}, 2e-5),
+        "col_num": polynomial({0: -0.001, 1: 1.01, 2: -0.2, 3: 0.009}, 2e-5), "col_den": polynomial({0: 1.0}, 2e-5)}
+    return Rpc(**{**members, **changes})
+
+
+@pytest.fixture(scope="session")
+def synthetic_rpc():
+    """synthetic_rpc(lon, lat, **members): an RPC that needs no data; ground points for it: see `points_of`."""
+    return _synthetic_rpc
+
+
+@pytest.fixture(scope="session")
+def points_of():
+    """points_of(rpc, count): random (N, 3) ground points in the RPC's own domain."""
+
+    def points(rpc, count=200):
+        unit = np.random.default_rng(1).uniform(-0.95, 0.95, (count, 3))
+        return unit * [rpc.lon_scale, rpc.lat_scale, rpc.height_scale] + [rpc.lon_off, rpc.lat_off, rpc.height_off]
+
+    return points
+
+
+@pytest.fixture(scope="session")
+def write_image():
+    """write_image(path, pixels, rpc, tags, nodata, crs): a GeoTIFF with RPC tags, or without any."""
+
+    def write(path, pixels=None, rpc=None, tags=None, nodata=None, crs=None):
+        pixels = np.arange(100 * 80, dtype=np.uint16).reshape(100, 80) if pixels is None else np.asarray(pixels)
+        kinds = {"uint8": gdal.GDT_Byte, "uint16": gdal.GDT_UInt16, "float32": gdal.GDT_Float32}
+        bands = pixels[None] if pixels.ndim == 2 else pixels
+        dataset = gdal.GetDriverByName("GTiff").Create(
+            str(path), bands.shape[2], bands.shape[1], bands.shape[0], kinds[bands.dtype.name])
+        metadata = {**(rpc_tags(rpc) if rpc else {}), **(tags or {})}
+        if metadata:
+            dataset.SetMetadata(metadata, "RPC")
+        if crs:
+            dataset.SetProjection(crs)
+            dataset.SetGeoTransform((500000.0, 1.0, 0.0, 4800000.0, 0.0, -1.0))
+        for number, band in enumerate(bands, start=1):
+            if nodata is not None:
+                dataset.GetRasterBand(number).SetNoDataValue(nodata)
+            dataset.GetRasterBand(number).WriteArray(band)
+        dataset = None  # noqa: F841
+        return str(path)
+
+    return write

@@ -1,0 +1,213 @@
+"""Finding RPCs in what vendors deliver, and saying no to what is none."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from repm_qgis.errors import RpcInvalidError, RpcMissingError
+from repm_qgis.imagery.raster import opened
+from repm_qgis.rpc.readers import rpc_from_gdal, rpc_from_xml, rpc_of
+from repm_qgis.simulation.scene import rpc_tags
+
+
+def read(path):
+    with opened(str(path)) as dataset:
+        return rpc_of(dataset, str(path))
+
+
+def close(a, b):
+    """Whether two RPCs are the same to the digits that text formats keep."""
+    for name in a.__dataclass_fields__:
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-9, atol=1e-12)
+
+
+def rpc_txt(rpc):
+    """The _RPC.TXT of IKONOS and many after it, with units."""
+    units = {"LINE": "pixels", "SAMP": "pixels", "LAT": "degrees", "LONG": "degrees", "HEIGHT": "meters"}
+    tags = rpc_tags(rpc)
+    lines = [f"{k}_{e}: {float(tags[f'{k}_{e}']):+.12f} {u}" for e in ("OFF", "SCALE") for k, u in units.items()]
+    for name in ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN"):
+        lines += [f"{name}_COEFF_{i}: {float(v):+.15E}" for i, v in enumerate(tags[f"{name}_COEFF"].split(), start=1)]
+    return "\n".join(lines) + "\n"
+
+
+def rpb(rpc):
+    """DigitalGlobe's .RPB."""
+    tags = rpc_tags(rpc)
+    text = 'satId = "WV01";\nbandId = "P";\nSpecId = "RPC00B";\nBEGIN_GROUP = IMAGE\n\terrBias = 1.0;\n\terrRand = 0.5;\n'
+    for ours, theirs in (("LINE", "line"), ("SAMP", "samp"), ("LAT", "lat"), ("LONG", "long"), ("HEIGHT", "height")):
+        text += f"\t{theirs}Offset = {float(tags[f'{ours}_OFF']):.12f};\n"
+        text += f"\t{theirs}Scale = {float(tags[f'{ours}_SCALE']):.12f};\n"
+    for ours, theirs in (("LINE_NUM", "lineNum"), ("LINE_DEN", "lineDen"), ("SAMP_NUM", "sampNum"),
+                         ("SAMP_DEN", "sampDen")):
+        values = ",\n".join(f"\t\t\t{float(v):+.15E}" for v in tags[f"{ours}_COEFF"].split())
+        text += f"\t{theirs}Coef = (\n{values});\n"
+    return text + "END_GROUP = IMAGE\nEND;\n"
+
+
+def dimap(rpc, height_off=None, head=""):
+    """Airbus's RPC_*.XML: pixels count from 1, and the direct model's polynomials come first."""
+    tags = rpc_tags(rpc)
+    body = "".join(f"<{name}_COEFF_{i}>{value}</{name}_COEFF_{i}>\n"
+                   for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")
+                   for i, value in enumerate(tags[f"{name}_COEFF"].split(), start=1))
+    direct = "".join(f"<{name}_COEFF_{i}>{0.5 + i}</{name}_COEFF_{i}>\n"
+                     for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN") for i in range(1, 21))
+    numbers = {f"{k}_{e}": tags[f"{k}_{e}"] for k in ("LONG", "LAT", "HEIGHT", "SAMP", "LINE") for e in ("SCALE", "OFF")}
+    numbers["SAMP_OFF"] = repr(float(numbers["SAMP_OFF"]) + 1)
+    numbers["LINE_OFF"] = repr(float(numbers["LINE_OFF"]) + 1)
+    if height_off is not None:
+        numbers["HEIGHT_OFF"] = height_off
+    validity = "".join(f"<{name}>{value}</{name}>\n" for name, value in numbers.items())
+    return (f'<?xml version="1.0" encoding="UTF-8"?>\n{head}<Dimap_Document><Rational_Function_Model><Global_RFM>'
+            f"<Direct_Model>{direct}</Direct_Model><Inverse_Model>{body}</Inverse_Model><RFM_Validity>"
+            f"<Direct_Model_Validity_Domain><FIRST_ROW>1</FIRST_ROW></Direct_Model_Validity_Domain>{validity}"
+            "</RFM_Validity></Global_RFM></Rational_Function_Model></Dimap_Document>")
+
+
+def test_geotiff_tags(tmp_path, write_image, synthetic_rpc):
+    rpc = synthetic_rpc()
+    close(read(write_image(tmp_path / "a.tif", rpc=rpc)), rpc)
+
+
+@pytest.mark.parametrize("name, text", (("a_RPC.TXT", rpc_txt), ("a_rpc.txt", rpc_txt), ("a.RPB", rpb)))
+def test_sidecars_of_gdal(tmp_path, write_image, synthetic_rpc, name, text):
+    rpc = synthetic_rpc()
+    image = write_image(tmp_path / "a.tif")
+    (tmp_path / name).write_text(text(rpc))
+    close(read(image), rpc)
+
+
+@pytest.mark.parametrize("image, xml", (
+    ("IMG_PHR1A_P_2012_SEN_9_R1C1.TIF", "RPC_PHR1A_P_2012_SEN_9.XML"),
+    ("img_phr1a_p_2012_r1c1.tif", "RPC_phr1a_p_2012.xml"), ("scene.tif", "scene_RPC.XML"), ("scene.tif", "scene.xml"),
+    ("scene.tif", "RPC_scene.XML")))
+def test_airbus_xml_beside_the_image(tmp_path, write_image, synthetic_rpc, image, xml):
+    rpc = synthetic_rpc()
+    write_image(tmp_path / image)
+    (tmp_path / xml).write_text(dimap(rpc))
+    close(read(tmp_path / image), rpc)
+
+
+def test_another_images_xml_is_not_taken(tmp_path, write_image, synthetic_rpc):
+    image = write_image(tmp_path / "IMG_PHR1A_1_R1C1.TIF")
+    (tmp_path / "RPC_PHR1A_2.XML").write_text(dimap(synthetic_rpc()))
+    with pytest.raises(RpcMissingError):
+        read(image)
+
+
+def test_real_sidecars(shared_data, tmp_path, write_image, points_of):
+    """Every vendor's file gives a model that can go there and back."""
+    other = shared_data / "rpc" / "other"
+    for number, (source, target) in enumerate((
+            ("20191015_073816_ssc1d3_0011_basic_l1a_panchromatic_dn_RPC.TXT", "a_RPC.TXT"),
+            ("rpc_IKONOS.txt", "a_rpc.txt"), ("rpc_PLANET_L1A.txt", "a_RPC.TXT"), ("rpc_PLANET_L1B.txt", "a_RPC.TXT"),
+            ("rpc_SPOT6.xml", "RPC_a.XML"), ("rpc_WV2.xml", "a.XML"),
+            ("RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML", "RPC_a.XML"))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        image = write_image(folder / "a.tif")
+        shutil.copy(other / source, folder / target)
+        rpc = read(image)
+        points = points_of(rpc, 50)
+        assert np.abs(rpc.localise(rpc.project(points), points[:, 2]) - points).max() < 1e-8, source
+
+
+def test_pleiades_xml_and_ossim_geom_are_the_same_model(shared_data):
+    """OSSIM's file of the same scene, written by other software: offsets tell who counts from 1."""
+    other = shared_data / "rpc" / "other"
+    rpc = rpc_from_xml(other / "RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML")
+    geom = dict(line.split(":", 1) for line in
+                (other / "PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.geom").read_text().splitlines() if ":" in line)
+    # OSSIM keeps the file's offset, counted from 1.
+    assert rpc.row_off == float(geom["line_off"]) - 1 or rpc.row_off == float(geom["line_off"])
+    assert rpc.lat_off == pytest.approx(float(geom["lat_off"]), abs=1e-9)
+    for i in range(20):
+        assert rpc.row_num[i] == pytest.approx(float(geom[f"line_num_coeff_{i:02d}"]), rel=1e-9)
+        assert rpc.col_den[i] == pytest.approx(float(geom[f"samp_den_coeff_{i:02d}"]), rel=1e-9)
+
+
+@pytest.mark.parametrize("head", ("<!DOCTYPE a>", '<!DOCTYPE a [<!ENTITY b "c">]>', '<!doctype a [<!entity b "c">]>'))
+def test_doctype_and_entities_are_refused(tmp_path, write_image, synthetic_rpc, head):
+    image = write_image(tmp_path / "a.tif")
+    (tmp_path / "RPC_a.XML").write_text(dimap(synthetic_rpc(), head=head))
+    with pytest.raises(RpcInvalidError, match="declares a DOCTYPE or entities"):
+        read(image)
+
+
+def test_xml_of_another_kind_is_passed_over(tmp_path, write_image):
+    image = write_image(tmp_path / "a.tif")
+    for text in ("<PAMDataset></PAMDataset>", "no xml at all", "", "<a><b></a>"):
+        (tmp_path / "a.xml").write_text(text)
+        assert rpc_from_xml(tmp_path / "a.xml") is None
+        with pytest.raises(RpcMissingError):
+            read(image)
+
+
+def test_missing_rpc_lists_the_places(tmp_path, write_image):
+    image = write_image(tmp_path / "scene.tif")
+    (tmp_path / "scene.xml").write_text("<a/>")
+    with pytest.raises(RpcMissingError) as caught:
+        read(image)
+    text = str(caught.value)
+    for words in (image, "GTiff metadata", ".RPB", "_RPC.TXT", "scene.xml", "Put the vendor's RPC file beside the image"):
+        assert words in text
+
+
+def test_projected_product_has_its_own_sentence(tmp_path, write_image):
+    image = write_image(tmp_path / "ortho.tif", crs="EPSG:32631")
+    with pytest.raises(RpcMissingError) as caught:
+        read(image)
+    assert "already projected to a map" in str(caught.value) and "order the Basic, Sensor or Primary" in str(caught.value)
+    assert "Looked in" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key, value, words", (
+    ("LINE_SCALE", "0", "row scale is 0.0"), ("LAT_OFF", "nan", "lat offset is nan"),
+    ("HEIGHT_SCALE", "0.0 meters", "height scale is 0.0"), ("LONG_OFF", "east", "LONG_OFF is 'east', which is not a number"),
+    ("SAMP_DEN_COEFF", " ".join(["0"] * 20), "col_den has only zero coefficients"),
+    ("SAMP_NUM_COEFF", " ".join(["1"] * 19), "col_num has 19 coefficients"),
+    ("LINE_NUM_COEFF", " ".join(["1"] * 19 + ["nan"]), "row_num has a coefficient that is not a finite number")))
+def test_wrong_numbers_name_the_file_and_the_value(tmp_path, write_image, synthetic_rpc, key, value, words):
+    image = write_image(tmp_path / "a.tif", rpc=synthetic_rpc(), tags={key: value})
+    tags = {**rpc_tags(synthetic_rpc()), key: value}
+    with pytest.raises(RpcInvalidError) as caught:
+        rpc_from_gdal(tags)
+    assert words in str(caught.value)
+    # GDAL keeps numbers only in its own tag; what it cannot keep it drops or turns to 0, which must be refused too.
+    with pytest.raises((RpcInvalidError, RpcMissingError)) as caught:
+        read(image)
+    assert image in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ("LINE_OFF", "SAMP_NUM_COEFF", "HEIGHT_SCALE"))
+@pytest.mark.parametrize("change", ("drop", "empty"))
+def test_missing_members_are_named(synthetic_rpc, key, change):
+    tags = rpc_tags(synthetic_rpc())
+    if change == "drop":
+        del tags[key]
+    else:
+        tags[key] = " "
+    with pytest.raises(RpcInvalidError):
+        rpc_from_gdal(tags)
+
+
+def test_an_xml_with_nan_or_nothing_for_a_number(tmp_path, write_image, synthetic_rpc):
+    image = write_image(tmp_path / "a.tif")
+    for value in ("NaN", "", "tall"):
+        (tmp_path / "RPC_a.XML").write_text(dimap(synthetic_rpc(), height_off=value))
+        with pytest.raises(RpcInvalidError) as caught:
+            read(image)
+        assert "a.tif" in str(caught.value) and "Get the file again" in str(caught.value)
+
+
+@pytest.mark.parametrize("tile", ("R1C2", "R2C1", "R3C3"))
+def test_a_further_tile_of_a_cut_product_does_not_get_the_whole_images_rpc(tmp_path, write_image, synthetic_rpc, tile):
+    """Airbus cuts large products into R1C1, R1C2...: only the first tile's pixels are the RPC's pixels."""
+    image = write_image(tmp_path / f"IMG_PHR1A_P_2012_{tile}.TIF")
+    (tmp_path / "RPC_PHR1A_P_2012.XML").write_text(dimap(synthetic_rpc()))
+    with pytest.raises((RpcMissingError, RpcInvalidError)):
+        read(image)
