@@ -13,7 +13,8 @@ from typing import Any, Mapping, Optional, Tuple, TypeVar
 
 from .errors import OptionError
 
-MODELS = ("none", "homography", "polynomial")
+MODELS = ("none", "homography", "polynomial", "terrain")
+KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm")
 METHODS = ("median", "mean")
 ALIGNMENTS = ("none", "vertical", "3d")
@@ -126,11 +127,18 @@ class ErrorMapOptions(Options):
 
 @dataclass(frozen=True)
 class RefineOptions(Options):
-    """Find the map from each refined pixel to its original pixel that makes the pinhole camera true."""
+    """Find the map from each refined pixel to its original pixel that makes the pinhole camera true.
+
+    ``dem`` is the terrain model's surface; None takes the heights that the scene already has. ``order`` is the
+    polynomial's, ``kernel`` resamples the refined images.
+    """
 
     scene: str
     output_scene: str
     model: str = "polynomial"
+    dem: Optional[str] = None
+    order: int = 2
+    kernel: str = "bilinear"
     write_images: bool = True
     report: Optional[str] = None
 
@@ -138,6 +146,8 @@ class RefineOptions(Options):
         _given("SCENE", self.scene)
         _given("OUTPUT_SCENE", self.output_scene)
         _one_of("MODEL", self.model, MODELS)
+        _within("ORDER", self.order, 2, 5)
+        _one_of("KERNEL", self.kernel, KERNELS)
 
 
 @dataclass(frozen=True)
@@ -208,6 +218,7 @@ class PipelineOptions(Options):
     tile_size: int = 0
     error_budget: float = 0.1
     model: str = "polynomial"
+    order: int = 2
     backend: str = "auto"
     resolution: float = 0.0
     crs: Optional[str] = None
@@ -225,7 +236,9 @@ class PipelineOptions(Options):
     def __post_init__(self) -> None:
         # The stages' own options check everything else; building them here makes a wrong value fail at once.
         self.fit_options()
-        RefineOptions("-", "-", self.model)
+        RefineOptions("-", "-", self.model, order=self.order)
+        if self.model == "terrain" and not self.dem:
+            raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
         ReconstructOptions("-", "-", self.backend, workers=self.workers)
         DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.outlier_radius)
 

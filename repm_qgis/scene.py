@@ -10,7 +10,7 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from .errors import ImageError, RpcInvalidError, SceneError, SceneVersionError
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.frames import EnuFrame
 from .geometry.pinhole import PinholeCamera
-from .geometry.refinement import map_from_mapping
+from .geometry.refinement import SensorModel, Terrain, map_from_mapping
 from .rpc import Rpc
 from .workspace import write_text
 
@@ -91,15 +91,17 @@ class TileView:
                 "refined": self.refined.to_mapping() if self.refined else None, "image": self.image}
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> "TileView":
-        refined = values.get("refined")
+    def from_mapping(cls, values: Mapping[str, Any], terrain: Callable[[], Terrain]) -> "TileView":
         return cls(
             tuple(int(v) for v in values["window"]), PinholeCamera.from_mapping(values["camera"]),
             EquivalentError(**values["error"]),
-            RefinedPinhole(PinholeCamera.from_mapping(refined["camera"]), map_from_mapping(refined["to_original"]),
-                           tuple(int(v) for v in refined["size"]), EquivalentError(**refined["error"]))
-            if refined else None,
-            values.get("image"))
+            _refined_from(values["refined"], terrain) if values.get("refined") else None, values.get("image"))
+
+
+def _refined_from(values: Mapping[str, Any], terrain: Callable[[], Terrain]) -> RefinedPinhole:
+    camera = PinholeCamera.from_mapping(values["camera"])
+    return RefinedPinhole(camera, map_from_mapping(values["to_original"], camera, terrain),
+                          tuple(int(v) for v in values["size"]), EquivalentError(**values["error"]))
 
 
 @dataclass
@@ -117,9 +119,10 @@ class Tile:
                 "views": {name: view.to_mapping() for name, view in self.views.items()}, "heights": self.heights}
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> "Tile":
+    def from_mapping(cls, values: Mapping[str, Any], terrain: Callable[[str], Terrain]) -> "Tile":
         return cls(str(values["id"]), tuple(map(float, values["bounds"])), tuple(map(float, values["altitudes"])),
-                   {str(name): TileView.from_mapping(view) for name, view in values["views"].items()},
+                   {str(name): TileView.from_mapping(view, lambda name=name: terrain(str(name)))
+                    for name, view in values["views"].items()},
                    list(values.get("heights", [])))
 
 
@@ -128,7 +131,8 @@ class Scene:
     """Views, local frame, ground area, tiles, and what was done so far.
 
     ``area`` is the outline, as WKT in ``crs``, of the ground that at least two views see. ``altitudes`` are metres
-    above the ellipsoid.
+    above the ellipsoid. ``refinement`` is the model's name ("" before any), ``order`` the polynomial's, ``surface``
+    the coarse surface's file of the terrain model.
     """
 
     views: List[View]
@@ -138,6 +142,8 @@ class Scene:
     altitudes: Tuple[float, float]
     tiles: List[Tile]
     refinement: str = ""
+    order: int = 2
+    surface: str = ""
     history: List[Dict[str, Any]] = field(default_factory=list)
     path: Path = Path("scene.json")
 
@@ -149,6 +155,17 @@ class Scene:
         names = ", ".join(view.name for view in self.views)
         raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {names}.")
 
+    def terrain(self, sensor: SensorModel) -> Optional[Terrain]:
+        """The terrain that refines an image with this exact model; None unless the refinement is terrain-aware.
+
+        Raises ImageError where the surface's file is gone.
+        """
+        if self.refinement != "terrain":
+            return None
+        from .imagery.dem import load_surface
+
+        return Terrain(sensor, self.frame, load_surface(self.surface))
+
     @property
     def gsd_m(self) -> float:
         """The finest view's ground sampling distance."""
@@ -158,6 +175,10 @@ class Scene:
     def fingerprint(self) -> str:
         """What the last stage that worked on the scene was made from."""
         return str(self.history[-1]["fingerprint"]) if self.history else ""
+
+    def lean(self) -> "Scene":
+        """The scene without tiles and history: what a worker needs of it."""
+        return replace(self, tiles=[], history=[])
 
     def folder(self, kind: str) -> Path:
         """Where products of a kind lie: beside the scene's file, named after it."""
@@ -179,7 +200,8 @@ class Scene:
         document = {
             "format": "repm-scene", "schema": SCHEMA, "engine": __version__,
             "frame": self.frame.to_mapping(), "crs": self.crs, "area": self.area, "altitudes": list(self.altitudes),
-            "refinement": self.refinement, "views": [view.to_mapping() for view in self.views],
+            "refinement": self.refinement, "order": self.order, "surface": self.surface,
+            "views": [view.to_mapping() for view in self.views],
             "tiles": [tile.to_mapping() for tile in self.tiles], "history": self.history,
         }
         return write_text(str(path), json.dumps(document, indent=1, allow_nan=False))
@@ -193,11 +215,15 @@ class Scene:
         """
         document = _document(path)
         try:
-            return cls(
+            scene = cls(
                 [View.from_mapping(view) for view in document["views"]], EnuFrame.from_mapping(document["frame"]),
-                str(document["crs"]), str(document["area"]), tuple(map(float, document["altitudes"])),
-                [Tile.from_mapping(tile) for tile in document["tiles"]], str(document["refinement"]),
+                str(document["crs"]), str(document["area"]), tuple(map(float, document["altitudes"])), [],
+                str(document["refinement"]), int(document["order"]), str(document["surface"]),
                 list(document["history"]), Path(path))
+            # Stored refinements belong to the vendors' RPCs; pointing came later.
+            scene.tiles = [Tile.from_mapping(tile, lambda name: scene.terrain(scene.view(name).rpc))
+                           for tile in document["tiles"]]
+            return scene
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise SceneError(f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
                              "'Fit pinhole cameras'.") from error

@@ -6,9 +6,10 @@ from typing import List, Tuple
 
 import numpy as np
 
+from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures
 from .comparison import Comparison
-from .grids import Grid, flat_crs, vertical_part
+from .grids import Grid
 from .report import Report
 
 _METHODS = {

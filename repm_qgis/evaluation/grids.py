@@ -15,6 +15,7 @@ from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import TransformerGroup
 
 from ..errors import ImageError, OverlapError
+from ..geometry.frames import flat_crs, vertical_part
 from ..imagery import raster
 
 Bounds = Tuple[float, float, float, float]
@@ -109,25 +110,6 @@ def metres_per_unit(grid: Grid) -> Tuple[float, float]:
     e2 = 1 - (b / a) ** 2
     w = math.sqrt(1 - e2 * math.sin(latitude) ** 2)
     return factor * a * math.cos(latitude) / w, factor * a * (1 - e2) / w**3
-
-
-def flat_crs(crs: CRS) -> CRS:
-    """The horizontal part of a CRS."""
-    if crs.is_compound:
-        return crs.sub_crs_list[0]
-    if len(crs.axis_info) < 3:
-        return crs
-    reference = osr.SpatialReference()
-    reference.ImportFromWkt(crs.to_wkt("WKT2_2019"))
-    reference.DemoteTo2D("")
-    return CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"]))
-
-
-def vertical_part(crs: CRS) -> Optional[str]:
-    """The name of a CRS's vertical part: a vertical CRS's, "ellipsoidal height", or None where it says nothing."""
-    if crs.is_compound:
-        return crs.sub_crs_list[1].name
-    return f"ellipsoidal height ({crs.ellipsoid.name})" if len(crs.axis_info) == 3 else None
 
 
 def overlap(dsm: Grid, reference: Grid) -> Bounds:

@@ -6,14 +6,15 @@ Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMS
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Callable, Tuple
+from typing import Any, Callable, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import OptionError
 from .frames import EnuFrame
 from .pinhole import PinholeCamera, factorise, fit_projection
-from .refinement import RefinementMap, fit_map
+from .refinement import RefinementMap, Terrain, TerrainMap, fit_map
 
 FloatArray = NDArray[np.float64]
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
@@ -109,17 +110,44 @@ class RefinedPinhole:
                 "size": list(self.size), "error": self.error.to_mapping()}
 
 
-def refine_pinhole(model: str, camera: PinholeCamera, grid: VirtualGrid,
-                   window: Tuple[float, float, float, float], order: int = 2) -> RefinedPinhole:
-    """Fit M for a window, and place the refined image so that it holds all of the window (paper, Algorithm 2).
+def surface_grid(terrain: Terrain, window: Tuple[float, float, float, float], uncertainty_m: float = 10.0,
+                 shape: Tuple[int, int, int] = GRID) -> VirtualGrid:
+    """Ground points within ``uncertainty_m`` of a surface, over a window: a terrain-aware camera must hold there."""
+    cols, rows, above = np.meshgrid(
+        np.linspace(window[0], window[0] + window[2] - 1, shape[0]),
+        np.linspace(window[1], window[1] + window[3] - 1, shape[1]),
+        np.linspace(-uncertainty_m, uncertainty_m, shape[2]), indexing="ij")
+    pixels = np.stack([cols.ravel(), rows.ravel()], axis=1)
+    height = np.full(len(pixels), float(terrain.surface.heights.mean()))
+    for _ in range(40):
+        ground = terrain.sensor.localise(pixels, height)
+        before = height
+        height = terrain.surface.height(ground[:, 0], ground[:, 1]) + above.ravel()
+        if not (np.abs(height - before) > 0.01).any():
+            break
+    known = np.isfinite(ground).all(axis=1)
+    return VirtualGrid(pixels[known], ground[known], terrain.frame.from_geodetic(ground[known]))
+
+
+def refine_pinhole(model: str, camera: PinholeCamera, grid: VirtualGrid, window: Tuple[float, float, float, float],
+                   order: int = 2, terrain: Optional[Terrain] = None) -> RefinedPinhole:
+    """Find M for a window, and place the refined image so that it holds all of the window (paper, Algorithm 2).
 
     The error is measured in original pixels: M(p') against p, where p' is the zero-skew camera's pixel of a ground
-    point and p the RPC's.
+    point and p the RPC's; over ``grid``, or for the ``terrain`` model over points within 10 m of its surface.
     """
     straight = camera.without_skew()
-    affinity = camera.K @ np.linalg.inv(straight.K)
-    refined = straight.project(grid.enu)
-    to_original = fit_map(model, refined, grid.pixels, affinity, order)
+    to_original: RefinementMap
+    if model == "terrain":
+        if terrain is None:
+            raise OptionError("MODEL", model, "needs a surface: give a DEM")
+        to_original = TerrainMap(straight, terrain)
+        grid = surface_grid(terrain, window)
+        refined = straight.project(grid.enu)
+    else:
+        refined = straight.project(grid.enu)
+        affinity = camera.K @ np.linalg.inv(straight.K)
+        to_original = fit_map(model, refined, grid.pixels, affinity, order)
     difference = to_original.original_from_refined(refined) - grid.pixels
     error = EquivalentError.of(difference, predicted_error(straight, grid))
     corners = to_original.refined_from_original(_border(window))

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Mapping
+from typing import Any, Mapping, Optional
 
 import numpy as np
 import pyproj
 from numpy.typing import NDArray
+from osgeo import osr
 
 from ..errors import OptionError
 
@@ -85,14 +86,37 @@ def utm_crs(lon: float, lat: float) -> str:
 
 
 def projected_crs(text: str) -> pyproj.CRS:
-    """Parse a CRS and see that it is projected, in metres; raises OptionError otherwise."""
+    """Parse a CRS and see that it is projected, in metres, and horizontal only; raises OptionError otherwise."""
     try:
         crs = pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError as error:
         raise OptionError("CRS", text, f"is not a coordinate reference system that PROJ knows ({error})") from error
     if not crs.is_projected:
         raise OptionError("CRS", text, "must be a projected CRS (UTM, say): a DSM's cells are in metres")
+    if len(crs.axis_info) != 2:
+        raise OptionError("CRS", text, "must be one without a vertical part: heights are above the WGS 84 ellipsoid")
+    if any(abs(axis.unit_conversion_factor - 1.0) > 1e-9 for axis in crs.axis_info):
+        raise OptionError("CRS", text, f"is in {crs.axis_info[0].unit_name}: choose one in metres")
     return crs
+
+
+def flat_crs(crs: pyproj.CRS) -> pyproj.CRS:
+    """The horizontal part of a CRS."""
+    if crs.is_compound:
+        return crs.sub_crs_list[0]
+    if len(crs.axis_info) < 3:
+        return crs
+    reference = osr.SpatialReference()
+    reference.ImportFromWkt(crs.to_wkt("WKT2_2019"))
+    reference.DemoteTo2D("")
+    return pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"]))
+
+
+def vertical_part(crs: pyproj.CRS) -> Optional[str]:
+    """The name of a CRS's vertical part: a vertical CRS's, "ellipsoidal height", or None where it says nothing."""
+    if crs.is_compound:
+        return crs.sub_crs_list[1].name
+    return f"ellipsoidal height ({crs.ellipsoid.name})" if len(crs.axis_info) == 3 else None
 
 
 @lru_cache(maxsize=32)

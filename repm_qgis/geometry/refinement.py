@@ -7,18 +7,22 @@ the original at M(p') gives it. Pixels are column, row with the first pixel's ce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Mapping, Union
+from typing import Any, Callable, Mapping, Protocol, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError, SceneError
-from .pinhole import normaliser
+from .frames import EnuFrame
+from .pinhole import PinholeCamera, normaliser
+from .surface import Surface
 
 FloatArray = NDArray[np.float64]
 
 _INVERSE_STEPS = 20
 _INVERSE_TOLERANCE_PX = 1e-7
+_INTERSECTION_STEPS = 20
+_INTERSECTION_TOLERANCE_M = 1e-3   # 1e-5 px at the steepest parallax
 
 
 @dataclass(frozen=True)
@@ -94,11 +98,82 @@ class PolynomialMap:
                 "coefficients": self.coefficients.tolist()}
 
 
-RefinementMap = Union[HomographyMap, PolynomialMap]
+class SensorModel(Protocol):
+    """What the terrain model asks of an image: ground to pixel and back, exactly, as its RPC has them."""
+
+    def project(self, lon_lat_h: FloatArray) -> FloatArray: ...
+
+    def localise(self, col_row: FloatArray, height: FloatArray) -> FloatArray: ...
 
 
-def map_from_mapping(values: Mapping[str, Any]) -> RefinementMap:
-    """The inverse of ``to_mapping``; raises SceneError for what is neither."""
+@dataclass(frozen=True)
+class Terrain:
+    """What makes a refinement terrain-aware: the image's exact model, the local frame, and a coarse surface."""
+
+    sensor: SensorModel
+    frame: EnuFrame
+    surface: Surface
+
+
+@dataclass(frozen=True)
+class TerrainMap:
+    """M through the ground: a refined pixel's pinhole ray meets a coarse surface, and the RPC says where that is seen.
+
+    Ours; it goes beyond the paper. What the polynomial leaves is altitude parallax, which depends on the ground and
+    on nothing else: on the surface the equivalent error is zero, beside it it grows with the distance alone.
+    """
+
+    camera: PinholeCamera
+    terrain: Terrain
+
+    def original_from_refined(self, points: FloatArray) -> FloatArray:
+        """(..., 2) refined to (..., 2) original pixels."""
+        p = np.asarray(points, dtype=np.float64)
+        rays = np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1) @ np.linalg.inv(
+            self.camera.K @ self.camera.R).T
+        centre, frame, surface = self.camera.centre, self.terrain.frame, self.terrain.surface
+        # The frame's up is within a third of a degree of the local one: steps by it converge as a strong contraction.
+        distance = (surface.heights.mean() - frame.height - centre[2]) / rays[..., 2]
+        for _ in range(_INTERSECTION_STEPS):
+            ground = frame.to_geodetic(centre + distance[..., None] * rays)
+            rise = surface.height(ground[..., 0], ground[..., 1]) - ground[..., 2]
+            if not (np.abs(rise) > _INTERSECTION_TOLERANCE_M).any():
+                break
+            distance = distance + rise / rays[..., 2]
+        return self.terrain.sensor.project(ground)
+
+    def refined_from_original(self, points: FloatArray) -> FloatArray:
+        """(..., 2) original to (..., 2) refined pixels."""
+        p = np.asarray(points, dtype=np.float64)
+        height = np.full(p.shape[:-1], float(self.terrain.surface.heights.mean()))
+        for _ in range(_INTERSECTION_STEPS):
+            ground = self.terrain.sensor.localise(p, height)
+            above = self.terrain.surface.height(ground[..., 0], ground[..., 1])
+            rise = above - height
+            height = above
+            if not (np.abs(rise) > _INTERSECTION_TOLERANCE_M).any():
+                break
+        return self.camera.project(self.terrain.frame.from_geodetic(ground))
+
+    def moved(self, col: float, row: float) -> "TerrainMap":
+        """M of the refined image whose pixel (0, 0) is this one's pixel (col, row)."""
+        return TerrainMap(self.camera.moved(col, row), self.terrain)
+
+    def to_mapping(self) -> dict[str, Any]:
+        return {"kind": "terrain"}
+
+
+RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
+
+
+def map_from_mapping(values: Mapping[str, Any], camera: PinholeCamera,
+                     terrain: Callable[[], Terrain]) -> RefinementMap:
+    """The inverse of ``to_mapping``; raises SceneError for what is none of ours.
+
+    A terrain map is made again from its camera and from ``terrain()``, called only then.
+    """
+    if values.get("kind") == "terrain":
+        return TerrainMap(camera, terrain())
     if values.get("kind") == "homography":
         return HomographyMap(np.array(values["matrix"], dtype=np.float64))
     if values.get("kind") == "polynomial":
@@ -136,7 +211,7 @@ def fit_map(model: str, refined: FloatArray, original: FloatArray, skew_affinity
 
     Parameters
     ----------
-    model : ``none``, ``homography`` or ``polynomial``.
+    model : ``none``, ``homography`` or ``polynomial`` (a :class:`TerrainMap` needs no fit).
     refined, original : (N, 2) pixels p' of the pinhole camera and p of the RPC of the same ground points.
     skew_affinity : (3, 3) affinity that puts the camera's skew back: all of M where the model is ``none``.
     order : total degree of the polynomial.

@@ -26,16 +26,16 @@ class GroundTile:
 
 
 def lay_tiles(area: ogr.Geometry, size_m: float) -> List[GroundTile]:
-    """Cover an area with equal rectangles of at most ``size_m`` a side; those that miss the area are left out.
+    """Cover an area with equal rectangles of at most ``size_m`` a side, rounded up to whole metres.
 
-    Rows count from the north, columns from the west.
+    Those that miss the area are left out. Rows count from the north, columns from the west.
     """
     xmin, xmax, ymin, ymax = area.GetEnvelope()
     columns = max(1, math.ceil((xmax - xmin) / size_m - 1e-9))
     rows = max(1, math.ceil((ymax - ymin) / size_m - 1e-9))
     # Whole metres keep the borders on cell borders for the usual resolutions.
-    width, height = math.ceil((xmax - xmin) / columns), math.ceil((ymax - ymin) / rows)
     west, north = math.floor(xmin), math.ceil(ymax)
+    width, height = math.ceil((xmax - west) / columns), math.ceil((north - ymin) / rows)
     tiles = []
     for i in range(rows):
         for j in range(columns):

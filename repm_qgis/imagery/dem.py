@@ -1,7 +1,8 @@
-"""Heights from an elevation model that the user gives."""
+"""Heights from an elevation model that the user gives: their range, and a coarse surface for the refinement."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Tuple
 
 import numpy as np
@@ -9,10 +10,14 @@ import pyproj
 from osgeo import gdal
 
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import geodetic_from_projected
-from .raster import opened, read
+from ..geometry.frames import flat_crs, geodetic_from_projected, vertical_part
+from ..geometry.surface import Surface
+from ..workspace import file_identity
+from .raster import NODATA, opened, quiet, read, write
+from .sampling import upsample_grid
 
 _MOST_CELLS = 512
+_MOST_SURFACE = 2000     # cells a side of a coarse surface
 
 
 def dem_range(path: str, crs: str, bounds: Tuple[float, float, float, float]) -> Tuple[float, float, bool]:
@@ -29,17 +34,84 @@ def dem_range(path: str, crs: str, bounds: Tuple[float, float, float, float]) ->
         if not dataset.GetProjection():
             raise ImageError(f"The DEM '{path}' has no coordinate reference system: assign it one first.")
         dem_crs = pyproj.CRS.from_wkt(dataset.GetProjection())
-        flat = pyproj.Transformer.from_crs("EPSG:4326", dem_crs.to_2d(), always_xy=True)
+        flat = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(dem_crs), always_xy=True)
         x, y = flat.transform(lon_lat[:, 0], lon_lat[:, 1])
         heights = _window_values(dataset, path, np.column_stack([x, y]))
     low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
-    vertical = any(part.is_vertical for part in dem_crs.sub_crs_list) or len(dem_crs.axis_info) == 3
+    vertical = vertical_part(dem_crs) is not None
     if vertical:
         # The undulation changes by decimetres over a scene: the centre's is enough for a range.
-        shift = pyproj.Transformer.from_crs(dem_crs, "EPSG:4979", always_xy=True, allow_ballpark=False)
-        zero = shift.transform(float(x.mean()), float(y.mean()), low)[2] - low
+        zero = float(_to_ellipsoid(dem_crs, path, x.mean(keepdims=True), y.mean(keepdims=True))[0])
         low, high = low + zero, high + zero
     return low, high, vertical
+
+
+def _to_ellipsoid(crs: pyproj.CRS, path: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(N,) metres to add to a DEM's heights at positions in its CRS; raises ImageError where PROJ lacks the grid."""
+    try:
+        shift = pyproj.Transformer.from_crs(crs, "EPSG:4979", always_xy=True, allow_ballpark=False)
+        result = np.asarray(shift.transform(x, y, np.zeros_like(x))[2])
+    except pyproj.exceptions.ProjError as error:
+        result, reason = np.array([np.inf]), str(error)
+    else:
+        reason = "its grid is not installed"
+    if not np.isfinite(result).all():
+        raise ImageError(f"PROJ cannot bring the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}. "
+                         "Install PROJ's vertical grids (the Environment report names them), or give an ellipsoidal "
+                         "DEM.")
+    return result
+
+
+def make_surface(path: str, bounds: Tuple[float, float, float, float], cell_m: float, target: str) -> str:
+    """A coarse surface from a DEM, written as a GeoTIFF in longitude, latitude and ellipsoidal heights.
+
+    ``bounds`` are west, south, east, north in degrees; cells are averages over about ``cell_m``; gaps are filled
+    from their border. Raises ImageError or OverlapError as :func:`dem_range` does. Returns ``target``.
+    """
+    step = max(cell_m / 111000.0, (bounds[2] - bounds[0]) / _MOST_SURFACE, (bounds[3] - bounds[1]) / _MOST_SURFACE)
+    width, height = (max(2, int(np.ceil(extent / step))) for extent in (bounds[2] - bounds[0], bounds[3] - bounds[1]))
+    with opened(path) as dataset:
+        if not dataset.GetProjection():
+            raise ImageError(f"The DEM '{path}' has no coordinate reference system: assign it one first.")
+        crs = pyproj.CRS.from_wkt(dataset.GetProjection())
+        with quiet():
+            # Two-dimensional, so that GDAL does not shift the heights by itself.
+            warped = gdal.Warp("", dataset, format="MEM", srcSRS=flat_crs(crs).to_wkt(), dstSRS="EPSG:4326",
+                               outputBounds=bounds, width=width, height=height, resampleAlg="average",
+                               dstNodata=NODATA, outputType=gdal.GDT_Float32)
+        if warped is None or not np.isfinite(read(warped)).any():
+            raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does.")
+        with quiet():
+            gdal.FillNodata(warped.GetRasterBand(1), None, float(max(width, height)), 2)
+        heights = read(warped).astype(np.float64)
+        transform = warped.GetGeoTransform()
+        warped = None
+    heights = np.where(np.isfinite(heights), heights, np.nanmean(heights))
+    if vertical_part(crs):
+        heights += _undulation(crs, path, bounds, heights.shape)
+    return write(target, [heights.astype(np.float32)], transform, pyproj.CRS("EPSG:4326").to_wkt(),
+                 descriptions=("height above the WGS 84 ellipsoid (m)",), unit="m")
+
+
+def _undulation(crs: pyproj.CRS, path: str, bounds: Tuple[float, float, float, float],
+                shape: Tuple[int, int]) -> np.ndarray:
+    """What to add to a DEM's heights, from a lattice of exact values: the geoid is smooth."""
+    lon, lat = np.meshgrid(np.linspace(bounds[0], bounds[2], 17), np.linspace(bounds[3], bounds[1], 17))
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True).transform(lon.ravel(), lat.ravel())
+    return upsample_grid(_to_ellipsoid(crs, path, np.asarray(x), np.asarray(y)).reshape(17, 17), shape)
+
+
+def load_surface(path: str) -> Surface:
+    """A surface from :func:`make_surface`, read once a process."""
+    return _surface(path, *file_identity(path)[1:])
+
+
+@lru_cache(maxsize=4)
+def _surface(path: str, *_: object) -> Surface:
+    with opened(path) as dataset:
+        heights = read(dataset).astype(np.float64)
+        west, step_lon, _, north, _, step_lat = dataset.GetGeoTransform()
+    return Surface(west + step_lon / 2, north + step_lat / 2, step_lon, -step_lat, heights)
 
 
 def _window_values(dataset: gdal.Dataset, path: str, points: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Optional, Tuple
+from typing import Callable, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -48,11 +48,18 @@ def warp(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int,
     """
     width, height = size
     result = np.full((height, width), np.nan, dtype=np.float32)
-    for start in range(0, height, _STRIP):
-        rows = min(_STRIP, height - start)
-        result[start:start + rows] = sample_source(
-            dataset, band, source_positions(to_source, size, start, rows), kernel)
+    for row, strip in warp_strips(dataset, band, to_source, size, kernel):
+        result[row:row + len(strip)] = strip
     return result
+
+
+def warp_strips(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int],
+                kernel: str = "bilinear") -> Iterator[Tuple[int, NDArray[np.float32]]]:
+    """:func:`warp` by strips of rows, for images that do not fit into memory: first row and pixels of each."""
+    width, height = size
+    for row in range(0, height, _STRIP):
+        rows = min(_STRIP, height - row)
+        yield row, sample_source(dataset, band, source_positions(to_source, size, row, rows), kernel)
 
 
 def sample_source(dataset: gdal.Dataset, band: int, positions: FloatArray, kernel: str) -> NDArray[np.float32]:

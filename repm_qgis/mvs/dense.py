@@ -132,7 +132,8 @@ def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record
                          "'Reconstruct heights' again.")
     geometry = pair_geometry(pair, first, second, altitudes, crs)
     rows, columns = (np.arange(n, dtype=np.float64) for n in height.shape)
-    return HeightMap(geometry.x.on_grid(columns, rows, height), geometry.y.on_grid(columns, rows, height), height, score)
+    x, y = (table.on_grid(columns, rows, height) for table in (geometry.x, geometry.y))
+    return HeightMap(x, y, height, score)
 
 
 def _rectified(scene: Scene, first: View, second: View, bounds: Tuple[float, float, float, float],

@@ -50,7 +50,8 @@ def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Tuple[floa
     if window is None:
         return None
     grid = virtual_grid(view.localise, window, altitudes, scene.frame)
-    return refine_pinhole(scene.refinement or "polynomial", fit_pinhole(grid).camera, grid, window)
+    return refine_pinhole(scene.refinement or "polynomial", fit_pinhole(grid).camera, grid, window, scene.order,
+                          scene.terrain(view))
 
 
 def ground_points(scene: Scene, bounds: Bounds, altitudes: Tuple[float, ...], points: int = 9) -> FloatArray:

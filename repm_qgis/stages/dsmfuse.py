@@ -41,7 +41,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}; outlier radius "
                   f"{radius:g} m.")
     views = tuple(nadir_first(scene)) if options.ortho else ()
-    tasks = [FuseTask(_lean(scene), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, radius, views,
+    tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, radius, views,
                       bool(options.cloud)) for tile, window in zip(tiles, windows)]
     results = run_tasks(fuse_tile, tasks, options.workers, progress, lambda task: f"fusing {task.records[0]['tile']}")
     facts = _write(options, scene, grid, crs, windows, results)
@@ -51,10 +51,6 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     progress.step(1.0, "DSM fused")
     return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
             "cloud": options.cloud, "seconds": round(time.monotonic() - start, 3), **facts}
-
-
-def _lean(scene: Scene) -> Scene:
-    return Scene(scene.views, scene.frame, scene.crs, "", scene.altitudes, [], scene.refinement)
 
 
 def _round_cell(cell: float) -> float:

@@ -93,7 +93,8 @@ def _tile_error(scene: Scene, view: View, tile: Tile, grid: CellGrid,
 def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float) -> FloatArray:
     """(..., 2) pinhole minus RPC pixel at ground nodes: the refined camera's where there is one; NaN out of image."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
-    pixels = view.project(ground)
+    # The vendor's RPC: pointing corrections, found later, are no fault of the camera.
+    pixels = view.rpc.project(ground)
     fitted = tile.views[view.name]
     enu = scene.frame.from_geodetic(ground)
     if fitted.refined is None:

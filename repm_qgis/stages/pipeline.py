@@ -33,8 +33,9 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
         return result
 
     first = stage("epmfit", "Pinhole cameras", lambda p: epmfit.run(options.fit_options(), p))
+    surface = options.dem if options.model == "terrain" else None
     stage("refine", "Refinement", lambda p: refine.run(
-        RefineOptions(fitted, refined, options.model, write_images=False), p))
+        RefineOptions(fitted, refined, options.model, surface, options.order, write_images=False), p))
     heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
         ReconstructOptions(refined, scene_path, options.backend, options.tie_points, workers=options.workers), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
@@ -125,7 +124,7 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
 def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], backend: str, key: str,
            folder: str, workers: int, progress: Progress) -> None:
     """Match all pairs over all tiles, and note the height maps in the scene."""
-    lean = replace(scene, tiles=[], history=[])
+    lean = scene.lean()
     tasks = [
         DenseTask(lean, tile.id, tile.bounds, tile.altitudes, pair.first, pair.second,
                   (stretches[pair.first], stretches[pair.second]), backend,

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 from typing import Any, Dict
 
 import numpy as np
 
+from ..dsm.own_surface import lon_lat_bounds, own_surface
+from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
 from ..geometry.equivalent_error import refine_pinhole, virtual_grid
+from ..imagery.dem import load_surface, make_surface
 from ..options import RefineOptions
 from ..progress import Progress, Recorder
-from ..scene import Scene, reusable
-from ..workspace import fingerprint
+from ..scene import Scene, TileView, reusable
+from ..workspace import file_identity, fingerprint
+
+_SURFACE_PX = 48
+"""Cells of the coarse surface, px of the finest image: finer would carry roofs into it, which rays may meet twice."""
 
 
 def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
     """Refine all tiles; gives the refined scene and the report."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
-    key = fingerprint("refine", scene.fingerprint, options.model, options.write_images)
+    dem = file_identity(options.dem) if options.dem else None
+    key = fingerprint("refine", scene.fingerprint, options.model, options.order, options.kernel, dem,
+                      options.write_images)
     report_path = options.report or str(Path(options.output_scene).with_name("refinement.html"))
     done = reusable(options.output_scene, "refine", key)
     if done is not None:
@@ -44,30 +51,53 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> None:
-    scene.refinement = options.model
+    if options.model == "terrain":
+        scene.surface = _surface(scene, options, progress)
+    scene.refinement, scene.order = options.model, options.order
     for index, tile in enumerate(scene.tiles):
         progress.step(index / len(scene.tiles), f"tile {index + 1} of {len(scene.tiles)}")
         for name, tile_view in tile.views.items():
             progress.check_cancelled()
-            grid = virtual_grid(scene.view(name).localise, tile_view.window, tile.altitudes, scene.frame)
-            tile_view.refined = refine_pinhole(options.model, tile_view.camera, grid, tile_view.window)
+            rpc = scene.view(name).rpc
+            grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame)
+            tile_view.refined = refine_pinhole(options.model, tile_view.camera, grid, tile_view.window, options.order,
+                                               scene.terrain(rpc))
             if options.write_images:
-                tile_view.image = _write_image(scene, tile.id, name, tile_view)
+                tile_view.image = _write_image(scene, tile.id, name, tile_view, options.kernel)
 
 
-def _write_image(scene: Scene, tile: str, name: str, tile_view: Any) -> str:
-    """The refined image of a tile, in the original's data type; 0 is nodata."""
+def _surface(scene: Scene, options: RefineOptions, progress: Progress) -> str:
+    """The coarse surface's file: from the DEM that is given, else from the scene's own heights."""
+    bounds = lon_lat_bounds(scene)
+    cell = _SURFACE_PX * scene.gsd_m
+    if options.dem:
+        source = options.dem
+    elif any(tile.heights for tile in scene.tiles):
+        source = own_surface(scene, cell, str(scene.folder("surface") / "own_heights.tif"))
+    else:
+        raise OptionError("MODEL", options.model, "needs a surface: give a DEM, or a scene that has heights already "
+                          "('Reconstruct heights' with another MODEL first)")
+    path = make_surface(source, bounds, cell, str(scene.folder("surface") / "surface.tif"))
+    heights = load_surface(path).heights
+    progress.info(f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
+                  f"{heights.max():.0f} m, from '{source}'.")
+    return path
+
+
+def _write_image(scene: Scene, tile: str, name: str, tile_view: TileView, kernel: str) -> str:
+    """The refined image of a tile, in 16 bits; 0 is nodata."""
     from ..imagery.raster import created, opened
-    from ..imagery.warping import warp
+    from ..imagery.warping import warp_strips
 
     view = scene.view(name)
     path = str(scene.folder("refined") / f"{tile}_{name}.tif")
-    with opened(view.image) as dataset:
-        pixels = warp(dataset, view.band, tile_view.refined.to_original.original_from_refined, tile_view.refined.size)
-    values = np.where(np.isfinite(pixels), np.clip(np.rint(pixels), 1, 65535), 0).astype(np.uint16)
-    with created(path, values.shape, values.dtype, 1, None, "", nodata=0,
-                 metadata={"REPM_VIEW": name, "REPM_TILE": tile}) as target:
-        target.write(values)
-    return os.path.relpath(path, scene.path.parent)
-
-
+    width, height = tile_view.refined.size
+    with opened(view.image) as dataset, created(
+            path, (height, width), np.dtype(np.uint16), 1, None, "", nodata=0,
+            metadata={"REPM_VIEW": name, "REPM_TILE": tile}) as target:
+        to_original = tile_view.refined.to_original.original_from_refined
+        for row, pixels in warp_strips(dataset, view.band, to_original, (width, height), kernel):
+            known = np.isfinite(pixels)
+            target.write(np.where(known, np.clip(np.rint(np.where(known, pixels, 0)), 1, 65535), 0).astype(np.uint16),
+                         0, row)
+    return path

@@ -1,0 +1,47 @@
+"""A coarse surface of the ground, for the terrain-aware refinement: heights on a grid in longitude and latitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Heights in metres above the WGS 84 ellipsoid; cell (0, 0)'s centre is at (lon, lat), rows run south.
+
+    ``heights`` (m, n) has no NaN; beyond its border the surface goes on level. ``step_lon`` and ``step_lat`` are
+    positive, in degrees.
+    """
+
+    lon: float
+    lat: float
+    step_lon: float
+    step_lat: float
+    heights: FloatArray
+
+    def height(self, lon: FloatArray, lat: FloatArray) -> FloatArray:
+        """Bilinear height at positions in degrees; NaN in gives NaN out."""
+        m, n = self.heights.shape
+        away = (np.asarray(lon) - self.lon + 180.0) % 360.0 - 180.0
+        with np.errstate(invalid="ignore"):
+            u = np.clip(away / self.step_lon, 0.0, n - 1.0)
+            v = np.clip((self.lat - np.asarray(lat)) / self.step_lat, 0.0, m - 1.0)
+        known = np.isfinite(u) & np.isfinite(v)
+        u, v = np.where(known, u, 0.0), np.where(known, v, 0.0)
+        j, i = np.minimum(u.astype(np.intp), max(n - 2, 0)), np.minimum(v.astype(np.intp), max(m - 2, 0))
+        fu, fv = u - j, v - i
+        below, right = min(1, m - 1), min(1, n - 1)
+        z = self.heights
+        result = ((z[i, j] * (1 - fu) + z[i, j + right] * fu) * (1 - fv)
+                  + (z[i + below, j] * (1 - fu) + z[i + below, j + right] * fu) * fv)
+        return np.where(known, result, np.nan)
+
+    @classmethod
+    def level(cls, height: float) -> "Surface":
+        """A surface of one height everywhere."""
+        return cls(0.0, 0.0, 1.0, 1.0, np.full((1, 1), float(height)))
