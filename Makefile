@@ -3,10 +3,10 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test lint package models clean
+.PHONY: help setup demo test bench-epm lint package models clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: ## install what the plugin needs here (QGIS by apt on Debian and Ubuntu, the wheels into .venv)
 	@scripts/setup
@@ -16,6 +16,9 @@ demo: setup ## simulated tri-stereo images to a DSM, its accuracy against the kn
 
 test: setup ## the whole test suite (TESTS=tests/engine for a part)
 	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(TESTS)
+
+bench-epm: setup ## the equivalent pinhole model: errors, agreement, cost (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/epm.py
 
 lint: setup ## ruff over everything
 	@$(PYTHON) -m ruff check .

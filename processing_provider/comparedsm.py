@@ -57,7 +57,7 @@ class CompareDsm(RepmAlgorithm):
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputNumber(name, label) for name, label in (
-            ("RMSE", self.tr("RMSE (m)")), ("ME", self.tr("Mean error (m)")),
+            ("RMSE", self.tr("RMSE (m)")), ("ME", self.tr("Median absolute error (m)")),
             ("MAE", self.tr("Mean absolute error (m)")),
             ("NMAD", self.tr("Normalised median absolute deviation (m)")),
             ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")))]

@@ -44,8 +44,10 @@ def advanced(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParame
 def real(name: str, label: str, default: Optional[float], low: float, high: float,
          text: str = "") -> QgsProcessingParameterDefinition:
     """A number; no default makes it optional."""
-    return helped(QgsProcessingParameterNumber(
-        name, label, QgsProcessingParameterNumber.Type.Double, default, default is None, low, high), text)
+    parameter = QgsProcessingParameterNumber(
+        name, label, QgsProcessingParameterNumber.Type.Double, default, default is None, low, high)
+    parameter.setMetadata({"widget_wrapper": {"decimals": 3}})  # six, QGIS's own, are none that anybody sets here
+    return helped(parameter, text)
 
 
 def whole(name: str, label: str, default: int, low: int, high: int,
@@ -90,8 +92,15 @@ def extent() -> QgsProcessingParameterDefinition:
 
 def dem() -> QgsProcessingParameterDefinition:
     return helped(QgsProcessingParameterRasterLayer("DEM", tr("Coarse elevation model"), optional=True),
-                  tr("Any DEM that covers the area; it narrows the range of altitudes. Heights above the ellipsoid "
-                     "or, where its CRS says so, above the geoid."))
+                  tr("Any DEM that covers the area: it narrows the range of altitudes, and is the surface of the "
+                     "terrain model. Heights above the ellipsoid or, where its CRS says so, above the geoid."))
+
+
+def surface() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterRasterLayer(
+        "DEM", tr("Coarse elevation model (terrain model only)"), optional=True),
+        tr("The surface that the terrain model refines on; a DEM with cells of 30 m will do. Empty: the heights that "
+           "the scene has already, where 'Reconstruct heights' has made some."))
 
 
 def altitudes() -> list[QgsProcessingParameterDefinition]:
@@ -111,8 +120,22 @@ def model() -> QgsProcessingParameterDefinition:
     from ..repm_qgis.options import MODELS
 
     return choice("MODEL", tr("Refinement model"), MODELS, "polynomial",
-                  tr("none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: second "
-                     "order, cures the curvature of the image."))
+                  tr("none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures "
+                     "the curvature of the image; terrain: cures the parallax of altitude too, and needs a DEM."))
+
+
+def order() -> QgsProcessingParameterDefinition:
+    return whole("ORDER", tr("Order of the polynomial"), 2, 2, 5,
+                 tr("2 is the paper's; 3 to 5 help only where the attitude of the satellite wobbles within a tile. "
+                    "Other models take no notice of it."))
+
+
+def kernel() -> QgsProcessingParameterDefinition:
+    from ..repm_qgis.options import KERNELS
+
+    return choice("KERNEL", tr("Resampling of the refined images"), KERNELS, "bilinear",
+                  tr("bilinear: the paper's, and the fastest; cubic: sharper; lanczos: sharpest, may ring at edges. "
+                     "The heights are matched on the original images and do not depend on it."))
 
 
 def backend() -> QgsProcessingParameterDefinition:

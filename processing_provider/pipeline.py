@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Mapping
 
-from qgis.core import QgsProcessingOutputFile
+from qgis.core import QgsProcessingContext, QgsProcessingOutputFile
 
 from . import parameters
 from .base import RepmAlgorithm
-from .values import command_line
+from .values import command_line, is_empty
 
 
 class Pipeline(RepmAlgorithm):
@@ -31,11 +31,16 @@ class Pipeline(RepmAlgorithm):
         dsm, *extras = parameters.dsm_products()
         return [parameters.images(), parameters.extent(), parameters.dem(), parameters.resolution(), parameters.crs(),
                 *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.advanced(parameters.model()),
-                parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),
+                parameters.advanced(parameters.order()), parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),
                 parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputFile("SCENE", self.tr("Scene"))]
+
+    def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
+        if self.parameterAsEnumString(values, "MODEL", context) == "terrain" and is_empty(values.get("DEM")):
+            return False, self.tr("MODEL is 'terrain', which needs a surface: give a DEM, or choose polynomial.")
+        return super().checkParameterValues(values, context)
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         return {**options, "command": command_line(self.id(), options)}

@@ -11,7 +11,7 @@ class Refine(RepmAlgorithm):
 
     ID = "refine"
     GROUP = "cameras"
-    TAGS = "EPM,REPM,resampling,polynomial,homography"
+    TAGS = "EPM,REPM,resampling,polynomial,homography,terrain,relief"
 
     def displayName(self) -> str:
         return self.tr("Refine the images")
@@ -20,4 +20,5 @@ class Refine(RepmAlgorithm):
         return self.tr("Resamples every view's tiles to what its pinhole camera would have seen.")
 
     def parameters(self) -> list:
-        return [parameters.scene(), parameters.model(), parameters.output_scene(), parameters.report()]
+        return [parameters.scene(), parameters.model(), parameters.surface(), parameters.advanced(parameters.order()),
+                parameters.advanced(parameters.kernel()), parameters.output_scene(), parameters.report()]

@@ -61,6 +61,8 @@ class Options:
 class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
 
+    ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is to be found in or beside the image;
+    empty: all are to be found.
     ``extent`` is xmin, ymin, xmax, ymax in ``extent_crs`` (any PROJ text); None takes all that two images see.
     ``altitude_min/max`` in metres above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in
     px of the finest image, 0 = the largest that keeps the equivalent error under ``error_budget`` px.
@@ -69,6 +71,7 @@ class EpmFitOptions(Options):
 
     images: Tuple[str, ...]
     workspace: str
+    rpcs: Tuple[str, ...] = ()
     extent: Optional[Extent] = None
     extent_crs: str = "EPSG:4326"
     dem: Optional[str] = None
@@ -87,6 +90,11 @@ class EpmFitOptions(Options):
             raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
         if len(set(self.images)) != len(self.images):
             raise OptionError("IMAGES", list(self.images), "must not name the same image twice")
+        if isinstance(self.rpcs, str) or not all(isinstance(i, str) for i in self.rpcs):
+            raise OptionError("RPCS", self.rpcs, "must be a list of RPC files")
+        if self.rpcs and len(self.rpcs) != len(self.images):
+            raise OptionError("RPCS", list(self.rpcs), f"must be empty, or name {len(self.images)} files: one for each "
+                              "of IMAGES, in their order")
         _given("WORKSPACE", self.workspace)
         if self.extent is not None:
             if len(self.extent) != 4 or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in self.extent):
@@ -210,6 +218,7 @@ class PipelineOptions(Options):
     images: Tuple[str, ...]
     workspace: str
     output: str
+    rpcs: Tuple[str, ...] = ()
     extent: Optional[Extent] = None
     extent_crs: str = "EPSG:4326"
     dem: Optional[str] = None

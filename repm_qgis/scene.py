@@ -10,7 +10,7 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +226,7 @@ class Scene:
             return scene
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise SceneError(f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
-                             "'Fit pinhole cameras'.") from error
+                             "'Fit equivalent pinhole cameras'.") from error
 
 
 def _document(path: str) -> Dict[str, Any]:
@@ -238,12 +238,13 @@ def _document(path: str) -> Dict[str, Any]:
             document = json.load(stream)
     except OSError as error:
         raise SceneError(f"Cannot read the scene '{path}' ({error.strerror or error}): choose the scene.json that "
-                         "'Fit pinhole cameras' wrote.") from error
+                         "'Fit equivalent pinhole cameras' wrote.") from error
     except (ValueError, RecursionError) as error:
         raise SceneError(f"The scene '{path}' is not a JSON file ({error}): choose the scene.json that "
-                         "'Fit pinhole cameras' wrote.") from error
+                         "'Fit equivalent pinhole cameras' wrote.") from error
     if not isinstance(document, dict) or document.get("format") != "repm-scene":
-        raise SceneError(f"'{path}' is not a REPM scene: choose the scene.json that 'Fit pinhole cameras' wrote.")
+        raise SceneError(f"'{path}' is not a REPM scene: choose the scene.json that 'Fit equivalent pinhole cameras' "
+                         "wrote.")
     schema = document.get("schema")
     if not isinstance(schema, int) or schema > SCHEMA:
         raise SceneVersionError(f"The scene '{path}' has schema {schema}, this version of the plugin reads up to "
@@ -265,8 +266,11 @@ def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
     return scene if last.get("stage") == stage and last.get("fingerprint") == key else None
 
 
-def load_views(images: Tuple[str, ...]) -> List[View]:
+def load_views(images: Sequence[str], rpcs: Sequence[str] = ()) -> List[View]:
     """Open images, read their RPCs, and make views; names are unique, in the order given.
+
+    ``rpcs`` names the images' RPC files in the same order; "" is for an image whose RPC is to be found, as all are
+    where the sequence is empty.
 
     Raises ImageError or an RpcError with the file's name.
     """
@@ -274,9 +278,9 @@ def load_views(images: Tuple[str, ...]) -> List[View]:
     from .rpc.readers import rpc_of
 
     views: List[View] = []
-    for path in images:
+    for path, rpc_file in zip(images, rpcs or [""] * len(images)):
         with opened(path) as dataset:
-            rpc = rpc_of(dataset, path)
+            rpc = rpc_of(dataset, path, rpc_file)
             width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
         if min(width, height) < 64:
             raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")

@@ -36,13 +36,23 @@ def temporary_name(path: str) -> str:
     return str(target.with_name(f".{target.stem}.part{target.suffix}"))
 
 
+def take_name(temporary: str, path: str) -> None:
+    """Give a whole file its name; raises WorkspaceError where the name is taken by a folder, say."""
+    try:
+        os.replace(temporary, path)
+    except OSError as error:
+        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
+
+
 def write_text(path: str, text: str) -> str:
     """Write a UTF-8 text file, whole or not at all; raises WorkspaceError."""
     temporary = temporary_name(path)
     try:
         with open(temporary, "w", encoding="utf-8") as stream:
             stream.write(text)
-        os.replace(temporary, path)
+        take_name(temporary, path)
+    except WorkspaceError:
+        raise
     except OSError as error:
         raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
     finally:

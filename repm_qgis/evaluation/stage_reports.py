@@ -2,121 +2,79 @@
 
 from __future__ import annotations
 
-from typing import Any, List, Mapping, Optional
+import os
+import platform
+from typing import Any, Dict, List, Mapping, Optional, Tuple
 
 import numpy as np
+from osgeo import ogr
 
+from .. import __version__
+from ..environment import PACKAGES, version_of
 from ..geometry.footprints import footprint
+from ..geometry.frames import projected_from_geodetic
+from ..imagery.raster import opened, quiet
 from ..scene import Scene, View
 from . import charts, pictures
 from .report import Report
 
-
-def add_inputs(report: Report, scene: Scene) -> None:
-    """Images, area and a map of the footprints."""
-    report.section("Images")
-    report.table(["view", "file", "size, px", "GSD, m", "RPC heights, m"],
-                 [[v.name, v.image, f"{v.width} x {v.height}", v.gsd_m, "{:.0f} to {:.0f}".format(*v.rpc.height_range)]
-                  for v in scene.views])
-    middle = sum(scene.altitudes) / 2
-    report.svg(charts.footprints({v.name: footprint(v.localise, v.size, middle) for v in scene.views}),
-               f"Footprints at {middle:.0f} m above the ellipsoid.")
-    report.facts([("Coordinate reference system", scene.crs),
-                  ("Altitudes", f"{scene.altitudes[0]:.0f} to {scene.altitudes[1]:.0f} m above the WGS 84 ellipsoid"),
-                  ("Tiles", len(scene.tiles))])
-
-
-def add_history(report: Report, scene: Scene) -> None:
-    """Time, warnings and options of each stage."""
-    report.section("What was done")
-    report.table(["stage", "seconds", "engine", "fingerprint"],
-                 [[entry["stage"], entry["seconds"], entry["engine"], entry["fingerprint"]] for entry in scene.history])
-    for entry in scene.history:
-        for text in entry.get("warnings", []):
-            report.warning(text)
-    for entry in scene.history:
-        given = {k: v for k, v in entry["options"].items() if v not in (None, "", [])}
-        report.table(["option", "value"], [[k, str(v)] for k, v in given.items()], f"Options of {entry['stage']}.")
-
-
-def _error_row(*first: Any, error: Any) -> List[Any]:
-    return [*first, error.samp_rmse, error.line_rmse, error.rmse, error.max, error.predicted]
-
-
-_ERROR_HEADERS = ["Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px", "predicted, px"]
+_MOST_ROWS = 300
+_MOST_TIES = 200000
+_PRODUCTS = (("output", "DSM"), ("confidence", "Confidence"), ("ortho", "Orthophoto"), ("cloud", "Point cloud"),
+             ("tiles", "Tiles with their errors"), ("tie_points", "Tie points"), ("scene", "Scene, for the next stage"))
+_WHERE_IT_RUNS = frozenset(("workspace", "scene", "output_scene", "output", "report", "tiles", "tie_points", "heights",
+                            "confidence", "ortho", "cloud"))
 
 
 def fit_report(scene: Scene) -> Report:
     """Equivalent errors of the fitted cameras, measured and predicted."""
-    report = Report("Equivalent pinhole cameras", f"{len(scene.views)} images, {len(scene.tiles)} tiles")
-    add_inputs(report, scene)
+    report = Report("Equivalent pinhole cameras", f"{len(scene.views)} images, {_tiles(scene)}")
+    _warnings(report, scene)
+    _inputs(report, scene)
     report.section("Equivalent error")
     report.paragraph("How far the pinhole camera's pixel of a ground point lies from the RPC's, over a grid of 25 x 25 "
                      "pixels and 11 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
                      "|x (Z - Zmean) / Zmean| at the tile's corner.")
-    rows = [_error_row(tile.id, name, error=view.error) for tile in scene.tiles for name, view in tile.views.items()]
-    report.table(["tile", "view", *_ERROR_HEADERS], rows[:500])
-    report.svg(charts.histogram(np.array([row[4] for row in rows]), "px", "RMSE of tiles and views"),
-               "Distribution over tiles and views.")
-    add_history(report, scene)
+    rows = [[tile.id, name, *_px(view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max,
+                                 view.error.predicted)]
+            for tile in scene.tiles for name, view in tile.views.items()]
+    _long_table(report, ["tile", "view", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px", "predicted, px"],
+                rows)
+    if len(rows) > 20:
+        report.svg(charts.histogram(np.array([view.error.rmse for tile in scene.tiles for view in tile.views.values()]),
+                                    "px", "RMSE of tiles and views"), "Distribution over tiles and views.")
+    _history(report, scene)
     return report
 
 
 def refine_report(scene: Scene) -> Report:
     """Equivalent errors before and after refinement."""
     report = Report("Refined images", f"model: {scene.refinement}")
-    report.section("Equivalent error after refinement")
-    rows = []
-    for tile in scene.tiles:
-        for name, view in tile.views.items():
-            rows.append([tile.id, name, view.error.rmse, view.error.max, view.refined.error.samp_rmse,
-                         view.refined.error.line_rmse, view.refined.error.rmse, view.refined.error.max])
-    report.table(["tile", "view", "RMSE before, px", "Max before, px", "Samp RMSE, px", "Line RMSE, px", "RMSE, px",
-                  "Max, px"], rows[:500])
-    add_history(report, scene)
+    _warnings(report, scene)
+    _errors(report, scene)
+    _history(report, scene)
     return report
 
 
 def reconstruct_report(scene: Scene) -> Report:
     """Tie points, relative pointing and height maps."""
-    report = Report("Reconstruction", f"{len(scene.views)} images, {len(scene.tiles)} tiles")
-    add_reconstruction(report, scene)
-    add_history(report, scene)
+    report = Report("Reconstruction", f"{len(scene.views)} images, {_tiles(scene)}")
+    _warnings(report, scene)
+    _reconstruction(report, scene)
+    _history(report, scene)
     return report
-
-
-def add_reconstruction(report: Report, scene: Scene) -> None:
-    """Pairs, ties and what was matched, as sections of a report."""
-    facts = scene.facts("reconstruct")
-    report.section("Pairs and tie points")
-    ties = {tuple(entry["pair"]): entry for entry in facts["ties"]["pairs"]}
-    report.table(
-        ["first", "second", "convergence, degrees", "B/H", "ties", "rows apart before, px", "spread, px"],
-        [[p["first"], p["second"], p["angle_deg"], p["base_to_height"], ties[p["first"], p["second"]]["count"],
-          ties[p["first"], p["second"]]["rows_before_px"], ties[p["first"], p["second"]]["rows_spread_px"]]
-         for p in facts["pairs"]],
-        "'Rows apart' is by how much the vendors' RPCs disagree across the parallax.")
-    report.table(["view", "column shift, px", "row shift, px"],
-                 [[name, *shift] for name, shift in facts["ties"]["shifts_px"].items()],
-                 "Relative pointing: corrections of the vendors' RPCs. They sum to zero: without ground control points "
-                 "the position and height of the whole stay where the vendors put them, which may be metres off.")
-    report.facts([("Tie points", facts["ties"]["count"]), ("Median residual before, px", facts["ties"]["before_px"]),
-                  ("Median residual after, px", facts["ties"]["after_px"]), ("Matcher", facts["backend"])])
-    report.section("Height maps")
-    report.table(["tile", "first", "second", "size, px", "heights, %", "m of height a px", "rows left, px"],
-                 [[tile.id, *record["pair"], "{} x {}".format(*record["size"]),
-                   100.0 * record["valid"] / (record["size"][0] * record["size"][1]), record["metres_per_px"],
-                   record["row_px"]] for tile in scene.tiles for record in tile.heights][:500])
 
 
 def errormap_report(scene: Scene, view: View, path: str, facts: Mapping[str, float]) -> Report:
     """An error map's picture and figures."""
     report = Report("Equivalent error on the ground", f"{view.name} at {facts['altitude']:.0f} m above the ellipsoid")
-    report.facts([("Refinement", scene.refinement or "uncorrected"), ("RMSE, px", facts["rmse"]),
-                  ("Max, px", facts["max_error"])])
+    report.facts([("Refinement", scene.refinement or "none yet: the images as they are"),
+                  ("RMSE", f"{facts['rmse']:.4f} px"), ("Max", f"{facts['max_error']:.4f} px")])
     values, _ = pictures.preview(path, 900)
-    report.png(pictures.png_bytes(pictures.colour_map(values, 0.0, max(facts["max_error"], 1e-6), "viridis")),
-               f"Magnitude of the equivalent error, dark 0 to bright {facts['max_error']:.3f} px.")
+    high = max(facts["max_error"], 1e-6)
+    report.png(pictures.png_bytes(pictures.colour_map(values, 0.0, high, "viridis")),
+               f"Magnitude of the equivalent error of {view.name}, north up.")
+    report.svg(charts.colour_bar(pictures.RAMPS["viridis"], 0.0, high, "px"))
     report.svg(charts.histogram(values[np.isfinite(values)], "px", "Magnitude of the equivalent error"),
                "Distribution.")
     return report
@@ -124,23 +82,219 @@ def errormap_report(scene: Scene, view: View, path: str, facts: Mapping[str, flo
 
 def pipeline_report(scene: Scene, products: Mapping[str, Any], seconds: Mapping[str, float],
                     command: Optional[str]) -> Report:
-    """The whole run on one page: inputs, geometry, ties, surface, and the command that repeats it."""
-    report = Report("Surface model from satellite images", str(products["output"]))
-    values, cell = pictures.preview(products["output"], 1200)
-    report.png(pictures.png_bytes(pictures.shaded_relief(values, cell)), "The DSM, shaded from the north-west.")
-    report.facts([("Cells", products["cells"]), ("Cell size, m", products["resolution"]),
-                  ("Cells with a height, %", products["valid_percent"]), ("CRS", products["crs"]),
-                  ("Heights", "metres above the WGS 84 ellipsoid")])
-    report.table(["stage", "seconds"], [[name, value] for name, value in seconds.items()], "Wall time of this run.")
-    add_inputs(report, scene)
-    rows = [[tile.id, name, view.error.rmse, view.error.max, view.refined.error.rmse, view.refined.error.max]
-            for tile in scene.tiles for name, view in tile.views.items() if view.refined]
-    report.section("Equivalent error")
-    report.table(["tile", "view", "RMSE before, px", "Max before, px", f"RMSE {scene.refinement}, px", "Max, px"],
-                 rows[:200])
-    add_reconstruction(report, scene)
+    """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
+    report = Report("Surface model from satellite images", os.path.basename(str(products["output"])))
+    _surface(report, products)
+    _warnings(report, scene, _thin(products))
+    _inputs(report, scene)
+    _errors(report, scene)
+    _reconstruction(report, scene)
+    _confidence(report, products)
+    report.section("Files")
+    report.table(["product", "file"], [[title, str(products[name])] for name, title in _PRODUCTS if products.get(name)],
+                 "To measure the DSM, compare it with a reference: 'Compare a DSM with a reference' "
+                 "(repm:comparedsm).")
     if command:
         report.section("Repeat this run")
         report.command(command)
-    add_history(report, scene)
+    _history(report, scene, seconds)
     return report
+
+
+def _tiles(scene: Scene) -> str:
+    return f"{len(scene.tiles)} tile{'s' if len(scene.tiles) > 1 else ''}"
+
+
+def _px(*values: float) -> List[str]:
+    """Errors in px with three decimals, which is a tenth of what matching can see."""
+    return [f"{value:.3f}" for value in values]
+
+
+def _long_table(report: Report, headers: List[str], rows: List[List[Any]]) -> None:
+    """A table cut where nobody reads on; what is left out is in the layers."""
+    left = len(rows) - _MOST_ROWS
+    report.table(headers, rows[:_MOST_ROWS],
+                 f"{left} more rows are left out here; the TILES layer has them all." if left > 0 else "")
+
+
+def _surface(report: Report, products: Mapping[str, Any]) -> None:
+    values, cell = pictures.preview(products["output"], 1000)
+    low, high = pictures.spread(values)
+    report.png(pictures.png_bytes(pictures.shaded_relief(values, cell)), "The DSM, shaded from the north-west, north "
+               "up. White: no height was matched there.")
+    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, "m above the ellipsoid"))
+    known = values[np.isfinite(values)]
+    report.facts([("Cell size", f"{products['resolution']:g} m"),
+                  ("Cells with a height", f"{products['valid']} of {products['cells']} ("
+                                          f"{products['valid_percent']:.1f} %)"),
+                  ("Heights", f"{known.min():.1f} to {known.max():.1f} m above the WGS 84 ellipsoid"),
+                  ("CRS", products["crs"])])
+
+
+def _thin(products: Mapping[str, Any]) -> List[str]:
+    if products["valid_percent"] >= 50:
+        return []
+    return [f"Only {products['valid_percent']:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, "
+            "and so do images from too different directions or dates: see 'Height maps' below for the pairs that "
+            "matched badly."]
+
+
+def _warnings(report: Report, scene: Scene, more: Tuple[str, ...] | List[str] = ()) -> None:
+    """Everything the stages warned of, first thing on the page."""
+    said = [text for entry in scene.history for text in entry.get("warnings", [])]
+    for text in dict.fromkeys([*more, *said]):
+        report.warning(text)
+
+
+def _inputs(report: Report, scene: Scene) -> None:
+    """Images, area and a map of the footprints."""
+    report.section("Images")
+    report.table(["view", "file", "size, px", "GSD, m", "RPC heights, m"],
+                 [[v.name, v.image, f"{v.width} x {v.height}", f"{v.gsd_m:.3f}",
+                   "{:.0f} to {:.0f}".format(*v.rpc.height_range)] for v in scene.views])
+    middle = sum(scene.altitudes) / 2
+    outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}
+    report.svg(charts.footprints(outlines, _outline(scene.area), geographic=False),
+               f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is worked on.")
+    report.facts([("Coordinate reference system", scene.crs),
+                  ("Altitudes", f"{scene.altitudes[0]:.0f} to {scene.altitudes[1]:.0f} m above the WGS 84 ellipsoid"),
+                  ("Tiles", len(scene.tiles))])
+
+
+def _outline(wkt: str) -> np.ndarray:
+    """(N, 2) vertices of a polygon's outer ring; of several polygons the largest's."""
+    geometry = ogr.CreateGeometryFromWkt(wkt)
+    parts = [geometry] if geometry.GetGeometryName() == "POLYGON" else \
+        [geometry.GetGeometryRef(i) for i in range(geometry.GetGeometryCount())]
+    largest = max(parts, key=lambda part: part.GetArea())
+    return np.array(largest.GetGeometryRef(0).GetPoints())[:, :2]
+
+
+def _errors(report: Report, scene: Scene) -> None:
+    """The equivalent error before and after refinement, tile by tile."""
+    report.section("Equivalent error")
+    report.paragraph("What the pinhole cameras cost, as the distance between their pixel and the RPC's of the same "
+                     f"ground point: fitted, and after refinement ({scene.refinement}). Heights are computed with the "
+                     "RPCs, so none of it reaches the DSM; below about 0.3 px it does not disturb matching either.")
+    rows = [[tile.id, name, *_px(view.error.rmse, view.error.max, view.refined.error.samp_rmse,
+                                 view.refined.error.line_rmse, view.refined.error.rmse, view.refined.error.max)]
+            for tile in scene.tiles for name, view in tile.views.items() if view.refined]
+    _long_table(report, ["tile", "view", "RMSE before, px", "Max before, px", "Samp RMSE, px", "Line RMSE, px",
+                         "RMSE, px", "Max, px"], rows)
+
+
+def _reconstruction(report: Report, scene: Scene) -> None:
+    """Pairs, ties and what was matched."""
+    facts = scene.facts("reconstruct")
+    report.section("Pairs and tie points")
+    ties = {tuple(entry["pair"]): entry for entry in facts["ties"]["pairs"]}
+    rows = []
+    for pair in facts["pairs"]:
+        tie = ties[pair["first"], pair["second"]]
+        rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}",
+                     tie["count"], f"{tie['rows_before_px']:+.2f}", f"{tie['rows_spread_px']:.2f}"])
+    report.table(["first", "second", "convergence", "B/H", "ties", "rows apart, px", "spread, px"], rows,
+                 "'Rows apart' is by how much the vendors' RPCs disagree across the parallax.")
+    report.table(["view", "column shift, px", "row shift, px"],
+                 [[name, *(f"{value:+.2f}" for value in shift)] for name, shift in facts["ties"]["shifts_px"].items()],
+                 "Relative pointing: corrections of the vendors' RPCs. They sum to zero: without ground control points "
+                 "the position and height of the whole stay where the vendors put them, which may be metres off.")
+    report.facts([("Tie points", facts["ties"]["count"]),
+                  ("Median residual", f"{facts['ties']['before_px']:.2f} px before, {facts['ties']['after_px']:.2f} px "
+                                      "after the correction"), ("Matcher", facts["backend"])])
+    _tie_curves(report, scene)
+    _height_maps(report, scene)
+
+
+def _tie_curves(report: Report, scene: Scene) -> None:
+    """How many ties are how good, before and after the correction; nothing where their layer is gone."""
+    path = scene.facts("reconstruct")["options"].get("tie_points") or str(scene.path.with_name("tie_points.gpkg"))
+    found = _tie_residuals(path)
+    if not len(found):
+        return
+    share = np.linspace(0, 100, len(found))
+    limit = float(np.percentile(found, 98))
+    report.svg(charts.curves({"vendors' RPCs": (np.sort(found[:, 0]), share),
+                              "corrected": (np.sort(found[:, 1]), share)}, "residual of a tie point (px)",
+                             "tie points with less (%)", xlim=(0.0, max(limit, 0.1)), ylim=(0.0, 100.0)),
+               "Tie points' residuals: root mean square distance between measured and projected pixels.")
+
+
+def _tie_residuals(path: str) -> np.ndarray:
+    """(N, 2) residuals before and after, px."""
+    with quiet():
+        try:
+            source = ogr.Open(path) if os.path.exists(path) else None
+        except RuntimeError:
+            source = None
+        if source is None:
+            return np.empty((0, 2))
+        layer = source.GetLayer(0)
+        values = [(feature.GetField("before"), feature.GetField("residual"))
+                  for feature, _ in zip(layer, range(_MOST_TIES))]
+        layer = source = None
+    return np.array([pair for pair in values if None not in pair], dtype=float).reshape(-1, 2)
+
+
+def _height_maps(report: Report, scene: Scene) -> None:
+    report.section("Height maps")
+    rows = [[tile.id, *record["pair"], "{} x {}".format(*record["size"]),
+             f"{100.0 * record['valid'] / (record['size'][0] * record['size'][1]):.0f}",
+             f"{record['metres_per_px']:.2f}", f"{record['row_px']:.3f}"]
+            for tile in scene.tiles for record in tile.heights]
+    _long_table(report, ["tile", "first", "second", "size, px", "matched, %", "m of height a px", "rows left, px"],
+                rows)
+
+
+def _confidence(report: Report, products: Mapping[str, Any]) -> None:
+    """Where the heights rest on what."""
+    path = products.get("confidence")
+    if not path:
+        return
+    with opened(path) as dataset:
+        titles = [dataset.GetRasterBand(band + 1).GetDescription() for band in range(dataset.RasterCount)]
+    report.section("Confidence")
+    for band, title in enumerate(titles, start=1):
+        values, _ = pictures.preview(path, 500, band)
+        known = values[np.isfinite(values)]
+        if not known.size or float(known.max() - known.min()) < 1e-6:
+            continue  # the same everywhere: with two images there is one height map
+        low, high = pictures.spread(values)
+        report.png(pictures.png_bytes(pictures.colour_map(values, low, high)), title[:1].upper() + title[1:] + ".")
+        report.svg(charts.colour_bar(pictures.RAMPS["viridis"], low, high))
+
+
+def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> None:
+    """Time, options and versions of everything that led here."""
+    report.section("What was done")
+    computed = {entry["stage"]: entry for entry in scene.history}
+    names = list(seconds) if seconds else list(computed)
+    rows = []
+    for name in names:
+        entry = computed.get(name, {})
+        now = [f"{seconds[name]:.1f}"] if seconds else []
+        rows.append([name, *now, f"{entry['seconds']:.1f}" if entry else "–", entry.get("fingerprint", "–")])
+    report.table(["stage", *(["this run, s"] if seconds else []), "when computed, s", "fingerprint"], rows,
+                 "A stage that was reused takes no time in this run. Equal fingerprint, equal result.")
+    _options(report, scene)
+    report.table(["software", "version"], _versions())
+
+
+def _options(report: Report, scene: Scene) -> None:
+    """One table of all stages' options; a value that several stages share is told once."""
+    told: Dict[Tuple[str, str], List[str]] = {}
+    for entry in scene.history:
+        for name, value in entry["options"].items():
+            if value not in (None, "", []) and name not in _WHERE_IT_RUNS:
+                text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+                told.setdefault((name, text), []).append(entry["stage"])
+    report.table(["option", "value", "stage"], [[name, text, ", ".join(stages)]
+                                                for (name, text), stages in told.items()],
+                 "What is not listed was left to the defaults.")
+
+
+def _versions() -> List[List[str]]:
+    wanted = ("numpy", "GDAL", "pyproj", "scipy", "opencv-python-headless", "pycolmap")
+    found = [[package.distribution, version_of(package) or "not installed"] for package in PACKAGES
+             if package.distribution in wanted]
+    return [["REPM", __version__], ["Python", platform.python_version()], *found]

@@ -9,7 +9,7 @@ filled in here. Each is valid for QGIS 3.22 and later.
 | hillshade | QGIS's own hillshade, to lay over or under ``dsm`` | none |
 | error | equivalent error in px, from dark (none) to bright | 0..98 % |
 | dsm_error | DSM - reference, blue (too low), white, red (too high) | symmetric about 0 |
-| confidence | from dark (low) to bright | 2..98 % |
+| confidence | height maps that agree, or the matching score where there is only one; dark (low) to bright | 2..98 % |
 | ortho | grey | 2..98 % |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
 | tie_points | points by ``residual`` | fixed classes in px |
@@ -25,6 +25,7 @@ from typing import Dict, Tuple, Union
 import numpy as np
 
 from ..errors import OptionError, WorkspaceError
+from ..imagery.raster import opened
 from ..workspace import write_text
 from .pictures import RAMPS, preview, rgb, spread
 
@@ -50,8 +51,25 @@ def write_style(kind: str, path: Union[str, os.PathLike]) -> str:
             f"The style '{template}' cannot be read ({error.strerror or error}): install the plugin again."
         ) from error
     if kind in _RAMP_OF:
-        text = _filled(text, kind, *_value_range(kind, preview(path, _SAMPLE_PX)[0]))
+        values, band = _shown(kind, path)
+        text = _filled(text, kind, *_value_range(kind, values)).replace("@band@", str(band))
     return write_text(str(Path(path).with_suffix(".qml")), text)
+
+
+def _shown(kind: str, path: Union[str, os.PathLike]) -> Tuple[np.ndarray, int]:
+    """Values of the band that a style shows, and its number.
+
+    Of a confidence that is the number of height maps that agree; where it is the same everywhere (two images make one
+    height map) it tells nothing, and the matching score of band 3 takes its place.
+    """
+    values = preview(path, _SAMPLE_PX)[0]
+    known = values[np.isfinite(values)]
+    if kind == "confidence" and known.size and float(known.max() - known.min()) < 1e-6:
+        with opened(os.fspath(path)) as dataset:
+            bands = dataset.RasterCount
+        if bands >= 3:
+            return preview(path, _SAMPLE_PX, 3)[0], 3
+    return values, 1
 
 
 def _value_range(kind: str, values: np.ndarray) -> Tuple[float, float]:

@@ -8,14 +8,14 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Iterator, Optional, Sequence, Tuple
+from typing import Callable, Iterator, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
 from ..errors import ImageError, WorkspaceError
-from ..workspace import temporary_name
+from ..workspace import take_name, temporary_name
 
 Window = Tuple[int, int, int, int]
 """Column and row of the first pixel, width and height."""
@@ -86,8 +86,14 @@ def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
     result = values.astype(np.float32)
     if nodata is not None:
         result[values == nodata] = np.nan
-    result[~np.isfinite(result)] = np.nan
+    if values.dtype.kind == "f":
+        result[~np.isfinite(result)] = np.nan
     return result
+
+
+def _failure() -> str:
+    """GDAL's last error within :func:`quiet`, "" where all went well."""
+    return _reason() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
 
 
 class RasterWriter:
@@ -106,10 +112,10 @@ class RasterWriter:
         with quiet():
             try:
                 failed = handle.WriteArray(np.ascontiguousarray(values), col, row) != 0
-            except RuntimeError:
-                failed = True
-            reason = _reason() if failed else ""
-        if failed:
+                reason = _reason() if failed else _failure()
+            except RuntimeError as error:
+                reason = _reason(error)
+        if reason:
             raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
 
     def set_metadata(self, tags: dict, domain: str = "") -> None:
@@ -117,18 +123,44 @@ class RasterWriter:
         self._dataset.SetMetadata(tags, domain)
 
     def flush(self) -> None:
-        """Write out what GDAL still holds in its cache: keeps memory flat where much is written."""
-        self._dataset.FlushCache()
+        """Write out what GDAL still holds in its cache: keeps memory flat where much is written.
+
+        Raises WorkspaceError.
+        """
+        self._checked(lambda dataset: dataset.FlushCache())
 
     def build_overviews(self, shape: Tuple[int, int]) -> None:
-        """Reduced copies by 2, 4, 8 ... down to some 256 px, for quick display."""
-        self._dataset.FlushCache()
-        with quiet():
-            self._dataset.BuildOverviews("AVERAGE", [2 ** k for k in range(1, 8) if max(shape) >> k >= 256] or [2])
+        """Reduced copies by 2, 4, 8 ... down to some 256 px, for quick display. Raises WorkspaceError."""
+        factors = [2 ** k for k in range(1, 8) if max(shape) >> k >= 256] or [2]
+        self.flush()
+        self._checked(lambda dataset: dataset.BuildOverviews("AVERAGE", factors))
 
     def close(self) -> None:
-        """Let the file go: it can be renamed only then (Windows), and is whole only then."""
-        self._dataset = None
+        """Let the file go: it can be renamed only then (Windows), and is whole only then. Raises WorkspaceError."""
+        dataset, self._dataset = self._dataset, None
+        if dataset is None:
+            return
+        with quiet():
+            dataset = None
+            reason = _failure()
+        if reason:
+            raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
+
+    def abandon(self) -> None:
+        """Let the file go, whole or not."""
+        with quiet():
+            self._dataset = None
+
+    def _checked(self, work: Callable[[gdal.Dataset], object]) -> None:
+        """GDAL writes late, and its return values do not always tell of what failed then."""
+        with quiet():
+            try:
+                work(self._dataset)
+                reason = _failure()
+            except RuntimeError as error:
+                reason = _reason(error)
+        if reason:
+            raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
 
 
 def write(path: str, bands: Sequence[NDArray], geotransform: Optional[Sequence[float]], crs_wkt: str, *,
@@ -162,10 +194,11 @@ def created(path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, geot
         yield writer
         if overviews and max(shape) > 512:
             writer.build_overviews(shape)
+        writer.flush()
         writer.close()
-        os.replace(temporary, path)
+        take_name(temporary, path)
     finally:
-        writer.close()
+        writer.abandon()
         if os.path.exists(temporary):
             os.unlink(temporary)
 

@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
+from ..errors import ImageError
 from .raster import read
-from .sampling import upsample_grid
 
 FloatArray = NDArray[np.float64]
 PixelMap = Callable[[FloatArray], FloatArray]
 
 _GRID_STEP = 16     # px between exact points of the map; what lies between is interpolated
 _STRIP = 512        # rows a pass
+_BLOCK = 1024       # columns a pass, whole grid steps
 _MAX_SIDE = 32000   # OpenCV's remap counts source pixels in 16 bits
 
 KERNELS = {"bilinear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv2.INTER_LANCZOS4}
+_REACH = {"bilinear": 1, "cubic": 2, "lanczos": 4}   # pixels on either side that a kernel touches
 
 
 def source_positions(to_source: PixelMap, size: Tuple[int, int], first_row: int = 0,
@@ -29,14 +31,25 @@ def source_positions(to_source: PixelMap, size: Tuple[int, int], first_row: int 
     The map is evaluated on a grid of 16 px and interpolated bilinearly: the maps here are so smooth (homographies
     and low polynomials over a tile) that this costs less than 1e-3 px.
     """
-    width, height = size
-    rows = height - first_row if rows is None else rows
-    nodes_x = max(2, -(-(width - 1) // _GRID_STEP) + 1)
-    nodes_y = max(2, -(-(rows - 1) // _GRID_STEP) + 1)
-    x = np.linspace(0, max(width - 1, 1), nodes_x)
-    y = np.linspace(first_row, first_row + max(rows - 1, 1), nodes_y)
-    coarse = to_source(np.stack(np.meshgrid(x, y), axis=-1))
-    return upsample_grid(coarse, (rows, width))
+    rows = size[1] - first_row if rows is None else rows
+    nodes = _nodes(to_source, size[0], first_row, rows)
+    return np.stack([_between(nodes[..., axis], rows, size[0]) for axis in (0, 1)], axis=-1)
+
+
+def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatArray:
+    """(m, n, 2) exact source positions every 16 px, the last nodes at or beyond the last pixel."""
+    x = np.arange(0, width + _GRID_STEP, _GRID_STEP, dtype=np.float64)
+    y = np.arange(first_row, first_row + rows + _GRID_STEP, _GRID_STEP, dtype=np.float64)
+    return to_source(np.stack(np.meshgrid(x, y), axis=-1))
+
+
+def _between(nodes: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
+    """(rows, columns) bilinear interpolation of (m, n) nodes that lie 16 px apart."""
+    share = np.arange(_GRID_STEP, dtype=nodes.dtype) / nodes.dtype.type(_GRID_STEP)
+    down = (nodes[:-1, None, :] + np.diff(nodes, axis=0)[:, None, :] * share[None, :, None])
+    down = down.reshape(-1, nodes.shape[1])[:rows]
+    across = down[:, :-1, None] + np.diff(down, axis=1)[:, :, None] * share
+    return across.reshape(rows, -1)[:, :columns]
 
 
 def warp(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int],
@@ -59,38 +72,68 @@ def warp_strips(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tup
     width, height = size
     for row in range(0, height, _STRIP):
         rows = min(_STRIP, height - row)
-        yield row, sample_source(dataset, band, source_positions(to_source, size, row, rows), kernel)
+        yield row, _warp_strip(dataset, band, _nodes(to_source, width, row, rows), (rows, width), kernel)
+
+
+def _warp_strip(dataset: gdal.Dataset, band: int, nodes: FloatArray, shape: Tuple[int, int],
+                kernel: str) -> NDArray[np.float32]:
+    """One strip, in blocks of columns: each block reads only what its own nodes span."""
+    result = np.full(shape, np.nan, dtype=np.float32)
+    for col in range(0, shape[1], _BLOCK):
+        columns = min(_BLOCK, shape[1] - col)
+        own = nodes[:, col // _GRID_STEP:-(-(col + columns) // _GRID_STEP) + 1]
+        window = _window(dataset, own, kernel)
+        if window is None:
+            continue
+        # In the window's own pixels float32 is good to 1e-4 px, and half the work.
+        local = (own - window[:2]).astype(np.float32)
+        u, v = (_between(local[..., axis], shape[0], columns) for axis in (0, 1))
+        result[:, col:col + columns] = _remapped(read(dataset, window, band), u, v, kernel)
+    return result
+
+
+def _window(dataset: gdal.Dataset, positions: FloatArray, kernel: str) -> Optional[Tuple[int, int, int, int]]:
+    """The window of an image that positions span, with the kernel's reach; None where they miss it."""
+    known = np.isfinite(positions).all(axis=-1)
+    if not known.any():
+        return None
+    within = positions[known]
+    reach = _REACH[kernel] + 1
+    low = np.maximum(np.floor(within.min(axis=0)).astype(int) - reach, 0)
+    high = np.minimum(np.ceil(within.max(axis=0)).astype(int) + reach + 1, (dataset.RasterXSize, dataset.RasterYSize))
+    if (high <= low).any():
+        return None
+    if (high - low > _MAX_SIDE).any():
+        raise ImageError(f"A block of the refined image spans {high[0] - low[0]} x {high[1] - low[1]} px of "
+                         f"'{dataset.GetDescription()}': its RPC does not fit its pixels; is it another image's?")
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
 def sample_source(dataset: gdal.Dataset, band: int, positions: FloatArray, kernel: str) -> NDArray[np.float32]:
     """Values of an image at (rows, columns, 2) positions; only the window that they span is read."""
-    rows, columns = positions.shape[:2]
-    with np.errstate(invalid="ignore"):
-        inside = ((positions > -0.5) & (positions < (dataset.RasterXSize - 0.5, dataset.RasterYSize - 0.5))).all(-1)
-    if not inside.any():
-        return np.full((rows, columns), np.nan, dtype=np.float32)
-    within = positions[inside]
-    low = np.maximum(np.floor(within.min(axis=0)).astype(int) - 4, 0)
-    high = np.minimum(np.ceil(within.max(axis=0)).astype(int) + 5, (dataset.RasterXSize, dataset.RasterYSize))
-    if (high - low > _MAX_SIDE).any():  # a strip across a huge, turned scene: halve it until it fits
-        half = columns // 2
-        return np.hstack([sample_source(dataset, band, positions[:, :half], kernel),
-                          sample_source(dataset, band, positions[:, half:], kernel)])
-    source = read(dataset, (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])), band)
-    return sample_array(source, positions - low, kernel)
+    inside = np.where(((positions > -1) & (positions < (dataset.RasterXSize, dataset.RasterYSize))).all(
+        axis=-1, keepdims=True), positions, np.nan)
+    window = _window(dataset, inside, kernel)
+    if window is None:
+        return np.full(positions.shape[:2], np.nan, dtype=np.float32)
+    return sample_array(read(dataset, window, band), positions - window[:2], kernel)
 
 
 def sample_array(source: NDArray[np.float32], positions: FloatArray, kernel: str) -> NDArray[np.float32]:
     """Values of an array (height, width) at (rows, columns, 2) positions; NaN outside and beside NaN."""
-    u, v = positions[..., 0].astype(np.float32), positions[..., 1].astype(np.float32)
+    return _remapped(source, positions[..., 0].astype(np.float32), positions[..., 1].astype(np.float32), kernel)
+
+
+def _remapped(source: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32],
+              kernel: str) -> NDArray[np.float32]:
     flags = KERNELS[kernel]
     missing = ~np.isfinite(source)
     if not missing.any():
         return cv2.remap(source, u, v, flags, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
     filled = np.where(missing, np.float32(0), source)
     values = cv2.remap(filled, u, v, flags, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-    reach = {"bilinear": 1, "cubic": 2, "lanczos": 4}[kernel]
-    touched = cv2.dilate(missing.astype(np.uint8), np.ones((2 * reach - 1, 2 * reach - 1), np.uint8))
+    side = 2 * _REACH[kernel] - 1
+    touched = cv2.dilate(missing.astype(np.uint8), np.ones((side, side), np.uint8))
     near = cv2.remap(touched.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1)
     values[near > 0] = np.nan
     return values

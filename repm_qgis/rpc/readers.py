@@ -1,8 +1,17 @@
-"""Finding and reading an image's RPC, whatever form its vendor gave it.
+"""Finding an image's RPC: in its tags, in the files beside it, or in the file that the user names.
 
-Through GDAL: GeoTIFF tags, NITF, ``.RPB``, ``_RPC.TXT`` and DIMAP products. By our own reader: the ``RPC_*.XML`` of
-Pleiades and SPOT that lies beside an image without its DIMAP file. All files are untrusted: sizes are bounded, XML
-is parsed by GDAL's minimal parser, which knows no entities, and every number is checked by :class:`Rpc`.
+:mod:`.formats` reads files; here it is decided which file belongs to the image, and to which pixels of it.
+
+An image may be a crop of the product that its RPC file describes. Three things say so, and each is used where it holds:
+
+* RPC tags inside an image are those of its own pixels: ``gdal_translate -srcwin`` moves them with the crop. They are
+  never moved again. A vendor's file that was copied beside such a crop differs from the tags by the crop's origin,
+  whole pixels: then the tags are right (GDAL itself would take the file).
+* An image without CRS whose geotransform is a shift in pixels, as Orfeo ToolBox and GDAL write for crops of images that
+  had one, is a window of the image that a file beside it describes: the file's RPC is moved by the shift, unless its
+  domain starts there already.
+* ``IMG_..._R2C1.TIF`` is a tile of an Airbus product, whose RPC is that of the whole image: it is moved by the tile
+  size in ``DIM_*.XML``, and refused without that file.
 """
 
 from __future__ import annotations
@@ -10,142 +19,255 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any, Iterator, Mapping, Optional
+from typing import Dict, List, Mapping, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
 from ..errors import RpcInvalidError, RpcMissingError
+from .formats import DIMAP, FORMAT_NAMES, Found, checked, read_sidecar, rpc_from_texts, tile_size
 from .model import Rpc
 
-_MAX_XML_BYTES = 4 << 20
+_AGREE_PX = 0.5  # vendors round the same model to different digits in its different files
+_WHOLE_PX = 1e-3
+_MAX_FOLDER = 20_000
 
-# Our member, and GDAL's key for it.
-_GDAL_KEYS = {
-    "row_off": "LINE_OFF", "row_scale": "LINE_SCALE", "col_off": "SAMP_OFF", "col_scale": "SAMP_SCALE",
-    "lat_off": "LAT_OFF", "lat_scale": "LAT_SCALE", "lon_off": "LONG_OFF", "lon_scale": "LONG_SCALE",
-    "height_off": "HEIGHT_OFF", "height_scale": "HEIGHT_SCALE",
-    "row_num": "LINE_NUM_COEFF", "row_den": "LINE_DEN_COEFF",
-    "col_num": "SAMP_NUM_COEFF", "col_den": "SAMP_DEN_COEFF",
-}
+_IMAGE_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"NITF", b"NSIF", b"\0\0\0\x0cjP  ")
+_IMAGE_DRIVERS = ("GTiff", "NITF", "JP2OpenJPEG", "JP2KAK", "JP2ECW", "JP2MrSID")
+_ADVICE = "Get the file again, or use the original product's RPC file."
 
 
-def rpc_of(dataset: gdal.Dataset, path: str) -> Rpc:
-    """The RPC of an opened image.
+def rpc_of(dataset: gdal.Dataset, path: str, rpc_file: Optional[str] = None) -> Rpc:
+    """The RPC of an opened image, for the pixels that the image has.
+
+    ``rpc_file`` names the file to read it from, whatever its format; the image itself may be named, for its tags.
 
     Raises
     ------
     RpcMissingError
         With the list of places that were looked at; a projected product gets its own sentence.
     RpcInvalidError
-        With the file's name, the number that is wrong, and what to do.
+        With the file's name, the number that is wrong, and what to do; also where two files beside the image disagree.
     """
-    tried = [f"{dataset.GetDriver().ShortName} metadata (RPC tags, .RPB, _RPC.TXT, DIMAP)"]
     try:
-        metadata = dataset.GetMetadata("RPC")
-        if metadata:
-            return rpc_from_gdal(metadata)
-        for candidate in _xml_candidates(Path(path)):
-            tried.append(candidate.name)
-            rpc = rpc_from_xml(candidate)
-            if rpc is not None:
-                return rpc
+        if rpc_file:
+            return _placed(_read(rpc_file), dataset, path)
+        tried = [f"{dataset.GetDriver().ShortName} metadata (RPC tags, .RPB, _RPC.TXT, DIMAP)"]
+        rpc = _from_sidecars(dataset, path, tried) or _from_metadata(dataset)
     except RpcInvalidError as error:
-        raise RpcInvalidError(f"The RPC of '{path}' cannot be used: {error} Get the file again, or use the original "
-                              "product's RPC file.") from error
+        raise RpcInvalidError(f"The RPC of '{path}' cannot be used: {error} {_ADVICE}") from error
+    if rpc is not None:
+        return rpc
     if dataset.GetProjection() and dataset.GetGeoTransform(can_return_null=True):
         raise RpcMissingError(
             f"'{path}' has no RPC and is already projected to a map (an ortho-ready or orthorectified product): "
             "order the Basic, Sensor or Primary level, which comes with RPCs.")
     raise RpcMissingError(
         f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. Put the vendor's RPC file beside the image under "
-        "its original name.")
+        "its original name, or name it in RPCS.")
+
+
+def read_rpc_file(path: str) -> Rpc:
+    """The RPC of any file that holds one, chosen by its content: a vendor's text, XML or JSON, or an image's tags.
+
+    Raises RpcMissingError where there is no such file, RpcInvalidError where it holds no RPC (with the formats that
+    were tried) or a wrong one (with the number that is wrong).
+    """
+    return _read(str(path)).rpc
 
 
 def rpc_from_gdal(metadata: Mapping[str, str]) -> Rpc:
     """An RPC from GDAL's metadata domain ``RPC``; raises RpcInvalidError."""
-    values: dict[str, Any] = {}
-    for member, key in _GDAL_KEYS.items():
-        if key not in metadata:
-            raise RpcInvalidError(f"its {key} is missing.")
-        numbers = _numbers(metadata[key], key)
-        values[member] = tuple(numbers) if member.endswith(("num", "den")) else numbers[0]
-    return Rpc(**values)
-
-
-def _numbers(text: str, key: str) -> list[float]:
-    """All numbers of a text, units after them forgiven; raises RpcInvalidError for anything that is none."""
-    words = str(text)[:4096].split()
-    try:
-        return [float(word) for word in (words if len(words) > 2 else words[:1])]
-    except ValueError as error:
-        raise RpcInvalidError(f"its {key} is '{str(text)[:60]}', which is not a number.") from error
-
-
-def _xml_candidates(image: Path) -> Iterator[Path]:
-    """RPC_*.XML files beside an image whose name says that they belong to it, as Airbus names them.
-
-    ``IMG_PHR1A_P_2012..._SEN_..._R1C1.TIF`` belongs to ``RPC_PHR1A_P_2012..._SEN_....XML``; an XML with the image's own
-    name counts too.
-    """
-    core = re.sub(r"_R\d+C\d+$", "", re.sub(r"^(IMG|DS)_", "", image.stem, flags=re.IGNORECASE), flags=re.IGNORECASE)
-    names = (f"RPC_{core}", f"{image.stem}_RPC", image.stem)
-    for name in dict.fromkeys(names):
-        for extension in (".XML", ".xml"):
-            candidate = image.with_name(name + extension)
-            if candidate.is_file():
-                yield candidate
-                break
+    return rpc_from_texts(metadata)
 
 
 def rpc_from_xml(path: Path) -> Optional[Rpc]:
-    """The RPC of a DIMAP v2 ``RPC_*.XML`` (Pleiades, SPOT 6 and 7); None where the XML is of another kind.
-
-    DIMAP counts pixels from 1, so both offsets lose 1. ``Inverse_Model`` maps ground to image.
-    """
-    if os.path.getsize(path) > _MAX_XML_BYTES:
-        raise RpcInvalidError(f"'{path.name}' is larger than {_MAX_XML_BYTES >> 20} MiB, which no RPC file is.")
-    text = path.read_bytes()
-    if b"<!ENTITY" in text or b"<!DOCTYPE" in text:
-        raise RpcInvalidError(f"'{path.name}' declares a DOCTYPE or entities, which no RPC file needs.")
-    gdal.PushErrorHandler("CPLQuietErrorHandler")
-    try:
-        tree = gdal.ParseXMLString(text.decode("utf-8", errors="replace"))
-    except RuntimeError:
-        tree = None
-    finally:
-        gdal.PopErrorHandler()
-    leaves = _leaves(tree, ("Inverse_Model", "RFM_Validity")) if tree else {}
-    if "HEIGHT_OFF" not in leaves:
-        return None
-    values: dict[str, Any] = {}
-    for member, key in _GDAL_KEYS.items():
-        if member.endswith(("num", "den")):
-            values[member] = tuple(_leaf(leaves, f"{key}_{i}") for i in range(1, 21))
-        else:
-            values[member] = _leaf(leaves, key) - (1.0 if member in ("row_off", "col_off") else 0.0)
-    return Rpc(**values)
+    """The RPC of an XML file beside an image; None where the XML is of another kind. Raises RpcInvalidError."""
+    found = read_sidecar(str(path))
+    return found.rpc if found else None
 
 
-def _leaf(leaves: Mapping[str, str], key: str) -> float:
-    if key not in leaves:
-        raise RpcInvalidError(f"its {key} is missing.")
-    number = _numbers(leaves[key], key)[0] if leaves[key].split() else np.nan
-    return number
+# --- one file -------------------------------------------------------------------------------------------------------
 
-
-def _leaves(tree: list, parents: tuple[str, ...]) -> dict[str, str]:
-    """Texts of the elements right below the named parents; GDAL's tree is [kind, text, child, child, ...]."""
-    found: dict[str, str] = {}
-    pending = [tree]
-    while pending:
-        node = pending.pop()
-        for child in node[2:]:
-            if child[0] != gdal.CXT_Element:
-                continue
-            if node[1] in parents:
-                found[child[1]] = "".join(part[1] for part in child[2:] if part[0] == gdal.CXT_Text)
-            pending.append(child)
+def _read(path: str) -> Found:
+    found = _tags_of_file(path) if _is_image(path) else read_sidecar(path)
+    if found is None:
+        raise RpcInvalidError(f"'{os.path.basename(path)}' is no RPC file of a known format; tried: "
+                              f"{', '.join(FORMAT_NAMES)}, GeoTIFF, NITF and JPEG 2000 tags.")
     return found
 
 
+def _is_image(path: str) -> bool:
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(12).startswith(_IMAGE_STARTS)
+    except OSError:
+        return False
+
+
+def _tags_of_file(path: str) -> Optional[Found]:
+    tags = _tags(path)
+    try:
+        return Found(checked(rpc_from_texts(tags)), "tags") if tags else None
+    except RpcInvalidError as error:
+        raise RpcInvalidError(f"the RPC tags of '{os.path.basename(path)}' cannot be used: {error}") from error
+
+
+def _tags(path: str) -> Dict[str, str]:
+    """RPC metadata inside an image file, files beside it not looked at; empty where there is none."""
+    dataset = None
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        dataset = gdal.OpenEx(path, gdal.OF_RASTER, allowed_drivers=list(_IMAGE_DRIVERS),
+                              sibling_files=[os.path.basename(path)])
+        return dict(dataset.GetMetadata("RPC") or {}) if dataset is not None else {}
+    except RuntimeError:
+        return {}
+    finally:
+        dataset = None  # noqa: F841
+        gdal.PopErrorHandler()
+
+
+# --- which file -----------------------------------------------------------------------------------------------------
+
+def _from_metadata(dataset: gdal.Dataset) -> Optional[Rpc]:
+    """What GDAL knows: tags, and the side files of vendors that only GDAL reads."""
+    metadata = dataset.GetMetadata("RPC")
+    return checked(rpc_from_gdal(metadata)) if metadata else None
+
+
+def _from_sidecars(dataset: gdal.Dataset, path: str, tried: List[str]) -> Optional[Rpc]:
+    """The RPC of the files beside an image whose names say that they belong to it; None where there is none.
+
+    ``tried`` takes the names of all files that were opened. Raises RpcInvalidError where two of them, or one and the
+    image's tags, describe different models.
+    """
+    placed: List[Tuple[str, Rpc]] = []
+    for candidate in rpc_files_beside(path):
+        tried.append(os.path.basename(candidate))
+        found = read_sidecar(candidate)
+        if found is not None:
+            placed.append((f"'{tried[-1]}'", _placed(found, dataset, path)))
+    if not placed:
+        return None
+    name, rpc = placed[0]
+    for other_name, other in placed[1:]:
+        _agree(name, rpc, other_name, other)
+    tags = _tags_of_file(path) if _is_image(path) else None
+    if tags is not None:
+        if _is_crop(tags.rpc, rpc):
+            return tags.rpc
+        _agree(name, rpc, "the image's own tags", tags.rpc)
+    return rpc
+
+
+def rpc_files_beside(path: str) -> List[str]:
+    """Files beside an image that may hold its RPC, as they are named after it; upper and lower case are one.
+
+    Airbus's ``IMG_PHR1A_P_2012..._SEN_..._R1C1.TIF`` belongs to ``RPC_PHR1A_P_2012..._SEN_....XML``; others give their
+    file the image's own name.
+    """
+    image = Path(path)
+    core, stem = _product(image), image.stem
+    wanted = [f"RPC_{core}.XML", f"RPC_{core}_P.XML", f"{stem}_RPC.XML", f"{stem}.XML", f"{stem}.RPB",
+              f"{stem}_RPC.TXT", f"{stem}.RPC", f"{stem}.geom", f"{stem}.JSON"]
+    there = _folder(image)
+    names = [name for key in dict.fromkeys(name.lower() for name in wanted) for name in there.get(key, ())]
+    return [str(image.with_name(name)) for name in names if name != image.name]
+
+
+def _product(image: Path) -> str:
+    """The part of an Airbus file's name that its product's files share."""
+    core = re.sub(r"^(IMG|DS|DIM)_", "", image.stem, flags=re.IGNORECASE)
+    return re.sub(r"_R\d+C\d+$", "", core, flags=re.IGNORECASE)
+
+
+def _folder(image: Path) -> Dict[str, List[str]]:
+    """Names of the files in an image's folder by their lower-case form; empty where it cannot be listed."""
+    names: Dict[str, List[str]] = {}
+    try:
+        with os.scandir(image.parent) as entries:
+            for number, entry in enumerate(entries):
+                if number >= _MAX_FOLDER:
+                    break
+                if entry.is_file():
+                    names.setdefault(entry.name.lower(), []).append(entry.name)
+    except OSError:
+        return {}
+    return {key: sorted(found) for key, found in names.items()}
+
+
+def _agree(name: str, rpc: Rpc, other_name: str, other: Rpc) -> None:
+    """Raises RpcInvalidError where two models see the ground around the first one's centre at different pixels."""
+    unit = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), axis=-1).reshape(-1, 3)
+    pixels = unit[:, :2] * [rpc.col_scale, rpc.row_scale] + [rpc.col_off, rpc.row_off]
+    ground = rpc.localise(pixels, rpc.height_off + unit[:, 2] * rpc.height_scale)
+    ground = ground[np.isfinite(ground).all(axis=1)]
+    with np.errstate(all="ignore"):
+        apart = np.abs(rpc.project(ground) - other.project(ground)).max(initial=0.0)
+    if not apart <= _AGREE_PX:
+        raise RpcInvalidError(f"{name} and {other_name} differ by {apart:.3g} px: name the right one in RPCS (the "
+                              "image itself stands for its tags), or remove the other.")
+
+
+# --- which pixels ---------------------------------------------------------------------------------------------------
+
+def _placed(found: Found, dataset: gdal.Dataset, path: str) -> Rpc:
+    """A file's RPC, moved to the pixels of an image that is a tile or a crop of what the file describes."""
+    if found.kind == "tags":
+        return found.rpc
+    rpc = found.rpc
+    if found.kind == DIMAP:
+        rpc = rpc.shifted(*_tile_origin(Path(path)))
+    return rpc.shifted(*_crop_origin(dataset, rpc))
+
+
+def _tile_origin(image: Path) -> Tuple[int, int]:
+    """Column and row of a tile's first pixel in its Airbus product; (0, 0) for an image that is no tile."""
+    match = re.search(r"_R(\d{1,4})C(\d{1,4})$", image.stem, flags=re.IGNORECASE)
+    row, col = (int(match[1]), int(match[2])) if match else (1, 1)
+    if (row, col) == (1, 1):
+        return 0, 0
+    core, there = _product(image), _folder(image)
+    # Pleiades Neo's images name their band after what the product's own file is called.
+    for product in (core, re.sub(r"_[A-Za-z-]+$", "", core)):
+        for name in there.get(f"dim_{product}.xml".lower(), ()):
+            size = tile_size(str(image.with_name(name)))
+            if size is not None:
+                return (col - 1) * size[0], (row - 1) * size[1]
+    raise RpcInvalidError(f"the image is tile R{row}C{col} of its product and 'DIM_{core}.XML', which says where it "
+                          "lies, is not beside it: put it there, or choose that file as the image.")
+
+
+def _crop_origin(dataset: gdal.Dataset, rpc: Rpc) -> Tuple[float, float]:
+    """Column and row of an image's first pixel in the image that an RPC file describes.
+
+    Taken from a geotransform that counts pixels: no CRS, steps of 1, and an origin inside the RPC's domain. (0, 0)
+    where there is none, or where the domain, moved with the crop, starts at the crop's origin already.
+    """
+    transform = dataset.GetGeoTransform(can_return_null=True)
+    if not transform or dataset.GetProjection():
+        return 0.0, 0.0
+    col, right, row_right, row, col_down, down = transform
+    if right != 1.0 or abs(down) != 1.0 or row_right or col_down:
+        return 0.0, 0.0
+    row = row * down
+    start = np.array([rpc.col_off - abs(rpc.col_scale), rpc.row_off - abs(rpc.row_scale)])
+    end = np.array([rpc.col_off + abs(rpc.col_scale), rpc.row_off + abs(rpc.row_scale)])
+    origin = np.array([col, row])
+    moved_already = np.abs(start + origin).sum() < np.abs(start).sum()
+    if moved_already or (origin < 0).any() or (origin > end).any():
+        return 0.0, 0.0
+    return float(col), float(row)
+
+
+def _is_crop(tags: Rpc, whole: Rpc) -> bool:
+    """Whether an image's tags are a file's RPC moved by whole pixels to the right and down, and nothing else."""
+    moved = np.array([whole.col_off - tags.col_off, whole.row_off - tags.row_off])
+    if (moved < -_WHOLE_PX).any() or moved.max() < 1 - _WHOLE_PX or (np.abs(moved - moved.round()) > _WHOLE_PX).any():
+        return False
+    try:
+        _agree("", whole.shifted(*moved), "", tags)
+    except RpcInvalidError:
+        return False
+    return True

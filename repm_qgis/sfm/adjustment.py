@@ -8,7 +8,7 @@ no view is silently taken for the truth.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, List, Sequence, Tuple
+from typing import Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ FloatArray = NDArray[np.float64]
 
 _ROUNDS = 8
 _HUBER_PX = 0.7
+_TUKEY_PX = 1.5     # residuals from here on are wrong matches, and count for nothing in the end
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def tracks_from(matches: Sequence[PairMatches]) -> List[Track]:
 
 
 def adjust_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> Adjustment:
-    """Gauss-Newton with the ground points eliminated and Huber weights.
+    """Gauss-Newton with the ground points eliminated; Huber weights first, then Tukey's, which forget wrong matches.
 
     Parameters
     ----------
@@ -110,13 +111,14 @@ def adjust_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: floa
     for group in groups:
         _intersect(vendor, group, shifts)
     before = _residuals(vendor, groups, shifts, len(tracks))
-    for _ in range(_ROUNDS):
-        step = _shift_step(vendor, groups, shifts)
-        shifts = shifts + step
-        for group in groups:
-            _intersect(vendor, group, shifts, passes=1)
-        if np.abs(step).max() < 1e-4:
-            break
+    for weights in (_huber, _tukey):
+        for _ in range(_ROUNDS):
+            step = _shift_step(vendor, groups, shifts, weights)
+            shifts = shifts + step
+            for group in groups:
+                _intersect(vendor, group, shifts, passes=1)
+            if np.abs(step).max() < 1e-4:
+                break
     ground = np.empty((len(tracks), 3))
     for group in groups:
         ground[group.members] = group.ground
@@ -161,7 +163,18 @@ def _intersect(views: Sequence[View], group: _Group, shifts: FloatArray, passes:
         group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
 
 
-def _shift_step(views: Sequence[View], groups: Sequence[_Group], shifts: FloatArray) -> FloatArray:
+def _huber(size: FloatArray) -> FloatArray:
+    return np.minimum(1.0, _HUBER_PX / np.maximum(size, 1e-9))
+
+
+def _tukey(size: FloatArray) -> FloatArray:
+    # Where most residuals are large, the model (one shift a view) is poor and the matches are not to blame.
+    limit = max(_TUKEY_PX, 4.685 * 1.4826 * float(np.median(size)))
+    return np.maximum(1.0 - (size / limit) ** 2, 0.0) ** 2
+
+
+def _shift_step(views: Sequence[View], groups: Sequence[_Group], shifts: FloatArray,
+                weights: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """(views, 2) Gauss-Newton step of the shifts, ground points eliminated."""
     count = 2 * len(views)
     normal, right = np.zeros((count, count)), np.zeros(count)
@@ -171,7 +184,7 @@ def _shift_step(views: Sequence[View], groups: Sequence[_Group], shifts: FloatAr
         # What no move of the ground point reaches: I - J J^+.
         projector = np.eye(residual.shape[1]) - jacobian @ np.linalg.pinv(jacobian)
         reduced = np.einsum("nij,nj->ni", projector, residual)
-        weight = np.minimum(1.0, _HUBER_PX / np.maximum(np.linalg.norm(reduced, axis=1), 1e-9))
+        weight = weights(np.linalg.norm(reduced, axis=1))
         columns = np.concatenate([[2 * i, 2 * i + 1] for i in group.views])
         normal[np.ix_(columns, columns)] += np.einsum("n,nij->ij", weight, projector)
         right[columns] += weight @ reduced

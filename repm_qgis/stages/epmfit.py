@@ -17,6 +17,7 @@ from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs, 
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..options import EpmFitOptions
 from ..progress import Part, Progress, Recorder
+from ..rpc.readers import rpc_files_beside
 from ..scene import Scene, Tile, TileView, View, load_views, reusable
 from ..sfm.altitude_range import altitude_range
 from ..vector import write_layer
@@ -54,12 +55,14 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
 
 def _key(options: EpmFitOptions) -> str:
     wanted = {k: v for k, v in options.to_json().items() if k not in ("workspace", "tiles", "report")}
-    files = [file_identity(path) for path in options.images + ((options.dem,) if options.dem else ())]
+    named = options.rpcs or ("",) * len(options.images)
+    beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_files_beside(image))]
+    files = [file_identity(path) for path in (*options.images, *beside, *([options.dem] if options.dem else []))]
     return fingerprint("epmfit", wanted, files)
 
 
 def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
-    views = load_views(options.images)
+    views = load_views(options.images, options.rpcs)
     progress.info("; ".join(f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views))
     crs = _crs(options, views)
     search = _common_heights(views)

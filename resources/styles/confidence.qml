@@ -4,7 +4,7 @@
     <provider>
       <resampling enabled="false" maxOversampling="2" zoomedInResamplingMethod="nearestNeighbour" zoomedOutResamplingMethod="nearestNeighbour"/>
     </provider>
-    <rasterrenderer type="singlebandpseudocolor" band="1" opacity="1" alphaBand="-1" nodataColor="" classificationMin="@min@" classificationMax="@max@">
+    <rasterrenderer type="singlebandpseudocolor" band="@band@" opacity="1" alphaBand="-1" nodataColor="" classificationMin="@min@" classificationMax="@max@">
       <rasterTransparency/>
       <minMaxOrigin>
         <limits>None</limits>
@@ -26,6 +26,17 @@
             </Option>
           </colorramp>
 @items@
+          <rampLegendSettings useContinuousLegend="1" minimumLabel="" maximumLabel="" prefix="" suffix="" direction="0" orientation="2">
+            <numericFormat id="basic">
+              <Option type="Map">
+                <Option type="int" name="decimals" value="@precision@"/>
+                <Option type="int" name="rounding_type" value="0"/>
+                <Option type="bool" name="show_plus" value="false"/>
+                <Option type="bool" name="show_thousand_separator" value="false"/>
+                <Option type="bool" name="show_trailing_zeros" value="true"/>
+              </Option>
+            </numericFormat>
+          </rampLegendSettings>
         </colorrampshader>
       </rastershader>
     </rasterrenderer>

@@ -26,6 +26,17 @@
             </Option>
           </colorramp>
 @items@
+          <rampLegendSettings useContinuousLegend="1" minimumLabel="" maximumLabel="" prefix="" suffix=" m" direction="0" orientation="2">
+            <numericFormat id="basic">
+              <Option type="Map">
+                <Option type="int" name="decimals" value="@precision@"/>
+                <Option type="int" name="rounding_type" value="0"/>
+                <Option type="bool" name="show_plus" value="true"/>
+                <Option type="bool" name="show_thousand_separator" value="false"/>
+                <Option type="bool" name="show_trailing_zeros" value="true"/>
+              </Option>
+            </numericFormat>
+          </rampLegendSettings>
         </colorrampshader>
       </rastershader>
     </rasterrenderer>

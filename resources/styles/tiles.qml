@@ -13,11 +13,11 @@
       <symbol type="fill" name="0" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="26,152,80,60"/>
+            <Option type="QString" name="color" value="26,152,80,20"/>
             <Option type="QString" name="style" value="solid"/>
             <Option type="QString" name="outline_color" value="26,152,80,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.5"/>
+            <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="joinstyle" value="miter"/>
           </Option>
@@ -26,11 +26,11 @@
       <symbol type="fill" name="1" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="127,191,63,60"/>
+            <Option type="QString" name="color" value="127,191,63,20"/>
             <Option type="QString" name="style" value="solid"/>
             <Option type="QString" name="outline_color" value="127,191,63,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.5"/>
+            <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="joinstyle" value="miter"/>
           </Option>
@@ -39,11 +39,11 @@
       <symbol type="fill" name="2" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="217,200,38,60"/>
+            <Option type="QString" name="color" value="217,200,38,20"/>
             <Option type="QString" name="style" value="solid"/>
             <Option type="QString" name="outline_color" value="217,200,38,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.5"/>
+            <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="joinstyle" value="miter"/>
           </Option>
@@ -52,11 +52,11 @@
       <symbol type="fill" name="3" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="243,154,39,60"/>
+            <Option type="QString" name="color" value="243,154,39,20"/>
             <Option type="QString" name="style" value="solid"/>
             <Option type="QString" name="outline_color" value="243,154,39,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.5"/>
+            <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="joinstyle" value="miter"/>
           </Option>
@@ -65,11 +65,11 @@
       <symbol type="fill" name="4" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="221,90,43,60"/>
+            <Option type="QString" name="color" value="221,90,43,20"/>
             <Option type="QString" name="style" value="solid"/>
             <Option type="QString" name="outline_color" value="221,90,43,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.5"/>
+            <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="joinstyle" value="miter"/>
           </Option>
@@ -78,11 +78,11 @@
       <symbol type="fill" name="5" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="163,17,46,60"/>
+            <Option type="QString" name="color" value="163,17,46,20"/>
             <Option type="QString" name="style" value="solid"/>
             <Option type="QString" name="outline_color" value="163,17,46,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.5"/>
+            <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="joinstyle" value="miter"/>
           </Option>

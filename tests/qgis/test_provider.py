@@ -13,10 +13,10 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 PARAMETERS = {
     "epmfit": "IMAGES EXTENT DEM ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
     "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
-    "refine": "SCENE MODEL OUTPUT_SCENE REPORT",
+    "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
     "reconstruct": "SCENE BACKEND OUTPUT_SCENE TIE_POINTS HEIGHTS",
     "dsmfuse": "SCENE RESOLUTION CRS METHOD OUTLIER_RADIUS OUTPUT CONFIDENCE ORTHO CLOUD",
-    "pipeline": "IMAGES EXTENT DEM RESOLUTION CRS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL BACKEND "
+    "pipeline": "IMAGES EXTENT DEM RESOLUTION CRS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND "
                 "METHOD OUTLIER_RADIUS OUTPUT WORKSPACE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS ERROR REPORT",
     "sampledata": "KIND SIZE SEED FOLDER",
@@ -97,7 +97,7 @@ def test_a_dialog_stays_readable(plugin, name):
 
 
 def test_what_is_not_built_is_not_offered(plugin):
-    assert algorithm("refine").parameterDefinition("MODEL").options() == ["none", "homography", "polynomial"]
+    assert algorithm("refine").parameterDefinition("MODEL").options() == ["none", "homography", "polynomial", "terrain"]
     assert algorithm("reconstruct").parameterDefinition("BACKEND").options() == ["auto", "sgm"]
     assert algorithm("pipeline").parameterDefinition("MODEL").defaultValue() == "polynomial"
 

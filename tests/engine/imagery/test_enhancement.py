@@ -1,0 +1,34 @@
+"""One stretch for a whole view."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.errors import ImageError
+from repm_qgis.imagery.enhancement import Stretch, view_stretch
+
+
+def test_stretch_is_a_root_between_the_ends_and_keeps_nan():
+    pixels = np.array([[50, 100, 200, 500, 900, np.nan]], dtype=np.float32)
+    found = Stretch(100.0, 500.0).apply(pixels)
+    np.testing.assert_allclose(found[0, :5], [0, 0, 0.5, 1, 1], atol=1e-6)
+    assert np.isnan(found[0, 5]) and found.dtype == np.float32
+
+
+def test_percentiles_leave_out_glare_and_nodata(tmp_path, write_image):
+    values = np.tile(np.arange(100, 1100, dtype=np.uint16), (300, 1))
+    values[:60] = 0
+    values[100, :10] = 65000
+    stretch = view_stretch(write_image(tmp_path / "a.tif", values, nodata=0), 1)
+    assert stretch.low == pytest.approx(101, abs=1.5) and stretch.high == pytest.approx(1094.5, abs=3)
+
+
+@pytest.mark.parametrize("values, nodata, words", (
+    (np.zeros((100, 100), np.uint16), 0, "has only nodata in band 1"),
+    (np.full((100, 100), 37, np.uint16), None, "has the same value (37) almost everywhere")))
+def test_images_that_show_nothing(tmp_path, write_image, values, nodata, words):
+    path = write_image(tmp_path / "a.tif", values, nodata=nodata)
+    with pytest.raises(ImageError) as caught:
+        view_stretch(path, 1)
+    assert path in str(caught.value) and words in str(caught.value)

@@ -1,0 +1,196 @@
+"""Reading and writing rasters: values, nodata, damaged files, and files that are whole or absent."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+from repm_qgis.errors import ImageError, WorkspaceError
+from repm_qgis.imagery.raster import created, grey_band, name_of, opened, read, write
+
+ROOT = Path(__file__).resolve().parents[3]
+WKT = 'PROJCS["WGS 84 / UTM zone 31N",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],' \
+      'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],' \
+      'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",3],PARAMETER["scale_factor",0.9996],' \
+      'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1],AUTHORITY["EPSG","32631"]]'
+TRANSFORM = (500000.0, 0.5, 0.0, 4800000.0, 0.0, -0.5)
+
+
+def heights(rows=300, columns=200):
+    values = np.random.default_rng(4).normal(200, 30, (rows, columns)).astype(np.float32)
+    values[50:60, 20:90] = np.nan
+    return values
+
+
+def test_what_is_written_is_read(tmp_path):
+    path, values = str(tmp_path / "a.tif"), heights()
+    assert write(path, [values, values + 1], TRANSFORM, WKT, descriptions=("height", "other"), unit="m",
+                 metadata={"NOTE": 5}) == path
+    with opened(path) as dataset:
+        np.testing.assert_array_equal(read(dataset), values)
+        np.testing.assert_array_equal(read(dataset, (10, 40, 30, 25), 2), values[40:65, 10:40] + 1)
+    dataset = gdal.Open(path)  # GDAL alone
+    assert dataset.GetGeoTransform() == TRANSFORM and "32631" in dataset.GetProjection()
+    band = dataset.GetRasterBand(1)
+    assert band.GetNoDataValue() == -9999 and band.GetDescription() == "height" and band.GetUnitType() == "m"
+    assert (band.ReadAsArray()[50:60, 20:90] == -9999).all() and dataset.GetMetadataItem("NOTE") == "5"
+    assert band.GetBlockSize() == [256, 256]
+    dataset = band = None
+    assert os.listdir(tmp_path) == ["a.tif"]
+
+
+def test_overviews_leave_nodata_out(tmp_path):
+    path, values = str(tmp_path / "a.tif"), heights(1200, 900)
+    write(path, [values], TRANSFORM, WKT, overviews=True)
+    dataset = gdal.Open(path)
+    first = dataset.GetRasterBand(1).GetOverview(0)
+    assert (first.XSize, first.YSize) == (450, 600) and dataset.GetRasterBand(1).GetOverviewCount() >= 2
+    small = first.ReadAsArray()
+    dataset = first = None
+    expected = values[200:, 200:].reshape(500, 2, 350, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(small[100:, 100:], expected, atol=1e-3)
+    assert set(np.unique(small[small < 0])) == {-9999.0}
+
+
+@pytest.mark.parametrize("dtype, nodata", (("uint8", 0), ("uint16", 65535), ("float32", -32768.0),
+                                           ("float32", float("nan")), ("float32", -3.4028234663852886e38)))
+def test_nodata_of_any_kind_becomes_nan(tmp_path, write_image, dtype, nodata):
+    values = np.random.default_rng(0).integers(1, 200, (90, 80)).astype(dtype)
+    values[3, 4] = nodata
+    path = write_image(tmp_path / "a.tif", values, nodata=nodata)
+    with opened(path) as dataset:
+        found = read(dataset)
+    assert np.isnan(found[3, 4]) and np.isnan(found).sum() == 1
+    assert found.dtype == np.float32 and (found[0] == values[0]).all()
+
+
+def test_infinite_values_become_nan(tmp_path, write_image):
+    values = np.ones((80, 80), dtype=np.float32)
+    values[1, 1], values[2, 2] = np.inf, -np.inf
+    with opened(write_image(tmp_path / "a.tif", values)) as dataset:
+        assert np.argwhere(np.isnan(read(dataset))).tolist() == [[1, 1], [2, 2]]
+
+
+def test_decimated_reading_averages_what_is_known(tmp_path, write_image):
+    values = np.random.default_rng(0).integers(1, 4000, (160, 240)).astype(np.uint16)
+    values[:4, :4] = 0
+    values[10, 10] = 0
+    with opened(write_image(tmp_path / "a.tif", values, nodata=0)) as dataset:
+        found = read(dataset, (0, 0, 240, 160), 1, (60, 40))
+    assert np.isnan(found[0, 0])
+    block = values[8:12, 8:12].astype(float)
+    assert found[2, 2] == pytest.approx(block[block > 0].mean(), abs=0.6)
+    np.testing.assert_allclose(found[10:], values.reshape(40, 4, 60, 4).mean(axis=(1, 3))[10:], atol=0.6)
+
+
+@pytest.mark.parametrize("compress", (False, True))
+def test_truncated_files_are_image_errors(tmp_path, compress):
+    path = tmp_path / "cut.tif"
+    write(str(path), [heights(900, 900)], TRANSFORM, WKT, compress=compress)
+    path.write_bytes(path.read_bytes()[:len(path.read_bytes()) // 2])
+    with pytest.raises(ImageError) as caught, opened(str(path)) as dataset:
+        read(dataset)
+    assert str(path) in str(caught.value)
+    assert "get it again" in str(caught.value) or "get the file again" in str(caught.value)
+
+
+def test_what_is_no_raster(tmp_path):
+    text = tmp_path / "a.tif"
+    text.write_text("not a raster")
+    for path, words in ((str(text), "Cannot open the raster"), (str(tmp_path / "gone.tif"), "it does not exist"),
+                        (str(tmp_path), "Cannot open")):
+        with pytest.raises(ImageError) as caught, opened(path):
+            pass
+        assert path in str(caught.value) and words in str(caught.value)
+
+
+def test_gdals_global_state_is_left_alone(tmp_path):
+    before = gdal.GetUseExceptions()
+    for use in (gdal.UseExceptions, gdal.DontUseExceptions):
+        use()
+        with pytest.raises(ImageError), opened(str(tmp_path / "gone.tif")):
+            pass
+        write(str(tmp_path / "a.tif"), [heights()], TRANSFORM, WKT)
+        with pytest.raises(WorkspaceError):
+            write("/proc/nowhere/a.tif", [heights()], TRANSFORM, WKT)
+    (gdal.UseExceptions if before else gdal.DontUseExceptions)()
+
+
+def test_an_exception_leaves_nothing(tmp_path):
+    path = str(tmp_path / "a.tif")
+    with pytest.raises(KeyError), created(path, (100, 100), np.dtype("float32"), 1, TRANSFORM, WKT) as writer:
+        writer.write(np.ones((50, 100), np.float32))
+        raise KeyError
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_exception_leaves_what_was_there_before(tmp_path):
+    path = str(tmp_path / "a.tif")
+    write(path, [np.full((60, 60), 7, np.float32)], TRANSFORM, WKT)
+    with pytest.raises(KeyError), created(path, (100, 100), np.dtype("float32"), 1, TRANSFORM, WKT) as writer:
+        writer.write(np.ones((50, 100), np.float32))
+        raise KeyError
+    with opened(path) as dataset:
+        assert (read(dataset) == 7).all()
+    assert os.listdir(tmp_path) == ["a.tif"]
+
+
+def test_the_name_appears_only_at_the_end(tmp_path):
+    path = tmp_path / "new" / "folder" / "a.tif"
+    with created(str(path), (100, 100), np.dtype("uint8"), 1, None, "", nodata=0) as writer:
+        writer.write(np.ones((100, 100), np.uint8))
+        assert not path.exists()
+    assert os.listdir(path.parent) == ["a.tif"]
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.tif").mkdir()
+    for path in (str(tmp_path / "file" / "a.tif"), "/proc/nowhere/a.tif", str(tmp_path / "folder.tif")):
+        with pytest.raises(WorkspaceError) as caught:
+            write(path, [heights()], TRANSFORM, WKT)
+        assert path.rsplit("/", 1)[0] in str(caught.value)
+    assert sorted(os.listdir(tmp_path)) == ["file", "folder.tif"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the file size")
+@pytest.mark.parametrize("where", ("during", "at the end"))
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, where):
+    """A limit of the file size stands for the full disk. GDAL writes at the end what fits into its cache."""
+    rows = 3000 if where == "during" else 600
+    code = f"""
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (400000, 400000))
+import numpy as np
+from osgeo import gdal
+gdal.SetCacheMax({8 << 20 if where == "during" else 64 << 20})
+from repm_qgis.errors import WorkspaceError
+from repm_qgis.imagery.raster import write
+try:
+    write({str(tmp_path / "a.tif")!r}, [np.random.default_rng(0).normal(0, 1, ({rows}, 3000)).astype("float32")],
+          None, "")
+except WorkspaceError as error:
+    sys.stdout.write(str(error))
+    sys.exit(1)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 1, done.stderr
+    assert "a.tif" in done.stdout
+    assert os.listdir(tmp_path) == []
+
+
+def test_the_band_to_match_on(tmp_path):
+    dataset = gdal.GetDriverByName("GTiff").Create(str(tmp_path / "a.tif"), 70, 70, 2)
+    dataset.GetRasterBand(1).SetColorInterpretation(gdal.GCI_AlphaBand)
+    dataset.GetRasterBand(2).SetColorInterpretation(gdal.GCI_GrayIndex)
+    assert grey_band(dataset) == 2
+    dataset = None
+    assert name_of("/a/b/IMG_1.x.TIF") == "IMG_1.x"

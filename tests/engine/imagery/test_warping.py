@@ -1,0 +1,129 @@
+"""Resampling against functions that can be written down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.imagery.raster import opened
+from repm_qgis.imagery.warping import sample_array, source_positions, warp
+
+ANGLE = np.radians(7.0)
+
+
+def turned(points):
+    """A rotation with scale and shift, whose window stays inside a 600 x 500 image."""
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([60.3 + 0.9 * (np.cos(ANGLE) * x - np.sin(ANGLE) * y) + 40,
+                     20.7 + 0.9 * (np.sin(ANGLE) * x + np.cos(ANGLE) * y)], axis=-1)
+
+
+def smooth(x, y):
+    return 1000 + 300 * np.sin(x / 17.0) * np.cos(y / 23.0)
+
+
+def plane(x, y):
+    return 500 + 0.7 * x - 0.4 * y
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory, write_image):
+    folder = tmp_path_factory.mktemp("warp")
+    y, x = np.mgrid[:500, :600].astype(float)
+    gap = plane(x, y).astype(np.float32)
+    gap[200:230, 300:340] = -9999
+    return {"smooth": write_image(folder / "s.tif", smooth(x, y).astype(np.float32)),
+            "plane": write_image(folder / "p.tif", plane(x, y).astype(np.float32)),
+            "gap": write_image(folder / "g.tif", gap, nodata=-9999.0)}
+
+
+def resampled(path, kernel, size=(400, 380), to_source=turned):
+    with opened(path) as dataset:
+        return warp(dataset, 1, to_source, size, kernel)
+
+
+def expected(function, size=(400, 380)):
+    x, y = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    source = turned(np.stack([x, y], axis=-1).astype(float))
+    return function(source[..., 0], source[..., 1]), source
+
+
+@pytest.mark.parametrize("kernel, px", (("bilinear", 0.001), ("cubic", 0.055), ("lanczos", 0.013)))
+def test_a_plane_is_kept(images, kernel, px):
+    """OpenCV rounds positions to 1/32 px, and its cubic kernel (a = -0.75) bends planes a little between pixels.
+
+    ``px`` is what that amounts to as an error of position; it must not have a bias.
+    """
+    found, (truth, _) = resampled(images["plane"], kernel), expected(plane)
+    known = np.isfinite(found)
+    assert known.mean() > 0.95
+    error = (found - truth)[known]
+    assert np.abs(error).max() < (0.7 + 0.4) * (1 / 64 + px) + 0.002
+    assert abs(error.mean()) < 0.003
+
+
+@pytest.mark.parametrize("kernel, rms", (("bilinear", 0.45), ("cubic", 0.45), ("lanczos", 0.2)))
+def test_a_smooth_function_is_kept(images, kernel, rms):
+    found, (truth, _) = resampled(images["smooth"], kernel), expected(smooth)
+    known = np.isfinite(found)
+    assert np.sqrt(np.mean((found - truth)[known] ** 2)) < rms  # of 300: half a thousandth
+    assert abs(np.mean((found - truth)[known])) < 0.1
+
+
+@pytest.mark.parametrize("kernel, reach", (("bilinear", 1), ("cubic", 2), ("lanczos", 4)))
+def test_nodata_does_not_bleed(images, kernel, reach):
+    found, (truth, source) = resampled(images["gap"], kernel), expected(plane)
+    known = np.isfinite(found)
+    assert np.abs((found - truth)[known]).max() < 0.1  # a drop of -9999 would show
+    x, y = source[..., 0], source[..., 1]
+    inside = (x >= 300) & (x <= 339) & (y >= 200) & (y <= 229)
+    assert not known[inside].any()
+    far = ((x < 300 - reach - 1) | (x > 339 + reach + 1) | (y < 200 - reach - 1) | (y > 229 + reach + 1))
+    assert known[far & (x > 8) & (y > 8) & (x < 591) & (y < 491)].all()
+
+
+def test_outside_is_nan(images):
+    found = resampled(images["plane"], "bilinear", (50, 40), lambda p: p + [580.0, 480.0])
+    assert np.isfinite(found[:19, :19]).all() and np.isnan(found[21:]).all() and np.isnan(found[:, 21:]).all()
+    assert np.isnan(resampled(images["plane"], "cubic", (50, 40), lambda p: p + [5000.0, 0.0])).all()
+    assert np.isnan(resampled(images["plane"], "cubic", (50, 40), lambda p: p * np.nan)).all()
+
+
+def test_strips_do_not_show(images):
+    """512 rows a pass: rows on both sides of a border are as good as all others."""
+    size = (60, 1100)
+
+    def squeezed(points):
+        return np.stack([points[..., 0] + 100.25, points[..., 1] * 0.4 + 20.5], axis=-1)
+
+    whole = resampled(images["smooth"], "cubic", size, squeezed)
+    x, y = np.meshgrid(np.arange(60.0) + 100.25, np.arange(1100.0) * 0.4 + 20.5)
+    assert np.isfinite(whole).all()
+    error = np.abs(whole - smooth(x, y)).max(axis=1)
+    assert error.max() < 1.0 and error[508:516].max() <= error.max()
+
+
+@pytest.mark.parametrize("size", ((1, 1), (2, 1), (1, 3), (17, 16), (33, 513), (400, 380)))
+def test_positions_are_exact_for_affine_maps(size):
+    found = source_positions(turned, size)
+    x, y = np.meshgrid(np.arange(float(size[0])), np.arange(float(size[1])))
+    assert found.shape == (size[1], size[0], 2)
+    np.testing.assert_allclose(found, turned(np.stack([x, y], axis=-1)), atol=1e-9)
+    np.testing.assert_allclose(source_positions(turned, size, size[1] - 1, 1), found[-1:], atol=1e-9)
+
+
+def test_positions_of_a_curved_map_are_within_a_thousandth():
+    def curved(points):
+        u = points / 8000
+        return points + np.stack([9 * u[..., 0] ** 2 + 5 * u[..., 0] * u[..., 1], -12 * u[..., 1] ** 2], axis=-1)
+
+    found = source_positions(curved, (900, 5300), 5000)
+    x, y = np.meshgrid(np.arange(900.0), np.arange(5000.0, 5300.0))
+    assert np.abs(found - curved(np.stack([x, y], axis=-1))).max() < 1e-3
+
+
+def test_whole_pixels_are_taken_as_they_are():
+    source = np.random.default_rng(0).normal(size=(30, 40)).astype(np.float32)
+    x, y = np.meshgrid(np.arange(5.0, 30.0), np.arange(4.0, 20.0))
+    for kernel in ("bilinear", "cubic", "lanczos"):
+        np.testing.assert_allclose(sample_array(source, np.stack([x, y], axis=-1), kernel), source[4:20, 5:30], atol=1e-5)

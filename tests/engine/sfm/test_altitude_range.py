@@ -1,0 +1,86 @@
+"""The altitude range from the images: it holds the true range, and is not much wider."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.errors import OptionError
+from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.sfm.altitude_range import altitude_range, ground_slope, sweep_altitudes
+
+NONE = (None, None)
+
+
+@pytest.mark.parametrize("kind, wider", (("urban", 90.0), ("mountains", 90.0)))
+@pytest.mark.parametrize("search", ((-100.0, 1500.0), None))
+def test_the_true_range_is_inside_and_the_range_is_not_absurd(request, told, kind, wider, search):
+    scene = request.getfixturevalue(kind)
+    seen = float(scene.surface.min()), float(scene.surface.max())
+    search = search or scene.views[0].rpc.height_range
+    found = sweep_altitudes(scene.views, scene.crs, scene.bounds, search, told())
+    assert found.altitudes[0] <= seen[0] and found.altitudes[1] >= seen[1]
+    assert np.diff(found.altitudes)[0] < seen[1] - seen[0] + wider + 2 * found.step_m
+    assert search[0] <= found.altitudes[0] and found.altitudes[1] <= search[1]
+    assert found.matched > 60 and found.matched <= found.cells
+
+
+def test_real_pairs(shared_data, told):
+    """S2P's DSM of the real pair tells what is there."""
+    from osgeo import gdal
+
+    from repm_qgis.scene import load_views
+
+    folder = shared_data / "pleiades_pair"
+    views = load_views(tuple(str(path) for path in sorted(folder.glob("img*.tif"))))
+    dataset = gdal.Open(str(folder / "s2p_dsm.tif"))
+    west, cell, _, north, _, _ = dataset.GetGeoTransform()
+    heights, crs = dataset.ReadAsArray(), dataset.GetSpatialRef().GetAuthorityCode(None)
+    dataset = None
+    heights = heights[np.isfinite(heights) & (heights > -1000)]
+    bounds = (west + 50, north - 400, west + 450, north - 50)
+    found = sweep_altitudes(views, f"EPSG:{crs}", bounds, views[0].rpc.height_range, told())
+    low, high = np.percentile(heights, (1, 99))
+    assert found.altitudes[0] <= low and found.altitudes[1] >= high
+    assert np.diff(found.altitudes)[0] < 2.5 * (high - low) + 100
+
+
+def test_slopes_are_what_two_heights_say(urban):
+    """The direction of a ray, from the simulated sensor's own RPC by another path: two localised ends in UTM."""
+    view = urban.true_views[0]
+    lon_lat = geodetic_from_projected(urban.crs, np.array([(urban.bounds[0] + urban.bounds[2]) / 2,
+                                                           (urban.bounds[1] + urban.bounds[3]) / 2]))
+    slope = ground_slope(view, lon_lat, 200.0)
+    tilt = np.degrees(np.arctan(np.linalg.norm(slope)))
+    look = urban.record["views"][0]
+    # Pitch and roll of the satellite make a little more at the curved ground.
+    aimed = np.degrees(np.arctan(np.hypot(*np.tan(np.radians([look["pitch_deg"], look["roll_deg"]])))))
+    assert aimed < tilt < 1.25 * aimed + 0.5
+
+
+def test_what_the_user_gives_comes_first(urban, told):
+    search = urban.views[0].rpc.height_range
+    assert altitude_range(urban.views, urban.crs, urban.bounds, search, (150.0, 300.0), None, told()) == \
+        ((150.0, 300.0), "given")
+    found, source = altitude_range(urban.views, urban.crs, urban.bounds, search, (100.0, None), None, told())
+    assert found[0] == 100.0 and source == "images" and found[1] >= urban.surface.max()
+    with pytest.raises(OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range"):
+        altitude_range(urban.views, urban.crs, urban.bounds, search, (5000.0, None), None, told())
+
+
+def test_a_dem_comes_before_the_images(urban, told):
+    said = told()
+    found, source = altitude_range(urban.views, urban.crs, urban.bounds, (0.0, 9000.0), NONE, urban.truth, said)
+    assert source == "DEM" and len(said.warnings) == 1 and "above the WGS 84 ellipsoid" in said.warnings[0]
+    assert found[0] == pytest.approx(urban.surface.min() - 20, abs=1.0)
+    assert found[1] == pytest.approx(urban.surface.max() + 60, abs=5.0)
+
+
+def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
+    from repm_qgis.scene import load_views
+
+    grey = np.full((400, 400), 300, np.uint16)
+    views = load_views(tuple(write_image(tmp_path / f"{i}.tif", grey, view.rpc) for i, view in enumerate(urban.views)))
+    said = told()
+    assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
+    assert "do not tell the altitude range" in said.warnings[0]
