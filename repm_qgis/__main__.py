@@ -81,7 +81,10 @@ def main(arguments: list[str]) -> int:
         _cancel_on_sigterm()
         if len(arguments) != 2:
             raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
+        from .imagery.raster import bound_cache
         from .stages import run_stage
+
+        bound_cache()
 
         lines.send(type="result", result=run_stage(arguments[0], _job(arguments[1]), lines))
         return 0

@@ -73,4 +73,7 @@ def _bound_threads() -> None:
         os.environ[name] = "1"
     import cv2
 
+    from .imagery.raster import bound_cache
+
     cv2.setNumThreads(1)
+    bound_cache(64)

@@ -22,6 +22,7 @@ from ..workspace import write_text
 Pairs = Union[Mapping[str, Any], Iterable[Tuple[str, Any]]]
 
 _NUMBER = re.compile(r"^[<>≤≥~±+\-−]?\s*\d[\d\s,.]*(e[+-]?\d+)?\s*(%|°|[a-zA-Zµ²³/]{1,5})?$", re.IGNORECASE)
+_LONG = 40
 _UNSAFE_SVG = re.compile(r"<\s*(script|foreignobject|iframe|image|use)\b|\bon\w+\s*=|href\s*=", re.IGNORECASE)
 
 # Every rule has a plain value before a variable where an old engine (QtWebKit, QTextBrowser) may not know variables.
@@ -42,7 +43,8 @@ nav{margin:0 0 1.2rem;font-size:.9rem}nav a{margin-right:1.1rem;white-space:nowr
 a{color:#1f6f9f;color:var(--accent);text-decoration:none}a:hover{text-decoration:underline}
 p{max-width:46rem;margin:.5rem 0;overflow-wrap:anywhere}
 table.facts{margin:.6rem 0}table.facts th,table.facts td{border:0;padding:.12rem 1.4rem .12rem 0}
-table.facts th{font-weight:400;white-space:nowrap;color:#5b6876;color:var(--soft)}td{overflow-wrap:anywhere}
+table.facts th{font-weight:400;white-space:nowrap;color:#5b6876;color:var(--soft)}
+table.facts td,td.w{overflow-wrap:anywhere}
 .scroll{overflow-x:auto;margin:.8rem 0}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;min-width:50%}
 caption{caption-side:bottom;text-align:left;color:#5b6876;color:var(--soft);font-size:.87rem;padding-top:.45rem}
@@ -133,7 +135,9 @@ class Report:
         numeric = [
             bool(body) and all(_is_number(row[i]) or row[i] in ("–", "") for row in body) for i in range(len(headers))
         ]
-        mark = [' class="n"' if flag else "" for flag in numeric]
+        # Only long cells, paths above all, may break anywhere: names and numbers stay whole.
+        long = [any(len(str(row[i])) > _LONG for row in body) for i in range(len(headers))]
+        mark = [' class="n"' if flag else ' class="w"' if wide else "" for flag, wide in zip(numeric, long)]
         head = "".join(f"<th{m}>{html.escape(str(text))}</th>" for m, text in zip(mark, headers))
         lines = "".join(
             "<tr>" + "".join(f"<td{m}>{html.escape(number(cell))}</td>" for m, cell in zip(mark, row)) + "</tr>"

@@ -118,7 +118,7 @@ def _long_table(report: Report, headers: List[str], rows: List[List[Any]]) -> No
 
 
 def _surface(report: Report, products: Mapping[str, Any]) -> None:
-    values, cell = pictures.preview(products["output"], 1000)
+    values, cell = pictures.preview(products["output"], 800)
     low, high = pictures.spread(values)
     report.png(pictures.png_bytes(pictures.shaded_relief(values, cell)), "The DSM, shaded from the north-west, north "
                "up. White: no height was matched there.")
@@ -132,7 +132,7 @@ def _surface(report: Report, products: Mapping[str, Any]) -> None:
 
 
 def _thin(products: Mapping[str, Any]) -> List[str]:
-    if products["valid_percent"] >= 50:
+    if products["valid_percent"] >= 20:
         return []
     return [f"Only {products['valid_percent']:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, "
             "and so do images from too different directions or dates: see 'Height maps' below for the pairs that "

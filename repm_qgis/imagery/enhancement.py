@@ -11,26 +11,34 @@ from ..errors import ImageError
 from .raster import opened, read
 
 _SAMPLE_SIDE = 1024
+_KNEE = 0.9     # the threshold's place in 0..1: a tenth is left for the tail
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Brightness of ``low`` and below becomes 0, of ``high`` and above 1, square roots between.
+    """Brightness to 0..1: square roots from ``low`` up to the threshold ``high``, and the long tail above compressed.
 
-    The root compresses the long tail (paper, Section 3.1, image enhancement) and makes photon noise even.
+    The paper (Section 3.1, image enhancement) sets a brightness threshold and treats what exceeds it. The root makes
+    photon noise even over the range; above the threshold, ever brighter pixels approach 1 and never reach it, so
+    that white roofs keep their texture. ``long_tail`` is how far the image's brightest pixels lie beyond the
+    threshold, in units of the range below it.
     """
 
     low: float
     high: float
+    long_tail: float = 0.0
 
     def apply(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
         """(height, width) brightness to 0..1; NaN stays NaN."""
         with np.errstate(invalid="ignore"):
-            return np.sqrt(np.clip((pixels - np.float32(self.low)) / np.float32(self.high - self.low), 0, 1))
+            root = np.sqrt(np.maximum((pixels - np.float32(self.low)) / np.float32(self.high - self.low), 0))
+            room = np.float32(1.0 - _KNEE)
+            return np.where(root > 1, 1 - room * np.exp(np.minimum(1 - root, 0) * (_KNEE / room)), root * _KNEE).astype(
+                np.float32)
 
 
 def view_stretch(path: str, band: int) -> Stretch:
-    """The stretch of a whole image, from its overviews or a decimated reading.
+    """The stretch of a whole image of any bit depth, from its overviews or a decimated reading.
 
     Raises ImageError where the image holds only nodata or one value.
     """
@@ -41,8 +49,8 @@ def view_stretch(path: str, band: int) -> Stretch:
     known = pixels[np.isfinite(pixels)]
     if known.size < 100:
         raise ImageError(f"'{path}' has only nodata in band {band}: choose another image or band.")
-    low, high = np.percentile(known, (0.1, 99.5))
+    low, high, brightest = np.percentile(known, (0.1, 99.5, 99.99))
     if high <= low:
         raise ImageError(f"'{path}' has the same value ({low:g}) almost everywhere in band {band}: it shows nothing to "
                          "match.")
-    return Stretch(float(low), float(high))
+    return Stretch(float(low), float(high), float((brightest - high) / (high - low)))

@@ -22,6 +22,8 @@ Window = Tuple[int, int, int, int]
 
 NODATA = -9999.0
 
+_COLOURS = {gdal.GCI_RedBand: 0.299, gdal.GCI_GreenBand: 0.587, gdal.GCI_BlueBand: 0.114}
+
 
 @contextmanager
 def quiet() -> Iterator[None]:
@@ -64,9 +66,13 @@ def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
          size: Optional[Tuple[int, int]] = None) -> NDArray[np.float32]:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 
-    ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
+    ``band`` 0 reads the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is. ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
     for a truncated or damaged file.
     """
+    if band == 0:
+        meanings = [dataset.GetRasterBand(i).GetColorInterpretation() for i in range(1, dataset.RasterCount + 1)]
+        return sum(np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
+                   for colour, weight in _COLOURS.items())
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     handle = dataset.GetRasterBand(band)
     options = {} if size is None else {
@@ -94,6 +100,11 @@ def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
 def _failure() -> str:
     """GDAL's last error within :func:`quiet`, "" where all went well."""
     return _reason() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
+
+
+def bound_cache(megabytes: int = 128) -> None:
+    """Keep GDAL's block cache small: its default takes a twentieth of the machine. For processes of our own only."""
+    gdal.SetCacheMax(megabytes << 20)
 
 
 class RasterWriter:
@@ -242,9 +253,15 @@ def _describe(dataset: gdal.Dataset, geotransform: Optional[Sequence[float]], cr
 
 
 def grey_band(dataset: gdal.Dataset) -> int:
-    """The band to match on: the first one that holds brightness (an alpha or palette band does not)."""
-    for band in range(1, dataset.RasterCount + 1):
-        if dataset.GetRasterBand(band).GetColorInterpretation() not in (gdal.GCI_AlphaBand, gdal.GCI_PaletteIndex):
+    """The band to match on: 0 (grey of red, green and blue) for a colour image, else the first that holds brightness.
+
+    Alpha and palette bands do not.
+    """
+    meanings = [dataset.GetRasterBand(i).GetColorInterpretation() for i in range(1, dataset.RasterCount + 1)]
+    if all(colour in meanings for colour in _COLOURS):
+        return 0
+    for band, meaning in enumerate(meanings, start=1):
+        if meaning not in (gdal.GCI_AlphaBand, gdal.GCI_PaletteIndex):
             return band
     return 1
 

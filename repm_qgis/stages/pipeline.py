@@ -42,10 +42,11 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
         scene_path, options.output, options.resolution, options.crs, options.method, options.outlier_radius,
         options.confidence, options.ortho, options.cloud, options.workers), p))
     report_path = options.report or str(folder / "report.html")
-    pipeline_report(Scene.load(scene_path), fused, seconds, options.command).write(report_path)
+    products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
+                "tie_points": heights["tie_points"], "heights": heights["heights"]}
+    pipeline_report(Scene.load(scene_path), products, seconds, options.command).write(report_path)
     progress.step(1.0, "done")
-    return {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
-            "tie_points": heights["tie_points"], "heights": heights["heights"], "rmse": first["rmse"],
-            "max_error": first["max_error"], "n_tie_points": heights["n_tie_points"], "seconds": seconds}
+    return {**products, "rmse": first["rmse"], "max_error": first["max_error"],
+            "n_tie_points": heights["n_tie_points"], "seconds": seconds}
 
 
