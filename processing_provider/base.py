@@ -6,6 +6,7 @@ only declares itself: it reads nothing and computes nothing.
 
 from __future__ import annotations
 
+import difflib
 import os
 from typing import Any, Mapping
 
@@ -15,6 +16,7 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingParameterDefinition,
+    QgsProcessingParameterNumber,
     QgsProcessingUtils,
 )
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
@@ -37,6 +39,18 @@ GROUPS = {
 def resource(*parts: str) -> str:
     """The path of a file in resources/."""
     return os.path.join(PLUGIN_FOLDER, "resources", *parts)
+
+
+def _is_raster(path: str) -> bool:
+    """Whether GDAL opens it; asked without QGIS, which would write statistics beside the file."""
+    from ..repm_qgis.errors import ImageError
+    from ..repm_qgis.imagery.raster import opened
+
+    try:
+        with opened(path):
+            return True
+    except ImageError:
+        return False
 
 
 class RepmAlgorithm(QgsProcessingAlgorithm):
@@ -105,6 +119,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             problem = ""
             if definition.type() == "multilayer":
                 problem = self._check_images(definition.name(), parameters.get(definition.name()), context)
+            elif definition.type() in ("enum", "number"):
+                problem = self._check_choice(definition, parameters.get(definition.name()))
+            elif definition.type() == "file":
+                problem = self._check_file(definition, parameters.get(definition.name()))
             elif definition.type() == "raster" and not is_empty(parameters.get(definition.name())):
                 problem = self._check_raster(definition.name(), parameters[definition.name()], context)
             if problem:
@@ -132,17 +150,53 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                            "no heights.").format(name=name, count=len(items))
         return ""
 
+    def _check_choice(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
+        """QGIS says only that such a value is incorrect; here is what would be right."""
+        if is_empty(value) or not isinstance(value, (str, int, float)):
+            return ""
+        if definition.type() == "enum":
+            if definition.usesStaticStrings() and str(value) not in definition.options():
+                return self.tr("{name} is '{value}': choose one of {options}.").format(
+                    name=definition.name(), value=value, options=", ".join(definition.options()))
+            return ""
+        whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
+        try:
+            number = int(value) if whole else float(value)
+        except (ValueError, OverflowError):
+            kind = self.tr("a whole number") if whole else self.tr("a number")
+            return self.tr("{name} is '{value}': give {kind}.").format(name=definition.name(), value=value, kind=kind)
+        if not definition.minimum() <= number <= definition.maximum():
+            return self.tr("{name} is {value}: it must lie between {low:g} and {high:g}.").format(
+                name=definition.name(), value=value, low=definition.minimum(), high=definition.maximum())
+        return ""
+
+    def _check_file(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
+        if is_empty(value) or not isinstance(value, str):
+            return ""
+        if not os.path.exists(value):
+            return self.tr("{name} '{path}' is not there: check its path.").format(name=definition.name(), path=value)
+        if not value.lower().endswith(".json"):
+            return self.tr("{name} '{path}' is no scene: choose the scene.json that the stage before wrote.").format(
+                name=definition.name(), path=value)
+        return ""
+
     def _check_raster(self, name: str, value: object, context: QgsProcessingContext) -> str:
         for item in raster_items(value, context):
             if isinstance(item, str) and not os.path.exists(item):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
-            if isinstance(item, str) and QgsProcessingUtils.mapLayerFromString(item, context) is None:
+            if isinstance(item, str) and not _is_raster(item):
                 return self.tr("{name} '{path}' cannot be read as a raster: check that the file is whole.").format(
                     name=name, path=item)
         return ""
 
     def prepareAlgorithm(self, parameters: Mapping[str, Any], context: QgsProcessingContext,
                          feedback: QgsProcessingFeedback) -> bool:
+        known = [definition.name() for definition in self.parameterDefinitions()]
+        for name in parameters:  # a slip in a command is passed over by QGIS in silence
+            near = difflib.get_close_matches(name.upper(), known, 1)
+            if name not in known and near:
+                feedback.pushWarning(self.tr("{name} is no parameter of {id} and has no effect: do you mean "
+                                             "{near}?").format(name=name, id=self.id(), near=near[0]))
         self._inputs: dict[str, Any] = {}
         for definition in self.parameterDefinitions():
             if not definition.isDestination():

@@ -9,7 +9,6 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingOutputNumber,
     QgsProcessingParameterRasterDestination,
-    QgsProcessingParameterRasterLayer,
     QgsProcessingParameterString,
 )
 
@@ -44,8 +43,8 @@ class CompareDsm(RepmAlgorithm):
         from ..repm_qgis.options import ALIGNMENTS
 
         return [
-            QgsProcessingParameterRasterLayer("DSM", self.tr("DSM to measure")),
-            QgsProcessingParameterRasterLayer("REFERENCE", self.tr("Reference DSM")),
+            parameters.Raster("DSM", self.tr("DSM to measure")),
+            parameters.Raster("REFERENCE", self.tr("Reference DSM")),
             parameters.choice("ALIGN", self.tr("Alignment before the comparison"), ALIGNMENTS, "none",
                               self.tr("none: as they lie; vertical: a constant offset in height is taken off; 3d: a "
                                       "shift in all three axes is taken off.")),

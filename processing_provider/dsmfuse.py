@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from qgis.core import QgsProcessingOutputNumber
+
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -24,3 +26,6 @@ class DsmFuse(RepmAlgorithm):
     def parameters(self) -> list:
         return [parameters.scene(), parameters.resolution(), parameters.crs(), *parameters.fusion(),
                 *parameters.dsm_products()]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]

@@ -77,6 +77,16 @@ class Images(QgsProcessingParameterMultipleLayers):
         return Images(self)
 
 
+class Raster(QgsProcessingParameterRasterLayer):
+    """A raster that QGIS does not open to check it, as :class:`Images`: it would write statistics beside it."""
+
+    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+        return super().checkValueIsAcceptable(input)
+
+    def clone(self) -> Raster:
+        return Raster(self)
+
+
 def images() -> QgsProcessingParameterDefinition:
     parameter = Images(
         "IMAGES", tr("Satellite images with RPCs"), QgsProcessing.SourceType.TypeRaster)
@@ -91,13 +101,13 @@ def extent() -> QgsProcessingParameterDefinition:
 
 
 def dem() -> QgsProcessingParameterDefinition:
-    return helped(QgsProcessingParameterRasterLayer("DEM", tr("Coarse elevation model"), optional=True),
+    return helped(Raster("DEM", tr("Coarse elevation model"), optional=True),
                   tr("Any DEM that covers the area: it narrows the range of altitudes, and is the surface of the "
                      "terrain model. Heights above the ellipsoid or, where its CRS says so, above the geoid."))
 
 
 def surface() -> QgsProcessingParameterDefinition:
-    return helped(QgsProcessingParameterRasterLayer(
+    return helped(Raster(
         "DEM", tr("Coarse elevation model (terrain model only)"), optional=True),
         tr("The surface that the terrain model refines on; a DEM with cells of 30 m will do. Empty: the heights that "
            "the scene has already, where 'Reconstruct heights' has made some."))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Mapping
 
-from qgis.core import QgsProcessingContext, QgsProcessingOutputFile
+from qgis.core import QgsProcessingContext, QgsProcessingOutputFile, QgsProcessingOutputNumber
 
 from . import parameters
 from .base import RepmAlgorithm
@@ -35,7 +35,9 @@ class Pipeline(RepmAlgorithm):
                 parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputFile("SCENE", self.tr("Scene"))]
+        return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),
+                QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
+                QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]
 
     def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
         if self.parameterAsEnumString(values, "MODEL", context) == "terrain" and is_empty(values.get("DEM")):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingParameterFolderDestination
+from qgis.core import QgsProcessingOutputHtml, QgsProcessingOutputNumber, QgsProcessingParameterFolderDestination
 
 from . import parameters
 from .base import RepmAlgorithm
@@ -27,3 +27,7 @@ class Reconstruct(RepmAlgorithm):
         heights = QgsProcessingParameterFolderDestination(
             "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False)
         return [parameters.scene(), parameters.backend(), parameters.output_scene(), parameters.tie_points(), heights]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputHtml("REPORT", self.tr("Report")),
+                QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points"))]

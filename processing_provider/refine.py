@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from qgis.core import QgsProcessingOutputNumber
+
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -22,3 +24,7 @@ class Refine(RepmAlgorithm):
     def parameters(self) -> list:
         return [parameters.scene(), parameters.model(), parameters.surface(), parameters.advanced(parameters.order()),
                 parameters.advanced(parameters.kernel()), parameters.output_scene(), parameters.report()]
+
+    def extra_outputs(self) -> list:
+        return [QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error left, RMSE (px)")),
+                QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error left, largest (px)"))]

@@ -21,6 +21,11 @@ class Progress(Protocol):
         ...
 
 
+def counted(count: int, noun: str) -> str:
+    """A number with its noun: "1 tile", "3 tiles"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 class Silent:
     """Says nothing and is never cancelled: for tests and for library use."""
 

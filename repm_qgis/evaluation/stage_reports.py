@@ -14,8 +14,10 @@ from ..environment import PACKAGES, version_of
 from ..geometry.footprints import footprint
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.raster import opened, quiet
+from ..progress import counted
 from ..scene import Scene, View
 from . import charts, pictures
+from .error_study import add_error_study
 from .report import Report
 
 _MOST_ROWS = 300
@@ -28,12 +30,12 @@ _WHERE_IT_RUNS = frozenset(("workspace", "scene", "output_scene", "output", "rep
 
 def fit_report(scene: Scene) -> Report:
     """Equivalent errors of the fitted cameras, measured and predicted."""
-    report = Report("Equivalent pinhole cameras", f"{len(scene.views)} images, {_tiles(scene)}")
+    report = Report("Equivalent pinhole cameras", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
     _warnings(report, scene)
     _inputs(report, scene)
     report.section("Equivalent error")
-    report.paragraph("How far the pinhole camera's pixel of a ground point lies from the RPC's, over a grid of 25 x 25 "
-                     "pixels and 11 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
+    report.paragraph("How far the pinhole camera's pixel of a ground point lies from the RPC's, over a grid of 13 x 13 "
+                     "pixels and 7 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
                      "|x (Z - Zmean) / Zmean| at the tile's corner.")
     rows = [[tile.id, name, *_px(view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max,
                                  view.error.predicted)]
@@ -43,6 +45,7 @@ def fit_report(scene: Scene) -> Report:
     if len(rows) > 20:
         report.svg(charts.histogram(np.array([view.error.rmse for tile in scene.tiles for view in tile.views.values()]),
                                     "px", "RMSE of tiles and views"), "Distribution over tiles and views.")
+    add_error_study(report, scene)
     _history(report, scene)
     return report
 
@@ -52,13 +55,14 @@ def refine_report(scene: Scene) -> Report:
     report = Report("Refined images", f"model: {scene.refinement}")
     _warnings(report, scene)
     _errors(report, scene)
+    add_error_study(report, scene)
     _history(report, scene)
     return report
 
 
 def reconstruct_report(scene: Scene) -> Report:
     """Tie points, relative pointing and height maps."""
-    report = Report("Reconstruction", f"{len(scene.views)} images, {_tiles(scene)}")
+    report = Report("Reconstruction", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
     _warnings(report, scene)
     _reconstruction(report, scene)
     _history(report, scene)
@@ -69,7 +73,7 @@ def errormap_report(scene: Scene, view: View, path: str, facts: Mapping[str, flo
     """An error map's picture and figures."""
     report = Report("Equivalent error on the ground", f"{view.name} at {facts['altitude']:.0f} m above the ellipsoid")
     report.facts([("Refinement", scene.refinement or "none yet: the images as they are"),
-                  ("RMSE", f"{facts['rmse']:.4f} px"), ("Max", f"{facts['max_error']:.4f} px")])
+                  ("RMSE", f"{facts['rmse']:.3g} px"), ("Max", f"{facts['max_error']:.3g} px")])
     values, _ = pictures.preview(path, 900)
     high = max(facts["max_error"], 1e-6)
     report.png(pictures.png_bytes(pictures.colour_map(values, 0.0, high, "viridis")),
@@ -99,10 +103,6 @@ def pipeline_report(scene: Scene, products: Mapping[str, Any], seconds: Mapping[
         report.command(command)
     _history(report, scene, seconds)
     return report
-
-
-def _tiles(scene: Scene) -> str:
-    return f"{len(scene.tiles)} tile{'s' if len(scene.tiles) > 1 else ''}"
 
 
 def _px(*values: float) -> List[str]:

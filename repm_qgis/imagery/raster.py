@@ -47,7 +47,7 @@ def opened(path: str) -> Iterator[gdal.Dataset]:
     with quiet():
         dataset, cause = None, None
         try:
-            dataset = gdal.OpenEx(str(path), gdal.OF_RASTER | gdal.OF_READONLY)
+            dataset = gdal.OpenEx(str(path), gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR)
         except RuntimeError as error:
             cause = error
         reason = _reason(cause) if dataset is None else ""
@@ -66,7 +66,8 @@ def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
          size: Optional[Tuple[int, int]] = None) -> NDArray[np.float32]:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 
-    ``band`` 0 reads the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is. ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
+    ``band`` 0 reads the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is.
+    ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
     for a truncated or damaged file.
     """
     if band == 0:

@@ -7,7 +7,7 @@ from typing import Optional, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.equivalent_error import RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import TILE_GRID, RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.tiles import pixel_window
 from ..scene import Scene, View
@@ -49,7 +49,7 @@ def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Tuple[floa
                           view.size)
     if window is None:
         return None
-    grid = virtual_grid(view.localise, window, altitudes, scene.frame)
+    grid = virtual_grid(view.localise, window, altitudes, scene.frame, TILE_GRID)
     return refine_pinhole(scene.refinement or "polynomial", fit_pinhole(grid).camera, grid, window, scene.order,
                           scene.terrain(view))
 

@@ -82,9 +82,15 @@ def rpc_from_texts(texts: Mapping[str, str], first_pixel: float = 0.0) -> Rpc:
     return Rpc(**values)
 
 
+def _short(text: object) -> str:
+    """A text of a file as a message may show it: one line, printable, not long."""
+    line = " ".join(str(text)[:400].split())[:60]
+    return "".join(letter if letter.isprintable() else "?" for letter in line)
+
+
 def _number(word: str, key: str) -> float:
     if len(word) > _MAX_LINE or not _NUMBER.fullmatch(word):
-        raise RpcInvalidError(f"its {key} is '{word[:60]}', which is not a number.")
+        raise RpcInvalidError(f"its {key} is '{_short(word)}', which is not a number.")
     return float(word.lower().replace("d", "e"))
 
 
@@ -94,10 +100,10 @@ def _scalar(text: str, key: str) -> float:
     if len(words) == 2:
         units = _UNITS[key.split("_")[0]]
         if words[1].lower() not in units:
-            raise RpcInvalidError(f"its {key} is '{text.strip()[:60]}': it must be in {units[0]}.")
+            raise RpcInvalidError(f"its {key} is '{_short(text)}': it must be in {units[0]}.")
         words.pop()
     if len(words) != 1:
-        raise RpcInvalidError(f"its {key} is '{text.strip()[:60]}', which is not a number.")
+        raise RpcInvalidError(f"its {key} is '{_short(text)}', which is not a number.")
     return _number(words[0], key)
 
 
@@ -133,7 +139,7 @@ def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1
     """(name, twenty numbers) of polynomials that are given as NAME_first ... or, in one piece, as NAME."""
     for name in names:
         given = {int(key[len(name) + 1:]): text for key, text in found.items()
-                 if key.startswith(name + "_") and key[len(name) + 1:].isdecimal()}
+                 if re.fullmatch(r"_\d{1,3}", key[len(name):], re.ASCII) and key.startswith(name)}
         if name in found and given:
             raise RpcInvalidError(f"its {name} is there in one piece and number by number.")
         if name in found:
@@ -146,7 +152,7 @@ def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1
             raise RpcInvalidError(f"its {name} has {len(given)} coefficients: it must have 20.")
         for index, text in given.items():
             if len(text.split()) != 1:
-                raise RpcInvalidError(f"its {name}_{index} is '{text[:60]}', which is not a number.")
+                raise RpcInvalidError(f"its {name}_{index} is '{_short(text)}', which is not a number.")
         yield name, " ".join(given[index] for index in range(first, first + 20))
 
 
@@ -189,7 +195,7 @@ def _key_and_value(line: str) -> Tuple[str, str]:
 def _plain_index(key: str) -> str:
     """LINE_NUM_COEFF_07 is LINE_NUM_COEFF_7."""
     name, _, index = key.rpartition("_")
-    return f"{name}_{int(index[:9])}" if index.isdecimal() else key
+    return f"{name}_{int(index)}" if re.fullmatch(r"\d{1,3}", index, re.ASCII) else key
 
 
 def _refuse_correction(lines: Sequence[str]) -> None:
@@ -209,13 +215,13 @@ def _parse_geom(text: str) -> Rpc:
         key, value = _key_and_value(line)
         if re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.(parameter|center)", key):
             if not _NUMBER.fullmatch(value) or float(_number(value, key)) != 0:
-                raise RpcInvalidError(f"its {key} is '{value[:60]}': adjusted models are not understood, use the "
+                raise RpcInvalidError(f"its {key} is '{_short(value)}': adjusted models are not understood, use the "
                                       "vendor's file.")
         elif re.sub(r"_\d+$", "", key.upper()) in _SCALARS + _POLYNOMIALS + ("POLYNOMIAL_FORMAT",):
             _add(found, _plain_index(key.upper()), value)
     order = found.get("POLYNOMIAL_FORMAT", "")
     if order not in ("A", "B"):
-        raise RpcInvalidError(f"its polynomial_format is '{order[:60]}': it must be A or B.")
+        raise RpcInvalidError(f"its polynomial_format is '{_short(order)}': it must be A or B.")
     texts = {key: value for key, value in found.items() if key in _SCALARS}
     for name, series in _coefficients(found, _POLYNOMIALS, first=0):
         words = series.split()
@@ -277,13 +283,16 @@ def _tree(text: str) -> list:
     gdal.ErrorReset()
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        tree, reason = gdal.ParseXMLString(text), gdal.GetLastErrorMsg()
-    except RuntimeError as error:
+        # GDAL's parser takes characters apart into bytes, and its Python binding crashes on references to characters
+        # that are none (&#xD800;). All that we look for is plain ASCII.
+        tree = gdal.ParseXMLString(text.encode("ascii", "replace").decode("ascii").replace("&", "?"))
+        reason = gdal.GetLastErrorMsg()
+    except (RuntimeError, SystemError, UnicodeError) as error:
         tree, reason = None, str(error)
     finally:
         gdal.PopErrorHandler()
     if not tree:
-        raise RpcInvalidError(f"it is not whole XML ({reason.strip()[:200]}).")
+        raise RpcInvalidError(f"it is not whole XML ({_short(reason)}).")
     return tree
 
 
@@ -393,7 +402,7 @@ def _parse_json(text: str) -> Rpc:
     except RpcInvalidError:
         raise
     except (ValueError, RecursionError) as error:
-        raise RpcInvalidError(f"it is not whole JSON ({error}).") from error
+        raise RpcInvalidError(f"it is not whole JSON ({_short(error)}).") from error
     record = document.get("rpc", document) if isinstance(document, dict) else None
     if not isinstance(record, dict):
         raise RpcInvalidError("it is not the record of one RPC.")
@@ -419,7 +428,7 @@ def _json_text(value: Any, name: str, is_series: bool) -> str:
             raise RpcInvalidError(f"its {name} is not a list of 20 numbers.")
         return " ".join(value)
     if not isinstance(value, str):
-        raise RpcInvalidError(f"its {name} is {str(value)[:60]}, which is not a number.")
+        raise RpcInvalidError(f"its {name} is {_short(value)}, which is not a number.")
     return value
 
 

@@ -18,7 +18,7 @@ from ..errors import RpcInvalidError
 FloatArray = NDArray[np.float64]
 
 _CHUNK = 1 << 14  # points a pass: 20 monomials of them stay in the second-level cache
-_LOCALISE_TOLERANCE_PX = 1e-9
+_LOCALISE_TOLERANCE_PX = 3e-8   # rounding of 40000 px images is some 1e-8 px: less would never be reached
 _LOCALISE_STEPS = 20
 
 
@@ -156,7 +156,7 @@ class Rpc:
         Notes
         -----
         Newton's method on the forward model with a Jacobian from central differences that is refreshed once; the
-        model is so nearly affine that four passes reach 1e-9 px.
+        model is so nearly affine that four passes reach 1e-8 px.
         """
         pixels = np.asarray(col_row, dtype=np.float64)
         flat = pixels.reshape(-1, 2)

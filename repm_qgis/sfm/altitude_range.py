@@ -18,6 +18,7 @@ from ..errors import OptionError
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.tiles import pixel_window
 from ..imagery.dem import dem_range
+from ..imagery.enhancement import view_stretch
 from ..imagery.raster import opened, read
 from ..imagery.sampling import box_mean, sample, upsample_grid
 from ..progress import Progress
@@ -218,6 +219,8 @@ def altitude_range(views: Sequence[View], crs: str, bounds: Tuple[float, float, 
     else:
         swept = sweep_altitudes(views, crs, bounds, search, progress)
         if swept is None:
+            for view in views:  # before the altitudes get the blame: does every image show something?
+                view_stretch(view.image, view.band)
             progress.warn(f"The images do not tell the altitude range: the RPCs' own is taken, {search[0]:.0f} to "
                           f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors.")
             found, source = search, "RPC"

@@ -21,7 +21,7 @@ from ..imagery.raster import opened
 from ..imagery.warping import warp
 from ..mvs.pairing import ground_points, grown, rectify_over, refined_view
 from ..mvs.rectification import RectifiedPair
-from ..progress import Progress
+from ..progress import Progress, counted
 from ..scene import Scene, View
 
 FloatArray = NDArray[np.float64]
@@ -184,8 +184,8 @@ def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMa
     count = sum(len(part.rows_px) for part in kept)
     if count < _MIN_TIES:
         raise EmptyResultError(
-            f"{first} and {second} have only {count} tie points that agree, of {found} candidates on {len(parts)} "
-            f"tiles (needed: {_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT "
+            f"{first} and {second} have only {count} tie points that agree, of {found} candidates on "
+            f"{counted(len(parts), 'tile')} (needed: {_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT "
             "with more texture, or another pair, may do.")
     return PairMatches(first, second, *(np.concatenate([getattr(part, name) for part in kept])
                                         for name in ("first_px", "second_px", "rows_px")))

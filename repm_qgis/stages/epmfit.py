@@ -11,12 +11,12 @@ from osgeo import ogr
 
 from ..errors import OptionError, OverlapError
 from ..evaluation.stage_reports import fit_report
-from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import TILE_GRID, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs, projected_from_geodetic, utm_crs
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..options import EpmFitOptions
-from ..progress import Part, Progress, Recorder
+from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_files_beside
 from ..scene import Scene, Tile, TileView, View, load_views, reusable
 from ..sfm.altitude_range import altitude_range
@@ -37,7 +37,7 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
     key = _key(options)
     scene = reusable(scene_path, "epmfit", key)
     if scene is not None:
-        progress.info(f"Reused the cameras of {len(scene.tiles)} tiles in '{scene_path}': images and options are "
+        progress.info(f"Reused the cameras of {counted(len(scene.tiles), 'tile')} in '{scene_path}': images and options are "
                       "unchanged.")
     else:
         notes = Recorder(progress)
@@ -77,7 +77,7 @@ def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
     scene = Scene(views, frame, crs, area.ExportToWkt(), altitudes, [])
     size = options.tile_size or _automatic_size(scene, area, options.error_budget, progress)
     scene.tiles = _tiles(scene, lay_tiles(area, size * scene.gsd_m), progress)
-    progress.info(f"{len(scene.tiles)} tiles of up to {size} px a side.")
+    progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
 
 
@@ -111,12 +111,18 @@ def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], optio
     wanted = _extent(options, crs)
     common = area.Intersection(wanted)
     if common is None or common.IsEmpty() or common.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
-        there, asked = bounds_of(area), bounds_of(wanted)
+        back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
         raise OverlapError(
-            f"EXTENT {asked[0]:.0f}, {asked[1]:.0f}, {asked[2]:.0f}, {asked[3]:.0f} ({crs}) lies outside what two "
-            f"images see: {there[0]:.0f}, {there[1]:.0f}, {there[2]:.0f}, {there[3]:.0f}. Draw it there, or leave it "
-            "empty.")
+            f"EXTENT {_range_text(options.extent)} ({options.extent_crs}) lies outside what two images see: "
+            f"{_range_text(back.transform_bounds(*bounds_of(area)))}. Draw it there, or leave it empty.")
     return common
+
+
+def _range_text(bounds: Sequence[float]) -> str:
+    """Bounds xmin, ymin, xmax, ymax as people read them: degrees to a metre or so, metres whole."""
+    digits = 5 if max(map(abs, bounds)) <= 360 else 0
+    xmin, ymin, xmax, ymax = (f"{value:.{digits}f}" for value in bounds)
+    return f"x {xmin} to {xmax}, y {ymin} to {ymax}"
 
 
 def _extent(options: EpmFitOptions, crs: str) -> ogr.Geometry:
@@ -156,7 +162,7 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
         window = view_window(scene, view, ground.bounds, scene.altitudes)
         if window is None:
             continue
-        grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame)
+        grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame, TILE_GRID)
         fitted = fit_pinhole(grid)
         tile.views[view.name] = TileView(window, fitted.camera, fitted.error)
         grids.append(grid)

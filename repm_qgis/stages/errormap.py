@@ -68,7 +68,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
         errormap_report(scene, view, options.output, facts).write(options.report)
-    progress.info(f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.3f} px, max {worst:.3f} px "
+    progress.info(f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px "
                   f"({scene.refinement or 'uncorrected'}).")
     progress.step(1.0, "error mapped")
     return {"output": options.output, "report": options.report, **facts}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any, Callable, Dict
 
 from ..evaluation.stage_reports import pipeline_report
@@ -19,6 +20,9 @@ _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
 def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     """Run all stages; gives every product, and the seconds of each stage."""
     folder = ensure_folder(options.workspace)
+    for path in (options.output, options.confidence, options.ortho, options.cloud, options.report):
+        if path:  # hours of matching are not to end at a folder that cannot be written
+            ensure_folder(str(Path(path).parent))
     fitted, refined, scene_path = (str(folder / name) for name in ("scene.json", "refined.json", "reconstructed.json"))
     seconds: Dict[str, float] = {}
     begin = 0.0

@@ -18,7 +18,7 @@ from ..mvs.backends import resolve
 from ..mvs.dense import DenseTask, match_tile
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
-from ..progress import Part, Progress, Recorder
+from ..progress import Part, Progress, Recorder, counted
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track, adjust_shifts, tracks_from
 from ..sfm.tie_points import find_ties
@@ -44,8 +44,8 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     folder = ensure_folder(options.heights or str(beside.parent / f"{beside.stem}_heights"))
     done = reusable(options.output_scene, "reconstruct", key)
     if done is not None and _complete(done) and Path(ties_path).exists():
-        progress.info(f"Reused {sum(len(t.heights) for t in done.tiles)} height maps and the relative pointing in "
-                      f"'{options.output_scene}'.")
+        progress.info(f"Reused {counted(sum(len(t.heights) for t in done.tiles), 'height map')} and the relative "
+                      f"pointing in '{options.output_scene}'.")
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene)
@@ -149,5 +149,5 @@ def _check(records: List[Any], tasks: int, progress: Progress) -> None:
         raise EmptyResultError(
             f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {tasks} tile pairs. Are the "
             "altitudes right, and do the images show the same ground without clouds?")
-    progress.info(f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on {len(made)} tile "
-                  "pairs (the frames' empty corners count).")
+    progress.info(f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on "
+                  f"{counted(len(made), 'tile pair')} (the frames' empty corners count).")

@@ -11,7 +11,7 @@ import numpy as np
 from ..dsm.own_surface import lon_lat_bounds, own_surface
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
-from ..geometry.equivalent_error import refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import TILE_GRID, refine_pinhole, virtual_grid
 from ..imagery.dem import load_surface, make_surface
 from ..options import RefineOptions
 from ..progress import Progress, Recorder
@@ -59,7 +59,7 @@ def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> None:
         for name, tile_view in tile.views.items():
             progress.check_cancelled()
             rpc = scene.view(name).rpc
-            grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame)
+            grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, TILE_GRID)
             tile_view.refined = refine_pinhole(options.model, tile_view.camera, grid, tile_view.window, options.order,
                                                scene.terrain(rpc))
             if options.write_images:

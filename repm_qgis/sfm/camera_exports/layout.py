@@ -1,0 +1,48 @@
+"""What a layout is: where its images lie, what it asks of the cameras, and what it writes beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable, Tuple
+
+from .model import TileModel
+
+
+def nothing() -> None:
+    """Needs no package."""
+
+
+def same(model: TileModel) -> TileModel:
+    """Takes the cameras as they are."""
+    return model
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One software's way to keep images and cameras in a folder.
+
+    Attributes
+    ----------
+    image : relative path of a view's image, without extension, from the model and the view's index.
+    extension : of 8-bit images; 16-bit ones are always TIFF.
+    write : writes cameras into a folder from the model and the images' relative paths.
+    mask : relative path of an image's mask (255 where the image has data) from the image's own; "" where it has none.
+    prepare : changes cameras and images to what the layout can hold.
+    require : raises MissingPackageError where a package is missing.
+    depths : the bit depths that its readers take.
+    """
+
+    name: str
+    image: Callable[[TileModel, int], str]
+    extension: str
+    write: Callable[[TileModel, Tuple[str, ...], Path], None]
+    mask: Callable[[str], str] = lambda image: ""
+    prepare: Callable[[TileModel], TileModel] = same
+    require: Callable[[], None] = nothing
+    depths: Tuple[str, ...] = ("8", "16")
+
+    def images(self, model: TileModel, bits: str) -> Tuple[str, ...]:
+        """Relative paths of all views' images."""
+        extension = self.extension if bits == "8" else ".tif"
+        return tuple(self.image(model, index) + extension for index in range(len(model.views)))

@@ -1,0 +1,124 @@
+"""Gridding in closed form: planes stay planes, edges keep their top, windows partition the cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.dsm.grid import CellGrid, grid_points
+
+
+def lattice(spacing, phase, size=40.0):
+    """x, y of a regular lattice of points over a square."""
+    axis = np.arange(-2.0 + phase, size + 2.0, spacing)
+    x, y = np.meshgrid(axis, axis)
+    return x.ravel(), y.ravel()
+
+
+def plane(x, y):
+    return 100.0 + 0.3 * x - 0.2 * y
+
+
+GRID = CellGrid(0.0, 40.0, 1.0, (40, 40))
+
+
+def residual(x, y, function=plane, grid=GRID):
+    heights, _ = grid_points(grid, x, y, function(x, y), np.ones_like(x))
+    cx, cy = grid.centres()
+    return heights - function(*np.meshgrid(cx, cy))
+
+
+@pytest.mark.parametrize("phase", (0.0, 0.13, 0.31, 0.5))
+@pytest.mark.parametrize("spacing", (0.5, 0.25, 1.0))
+def test_a_tilted_plane_is_exact_where_points_divide_the_cell(spacing, phase):
+    difference = residual(*lattice(spacing, phase))
+    assert np.isfinite(difference).all()
+    if spacing < 1 or phase == 0.5:
+        assert np.abs(difference).max() < 1e-3
+    assert abs(difference.mean()) < 0.02 * 0.5 or spacing == 1.0
+
+
+@pytest.mark.parametrize("spacing", (0.37, 0.61, 0.83))
+def test_other_spacings_do_not_shift_the_surface(spacing):
+    """Single cells may sit a little beside; the surface as a whole must not: less than a fiftieth of a cell."""
+    x, y = lattice(spacing, 0.1)
+    angle = 0.3
+    u, v = x - 20, y - 20
+    x, y = 20 + np.cos(angle) * u - np.sin(angle) * v, 20 + np.sin(angle) * u + np.cos(angle) * v
+    inner = np.s_[12:28, 12:28]
+    for slope in ((1.0, 0.0), (0.0, 1.0)):
+        difference = residual(x, y, lambda a, b, s=slope: s[0] * a + s[1] * b)[inner]
+        assert abs(difference.mean()) < 0.02 and np.abs(difference).max() < 0.3
+
+
+def test_random_points_do_not_shift_the_surface():
+    numbers = np.random.default_rng(0)
+    x, y = numbers.uniform(-2, 42, (2, 20000))
+    for slope in ((1.0, 0.0), (0.0, 1.0)):
+        difference = residual(x, y, lambda a, b, s=slope: s[0] * a + s[1] * b)
+        assert abs(difference.mean()) < 0.02
+
+
+def test_gaps_stay_gaps():
+    x, y = lattice(0.5, 0.25)
+    keep = ~((x > 10) & (x < 20) & (y > 10) & (y < 20))
+    heights, scores = grid_points(GRID, x[keep], y[keep], plane(x, y)[keep], np.full(keep.sum(), 0.5))
+    assert np.isnan(heights[21:29, 11:19]).all() and np.isfinite(heights[:19]).all()
+    np.testing.assert_allclose(scores[np.isfinite(heights)], 0.5)
+    assert (np.isfinite(heights) == np.isfinite(scores)).all()
+    x = np.append(x, 5.0)
+    y = np.append(y, 5.0)
+    height = np.append(plane(x[:-1], y[:-1]), np.nan)
+    assert np.isfinite(grid_points(GRID, x, y, height, np.ones(len(x)))[0]).all()
+
+
+def test_the_top_surface_wins_at_an_edge():
+    """A roof of 20 m over the western half, points of wall and ground before it: no cell between the two."""
+    x, y = lattice(0.4, 0.05)
+    roof = x < 20.3
+    numbers = np.random.default_rng(1)
+    wall = numbers.uniform(0, 20, 400)
+    x, y = np.append(x, np.full(400, 20.35)), np.append(y, numbers.uniform(0, 40, 400))
+    height = np.append(np.where(roof, 20.0, 0.0), wall)
+    found, _ = grid_points(GRID, x, y, height, np.ones(len(x)))
+    np.testing.assert_allclose(found[:, :19], 20.0, atol=1e-9)
+    np.testing.assert_allclose(found[:, 21:], 0.0, atol=1e-9)
+    # The cell that roof, wall and ground share shows the roof, but for the wall's uppermost points.
+    assert (found[:, 19:21] > 18.0).all()
+
+
+def test_no_points_no_heights():
+    nothing = np.empty(0)
+    assert np.isnan(grid_points(GRID, nothing, nothing, nothing, nothing)[0]).all()
+    outside = np.array([500.0])
+    assert np.isnan(grid_points(GRID, outside, outside, outside, outside)[0]).all()
+
+
+@pytest.mark.parametrize("cell", (0.5, 0.3, 1.0, 2.5))
+@pytest.mark.parametrize("corner", ((500000.0, 4800000.0), (499999.7, 4800000.4), (-1234.5, -987.6)))
+def test_windows_of_adjoining_tiles_partition_the_cells(cell, corner):
+    """Every cell belongs to exactly one tile, wherever the borders lie."""
+    edges_x, edges_y = corner[0] + np.array([0, 33, 71.3, 120]), corner[1] + np.array([0, 28.4, 90])
+    grid = CellGrid.covering((edges_x[0], edges_y[0], edges_x[-1], edges_y[-1]), cell)
+    owners = np.zeros(grid.shape, int)
+    xs, ys = grid.centres()
+    for x0, x1 in zip(edges_x, edges_x[1:]):
+        for y0, y1 in zip(edges_y, edges_y[1:]):
+            col, row, width, height = grid.window((x0, y0, x1, y1))
+            owners[row:row + height, col:col + width] += 1
+            part = grid.part((col, row, width, height))
+            px, py = part.centres()
+            np.testing.assert_allclose(px, xs[col:col + width])
+            assert px.min() >= x0 - 1e-6 and px.max() <= x1 + 1e-6 and py.min() >= y0 - 1e-6 and py.max() <= y1 + 1e-6
+    inside = (ys[:, None] > edges_y[0]) & (ys[:, None] < edges_y[-1]) & (xs > edges_x[0]) & (xs < edges_x[-1])
+    assert (owners[inside] == 1).all() and owners.max() == 1
+
+
+def test_the_grid_covers_and_lies_on_whole_cells():
+    grid = CellGrid.covering((10.3, 20.2, 15.1, 24.0), 0.5)
+    assert (grid.west, grid.north, grid.shape) == (10.0, 24.0, (8, 11))
+    assert grid.geotransform == (10.0, 0.5, 0.0, 24.0, 0.0, -0.5)
+    same = CellGrid.covering((10.0, 20.0, 15.0, 24.0), 0.5)
+    assert (same.west, same.north, same.shape) == (10.0, 24.0, (8, 10))
+    assert grid.window((10.0, 20.0, 11.0, 24.0), 3) == (0, 0, 5, 8)
+    assert grid.window((100.0, 20.0, 110.0, 24.0))[2] == 0
