@@ -3,10 +3,10 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench-epm lint package models clean
+.PHONY: help setup demo test bench-epm bench-real lint package models i18n pictures clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: ## install what the plugin needs here (QGIS by apt on Debian and Ubuntu, the wheels into .venv)
 	@scripts/setup
@@ -20,6 +20,9 @@ test: setup ## the whole test suite (TESTS=tests/engine for a part)
 bench-epm: setup ## the equivalent pinhole model: errors, agreement, cost (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/epm.py
 
+bench-real: setup ## real Pleiades images against S2P's DSMs: agreement, time, memory (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/real_pairs.py
+
 lint: setup ## ruff over everything
 	@$(PYTHON) -m ruff check .
 
@@ -28,6 +31,12 @@ package: ## dist/repm-VERSION.zip for "Install from ZIP"
 
 models: setup ## write resources/models again
 	@QT_QPA_PLATFORM=offscreen $(PYTHON) scripts/make_models.py
+
+i18n: ## bring i18n/*.ts up to date with the source, and compile them (needs Qt's lrelease)
+	@/usr/bin/env python3 scripts/i18n.py
+
+pictures: demo ## make docs/pictures again (the report's needs Chromium)
+	@$(PYTHON) scripts/pictures.py
 
 clean: ## remove what demo and package made
 	@rm -rf demo dist

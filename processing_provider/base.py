@@ -28,7 +28,7 @@ from .values import destination, input_options, is_empty, raster_items
 
 PLUGIN_FOLDER = engine.PLUGIN_FOLDER
 GROUPS = {
-    "whole": "Images to DSM",
+    "whole": "0 Images to DSM",
     "cameras": "1 Pinhole cameras",
     "surface": "2 Surface",
     "evaluation": "3 Evaluation",
@@ -98,7 +98,9 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return type(self)()
 
     def tr(self, text: str) -> str:
-        return QCoreApplication.translate(type(self).__name__, text)
+        """The text in the user's language: as this algorithm has it, else as all have it."""
+        own = QCoreApplication.translate(type(self).__name__, text)
+        return own if own != text else QCoreApplication.translate(RepmAlgorithm.__name__, text)
 
     def parameters(self) -> list[QgsProcessingParameterDefinition]:
         """The parameters in the dialog's order; every call makes new ones."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import shutil
 from typing import Any, Iterator, Mapping
 
 _FOLDERS = ("workspace", "folder", "heights")
@@ -34,9 +35,13 @@ def remove_half_written(options: Mapping[str, Any], since: float) -> list[str]:
     for pattern in _patterns(options):
         for path in glob.glob(pattern, recursive=True):
             try:
-                if os.path.isfile(path) and os.path.getmtime(path) >= since - 2:  # some file systems count in 2 s
+                if os.path.getmtime(path) < since - 2:  # some file systems count in 2 s
+                    continue
+                if os.path.isdir(path) and not os.path.islink(path):  # an export's model, built under this name
+                    shutil.rmtree(path)
+                else:
                     os.unlink(path)
-                    removed.append(path)
+                removed.append(path)
             except OSError:  # gone already, or not ours to remove: the next run overwrites it
                 continue
     return removed

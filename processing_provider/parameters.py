@@ -114,7 +114,7 @@ def surface() -> QgsProcessingParameterDefinition:
 
 
 def altitudes() -> list[QgsProcessingParameterDefinition]:
-    text = tr("Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the RPCs.")
+    text = tr("Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.")
     return [advanced(real("ALTITUDE_MIN", tr("Lowest altitude (m, empty: automatic)"), None, -12000, 10000, text)),
             advanced(real("ALTITUDE_MAX", tr("Highest altitude (m, empty: automatic)"), None, -12000, 10000, text))]
 

@@ -31,8 +31,9 @@ class Pipeline(RepmAlgorithm):
         dsm, *extras = parameters.dsm_products()
         return [parameters.images(), parameters.extent(), parameters.dem(), parameters.resolution(), parameters.crs(),
                 *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.advanced(parameters.model()),
-                parameters.advanced(parameters.order()), parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),
-                parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
+                parameters.advanced(parameters.order()), parameters.advanced(parameters.backend()),
+                *parameters.fusion(), dsm, parameters.workspace(), parameters.report(), parameters.tiles(),
+                parameters.tie_points(), *extras]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),

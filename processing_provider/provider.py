@@ -7,21 +7,24 @@ import glob
 import os
 
 from qgis.core import QgsApplication, QgsProcessingModelAlgorithm, QgsProcessingProvider
+from qgis.PyQt.QtCore import QCoreApplication
 from qgis.PyQt.QtGui import QIcon
 
 from . import settings
-from .base import GROUPS, PLUGIN_FOLDER, resource
+from .base import GROUPS, PLUGIN_FOLDER, RepmAlgorithm, resource
 from .comparedsm import CompareDsm
 from .dsmfuse import DsmFuse
 from .environment import Environment
 from .epmfit import EpmFit
 from .errormap import ErrorMap
+from .exportcameras import ExportCameras
 from .pipeline import Pipeline
 from .reconstruct import Reconstruct
 from .refine import Refine
 from .sampledata import SampleData
 
-ALGORITHMS = (EpmFit, ErrorMap, Refine, Reconstruct, DsmFuse, Pipeline, CompareDsm, SampleData, Environment)
+ALGORITHMS = (EpmFit, ErrorMap, Refine, Reconstruct, DsmFuse, Pipeline, CompareDsm, SampleData, Environment,
+              ExportCameras)
 
 
 class ShippedModel(QgsProcessingModelAlgorithm):
@@ -30,8 +33,15 @@ class ShippedModel(QgsProcessingModelAlgorithm):
     def displayName(self) -> str:
         return self.helpContent().get("SHORT_DESCRIPTION") or super().displayName()
 
+    def group(self) -> str:
+        return QCoreApplication.translate(RepmAlgorithm.__name__, super().group())
+
     def groupId(self) -> str:
-        return next((key for key, name in GROUPS.items() if name == self.group()), super().groupId())
+        return next((key for key, name in GROUPS.items() if name == super(ShippedModel, self).group()),
+                    super().groupId())
+
+    def tags(self) -> list[str]:
+        return RepmAlgorithm().tags()
 
     def icon(self) -> QIcon:
         return QIcon(self.svgIconPath())

@@ -94,6 +94,8 @@ def input_options(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingPa
         whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
         read = algorithm.parameterAsInt if whole else algorithm.parameterAsDouble
         value = None if is_empty(given) else read(parameters, name, context)
+    elif kind == "boolean":
+        value = algorithm.parameterAsBool(parameters, name, context)
     elif kind == "enum":
         value = algorithm.parameterAsEnumString(parameters, name, context)
     elif kind == "file":

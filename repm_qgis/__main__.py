@@ -20,6 +20,7 @@ import time
 import traceback
 
 from .errors import Cancelled, MissingPackageError, OptionError, RepmError
+from .parallel import one_thread_for_sums
 from .progress import JsonLines
 
 _MAX_JOB_BYTES = 64 << 20
@@ -78,6 +79,7 @@ def main(arguments: list[str]) -> int:
     if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
         _end_with_parent()
     try:
+        one_thread_for_sums()
         _cancel_on_sigterm()
         if len(arguments) != 2:
             raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
@@ -97,7 +99,7 @@ def main(arguments: list[str]) -> int:
             return 2
         missing = MissingPackageError(
             f"The Python package '{error.name}' is not installed for {sys.executable} ({error}): "
-            "run 'make setup' in the plugin's folder, or the Environment report for the command that installs it.")
+            "run scripts/setup in the plugin's folder, or the Environment report for the command that installs it.")
         lines.send(type="error", kind=type(missing).__name__, text=str(missing))
         return 1
     except Exception:

@@ -18,6 +18,11 @@ class OptionError(RepmError, ValueError):
         super().__init__(f"{name} is {value!r}: it {reason}.")
         self.name = name
         self.value = value
+        self.reason = reason
+
+    def __reduce__(self) -> tuple:
+        # Pickled by what it is made of, so that it comes out of a worker process as itself.
+        return type(self), (self.name, self.value, self.reason)
 
 
 class ImageError(RepmError, OSError):
@@ -34,6 +39,10 @@ class RpcMissingError(RpcError):
 
 class RpcInvalidError(RpcError):
     """An RPC was found, but its numbers cannot be a sensor model."""
+
+
+class InputTableError(RepmError, ValueError):
+    """A table of points (GCPs) cannot be read, or a row of it is wrong; the message names the row."""
 
 
 class OverlapError(RepmError, ValueError):
@@ -65,3 +74,6 @@ class Cancelled(RepmError):
 
     def __init__(self) -> None:
         super().__init__("Cancelled by the user.")
+
+    def __reduce__(self) -> tuple:
+        return type(self), ()

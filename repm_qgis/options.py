@@ -18,6 +18,8 @@ KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm")
 METHODS = ("median", "mean")
 ALIGNMENTS = ("none", "vertical", "3d")
+CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
+BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
 
 Extent = Tuple[float, float, float, float]
@@ -159,6 +161,33 @@ class RefineOptions(Options):
 
 
 @dataclass(frozen=True)
+class ExportCamerasOptions(Options):
+    """Write refined images with their cameras for other software.
+
+    ``folder`` gets one model a tile; ``tile`` is a tile's name, "" all. ``bits``: "8" stretched PNG or JPEG, "16" TIFF
+    with the images' own values. ``kernel`` resamples images that the refinement did not write. ``centre`` turns each
+    camera towards its image's middle, as COLMAP's triangulation and software in single precision need it.
+    """
+
+    scene: str
+    folder: str
+    format: str = "colmap"
+    tile: str = ""
+    bits: str = "8"
+    kernel: str = "bilinear"
+    centre: bool = True
+
+    def __post_init__(self) -> None:
+        _given("SCENE", self.scene)
+        _given("FOLDER", self.folder)
+        _one_of("FORMAT", self.format, CAMERA_FORMATS)
+        _one_of("BITS", self.bits, BIT_DEPTHS)
+        _one_of("KERNEL", self.kernel, KERNELS)
+        if self.format == "whutlc" and self.bits != "8":
+            raise OptionError("BITS", self.bits, "must be 8 for whutlc: its readers take nothing else")
+
+
+@dataclass(frozen=True)
 class ReconstructOptions(Options):
     """Tie points, relative pointing and dense matching.
 
@@ -208,6 +237,8 @@ class DsmFuseOptions(Options):
         _one_of("METHOD", self.method, METHODS)
         if self.outlier_radius is not None:
             _within("OUTLIER_RADIUS", self.outlier_radius, 0, 1000, "m")
+        if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
+            raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
         _within("WORKERS", self.workers, 0, 1024)
 
 
@@ -249,7 +280,7 @@ class PipelineOptions(Options):
         if self.model == "terrain" and not self.dem:
             raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
         ReconstructOptions("-", "-", self.backend, workers=self.workers)
-        DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.outlier_radius)
+        DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.outlier_radius, cloud=self.cloud)
 
     def fit_options(self) -> EpmFitOptions:
         """This run's first stage; its CRS is that of the DSM."""

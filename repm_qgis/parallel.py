@@ -67,10 +67,19 @@ def _in_pool(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int,
     return [results[i] for i in range(len(tasks))]
 
 
-def _bound_threads() -> None:
-    """One thread a worker: N workers use N cores, not N times N."""
+def one_thread_for_sums() -> None:
+    """Let linear algebra use one thread, from its import on: call it before numpy is imported.
+
+    Sums in another order differ in their last bits with the number of threads, and rounding makes whole pixels of
+    them: results must not depend on it. In a worker, N threads for each of N workers would be too many, besides.
+    """
     for name in _THREAD_VARIABLES:
         os.environ[name] = "1"
+
+
+def _bound_threads() -> None:
+    """One thread a worker: N workers use N cores, not N times N."""
+    one_thread_for_sums()
     import cv2
 
     from .imagery.raster import bound_cache

@@ -224,7 +224,7 @@ class Scene:
             scene.tiles = [Tile.from_mapping(tile, lambda name: scene.terrain(scene.view(name).rpc))
                            for tile in document["tiles"]]
             return scene
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
             raise SceneError(f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
                              "'Fit equivalent pinhole cameras'.") from error
 

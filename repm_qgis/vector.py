@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
+import shutil
 from pathlib import Path
 from typing import Any, Iterable, Mapping, Sequence, Tuple
 
 from osgeo import gdal, ogr, osr
 
 from .errors import WorkspaceError
-from .workspace import temporary_name
+from .workspace import take_name, temporary_name
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
@@ -29,32 +29,40 @@ def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, ty
     Raises WorkspaceError where the file cannot be written.
     """
     driver = ogr.GetDriverByName(_DRIVERS.get(Path(path).suffix.lower(), "GPKG"))
-    in_place = driver.GetName() == "ESRI Shapefile"  # several files: they cannot be renamed as one
-    target = path if in_place else temporary_name(path)
-    for stale in (path, target):
-        if os.path.exists(stale):
-            os.unlink(stale)
+    # A folder, as some formats are several files.
+    folder = Path(temporary_name(path))
+    _remove(folder)
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        _fill(driver, target, crs, geometry_type, fields, features, Path(path).stem)
+        folder.mkdir()
+        _fill(driver, str(folder / Path(path).name), crs, geometry_type, fields, features, Path(path).stem)
+        for part in sorted(folder.iterdir()):
+            take_name(str(part), str(Path(path).with_name(part.name)))
     except RuntimeError as error:
         raise WorkspaceError(f"Cannot write '{path}' ({error}): choose another place.") from error
     finally:
         gdal.PopErrorHandler()
-    if not in_place:
-        os.replace(target, path)
+        _remove(folder)
     return path
+
+
+def _remove(folder: Path) -> None:
+    """What an attempt has left behind, be it a folder or a file."""
+    if folder.is_dir():
+        shutil.rmtree(folder, ignore_errors=True)
+    elif folder.exists():
+        folder.unlink()
 
 
 def _fill(driver: ogr.Driver, target: str, crs: str, geometry_type: int, fields: Mapping[str, type],
           features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]], name: str) -> None:
     source = driver.CreateDataSource(target)
-    if source is None:
-        raise RuntimeError(gdal.GetLastErrorMsg() or "no reason given")
+    _see(source is not None)
     reference = osr.SpatialReference()
     reference.SetFromUserInput(crs)
     reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
     layer = source.CreateLayer(name, reference, geometry_type)
+    _see(layer is not None)
     for field, kind in fields.items():
         layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))
     layer.StartTransaction()
@@ -64,7 +72,14 @@ def _fill(driver: ogr.Driver, target: str, crs: str, geometry_type: int, fields:
         for index, value in enumerate(values):
             if value is not None:
                 feature.SetField(index, value)
-        layer.CreateFeature(feature)
+        _see(layer.CreateFeature(feature) == 0)
         feature = None
-    layer.CommitTransaction()
+    _see(layer.CommitTransaction() == 0)
+    gdal.ErrorReset()
     layer = source = None
+    _see(gdal.GetLastErrorType() < gdal.CE_Failure)
+
+
+def _see(well: bool) -> None:
+    if not well:
+        raise RuntimeError(gdal.GetLastErrorMsg() or "no reason given")

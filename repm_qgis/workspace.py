@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Iterator
 
 from . import __version__
-from .errors import WorkspaceError
+from .errors import RepmError, WorkspaceError
 
 
 def ensure_folder(path: str) -> Path:
@@ -59,6 +61,45 @@ def write_text(path: str, text: str) -> str:
         if os.path.exists(temporary):
             os.unlink(temporary)
     return path
+
+
+@contextmanager
+def whole_folder(path: str) -> Iterator[Path]:
+    """A new folder to fill: it takes its name, and an older one's place, only when the block ends without an error.
+
+    Whoever calls sees to it that an older folder there may go. Raises WorkspaceError.
+    """
+    target = Path(path)
+    ensure_folder(str(target.parent))
+    temporary, old = (target.with_name(f".{target.name}.part{end}") for end in ("", ".old"))
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        temporary.mkdir()
+        yield temporary
+        _take_place(temporary, target, old)
+    except WorkspaceError:
+        raise
+    except OSError as error:
+        if isinstance(error, RepmError):
+            raise
+        raise WorkspaceError(f"Cannot write the folder '{path}' ({error.strerror or error}): choose another "
+                             "place.") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _take_place(temporary: Path, target: Path, old: Path) -> None:
+    """Rename a folder over another, which comes back if that fails."""
+    shutil.rmtree(old, ignore_errors=True)
+    if target.exists():
+        os.replace(target, old)
+    try:
+        os.replace(temporary, target)
+    except OSError:
+        if old.exists():
+            os.replace(old, target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def file_identity(path: str) -> list[Any]:

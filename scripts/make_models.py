@@ -67,7 +67,7 @@ def _child(model: QgsProcessingModelAlgorithm, place: int, stage: str, title: st
 
 def stages_model() -> QgsProcessingModelAlgorithm:
     """epmfit, errormap, refine, reconstruct, dsmfuse: the same DSM as repm:pipeline's."""
-    model = QgsProcessingModelAlgorithm("dsm_by_stages", "Images to DSM")
+    model = QgsProcessingModelAlgorithm("dsm_by_stages", "0 Images to DSM")
     for place, parameter in enumerate(_inputs()):
         component = QgsProcessingModelParameter(parameter.name())
         component.setPosition(QPointF(100, 60 + 90 * place))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[name] = "1"  # as the engine's own process does: sums have the same order everywhere
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:

@@ -8,6 +8,8 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..imagery.sampling import upsample_grid
 from ..mvs.dense import HeightMap, load_heights
 from ..scene import Scene, View
 from .aggregation import Aggregate, aggregate, lonely
@@ -16,6 +18,7 @@ from .ortho import orthophoto
 
 FloatArray = NDArray[np.float64]
 
+_LATTICE = 17       # nodes a side of the map between two CRSs
 _MARGIN_CELLS = 8   # fused beyond the tile's cells, so that neighbours count in the outlier filter
 
 
@@ -40,13 +43,17 @@ class FuseTask:
 
 @dataclass(frozen=True)
 class FusedTile:
-    """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted."""
+    """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted.
+
+    ``own`` tells which of the window's cells belong to the tile; None stands for all.
+    """
 
     fused: Aggregate
     ortho: Optional[NDArray[np.float32]]
     points: Optional[FloatArray]
     removed: int
     needed: int
+    own: Optional[NDArray[np.bool_]] = None
 
 
 def fuse_tile(task: FuseTask) -> FusedTile:
@@ -66,9 +73,30 @@ def fuse_tile(task: FuseTask) -> FusedTile:
         fused = _without(fused, alone)
     ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
     own = (slice(row - wide[1], row - wide[1] + height), slice(col - wide[0], col - wide[0] + width))
-    points = _agreeing(task.grid.part(task.window), fused.height[own], maps, task.records) if task.cloud else None
     cut = Aggregate(*(getattr(fused, name)[own] for name in ("height", "count", "spread", "score")))
-    return FusedTile(cut, None if ortho is None else ortho[own], points, removed, needed)
+    ortho = None if ortho is None else ortho[own]
+    belonging = _belonging(task)
+    if belonging is not None:
+        cut = _without(cut, ~belonging)
+        ortho = None if ortho is None else np.where(belonging, ortho, np.float32(np.nan))
+    points = _agreeing(task.grid.part(task.window), cut.height, maps, task.records) if task.cloud else None
+    return FusedTile(cut, ortho, points, removed, needed, belonging)
+
+
+def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
+    """Which cells of the window lie in the tile: in another CRS than the scene's, tiles are turned and windows overlap.
+
+    None in the scene's CRS, where they do not. The map between two CRSs is smooth: it is evaluated on a lattice.
+    """
+    grid = task.grid.part(task.window)
+    if task.crs == task.scene.crs or not all(grid.shape):
+        return None
+    xs, ys = grid.centres()
+    lattice = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE)), axis=-1)
+    xy = upsample_grid(projected_from_geodetic(task.scene.crs, geodetic_from_projected(task.crs, lattice)), grid.shape)
+    # A millimetre more, so that no cell falls between two tiles.
+    x0, y0, x1, y1 = np.array(task.bounds) + [-1e-3, -1e-3, 1e-3, 1e-3]
+    return (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
 
 
 def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:

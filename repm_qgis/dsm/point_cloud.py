@@ -48,7 +48,7 @@ def created_cloud(path: str, crs: str, origin: Sequence[float]) -> Iterator[Poin
     try:
         import laspy
     except ImportError as error:
-        raise MissingPackageError("Point clouds need the Python package 'laspy': run 'make setup' in the plugin's "
+        raise MissingPackageError("Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
                                   "folder, or leave CLOUD empty.") from error
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.array([0.001, 0.001, 0.001])

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Dict, Tuple, Union
+from typing import Dict, Optional, Tuple, Union
 
 import numpy as np
 
@@ -35,8 +35,10 @@ KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles
 _SAMPLE_PX = 1200
 
 
-def write_style(kind: str, path: Union[str, os.PathLike]) -> str:
+def write_style(kind: str, path: Union[str, os.PathLike], limits: Optional[Tuple[float, float]] = None) -> str:
     """Write the style of a raster or vector file beside it; gives the path of the ``.qml``.
+
+    ``limits`` set a raster's range by hand, so that maps that belong together can be compared by their colours.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read, WorkspaceError where the
     style cannot be written.
@@ -52,7 +54,7 @@ def write_style(kind: str, path: Union[str, os.PathLike]) -> str:
         ) from error
     if kind in _RAMP_OF:
         values, band = _shown(kind, path)
-        text = _filled(text, kind, *_value_range(kind, values)).replace("@band@", str(band))
+        text = _filled(text, kind, *(limits or _value_range(kind, values))).replace("@band@", str(band))
     return write_text(str(Path(path).with_suffix(".qml")), text)
 
 

@@ -63,6 +63,13 @@ class EnuFrame:
     def _origin(self) -> FloatArray:
         return ecef_from_geodetic(np.array([self.lon, self.lat, self.height]))
 
+    @property
+    def ecef_from_enu(self) -> FloatArray:
+        """(4, 4) matrix that takes homogeneous east, north, up to geocentric X, Y, Z, metres."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self._rotation.T, self._origin
+        return matrix
+
     def from_geodetic(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 3) east, north, up."""
         return (ecef_from_geodetic(lon_lat_h) - self._origin) @ self._rotation.T
@@ -97,6 +104,24 @@ def projected_crs(text: str) -> pyproj.CRS:
         raise OptionError("CRS", text, "must be one without a vertical part: heights are above the WGS 84 ellipsoid")
     if any(abs(axis.unit_conversion_factor - 1.0) > 1e-9 for axis in crs.axis_info):
         raise OptionError("CRS", text, f"is in {crs.axis_info[0].unit_name}: choose one in metres")
+    return crs
+
+
+def projected_crs_at(text: str, lon: float, lat: float) -> pyproj.CRS:
+    """:func:`projected_crs` that is also fit for a place: its metres are, within a factor of two, metres there.
+
+    Web Mercator passes up to 60 degrees of latitude; a polar projection at the equator, or the other side of the
+    Earth, does not.
+    """
+    crs = projected_crs(text)
+    ends = EnuFrame(lon, lat).to_geodetic(np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 100.0, 0.0]]))
+    xy = projected_from_geodetic(text, ends)
+    with np.errstate(invalid="ignore"):
+        units = (xy[1:] - xy[0]) / 100.0
+    scales = np.linalg.svd(units, compute_uv=False) if np.isfinite(units).all() else np.zeros(2)
+    if scales.min() < 0.5 or scales.max() > 2.0:
+        raise OptionError("CRS", text, f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: choose one of that "
+                          f"place, such as {utm_crs(lon, lat)}")
     return crs
 
 

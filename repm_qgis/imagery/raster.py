@@ -115,10 +115,16 @@ class RasterWriter:
         self._dataset: Optional[gdal.Dataset] = dataset
         self._path = path
 
-    def write(self, values: NDArray, col: int = 0, row: int = 0, band: int = 1) -> None:
-        """Put (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError."""
+    def write(self, values: NDArray, col: int = 0, row: int = 0, band: int = 1, keep: bool = False) -> None:
+        """Put (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError.
+
+        With ``keep`` NaN leaves what is there already.
+        """
         handle = self._dataset.GetRasterBand(band)
         nodata = handle.GetNoDataValue()
+        if keep:
+            values = np.where(np.isfinite(values), values, read(self._dataset, (
+                col, row, values.shape[1], values.shape[0]), band).astype(values.dtype))
         if nodata is not None and values.dtype.kind == "f":
             values = np.where(np.isfinite(values), values, values.dtype.type(nodata))
         with quiet():

@@ -97,8 +97,6 @@ def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, ti
         across = -across
     columns = across @ np.linalg.inv(J)
     A = np.array([[columns[0], columns[1], 0.0], [0.0, 1.0 / np.linalg.norm(J[1]), 0.0], [0.0, 0.0, 1.0]])
-    if A[1, 1] * J[1, 1] < 0:
-        raise RpcInvalidError("two images are mirrored against each other: one of the RPCs belongs to another image.")
     h_first = A @ turn_first
     h_second = A @ turn_second
     h_second = _aligned_columns(h_first, h_second, ground, second.camera.project(plane)) @ h_second

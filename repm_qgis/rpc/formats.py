@@ -26,12 +26,15 @@ from .model import Rpc
 Texts = Dict[str, str]
 """RPC00B's members under GDAL's names, as they stand in the file."""
 
-MAX_FILE_BYTES = 8 << 20
+MAX_FILE_BYTES = 8 << 20  # Maxar's XML holds the orbit too
+_MAX_TEXT = 1 << 20
 _MAX_LINE = 4096
+_MAX_LINES = 20_000
 _MAX_JSON_DEPTH = 16
 _MAX_XML_DEPTH = 64
 _MAX_XML_MARKS = 100_000
 _ROUND_TRIP_PX = 1e-3
+_REACH = 3.0  # of the ground's normalisers, for the middle half of the pixels; 1.02 is the most in the files we know
 
 # Our member, and GDAL's key for it.
 GDAL_KEYS = {
@@ -122,7 +125,7 @@ def checked(rpc: Rpc) -> Rpc:
         error = np.abs(rpc.project(ground) - pixels).max()
         reach = np.abs(ground[:, :2] - [rpc.lon_off, rpc.lat_off]) / np.abs([rpc.lon_scale, rpc.lat_scale])
         areas = _signed_areas(ground)
-    if not (error < _ROUND_TRIP_PX and reach.max() < 3.0 and ((areas > 0).all() or (areas < 0).all())):
+    if not (error < _ROUND_TRIP_PX and reach.max() < _REACH and ((areas > 0).all() or (areas < 0).all())):
         raise RpcInvalidError("its numbers are no sensor model: the pixels around its centre are not found on the "
                               "ground around its centre.")
     return rpc
@@ -489,18 +492,23 @@ def parsed(data: bytes) -> Optional[Found]:
     model wrong.
     """
     text = decoded(data)
+    if len(text) > _MAX_TEXT and not text.lstrip().startswith("<"):
+        raise RpcInvalidError(f"it is larger than {_MAX_TEXT >> 20} MiB, which no RPC file but XML is.")
     fitting = [entry for entry in _FORMATS if entry.mark.search(text)]
     if len(fitting) > 1:
         raise RpcInvalidError(f"it could be {' or '.join(entry.name for entry in fitting)}.")
     if not fitting:
         return None
-    if fitting[0].parse not in (_parse_dimap, _parse_maxar, _parse_json) and _longest_line(text) > _MAX_LINE:
-        raise RpcInvalidError(f"it has a line of more than {_MAX_LINE} characters, which no RPC file has.")
+    if fitting[0].parse not in (_parse_dimap, _parse_maxar, _parse_json):
+        _check_lines(text.splitlines())
     return Found(checked(fitting[0].parse(text)), fitting[0].name)
 
 
-def _longest_line(text: str) -> int:
-    return max(map(len, text.splitlines()), default=0)
+def _check_lines(lines: Sequence[str]) -> None:
+    if max(map(len, lines), default=0) > _MAX_LINE:
+        raise RpcInvalidError(f"it has a line of more than {_MAX_LINE} characters, which no RPC file has.")
+    if len(lines) > _MAX_LINES:
+        raise RpcInvalidError(f"it has {len(lines)} lines: no RPC file has more than {_MAX_LINES}.")
 
 
 def read_sidecar(path: str) -> Optional[Found]:

@@ -98,6 +98,8 @@ def _read(path: str) -> Found:
 
 
 def _is_image(path: str) -> bool:
+    if not os.path.isfile(path):  # opening a pipe would wait for ever
+        return False
     try:
         with open(path, "rb") as stream:
             return stream.read(12).startswith(_IMAGE_STARTS)

@@ -1,27 +1,39 @@
-"""Relative pointing: one small correction a whole image, found from tie points against the original RPCs.
+"""Pointing: one small correction a whole image, from tie points and ground control, against the original RPCs.
 
-A vendor's RPC is off by pixels, differently in each view. Each view gets a shift in image space; each tie point a
-ground point. The free frame is fixed by the smallest shifts that do: their mean stays where the vendors put it, and
-no view is silently taken for the truth.
+A vendor's RPC is off by pixels, differently in each view. Each view gets a shift in image space, or an affine
+correction where the residuals ask for it; each tie point a ground point. Without ground control the free frame is
+fixed by the smallest corrections that do: their mean stays where the vendors put it, and no view is silently taken
+for the truth. With control points the correction is absolute.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 from typing import Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import OptionError
 from ..geometry.frames import EnuFrame
 from ..scene import View
+from .ground_control import Gcp
 from .tie_points import PairMatches
 
 FloatArray = NDArray[np.float64]
 
-_ROUNDS = 8
+MODELS = ("auto", "shift", "affine")
+
+_ROUNDS = 10
 _HUBER_PX = 0.7
 _TUKEY_PX = 1.5     # residuals from here on are wrong matches, and count for nothing in the end
+_GCP_SIGMA = 3.0    # a control point is measured some three times worse than a tie point
+_GCP_WRONG_PX = 1.5
+_AFFINE_TIES = 60
+_AFFINE_COVER = 0.4     # of an image's width and height that the ties must span
+_AFFINE_GAIN = 0.9      # of the shifts' residual that the affine correction must get below
+_RANK = 1e-6        # of the largest eigenvalue: what lies below, the ties do not tell
 
 
 @dataclass(frozen=True)
@@ -46,17 +58,31 @@ class _Group:
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Shifts (2,) in px for each view, adjusted ground points, and residuals.
+    """Corrections of all views, adjusted ground points, and residuals.
 
-    ``ground`` (N, 3) longitude, latitude, height; ``residual_px`` and ``before_px`` (N,) root mean square distance
-    between measured and projected pixels of a track, after and before the correction (each with its best ground
-    point).
+    ``pointing`` (2, 3) for each view, from the vendor's pixel to the real one; ``model`` is shift or affine, and
+    ``reason`` says why. ``ground`` (N, 3) longitude, latitude, height; ``residual_px`` and ``before_px`` (N,) root
+    mean square distance between measured and projected pixels of a track, after and before the correction (each with
+    its best ground point). ``rejected`` names control points that contradict all others.
     """
 
-    shifts: Dict[str, FloatArray]
+    pointing: Dict[str, FloatArray]
+    model: str
+    reason: str
     ground: FloatArray
     residual_px: FloatArray
     before_px: FloatArray
+    rejected: Tuple[str, ...] = ()
+    sizes: Dict[str, Tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def shifts(self) -> Dict[str, FloatArray]:
+        """(2,) the correction at each image's centre, px."""
+        shifts = {}
+        for name, A in self.pointing.items():
+            centre = np.array([(n - 1) / 2 for n in self.sizes[name]])
+            shifts[name] = A[:, :2] @ centre + A[:, 2] - centre
+        return shifts
 
 
 def tracks_from(matches: Sequence[PairMatches]) -> List[Track]:
@@ -90,7 +116,8 @@ def tracks_from(matches: Sequence[PairMatches]) -> List[Track]:
             if len({node[0] for node in nodes}) == len(nodes) >= 2]
 
 
-def adjust_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> Adjustment:
+def adjust(views: Sequence[View], tracks: Sequence[Track], altitude: float, model: str = "shift",
+           gcps: Sequence[Gcp] = ()) -> Adjustment:
     """Gauss-Newton with the ground points eliminated; Huber weights first, then Tukey's, which forget wrong matches.
 
     Parameters
@@ -98,32 +125,205 @@ def adjust_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: floa
     views : their vendor RPCs are what is corrected; their present pointing is not used.
     tracks : at least one.
     altitude : where ground points start from, metres above the ellipsoid.
+    model : ``shift`` or ``affine`` a view, or ``auto``: affine where Schwarz's information criterion (1978) prefers
+        it, the residuals fall by a tenth, and the ties span the images well enough to carry it.
+    gcps : ground control; those of the role ``control`` fix the absolute frame, wrong ones are found and left out.
 
     Notes
     -----
     For each track the residuals' projection onto the space that no move of the ground point reaches depends on the
-    shifts alone (variable projection, Golub and Pereyra 1973). The normal matrix is singular along the shifts that
-    all views share and along those that mimic a height; its pseudo-inverse gives the smallest shifts.
+    corrections alone (variable projection, Golub and Pereyra 1973). Without control the normal matrix is singular
+    along the corrections that all views share and along those that mimic heights; its pseudo-inverse gives the
+    smallest corrections.
     """
-    vendor = [view.with_pointing(np.eye(2, 3)) for view in views]
-    groups = _groups(vendor, tracks, altitude)
-    shifts = np.zeros((len(views), 2))
-    for group in groups:
-        _intersect(vendor, group, shifts)
-    before = _residuals(vendor, groups, shifts, len(tracks))
-    for weights in (_huber, _tukey):
+    if model not in MODELS:
+        raise OptionError("POINTING", model, f"must be one of {', '.join(MODELS)}")
+    shift = _Solution(views, tracks, altitude, "shift", gcps)
+    if model == "shift":
+        return shift.adjustment("asked for")
+    affine = _Solution(views, tracks, altitude, "affine", gcps)
+    if model == "affine":
+        return affine.adjustment("asked for")
+    better, reason = _compared(shift, affine)
+    return better.adjustment(reason)
+
+
+def _compared(shift: "_Solution", affine: "_Solution") -> Tuple["_Solution", str]:
+    """Shift or affine, and why."""
+    cover = min(shift.cover)
+    if len(shift.tracks) < _AFFINE_TIES or cover < _AFFINE_COVER:
+        return shift, (f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides carry no affine "
+                       "correction")
+    a, b = shift.criterion, affine.criterion
+    fall = affine.typical_px / max(shift.typical_px, 1e-9)
+    if b < a and fall < _AFFINE_GAIN:
+        return affine, (f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px with "
+                        f"affine corrections (information criterion {b - a:+.0f})")
+    return shift, (f"an affine correction gains nothing: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} "
+                   f"px affine (information criterion {b - a:+.0f})")
+
+
+class _Solution:
+    """The adjusted corrections of one model, ``parameters`` (views, p): px over normalised pixels."""
+
+    def __init__(self, views: Sequence[View], tracks: Sequence[Track], altitude: float, model: str,
+                 gcps: Sequence[Gcp]) -> None:
+        self.views = [view.with_pointing(np.eye(2, 3)) for view in views]
+        self.tracks, self.model = tracks, model
+        self.control = [gcp for gcp in gcps if gcp.role == "control"]
+        self.rejected: Tuple[str, ...] = ()
+        self.parameters = np.zeros((len(views), 2 if model == "shift" else 6))
+        self.groups = _groups(self.views, tracks, altitude)
+        for group in self.groups:
+            self._intersect(group)
+        self.before = self._residuals()
+        for weights in (_huber, _tukey):
+            self._solve(weights)
+        self._drop_wrong_control()
+
+    def _solve(self, weights: Callable[[FloatArray], FloatArray]) -> None:
         for _ in range(_ROUNDS):
-            step = _shift_step(vendor, groups, shifts, weights)
-            shifts = shifts + step
-            for group in groups:
-                _intersect(vendor, group, shifts, passes=1)
+            step = self._step(weights)
+            self.parameters = self.parameters + step
+            for group in self.groups:
+                self._intersect(group, passes=1)
             if np.abs(step).max() < 1e-4:
                 break
-    ground = np.empty((len(tracks), 3))
-    for group in groups:
-        ground[group.members] = group.ground
-    return Adjustment({view.name: shifts[i] for i, view in enumerate(views)}, ground,
-                      _residuals(vendor, groups, shifts, len(tracks)), before)
+
+    def _drop_wrong_control(self) -> None:
+        """Leave out, worst first, control points that the others contradict, and solve again without them."""
+        while len(self.control) > 2:
+            size = np.array([max(np.linalg.norm(r) for r in self.control_residuals(gcp).values())
+                             for gcp in self.control])
+            limit = max(_GCP_WRONG_PX, 4.0 * 1.4826 * float(np.median(size)))
+            if size.max() <= limit:
+                return
+            wrong = self.control.pop(int(size.argmax()))
+            self.rejected += (wrong.id,)
+            self._solve(_tukey)
+
+    def control_residuals(self, gcp: Gcp) -> Dict[str, FloatArray]:
+        """(2,) measured minus projected pixel of a control point in each view that sees it."""
+        found = {}
+        for i, view in enumerate(self.views):
+            if view.name in gcp.pixels:
+                base = view.project(gcp.lon_lat_h)
+                found[view.name] = gcp.pixels[view.name] - base - self._correction(i, base)
+        return found
+
+    def _basis(self, view: View, pixels: FloatArray) -> FloatArray:
+        """(..., 2, p) derivative of the corrected pixel with respect to a view's parameters."""
+        one = np.ones(pixels.shape[:-1] + (1,))
+        if self.model == "affine":
+            centre = (np.array(view.size) - 1) / 2
+            one = np.concatenate([one, (pixels - centre) / np.maximum(centre, 1)], axis=-1)
+        result = np.zeros(one.shape[:-1] + (2, 2 * one.shape[-1]))
+        result[..., 0, :one.shape[-1]] = one
+        result[..., 1, one.shape[-1]:] = one
+        return result
+
+    def _correction(self, i: int, pixels: FloatArray) -> FloatArray:
+        return self._basis(self.views[i], pixels) @ self.parameters[i]
+
+    def _linearised(self, group: _Group, frame: EnuFrame) -> Tuple[FloatArray, FloatArray, List[FloatArray]]:
+        """(n, 2v) residuals, (n, 2v, 3) their derivative by the ground point in px/m, and each view's basis."""
+        enu = frame.from_geodetic(group.ground)
+        moved = [frame.to_geodetic(enu + delta) for delta in np.eye(3)]
+        residual = np.empty(group.pixels.shape)
+        jacobian = np.empty(group.pixels.shape + (3,))
+        bases = []
+        for k, i in enumerate(group.views):
+            base = self.views[i].project(group.ground)
+            bases.append(self._basis(self.views[i], base))
+            residual[:, k] = group.pixels[:, k] - base - bases[-1] @ self.parameters[i]
+            jacobian[:, k] = np.stack([self.views[i].project(ground) - base for ground in moved], axis=-1)
+        n, v = group.pixels.shape[:2]
+        return residual.reshape(n, 2 * v), jacobian.reshape(n, 2 * v, 3), bases
+
+    def _intersect(self, group: _Group, passes: int = 3) -> None:
+        """Move a group's ground points to where they fit their pixels best (least squares)."""
+        for _ in range(passes):
+            frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
+            residual, jacobian, _ = self._linearised(group, frame)
+            step = np.einsum("nij,nj->ni", np.linalg.pinv(jacobian), residual)
+            group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
+
+    def _step(self, weights: Callable[[FloatArray], FloatArray]) -> FloatArray:
+        """(views, p) Gauss-Newton step of the parameters, ground points eliminated."""
+        count, p = self.parameters.shape
+        normal, right = np.zeros((count * p, count * p)), np.zeros(count * p)
+        for group in self.groups:
+            frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
+            residual, jacobian, bases = self._linearised(group, frame)
+            # What no move of the ground point reaches: I - J J^+.
+            projector = np.eye(residual.shape[1]) - jacobian @ np.linalg.pinv(jacobian)
+            reduced = np.einsum("nij,nj->ni", projector, residual)
+            weight = weights(np.linalg.norm(reduced, axis=1))
+            design = np.concatenate([projector[:, :, 2 * k:2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
+            columns = np.concatenate([np.arange(i * p, (i + 1) * p) for i in group.views])
+            normal[np.ix_(columns, columns)] += np.einsum("n,nij,nik->jk", weight, design, design)
+            right[columns] += np.einsum("n,nij,ni->j", weight, design, reduced)
+        for gcp in self.control:
+            residuals = self.control_residuals(gcp)
+            size = np.array([max(np.linalg.norm(r) for r in residuals.values())]) / _GCP_SIGMA
+            weight = float(_huber(size)[0]) / _GCP_SIGMA ** 2
+            for i, view in enumerate(self.views):
+                if view.name in residuals:
+                    basis = self._basis(view, view.project(gcp.lon_lat_h))
+                    columns = np.arange(i * p, (i + 1) * p)
+                    normal[np.ix_(columns, columns)] += weight * basis.T @ basis
+                    right[columns] += weight * basis.T @ residuals[view.name]
+        return (np.linalg.pinv(normal, rcond=_RANK, hermitian=True) @ right).reshape(count, p)
+
+    def _residuals(self) -> FloatArray:
+        """(tracks,) root mean square reprojection distance of each track, px."""
+        result = np.zeros(len(self.tracks))
+        for group in self.groups:
+            square = []
+            for k, i in enumerate(group.views):
+                base = self.views[i].project(group.ground)
+                square.append(((group.pixels[:, k] - base - self._correction(i, base)) ** 2).sum(axis=1))
+            result[group.members] = np.sqrt(np.mean(square, axis=0))
+        return result
+
+    @property
+    def typical_px(self) -> float:
+        """The median residual of the tracks."""
+        return float(np.median(self._residuals()))
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's information criterion of residuals cut at Tukey's limit: smaller is better."""
+        residual = np.minimum(self._residuals(), _TUKEY_PX)
+        count = len(residual)
+        return count * math.log(max(float(np.mean(residual ** 2)), 1e-12)) + self.parameters.size * math.log(count)
+
+    @property
+    def cover(self) -> Tuple[float, ...]:
+        """For each view that has ties, the lesser share of its width and height that they span."""
+        spans = []
+        for i, view in enumerate(self.views):
+            parts = [group.pixels[:, group.views.index(i)] for group in self.groups if i in group.views]
+            if parts:
+                low, high = np.percentile(np.concatenate(parts), (2, 98), axis=0)
+                spans.append(float(((high - low) / view.size).min()))
+        return tuple(spans) or (0.0,)
+
+    def adjustment(self, reason: str) -> Adjustment:
+        ground = np.empty((len(self.tracks), 3))
+        for group in self.groups:
+            ground[group.members] = group.ground
+        return Adjustment({view.name: self._pointing(i) for i, view in enumerate(self.views)}, self.model, reason, ground,
+                          self._residuals(), self.before, self.rejected, {v.name: v.size for v in self.views})
+
+    def _pointing(self, i: int) -> FloatArray:
+        """(2, 3) affine map from the vendor's pixel to the real one."""
+        view, theta = self.views[i], self.parameters[i].reshape(2, -1)
+        if self.model == "shift":
+            return np.column_stack([np.eye(2), theta[:, 0]])
+        centre = (np.array(view.size) - 1) / 2
+        linear = theta[:, 1:] / np.maximum(centre, 1)
+        return np.column_stack([np.eye(2) + linear, theta[:, 0] - linear @ centre])
 
 
 def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> List[_Group]:
@@ -139,30 +339,6 @@ def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> 
     return groups
 
 
-def _linearised(views: Sequence[View], group: _Group, shifts: FloatArray,
-                frame: EnuFrame) -> Tuple[FloatArray, FloatArray]:
-    """(n, 2v) residuals and (n, 2v, 3) their derivative with respect to the ground point in ``frame``, px and px/m."""
-    enu = frame.from_geodetic(group.ground)
-    moved = [frame.to_geodetic(enu + delta) for delta in np.eye(3)]
-    residual = np.empty(group.pixels.shape)
-    jacobian = np.empty(group.pixels.shape + (3,))
-    for k, i in enumerate(group.views):
-        base = views[i].project(group.ground)
-        residual[:, k] = group.pixels[:, k] - base - shifts[i]
-        jacobian[:, k] = np.stack([views[i].project(ground) - base for ground in moved], axis=-1)
-    n, v = group.pixels.shape[:2]
-    return residual.reshape(n, 2 * v), jacobian.reshape(n, 2 * v, 3)
-
-
-def _intersect(views: Sequence[View], group: _Group, shifts: FloatArray, passes: int = 3) -> None:
-    """Move a group's ground points to where they fit their pixels best (least squares)."""
-    for _ in range(passes):
-        frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
-        residual, jacobian = _linearised(views, group, shifts, frame)
-        step = np.einsum("nij,nj->ni", np.linalg.pinv(jacobian), residual)
-        group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
-
-
 def _huber(size: FloatArray) -> FloatArray:
     return np.minimum(1.0, _HUBER_PX / np.maximum(size, 1e-9))
 
@@ -171,31 +347,3 @@ def _tukey(size: FloatArray) -> FloatArray:
     # Where most residuals are large, the model (one shift a view) is poor and the matches are not to blame.
     limit = max(_TUKEY_PX, 4.685 * 1.4826 * float(np.median(size)))
     return np.maximum(1.0 - (size / limit) ** 2, 0.0) ** 2
-
-
-def _shift_step(views: Sequence[View], groups: Sequence[_Group], shifts: FloatArray,
-                weights: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """(views, 2) Gauss-Newton step of the shifts, ground points eliminated."""
-    count = 2 * len(views)
-    normal, right = np.zeros((count, count)), np.zeros(count)
-    for group in groups:
-        frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
-        residual, jacobian = _linearised(views, group, shifts, frame)
-        # What no move of the ground point reaches: I - J J^+.
-        projector = np.eye(residual.shape[1]) - jacobian @ np.linalg.pinv(jacobian)
-        reduced = np.einsum("nij,nj->ni", projector, residual)
-        weight = weights(np.linalg.norm(reduced, axis=1))
-        columns = np.concatenate([[2 * i, 2 * i + 1] for i in group.views])
-        normal[np.ix_(columns, columns)] += np.einsum("n,nij->ij", weight, projector)
-        right[columns] += weight @ reduced
-    return (np.linalg.pinv(normal, rcond=1e-6, hermitian=True) @ right).reshape(-1, 2)
-
-
-def _residuals(views: Sequence[View], groups: Sequence[_Group], shifts: FloatArray, count: int) -> FloatArray:
-    """(count,) root mean square reprojection distance of each track, px."""
-    result = np.zeros(count)
-    for group in groups:
-        square = [((group.pixels[:, k] - views[i].project(group.ground) - shifts[i]) ** 2).sum(axis=1)
-                  for k, i in enumerate(group.views)]
-        result[group.members] = np.sqrt(np.mean(square, axis=0))
-    return result

@@ -83,6 +83,11 @@ def find_ties(scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[st
     return [_consistent(first, second, found) for (first, second), found in parts.items()]
 
 
+def patches(scene: Scene) -> List[Tuple[float, float, float, float]]:
+    """The ground rectangles that tie points are looked for in."""
+    return [_bounds(scene, tile) for tile in _spread(scene)]
+
+
 def _spread(scene: Scene) -> List[str]:
     """Up to nine tiles, evenly through the list, which runs over the scene row by row."""
     ids = [tile.id for tile in scene.tiles]

@@ -16,6 +16,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "epmfit": _options.EpmFitOptions,
     "errormap": _options.ErrorMapOptions,
     "refine": _options.RefineOptions,
+    "exportcameras": _options.ExportCamerasOptions,
     "reconstruct": _options.ReconstructOptions,
     "dsmfuse": _options.DsmFuseOptions,
     "pipeline": _options.PipelineOptions,

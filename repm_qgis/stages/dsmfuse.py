@@ -17,7 +17,7 @@ from ..dsm.ortho import nadir_first
 from ..dsm.point_cloud import created_cloud
 from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import write_style
-from ..geometry.frames import projected_crs
+from ..geometry.frames import projected_crs_at
 from ..imagery.raster import created
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
@@ -35,7 +35,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     if not tiles:
         raise SceneError(f"The scene '{options.scene}' has no height maps: run 'Reconstruct heights' first.")
     crs = options.crs or scene.crs
-    projected_crs(crs)
+    projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
     grid, windows = _layout(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
     radius = automatic_radius(grid.cell) if options.outlier_radius is None else options.outlier_radius
     progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}; outlier radius "
@@ -60,7 +60,7 @@ def _round_cell(cell: float) -> float:
 
 def _layout(scene: Scene, tiles: List[Tile], crs: str,
             cell: float) -> Tuple[CellGrid, List[Tuple[int, int, int, int]]]:
-    """The DSM's grid, and each tile's own cells of it: every cell belongs to one tile."""
+    """The DSM's grid, and the window of each tile: in the scene's CRS every cell belongs to one of them."""
     transformer = None if crs == scene.crs else pyproj.Transformer.from_crs(scene.crs, crs, always_xy=True)
     boxes = [tile.bounds if transformer is None else transformer.transform_bounds(*tile.bounds) for tile in tiles]
     grid = CellGrid.covering((min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes),
@@ -92,12 +92,14 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
             place, cut = _placed(window, crop)
             fused = result.fused
             valid += int(np.isfinite(fused.height).sum())
-            cells += fused.height.size
+            cells += fused.height.size if result.own is None else int(result.own.sum())
             if place is None:
                 continue
-            _put(dsm, [fused.height], place, cut)
-            _put(confidence, [np.where(fused.count > 0, fused.count, np.nan), fused.spread, fused.score], place, cut)
-            _put(ortho, [result.ortho], place, cut)
+            keep = result.own is not None
+            _put(dsm, [fused.height], place, cut, keep)
+            count = np.where(fused.count > 0, fused.count, np.nan)
+            _put(confidence, [count, fused.spread, fused.score], place, cut, keep)
+            _put(ortho, [result.ortho], place, cut, keep)
             if cloud is not None:
                 cloud.write(*result.points.T)
         points = cloud.count if cloud is not None else 0
@@ -134,10 +136,10 @@ def _placed(window: Tuple[int, int, int, int], crop: Tuple[int, int, int, int]) 
     return (c0 - crop[0], r0 - crop[1]), cut
 
 
-def _put(raster: Any, bands: List[Any], place: Tuple[int, int], cut: Any) -> None:
+def _put(raster: Any, bands: List[Any], place: Tuple[int, int], cut: Any, keep: bool) -> None:
     if raster is not None:
         for index, values in enumerate(bands, start=1):
-            raster.write(values[cut].astype(np.float32), *place, index)
+            raster.write(values[cut].astype(np.float32), *place, index, keep)
 
 
 def _check(facts: Dict[str, Any], progress: Progress) -> None:

@@ -13,7 +13,7 @@ from ..errors import OptionError, OverlapError
 from ..evaluation.stage_reports import fit_report
 from ..geometry.equivalent_error import TILE_GRID, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
-from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs, projected_from_geodetic, utm_crs
+from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..options import EpmFitOptions
 from ..progress import Part, Progress, Recorder, counted
@@ -37,8 +37,8 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
     key = _key(options)
     scene = reusable(scene_path, "epmfit", key)
     if scene is not None:
-        progress.info(f"Reused the cameras of {counted(len(scene.tiles), 'tile')} in '{scene_path}': images and options are "
-                      "unchanged.")
+        progress.info(f"Reused the cameras of {counted(len(scene.tiles), 'tile')} in '{scene_path}': images and "
+                      "options are unchanged.")
     else:
         notes = Recorder(progress)
         scene = _fit(options, notes)
@@ -82,10 +82,14 @@ def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
 
 
 def _crs(options: EpmFitOptions, views: Sequence[View]) -> str:
+    lat = float(np.mean([v.rpc.lat_off for v in views]))
+    # The first view's side of the date line.
+    first = views[0].rpc.lon_off
+    lon = first + float(np.mean([(v.rpc.lon_off - first + 180.0) % 360.0 - 180.0 for v in views]))
     if options.crs:
-        projected_crs(options.crs)
+        projected_crs_at(options.crs, lon, lat)
         return options.crs
-    return utm_crs(float(np.mean([v.rpc.lon_off for v in views])), float(np.mean([v.rpc.lat_off for v in views])))
+    return utm_crs(lon, lat)
 
 
 def _common_heights(views: Sequence[View]) -> Tuple[float, float]:

@@ -64,7 +64,8 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     if not count:
         raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
     rmse = float(np.sqrt(squares / count))
-    write_style("error", options.output)
+    # One range for the map before and the map after refinement: colours must tell which is better.
+    write_style("error", options.output, (0.0, max(tile.views[view.name].error.max for tile in tiles)))
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
         errormap_report(scene, view, options.output, facts).write(options.report)
@@ -81,17 +82,27 @@ def _tile_error(scene: Scene, view: View, tile: Tile, grid: CellGrid,
     nodes = tuple(max(2, n // _NODE_STEP + 1) for n in grid.shape)
     xy = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], nodes[1]), np.linspace(ys[0], ys[-1], nodes[0])), axis=-1)
     lon_lat = geodetic_from_projected(scene.crs, xy)
-    column, row = np.moveaxis(upsample_grid(_error(scene, view, tile, lon_lat, altitude), grid.shape), -1, 0)
+    column, row = np.moveaxis(_on_cells(scene, view, tile, lon_lat, altitude, grid), -1, 0)
     magnitude = np.hypot(column, row)
     worst = magnitude
     for level in np.linspace(*tile.altitudes, _LEVELS):
-        other = upsample_grid(_error(scene, view, tile, lon_lat, float(level)), grid.shape)
+        other = _on_cells(scene, view, tile, lon_lat, float(level), grid)
         worst = np.fmax(worst, np.hypot(other[..., 0], other[..., 1]))
     return magnitude, column, row, worst
 
 
-def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float) -> FloatArray:
-    """(..., 2) pinhole minus RPC pixel at ground nodes: the refined camera's where there is one; NaN out of image."""
+def _on_cells(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float,
+              grid: CellGrid) -> FloatArray:
+    """(rows, columns, 2) errors of all cells, interpolated from the nodes; NaN where the image does not see a cell."""
+    both = upsample_grid(np.concatenate(_error(scene, view, tile, lon_lat, altitude), axis=-1), grid.shape)
+    pixels = both[..., 2:]
+    inside = ((pixels > -1) & (pixels < (view.width, view.height))).all(axis=-1, keepdims=True)
+    return np.where(inside, both[..., :2], np.nan)
+
+
+def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray,
+           altitude: float) -> Tuple[FloatArray, FloatArray]:
+    """(..., 2) pinhole minus RPC pixel at ground nodes, the refined camera's where there is one; and the RPC pixel."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
     # The vendor's RPC: pointing corrections, found later, are no fault of the camera.
     pixels = view.rpc.project(ground)
@@ -101,5 +112,4 @@ def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: 
         seen = fitted.camera.project(enu)
     else:
         seen = fitted.refined.to_original.original_from_refined(fitted.refined.camera.project(enu))
-    inside = ((pixels > -1) & (pixels < (view.width, view.height))).all(axis=-1, keepdims=True)
-    return np.where(inside, seen - pixels, np.nan)
+    return seen - pixels, pixels

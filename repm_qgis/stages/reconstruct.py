@@ -21,6 +21,7 @@ from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track, adjust_shifts, tracks_from
+from ..sfm.sharpening import sharpen
 from ..sfm.tie_points import find_ties
 from ..sfm.view_pairs import ViewPair, choose_pairs
 from ..vector import write_layer
@@ -69,8 +70,11 @@ def _complete(scene: Scene) -> bool:
 def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], ties_path: str,
            progress: Progress) -> Dict[str, Any]:
     """Find ties, adjust the views' shifts, narrow the tiles' altitudes; gives the figures for the record."""
-    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.9))
-    tracks = tracks_from(matches)
+    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.7))
+    tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95))
+    if len(tracks) < _LEAST_TIES:
+        raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {_LEAST_TIES}): are "
+                               "the images in focus, of one season, and free of clouds?")
     adjusted = adjust_shifts(scene.views, tracks, sum(scene.altitudes) / 2)
     scene.views = [view.with_pointing(np.column_stack([np.eye(2), adjusted.shifts[view.name]])) for view in scene.views]
     xy = projected_from_geodetic(scene.crs, adjusted.ground)

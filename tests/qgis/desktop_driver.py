@@ -1,7 +1,7 @@
 """Runs inside a real QGIS desktop (``qgis --code``): opens an algorithm from the toolbox, runs it, tells what came.
 
-Reads the plan from REPM_DESKTOP_PLAN (JSON): title, parameters, folder, seconds. Writes found.json, dialog.png, log.png
-and map.png into the folder, and ends QGIS.
+Reads the plan from REPM_DESKTOP_PLAN (JSON): title, parameters, folder, seconds. Writes found.json, toolbox.png,
+dialog.png, log.png and map.png into the folder, and ends QGIS.
 """
 
 import json
@@ -11,7 +11,7 @@ import traceback
 
 from qgis.core import QgsProject
 from qgis.PyQt.QtCore import QTimer
-from qgis.PyQt.QtWidgets import QApplication
+from qgis.PyQt.QtWidgets import QApplication, QDockWidget
 from qgis.utils import iface, plugins
 
 with open(os.environ["REPM_DESKTOP_PLAN"], encoding="utf-8") as stream:
@@ -47,8 +47,14 @@ def open_from_toolbox():
     iface.mainWindow().resize(1280, 860)
     toolbox = plugins["processing"].toolbox
     toolbox.setUserVisible(True)
-    toolbox.searchBox.setText(PLAN["title"])
     tree = toolbox.algorithmTree
+    toolbox.searchBox.setText("satellite")
+    tree.setFilterString("satellite")
+    tree.expandAll()
+    toolbox.resize(380, 560)
+    QApplication.processEvents()
+    picture(toolbox, "toolbox.png")
+    toolbox.searchBox.setText(PLAN["title"])
     tree.setFilterString(PLAN["title"])
     tree.expandAll()
     index = tree.model().index(0, 0)
@@ -89,6 +95,9 @@ def look(dialog, success):
     if QgsProject.instance().mapLayers():
         iface.mapCanvas().zoomToFullExtent()
     plugins["processing"].toolbox.setUserVisible(False)
+    for dock in iface.mainWindow().findChildren(QDockWidget):
+        if dock.windowTitle() in ("Browser", "Results Viewer"):
+            dock.close()
     iface.mapCanvas().refresh()
     QTimer.singleShot(2500, show_map)
 

@@ -78,3 +78,16 @@ def test_the_first_stage_in_the_desktop(desktop, sample, tmp_path):
     layer, = found["layers"]
     assert (layer["name"], layer["valid"]) == ("Tiles old town", True)
     assert layer["renderer"] == "QgsGraduatedSymbolRenderer"
+
+
+def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
+    from repm_qgis.progress import Silent
+    from repm_qgis.stages import run_stage
+
+    fitted = run_stage("epmfit", {"images": town["images"], "workspace": str(tmp_path / "old town")}, Silent())
+    found = desktop("Map the equivalent error", {"SCENE": fitted["scene"], "ALTITUDE": 180})
+    assert (found["chosen"], found["success"]) == ("repm:errormap", True)
+    layer, = found["layers"]
+    assert (layer["name"], layer["valid"]) == ("Equivalent error old town", True)
+    assert layer["renderer"] == "QgsSingleBandPseudoColorRenderer"
+    assert layer["crs"] == "EPSG:32631"

@@ -1,4 +1,7 @@
-"""COLMAP: images/, masks/, sparse/0 (binary) and sparse_text (the same model to read with one's eyes).
+"""COLMAP: images/, masks/, sparse/0 (binary), sparse_text (the same, to read with one's eyes) and database.db.
+
+The database knows cameras and images by the model's numbers, so that COLMAP's feature_extractor, matchers and
+point_triangulator can go on from here.
 
 Conventions (https://colmap.github.io/format.html): camera model PINHOLE with fx, fy, cx, cy, the first pixel's centre
 at (0.5, 0.5), poses cam_from_world. Each image has a camera of its own. Tie points come without tracks: their
@@ -8,7 +11,7 @@ measured pixels belong to the original images.
 from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
-from typing import Tuple
+from typing import Any, Tuple
 
 from ...errors import MissingPackageError
 from .layout import Layout
@@ -46,9 +49,23 @@ def write_colmap(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
     for name, write in (("sparse/0", made.write_binary), ("sparse_text", made.write_text)):
         (folder / name).mkdir(parents=True)
         write(str(folder / name))
+    _write_database(made, folder / "database.db")
+
+
+def _write_database(model: Any, path: Path) -> None:
+    import pycolmap
+
+    database = getattr(pycolmap.Database, "open", pycolmap.Database)(str(path))
+    try:
+        for things, write in ((model.cameras, database.write_camera), (model.rigs, database.write_rig),
+                              (model.frames, database.write_frame), (model.images, database.write_image)):
+            for thing in things.values():
+                write(thing, True)
+    finally:
+        database.close()
 
 
 COLMAP = Layout(
-    "colmap", lambda model, index: f"images/{model.views[index].name}", ".png", write_colmap,
+    "colmap", lambda model, index: f"images/{model.file_name(index)}", ".png", write_colmap,
     mask=lambda image: f"masks/{PurePosixPath(image).name}.png",  # COLMAP looks for the image's whole name + .png
     require=require_pycolmap)

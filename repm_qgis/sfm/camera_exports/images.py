@@ -36,9 +36,10 @@ def write_image(view: ExportView, path: Path, mask: Optional[Path], stretch: Opt
     plain = str(path) if stretch is None else f"{path}.tif"
     with ExitStack() as files:
         pixels = files.enter_context(created(
-            plain, shape, np.dtype(np.uint16 if stretch is None else np.uint8), 1, None, "", nodata=None))
-        known = files.enter_context(created(f"{mask}.tif", shape, np.dtype(np.uint8), 1, None, "", nodata=None)) \
-            if mask else None
+            plain, shape, np.dtype(np.uint16 if stretch is None else np.uint8), 1, None, "", nodata=None,
+            compress=stretch is None))
+        known = files.enter_context(created(f"{mask}.tif", shape, np.dtype(np.uint8), 1, None, "", nodata=None,
+                                            compress=False)) if mask else None
         for row, values in _strips(view, kernel):
             progress.check_cancelled()
             pixels.write(_brightness(values, stretch), 0, row)
@@ -81,7 +82,7 @@ def _is_refined_image(view: ExportView) -> bool:
 
 
 def encode(plain: str, path: Path) -> None:
-    """Write ``plain`` (an uncompressed raster, removed) as PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
+    """Turn ``plain`` (a raster, removed afterwards) into PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
     driver, options = _ENCODERS[path.suffix]
     temporary = temporary_name(str(path))
     try:

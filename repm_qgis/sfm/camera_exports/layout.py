@@ -30,7 +30,6 @@ class Layout:
     mask : relative path of an image's mask (255 where the image has data) from the image's own; "" where it has none.
     prepare : changes cameras and images to what the layout can hold.
     require : raises MissingPackageError where a package is missing.
-    depths : the bit depths that its readers take.
     """
 
     name: str
@@ -40,7 +39,6 @@ class Layout:
     mask: Callable[[str], str] = lambda image: ""
     prepare: Callable[[TileModel], TileModel] = same
     require: Callable[[], None] = nothing
-    depths: Tuple[str, ...] = ("8", "16")
 
     def images(self, model: TileModel, bits: str) -> Tuple[str, ...]:
         """Relative paths of all views' images."""

@@ -6,6 +6,7 @@ corner take :meth:`ExportView.corner_K`. The world is the scene's local ENU fram
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
 from typing import Callable, Tuple
 
@@ -36,6 +37,7 @@ class ExportView:
     size : width, height.
     depths : least and greatest depth of the ground that the image shows within the tile's altitudes, m.
     shift_px : (2,) how far relative pointing moved the principal point.
+    ground : (n, 3) what the image shows at the tile's lowest and highest altitude, in the frame.
     source : the refined 16-bit image that shows these very pixels; "" where it has to be made.
     """
 
@@ -46,6 +48,7 @@ class ExportView:
     depths: Tuple[float, float]
     error: EquivalentError
     shift_px: FloatArray
+    ground: FloatArray
     source: str = ""
 
     @property
@@ -78,10 +81,36 @@ class ExportView:
 
     def resampled(self, affinity: FloatArray, size: Tuple[int, int]) -> "ExportView":
         """The view of an image whose pixel ``affinity`` @ p is this one's pixel p; (3, 3), no shear."""
-        inverse, old = np.linalg.inv(affinity), self.to_original
-        camera = PinholeCamera(affinity @ self.camera.K, self.camera.R, self.camera.t)
-        return replace(self, camera=camera, size=size, source="",
-                       to_original=lambda points: old(apply_homography(inverse, points)))
+        return self._seen_by(PinholeCamera(affinity @ self.camera.K, self.camera.R, self.camera.t), size)
+
+    def centred(self) -> "ExportView":
+        """The view of a camera that is turned towards the image's middle: principal point there, square pixels.
+
+        The projection centre stays, so the image changes by a homography only, and is as exact as before. Satellites'
+        cameras fitted without it look straight down, with a principal point up to a million pixels outside.
+        """
+        middle = (np.array(self.size) - 1.0) / 2
+        ray = np.linalg.solve(self.camera.K, [*middle, 1.0])
+        R = _turn_to(ray / np.linalg.norm(ray)) @ self.camera.R
+        turned = PinholeCamera(np.eye(3), R, R @ self.camera.R.T @ self.camera.t)
+        # One focal length that keeps the pixels' area at the middle.
+        shape = R @ np.linalg.inv(self.camera.K @ self.camera.R)
+        steps = apply_homography(shape, middle + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]]))
+        focal = abs(np.linalg.det([steps[0] - steps[1], steps[2] - steps[3]])) ** -0.5
+        turned = PinholeCamera(np.diag([focal, focal, 1.0]), turned.R, turned.t)
+        border = apply_homography(turned.K @ shape, _nodes(self.size))
+        low, high = np.floor(border.min(axis=0)), np.ceil(border.max(axis=0))
+        return self._seen_by(turned.moved(*low), (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1))
+
+    def _seen_by(self, camera: PinholeCamera, size: Tuple[int, int]) -> "ExportView":
+        """The view of another camera at the same projection centre."""
+        old = self.to_original
+        here_from_there = self.camera.K @ self.camera.R @ np.linalg.inv(camera.K @ camera.R)
+        depths = self.depths
+        if not np.allclose(camera.R[2], self.camera.R[2], rtol=0, atol=1e-12):
+            depths = _range(camera, self.ground)
+        return replace(self, camera=camera, size=size, depths=depths, source="",
+                       to_original=lambda points: old(apply_homography(here_from_there, points)))
 
 
 @dataclass(frozen=True)
@@ -94,6 +123,11 @@ class TileModel:
     views: Tuple[ExportView, ...]
     points: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     residuals_px: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def file_name(self, index: int) -> str:
+        """A view's name as other software can take it in a list: without blanks, and no other view's."""
+        names = [re.sub(r"\s+", "_", view.name) for view in self.views]
+        return names[index] if names.count(names[index]) == 1 else f"{names[index]}_{index}"
 
 
 def tile_model(scene: Scene, tile: Tile, reuse_images: bool = True) -> TileModel:
@@ -115,9 +149,9 @@ def _export_view(scene: Scene, tile: Tile, name: str, reuse_image: bool) -> Expo
     nodes = _nodes(refined.size)
     shift = _pointing_shift(view, refined.to_original, nodes)
     camera = refined.camera.moved(*-shift)
-    made = ExportView(view, camera, refined.to_original.original_from_refined, refined.size,
-                      _depths(scene, tile, view, camera, refined.to_original.original_from_refined(nodes)),
-                      refined.error, shift, (tile_view.image or "") if reuse_image else "")
+    ground = _ground(scene, tile, view, refined.to_original.original_from_refined(nodes))
+    made = ExportView(view, camera, refined.to_original.original_from_refined, refined.size, _range(camera, ground),
+                      refined.error, shift, ground, (tile_view.image or "") if reuse_image else "")
     if camera.K[1, 1] > 0:
         return made
     # A mirrored image has a negative focal length in K, which other software refuses: turn its rows round.
@@ -140,8 +174,20 @@ def _pointing_shift(view: View, to_original: object, nodes: FloatArray) -> Float
     return np.nanmean(seen - nodes, axis=0)
 
 
-def _depths(scene: Scene, tile: Tile, view: View, camera: PinholeCamera, original: FloatArray) -> Tuple[float, float]:
-    """Least and greatest depth of what original pixels (n, 2) show at the tile's altitudes."""
+def _ground(scene: Scene, tile: Tile, view: View, original: FloatArray) -> FloatArray:
+    """(n, 3) what original pixels show at the tile's lowest and highest altitude, in the scene's frame."""
     ground = np.concatenate([view.localise(original, altitude) for altitude in tile.altitudes])
-    depth = camera.depth(scene.frame.from_geodetic(ground[np.isfinite(ground).all(axis=1)]))
+    return scene.frame.from_geodetic(ground[np.isfinite(ground).all(axis=1)])
+
+
+def _range(camera: PinholeCamera, ground: FloatArray) -> Tuple[float, float]:
+    """Least and greatest depth of points."""
+    depth = camera.depth(ground)
     return float(depth.min()), float(depth.max())
+
+
+def _turn_to(direction: FloatArray) -> FloatArray:
+    """(3, 3) the smallest rotation that takes a unit vector in front of a camera to its optical axis."""
+    x, y, z = direction
+    axis = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.eye(3) + axis + axis @ axis / (1.0 + z)

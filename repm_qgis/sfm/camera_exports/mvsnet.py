@@ -19,7 +19,7 @@ from .model import ExportView, TileModel
 FloatArray = NDArray[np.float64]
 
 _MOST_SOURCES = 10
-_ANGLE_DEG, _BELOW_DEG, _ABOVE_DEG = 5.0, 1.0, 10.0   # Yao et al., MVSNet, ECCV 2018, section 4.1 (view selection)
+_ANGLE_DEG, _BELOW_DEG, _ABOVE_DEG = 5.0, 1.0, 10.0   # view selection of Yao et al., MVSNet, ECCV 2018
 
 
 def matrix_text(matrix: FloatArray) -> str:

@@ -45,5 +45,5 @@ def write_nerfstudio(model: TileModel, images: Tuple[str, ...], folder: Path) ->
     write_text(str(folder / "transforms.json"), json.dumps(document, indent=1, allow_nan=False))
 
 
-NERFSTUDIO = Layout("nerfstudio", lambda model, index: f"images/{model.views[index].name}", ".png", write_nerfstudio,
+NERFSTUDIO = Layout("nerfstudio", lambda model, index: f"images/{model.file_name(index)}", ".png", write_nerfstudio,
                     mask=_mask)

@@ -45,4 +45,4 @@ def write_whutlc(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
 
 
 WHUTLC = Layout("whutlc", lambda model, index: f"image/{index}/{model.tile.id}", ".png", write_whutlc,
-                prepare=square_pixels, depths=("8",))
+                prepare=square_pixels)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.equivalent_error import (
-    GRID, EquivalentError, fit_pinhole, predicted_error, refine_pinhole, virtual_grid)
+    GRID,
+    EquivalentError,
+    fit_pinhole,
+    predicted_error,
+    refine_pinhole,
+    virtual_grid,
+)
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.rpc.readers import rpc_from_xml
 

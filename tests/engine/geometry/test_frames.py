@@ -8,8 +8,14 @@ import pytest
 
 from repm_qgis.errors import OptionError
 from repm_qgis.geometry.frames import (
-    EnuFrame, ecef_from_geodetic, geodetic_from_ecef, geodetic_from_projected, projected_crs, projected_from_geodetic,
-    utm_crs)
+    EnuFrame,
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    geodetic_from_projected,
+    projected_crs,
+    projected_from_geodetic,
+    utm_crs,
+)
 
 PLACES = np.array([[1.44, 43.6, 190.0], [-179.9, -17.0, 1200.0], [151.2, -33.9, -20.0], [6.9, 45.8, 4800.0],
                    [18.5, -72.2, 500.0], [0.0, 0.0, 0.0], [-70.0, 89.9, 10.0]])
@@ -79,3 +85,16 @@ def test_a_dsm_needs_a_projected_crs_in_metres(text, words):
                                   "+proj=laea +lat_0=43 +lon_0=1 +datum=WGS84 +units=m"))
 def test_usual_projections_are_taken(text):
     assert projected_crs(text).is_projected
+
+
+@pytest.mark.parametrize("text, fit", (
+    ("EPSG:32631", True), ("EPSG:2154", True), ("EPSG:3857", True), ("EPSG:3035", True), ("EPSG:3031", False),
+    ("+proj=ortho +lat_0=-43 +lon_0=-178 +datum=WGS84 +units=m", False),
+    ("+proj=laea +lat_0=-43.6 +lon_0=-178.56 +datum=WGS84", False)))
+def test_a_crs_must_be_made_for_the_place(text, fit):
+    if fit:
+        assert projected_crs_at(text, 1.44, 43.6).is_projected
+    else:
+        with pytest.raises(OptionError) as caught:
+            projected_crs_at(text, 1.44, 43.6)
+        assert "longitude 1.44, latitude 43.60" in str(caught.value) and "such as EPSG:32631" in str(caught.value)

@@ -11,7 +11,14 @@ from repm_qgis.errors import OptionError, SceneError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.refinement import (
-    HomographyMap, PolynomialMap, apply_homography, fit_map, map_from_mapping, polynomial_terms, translation)
+    HomographyMap,
+    PolynomialMap,
+    apply_homography,
+    fit_map,
+    map_from_mapping,
+    polynomial_terms,
+    translation,
+)
 from repm_qgis.rpc.readers import rpc_from_xml
 
 H = np.array([[1.02, 0.03, 40.0], [-0.02, 0.97, -25.0], [2e-6, -1e-6, 1.0]])

@@ -65,6 +65,32 @@ def test_scaled_keeps_pixel_areas_on_pixel_areas(case, gdal_pixels):
     assert half.size == tuple(-(-n // 2) for n in pair.size)
 
 
+def mirrored(view):
+    """The view as if its image had been delivered with its columns in reverse."""
+    rpc = view.rpc.to_mapping()
+    rpc.update(col_scale=-rpc["col_scale"], col_off=view.width - 1 - rpc["col_off"])
+    return view.__class__(**{**vars(view), "rpc": view.rpc.from_mapping(rpc)})
+
+
+@pytest.mark.parametrize("flip", ((), (0,), (1,), (0, 1)))
+@pytest.mark.parametrize("order", ((0, 1), (1, 0)))
+def test_any_order_and_sense_of_columns(case, gdal_pixels, flip, order):
+    """Stereo along the track has its baseline along the rows, to which no sense of left and right belongs."""
+    views = [mirrored(view) if k in flip else view for k, view in enumerate(case.views)]
+    views = [views[k] for k in order]
+    points = case.points(200)
+    ground = np.column_stack([geodetic_from_projected(case.crs, points[:, :2]), points[:, 2]])
+    x0, y0, x1, y1 = case.bounds
+    for corner in ((0, 0), (0.4, -0.3), (-0.4, 0.3)):  # parts of the tile have other residual turns
+        step = np.array(corner) * (x1 - x0) / 2
+        bounds = (x0 + step[0], y0 + step[1], x1 + step[0], y1 + step[1])
+        pair = rectified_pair(case.scene, *views, bounds, case.altitudes)
+        a = pair.first_rectified(gdal_pixels(views[0].rpc, ground))
+        b = pair.second_rectified(gdal_pixels(views[1].rpc, ground))
+        assert np.abs(a[:, 1] - b[:, 1]).max() < 0.02
+        assert np.abs(np.polyfit(a[:, 0], b[:, 0], 1)[0] - 1) < 0.5
+
+
 def test_no_baseline_no_pair(case):
     with pytest.raises(RpcInvalidError, match="taken from the same place"):
         rectified_pair(case.scene, case.views[0], case.views[0], case.bounds, case.altitudes)

@@ -1,0 +1,638 @@
+<?xml version="1.0" encoding="utf-8"?>
+<!DOCTYPE TS>
+<TS version="2.1" language="de" sourcelanguage="en">
+<context>
+    <name>CompareDsm</name>
+    <message>
+        <source>Compare a DSM with a reference</source>
+        <translation>DOM mit einer Referenz vergleichen</translation>
+    </message>
+    <message>
+        <source>Height errors of a DSM: map, statistics and completeness, after an optional alignment.</source>
+        <translation>Höhenfehler eines DOM: Karte, Statistik und Vollständigkeit, auf Wunsch nach einer Ausrichtung.</translation>
+    </message>
+    <message>
+        <source>DSM to measure</source>
+        <translation>Zu prüfendes DOM</translation>
+    </message>
+    <message>
+        <source>Reference DSM</source>
+        <translation>Referenz-DOM</translation>
+    </message>
+    <message>
+        <source>Alignment before the comparison</source>
+        <translation>Ausrichtung vor dem Vergleich</translation>
+    </message>
+    <message>
+        <source>none: as they lie; vertical: a constant offset in height is taken off; 3d: a shift in all three axes is taken off.</source>
+        <translation>none: wie sie liegen; vertical: ein konstanter Höhenversatz wird abgezogen; 3d: eine Verschiebung in allen drei Achsen wird abgezogen.</translation>
+    </message>
+    <message>
+        <source>Thresholds of the completeness (m)</source>
+        <translation>Schwellen der Vollständigkeit (m)</translation>
+    </message>
+    <message>
+        <source>The part of the reference's cells whose height is right to within each of these.</source>
+        <translation>Der Anteil der Referenzzellen, deren Höhe bis auf diese Werte stimmt.</translation>
+    </message>
+    <message>
+        <source>Height error</source>
+        <translation>Höhenfehler</translation>
+    </message>
+    <message>
+        <source>RMSE (m)</source>
+        <translation>RMSE (m)</translation>
+    </message>
+    <message>
+        <source>Median absolute error (m)</source>
+        <translation>Median des absoluten Fehlers (m)</translation>
+    </message>
+    <message>
+        <source>Mean absolute error (m)</source>
+        <translation>Mittlerer absoluter Fehler (m)</translation>
+    </message>
+    <message>
+        <source>Normalised median absolute deviation (m)</source>
+        <translation>Normalisierte mediane absolute Abweichung (m)</translation>
+    </message>
+    <message>
+        <source>Completeness at the first threshold (%)</source>
+        <translation>Vollständigkeit an der ersten Schwelle (%)</translation>
+    </message>
+    <message>
+        <source>THRESHOLDS is '{text}': give heights in metres such as '1; 2.5; 5'.</source>
+        <translation>THRESHOLDS ist „{text}“: Höhen in Metern angeben, etwa „1; 2.5; 5“.</translation>
+    </message>
+</context>
+<context>
+    <name>DsmFuse</name>
+    <message>
+        <source>Fuse heights into a DSM</source>
+        <translation>Höhen zu einem DOM fusionieren</translation>
+    </message>
+    <message>
+        <source>One DSM from the height maps of all pairs, without outliers, with its confidence.</source>
+        <translation>Ein DOM aus den Höhenkarten aller Paare, ohne Ausreißer, mit seiner Konfidenz.</translation>
+    </message>
+    <message>
+        <source>Cells with a height (%)</source>
+        <translation>Zellen mit Höhe (%)</translation>
+    </message>
+</context>
+<context>
+    <name>Environment</name>
+    <message>
+        <source>Report the environment</source>
+        <translation>Über die Umgebung berichten</translation>
+    </message>
+    <message>
+        <source>Versions, missing packages with the command that installs them, CUDA, memory, PROJ grids.</source>
+        <translation>Versionen, fehlende Pakete mit dem Befehl, der sie installiert, CUDA, Speicher, PROJ-Gitter.</translation>
+    </message>
+    <message>
+        <source>Report</source>
+        <translation>Bericht</translation>
+    </message>
+    <message>
+        <source>QGIS {version}</source>
+        <translation>QGIS {version}</translation>
+    </message>
+    <message>
+        <source>The report is on QGIS's own Python, the engine does not run: {reason}</source>
+        <translation>Der Bericht betrifft das Python von QGIS, die Engine läuft nicht: {reason}</translation>
+    </message>
+</context>
+<context>
+    <name>EpmFit</name>
+    <message>
+        <source>Fit equivalent pinhole cameras</source>
+        <translation>Äquivalente Lochkameras anpassen</translation>
+    </message>
+    <message>
+        <source>Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.</source>
+        <translation>Lochkameras für Bilder mit RPC, Kachel für Kachel, und der Fehler, den das kostet.</translation>
+    </message>
+    <message>
+        <source>Scene</source>
+        <translation>Szene</translation>
+    </message>
+    <message>
+        <source>Equivalent error, RMSE (px)</source>
+        <translation>Äquivalenter Fehler, RMSE (px)</translation>
+    </message>
+    <message>
+        <source>Equivalent error, largest (px)</source>
+        <translation>Äquivalenter Fehler, größter (px)</translation>
+    </message>
+</context>
+<context>
+    <name>ErrorMap</name>
+    <message>
+        <source>Map the equivalent error</source>
+        <translation>Äquivalenten Fehler kartieren</translation>
+    </message>
+    <message>
+        <source>What the pinhole model costs one view, as a raster on the ground.</source>
+        <translation>Was das Lochkameramodell eine Ansicht kostet, als Raster am Boden.</translation>
+    </message>
+    <message>
+        <source>View (empty: the first)</source>
+        <translation>Ansicht (leer: die erste)</translation>
+    </message>
+    <message>
+        <source>A view's name as in the scene's report: its image file's name without extension.</source>
+        <translation>Name einer Ansicht wie im Bericht der Szene: der Name ihrer Bilddatei ohne Endung.</translation>
+    </message>
+    <message>
+        <source>Altitude (m, empty: the middle of the scene's range)</source>
+        <translation>Höhe (m, leer: Mitte des Bereichs der Szene)</translation>
+    </message>
+    <message>
+        <source>Metres above the WGS 84 ellipsoid.</source>
+        <translation>Meter über dem Ellipsoid WGS 84.</translation>
+    </message>
+    <message>
+        <source>Equivalent error</source>
+        <translation>Äquivalenter Fehler</translation>
+    </message>
+    <message>
+        <source>Equivalent error, RMSE (px)</source>
+        <translation>Äquivalenter Fehler, RMSE (px)</translation>
+    </message>
+    <message>
+        <source>Equivalent error, largest (px)</source>
+        <translation>Äquivalenter Fehler, größter (px)</translation>
+    </message>
+</context>
+<context>
+    <name>ExportCameras</name>
+    <message>
+        <source>Export images with pinhole cameras</source>
+        <translation>Bilder mit Lochkameras exportieren</translation>
+    </message>
+    <message>
+        <source>Refined images with their cameras as COLMAP, MVSNet, WHU-TLC or nerfstudio read them.</source>
+        <translation>Verfeinerte Bilder mit ihren Kameras, wie COLMAP, MVSNet, WHU-TLC oder nerfstudio sie lesen.</translation>
+    </message>
+    <message>
+        <source>Refined scene</source>
+        <translation>Verfeinerte Szene</translation>
+    </message>
+    <message>
+        <source>Format</source>
+        <translation>Format</translation>
+    </message>
+    <message>
+        <source>colmap: PINHOLE cameras, binary and text; mvsnet: cam.txt and pair.txt; whutlc: WHU-TLC's pinhole layout for SatMVS, with square pixels; nerfstudio: transforms.json.</source>
+        <translation>colmap: PINHOLE-Kameras, binär und als Text; mvsnet: cam.txt und pair.txt; whutlc: das Lochkameraformat von WHU-TLC für SatMVS, mit quadratischen Pixeln; nerfstudio: transforms.json.</translation>
+    </message>
+    <message>
+        <source>Tile (empty: all)</source>
+        <translation>Kachel (leer: alle)</translation>
+    </message>
+    <message>
+        <source>A tile's name as in the TILES layer; each tile is a model of its own.</source>
+        <translation>Name einer Kachel wie im Layer TILES; jede Kachel ist ein eigenes Modell.</translation>
+    </message>
+    <message>
+        <source>Turn the cameras towards their images</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>On: principal points lie in the images' middle and pixels are square, as COLMAP's triangulation and software in single precision need it. Off: the refined images and cameras as they are in the scene.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Bits of a pixel</source>
+        <translation>Bit je Pixel</translation>
+    </message>
+    <message>
+        <source>8: PNG (JPEG for mvsnet), brightness stretched as for matching; 16: TIFF with the images' own values, which fewer programs read.</source>
+        <translation>8: PNG (JPEG für mvsnet), Helligkeit gestreckt wie für die Zuordnung; 16: TIFF mit den Werten der Bilder selbst, das weniger Programme lesen.</translation>
+    </message>
+    <message>
+        <source>Folder</source>
+        <translation>Ordner</translation>
+    </message>
+    <message>
+        <source>Number of images</source>
+        <translation>Anzahl der Bilder</translation>
+    </message>
+</context>
+<context>
+    <name>Pipeline</name>
+    <message>
+        <source>Make a DSM from satellite images</source>
+        <translation>DOM aus Satellitenbildern erzeugen</translation>
+    </message>
+    <message>
+        <source>The whole way: pinhole cameras, refinement, tie points, dense matching, fusion.</source>
+        <translation>Der ganze Weg: Lochkameras, Verfeinerung, Verknüpfungspunkte, dichte Zuordnung, Fusion.</translation>
+    </message>
+    <message>
+        <source>Scene</source>
+        <translation>Szene</translation>
+    </message>
+    <message>
+        <source>Number of tie points</source>
+        <translation>Anzahl der Verknüpfungspunkte</translation>
+    </message>
+    <message>
+        <source>Cells with a height (%)</source>
+        <translation>Zellen mit Höhe (%)</translation>
+    </message>
+    <message>
+        <source>MODEL is 'terrain', which needs a surface: give a DEM, or choose polynomial.</source>
+        <translation>MODEL ist „terrain“ und braucht eine Oberfläche: ein DEM angeben oder polynomial wählen.</translation>
+    </message>
+</context>
+<context>
+    <name>Reconstruct</name>
+    <message>
+        <source>Reconstruct heights</source>
+        <translation>Höhen rekonstruieren</translation>
+    </message>
+    <message>
+        <source>Tie points and relative pointing of the views, then a height map of every pair and tile.</source>
+        <translation>Verknüpfungspunkte und relative Ausrichtung der Ansichten, dann eine Höhenkarte je Paar und Kachel.</translation>
+    </message>
+    <message>
+        <source>Height maps (skipped: beside the scene)</source>
+        <translation>Höhenkarten (weggelassen: neben der Szene)</translation>
+    </message>
+    <message>
+        <source>Report</source>
+        <translation>Bericht</translation>
+    </message>
+    <message>
+        <source>Number of tie points</source>
+        <translation>Anzahl der Verknüpfungspunkte</translation>
+    </message>
+</context>
+<context>
+    <name>Refine</name>
+    <message>
+        <source>Refine the images</source>
+        <translation>Bilder verfeinern</translation>
+    </message>
+    <message>
+        <source>Resamples every view's tiles to what its pinhole camera would have seen.</source>
+        <translation>Rechnet die Kacheln jeder Ansicht auf das um, was ihre Lochkamera gesehen hätte.</translation>
+    </message>
+    <message>
+        <source>Equivalent error left, RMSE (px)</source>
+        <translation>Verbleibender äquivalenter Fehler, RMSE (px)</translation>
+    </message>
+    <message>
+        <source>Equivalent error left, largest (px)</source>
+        <translation>Verbleibender äquivalenter Fehler, größter (px)</translation>
+    </message>
+</context>
+<context>
+    <name>RepmAlgorithm</name>
+    <message>
+        <source>0 Images to DSM</source>
+        <translation>0 Bilder zu DOM</translation>
+    </message>
+    <message>
+        <source>1 Pinhole cameras</source>
+        <translation>1 Lochkameras</translation>
+    </message>
+    <message>
+        <source>2 Surface</source>
+        <translation>2 Oberfläche</translation>
+    </message>
+    <message>
+        <source>3 Evaluation</source>
+        <translation>3 Bewertung</translation>
+    </message>
+    <message>
+        <source>4 Tools</source>
+        <translation>4 Werkzeuge</translation>
+    </message>
+    <message>
+        <source>ALTITUDE_MIN ({low:g} m) must be below ALTITUDE_MAX ({high:g} m).</source>
+        <translation>ALTITUDE_MIN ({low:g} m) muss unter ALTITUDE_MAX ({high:g} m) liegen.</translation>
+    </message>
+    <message>
+        <source>The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs.</source>
+        <translation>Der Layer „{layer}“ in {name} kommt von „{provider}“: Rasterdateien wählen, nur sie haben RPC.</translation>
+    </message>
+    <message>
+        <source>{name} names {count} image(s): give at least two images of the same ground, one image has no heights.</source>
+        <translation>{name} nennt {count} Bild(er): mindestens zwei Bilder desselben Gebiets angeben, aus einem allein folgen keine Höhen.</translation>
+    </message>
+    <message>
+        <source>{name} is '{value}': choose one of {options}.</source>
+        <translation>{name} ist „{value}“: eines von {options} wählen.</translation>
+    </message>
+    <message>
+        <source>a whole number</source>
+        <translation>eine ganze Zahl</translation>
+    </message>
+    <message>
+        <source>a number</source>
+        <translation>eine Zahl</translation>
+    </message>
+    <message>
+        <source>{name} is '{value}': give {kind}.</source>
+        <translation>{name} ist „{value}“: {kind} angeben.</translation>
+    </message>
+    <message>
+        <source>{name} is {value}: it must lie between {low:g} and {high:g}.</source>
+        <translation>{name} ist {value}: der Wert muss zwischen {low:g} und {high:g} liegen.</translation>
+    </message>
+    <message>
+        <source>{name} '{path}' is not there: check its path.</source>
+        <translation>{name} „{path}“ ist nicht da: den Pfad prüfen.</translation>
+    </message>
+    <message>
+        <source>{name} '{path}' is no scene: choose the scene.json that the stage before wrote.</source>
+        <translation>{name} „{path}“ ist keine Szene: die scene.json wählen, die die Stufe davor geschrieben hat.</translation>
+    </message>
+    <message>
+        <source>{name} '{path}' cannot be read as a raster: check that the file is whole.</source>
+        <translation>{name} „{path}“ ist nicht als Raster lesbar: prüfen, ob die Datei vollständig ist.</translation>
+    </message>
+    <message>
+        <source>{name} is no parameter of {id} and has no effect: do you mean {near}?</source>
+        <translation>{name} ist kein Parameter von {id} und bewirkt nichts: ist {near} gemeint?</translation>
+    </message>
+    <message>
+        <source>Seconds: {stages}</source>
+        <translation>Sekunden: {stages}</translation>
+    </message>
+    <message>
+        <source>Height error</source>
+        <translation>Höhenfehler</translation>
+    </message>
+    <message>
+        <source>DSM</source>
+        <translation>DOM</translation>
+    </message>
+    <message>
+        <source>Confidence</source>
+        <translation>Konfidenz</translation>
+    </message>
+    <message>
+        <source>Orthophoto</source>
+        <translation>Orthophoto</translation>
+    </message>
+    <message>
+        <source>Tiles</source>
+        <translation>Kacheln</translation>
+    </message>
+    <message>
+        <source>Equivalent error</source>
+        <translation>Äquivalenter Fehler</translation>
+    </message>
+    <message>
+        <source>Tie points</source>
+        <translation>Verknüpfungspunkte</translation>
+    </message>
+    <message>
+        <source>True DSM</source>
+        <translation>Wahres DOM</translation>
+    </message>
+</context>
+<context>
+    <name>RepmParameters</name>
+    <message>
+        <source>Satellite images with RPCs</source>
+        <translation>Satellitenbilder mit RPC</translation>
+    </message>
+    <message>
+        <source>Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), each with its RPC in the file or beside it.</source>
+        <translation>Zwei oder mehr Bilder desselben Gebiets in Sensorgeometrie (Stufe Basic, Sensor oder Primary), jedes mit seinem RPC in der Datei oder daneben.</translation>
+    </message>
+    <message>
+        <source>Area (empty: all that two images see)</source>
+        <translation>Gebiet (leer: alles, was zwei Bilder sehen)</translation>
+    </message>
+    <message>
+        <source>Only this area is computed.</source>
+        <translation>Nur dieses Gebiet wird berechnet.</translation>
+    </message>
+    <message>
+        <source>Coarse elevation model</source>
+        <translation>Grobes Höhenmodell</translation>
+    </message>
+    <message>
+        <source>Any DEM that covers the area: it narrows the range of altitudes, and is the surface of the terrain model. Heights above the ellipsoid or, where its CRS says so, above the geoid.</source>
+        <translation>Ein beliebiges DEM, das das Gebiet abdeckt: es engt den Höhenbereich ein und ist die Oberfläche des Modells terrain. Höhen über dem Ellipsoid oder, wo sein KBS das sagt, über dem Geoid.</translation>
+    </message>
+    <message>
+        <source>Coarse elevation model (terrain model only)</source>
+        <translation>Grobes Höhenmodell (nur für das Modell terrain)</translation>
+    </message>
+    <message>
+        <source>The surface that the terrain model refines on; a DEM with cells of 30 m will do. Empty: the heights that the scene has already, where 'Reconstruct heights' has made some.</source>
+        <translation>Die Oberfläche, auf der das Modell terrain verfeinert; ein DEM mit Zellen von 30 m genügt. Leer: die Höhen, die die Szene schon hat, wo „Höhen rekonstruieren“ welche erzeugt hat.</translation>
+    </message>
+    <message>
+        <source>Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.</source>
+        <translation>Meter über dem Ellipsoid WGS 84. Leer: aus dem DEM, sonst aus den Bildern oder den RPC.</translation>
+    </message>
+    <message>
+        <source>Lowest altitude (m, empty: automatic)</source>
+        <translation>Niedrigste Höhe (m, leer: automatisch)</translation>
+    </message>
+    <message>
+        <source>Highest altitude (m, empty: automatic)</source>
+        <translation>Größte Höhe (m, leer: automatisch)</translation>
+    </message>
+    <message>
+        <source>Tile size (px, 0: automatic)</source>
+        <translation>Kachelgröße (px, 0: automatisch)</translation>
+    </message>
+    <message>
+        <source>0 takes the largest tile that keeps the error under the budget, and fits memory.</source>
+        <translation>0 nimmt die größte Kachel, deren Fehler im Budget bleibt und die in den Speicher passt.</translation>
+    </message>
+    <message>
+        <source>Error budget (px)</source>
+        <translation>Fehlerbudget (px)</translation>
+    </message>
+    <message>
+        <source>What the pinhole model may cost at most, as equivalent error in the image.</source>
+        <translation>Was das Lochkameramodell höchstens kosten darf, als äquivalenter Fehler im Bild.</translation>
+    </message>
+    <message>
+        <source>Refinement model</source>
+        <translation>Modell der Verfeinerung</translation>
+    </message>
+    <message>
+        <source>none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures the curvature of the image; terrain: cures the parallax of altitude too, and needs a DEM.</source>
+        <translation>none: Lochkameras auf den Bildern, wie sie sind; homography: Ebene auf Ebene; polynomial: behebt die Krümmung des Bildes; terrain: behebt auch die Höhenparallaxe und braucht ein DEM.</translation>
+    </message>
+    <message>
+        <source>Order of the polynomial</source>
+        <translation>Grad des Polynoms</translation>
+    </message>
+    <message>
+        <source>2 is the paper's; 3 to 5 help only where the attitude of the satellite wobbles within a tile. Other models take no notice of it.</source>
+        <translation>2 ist der des Artikels; 3 bis 5 helfen nur, wo die Lage des Satelliten innerhalb einer Kachel schwankt. Andere Modelle beachten ihn nicht.</translation>
+    </message>
+    <message>
+        <source>Resampling of the refined images</source>
+        <translation>Neuabtastung der verfeinerten Bilder</translation>
+    </message>
+    <message>
+        <source>bilinear: the paper's, and the fastest; cubic: sharper; lanczos: sharpest, may ring at edges. The heights are matched on the original images and do not depend on it.</source>
+        <translation>bilinear: die des Artikels und die schnellste; cubic: schärfer; lanczos: am schärfsten, kann an Kanten überschwingen. Die Höhen werden auf den Originalbildern zugeordnet und hängen nicht davon ab.</translation>
+    </message>
+    <message>
+        <source>Dense matching</source>
+        <translation>Dichte Zuordnung</translation>
+    </message>
+    <message>
+        <source>auto: the best that this machine can run; sgm: semi-global matching on the CPU.</source>
+        <translation>auto: das Beste, was auf diesem Rechner läuft; sgm: Semi-Global Matching auf der CPU.</translation>
+    </message>
+    <message>
+        <source>DSM resolution (m, 0: twice the ground sampling distance)</source>
+        <translation>Auflösung des DOM (m, 0: doppelte Bodenauflösung)</translation>
+    </message>
+    <message>
+        <source>Cell size in units of the CRS.</source>
+        <translation>Zellgröße in Einheiten des KBS.</translation>
+    </message>
+    <message>
+        <source>CRS of the results (empty: the scene's UTM zone)</source>
+        <translation>KBS der Ergebnisse (leer: UTM-Zone der Szene)</translation>
+    </message>
+    <message>
+        <source>A projected CRS.</source>
+        <translation>Ein projiziertes KBS.</translation>
+    </message>
+    <message>
+        <source>Fusion of the pairs' heights</source>
+        <translation>Fusion der Höhen der Paare</translation>
+    </message>
+    <message>
+        <source>median: robust, for three images or more; mean: smoother.</source>
+        <translation>median: robust, ab drei Bildern; mean: glatter.</translation>
+    </message>
+    <message>
+        <source>Outlier radius (m, empty: automatic, 0: off)</source>
+        <translation>Ausreißerradius (m, leer: automatisch, 0: aus)</translation>
+    </message>
+    <message>
+        <source>Points with too few neighbours within this distance are dropped.</source>
+        <translation>Punkte mit zu wenigen Nachbarn innerhalb dieser Entfernung fallen weg.</translation>
+    </message>
+    <message>
+        <source>Scene</source>
+        <translation>Szene</translation>
+    </message>
+    <message>
+        <source>The scene.json that the stage before wrote.</source>
+        <translation>Die scene.json, die die Stufe davor geschrieben hat.</translation>
+    </message>
+    <message>
+        <source>Scene after this stage</source>
+        <translation>Szene nach dieser Stufe</translation>
+    </message>
+    <message>
+        <source>What this stage makes is kept in this file's folder.</source>
+        <translation>Was diese Stufe erzeugt, liegt im Ordner dieser Datei.</translation>
+    </message>
+    <message>
+        <source>Workspace</source>
+        <translation>Arbeitsordner</translation>
+    </message>
+    <message>
+        <source>A folder for the scene and all between; a second run there goes on where the first stopped.</source>
+        <translation>Ein Ordner für die Szene und alles dazwischen; ein zweiter Lauf macht dort weiter, wo der erste aufhörte.</translation>
+    </message>
+    <message>
+        <source>Report</source>
+        <translation>Bericht</translation>
+    </message>
+    <message>
+        <source>Tiles</source>
+        <translation>Kacheln</translation>
+    </message>
+    <message>
+        <source>Tie points</source>
+        <translation>Verknüpfungspunkte</translation>
+    </message>
+    <message>
+        <source>DSM</source>
+        <translation>DOM</translation>
+    </message>
+    <message>
+        <source>Confidence</source>
+        <translation>Konfidenz</translation>
+    </message>
+    <message>
+        <source>Orthophoto</source>
+        <translation>Orthophoto</translation>
+    </message>
+    <message>
+        <source>Point cloud</source>
+        <translation>Punktwolke</translation>
+    </message>
+</context>
+<context>
+    <name>RepmProvider</name>
+    <message>
+        <source>REPM: surface models from satellite images ({version})</source>
+        <translation>REPM: Oberflächenmodelle aus Satellitenbildern ({version})</translation>
+    </message>
+</context>
+<context>
+    <name>RepmSettings</name>
+    <message>
+        <source>Engine interpreter (empty: the plugin's .venv, else QGIS's Python)</source>
+        <translation>Interpreter der Engine (leer: .venv des Plugins, sonst Python von QGIS)</translation>
+    </message>
+    <message>
+        <source>Worker processes (0: one per core)</source>
+        <translation>Arbeitsprozesse (0: einer je Kern)</translation>
+    </message>
+</context>
+<context>
+    <name>SampleData</name>
+    <message>
+        <source>Make sample images</source>
+        <translation>Beispielbilder erzeugen</translation>
+    </message>
+    <message>
+        <source>Simulated tri-stereo images with RPCs of a surface that is known, to try and to measure.</source>
+        <translation>Simulierte Tri-Stereo-Bilder mit RPC von einer bekannten Oberfläche, zum Ausprobieren und zum Messen.</translation>
+    </message>
+    <message>
+        <source>Landscape</source>
+        <translation>Landschaft</translation>
+    </message>
+    <message>
+        <source>Size of the images (px)</source>
+        <translation>Größe der Bilder (px)</translation>
+    </message>
+    <message>
+        <source>Seed</source>
+        <translation>Startwert</translation>
+    </message>
+    <message>
+        <source>The same seed makes the same files.</source>
+        <translation>Derselbe Startwert erzeugt dieselben Dateien.</translation>
+    </message>
+    <message>
+        <source>Folder</source>
+        <translation>Ordner</translation>
+    </message>
+    <message>
+        <source>Images</source>
+        <translation>Bilder</translation>
+    </message>
+    <message>
+        <source>True DSM</source>
+        <translation>Wahres DOM</translation>
+    </message>
+    <message>
+        <source>Ground control points</source>
+        <translation>Passpunkte</translation>
+    </message>
+</context>
+</TS>

@@ -1,0 +1,192 @@
+"""Ground control points: reading them, and finding where images say they are."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+from osgeo import gdal, ogr
+
+from ..errors import InputTableError
+from ..geometry.frames import EnuFrame
+from ..scene import View
+
+FloatArray = NDArray[np.float64]
+
+ROLES = ("control", "check")
+FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
+_MOST_BYTES = 64 << 20
+_MOST_ROWS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Gcp:
+    """A point of known place: longitude, latitude (degrees), height (m above the ellipsoid), and its (2,) pixels.
+
+    ``pixels`` go by the view's name and may be empty: such a point can check a DSM's height only. ``role`` is
+    control (the adjustment uses it) or check (it only tells how good the result is).
+    """
+
+    id: str
+    lon: float
+    lat: float
+    height: float
+    role: str
+    pixels: Dict[str, FloatArray]
+
+    @property
+    def lon_lat_h(self) -> FloatArray:
+        return np.array([self.lon, self.lat, self.height])
+
+
+def read_gcps(path: str, views: Sequence[View], vertical_crs: Optional[str] = None) -> List[Gcp]:
+    """Read points from a CSV or any point layer that OGR opens, one row an observation.
+
+    Fields ``id, lon, lat, height, view, col, row, role``: ``view`` is the image's file name (with or without its
+    extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
+    A layer may have its place in its geometry instead of lon and lat. ``vertical_crs`` is what heights refer to (any
+    PROJ name, EPSG:3855 for EGM2008, say); None means the WGS 84 ellipsoid.
+
+    Raises InputTableError with the file, the row and the value that is wrong.
+    """
+    rows = _csv_rows(path) if Path(path).suffix.lower() in (".csv", ".txt") else _layer_rows(path)
+    points: Dict[str, Gcp] = {}
+    names = {alias: view.name for view in views for alias in (view.name, Path(view.image).name, Path(view.image).stem)}
+    for line, row in rows:
+        gcp = _point(path, line, row)
+        known = points.setdefault(gcp.id, gcp)
+        if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
+            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an earlier "
+                                  "row; give each point one place and one role.")
+        view = str(row.get("view") or "").strip()
+        if not view:
+            continue
+        if view not in names:
+            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of the "
+                                  f"images ({', '.join(v.name for v in views)}); use the images' file names.")
+        known.pixels[names[view]] = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
+    if not points:
+        raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
+    return _ellipsoidal(list(points.values()), vertical_crs, path)
+
+
+def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
+    identity = str(row.get("id") or "").strip()
+    if not identity:
+        raise InputTableError(f"'{path}', row {line}: the field 'id' is empty; name every point.")
+    role = str(row.get("role") or "control").strip().lower()
+    if role not in ROLES:
+        raise InputTableError(f"'{path}', row {line}: the role of point '{identity}' is '{role}'; it must be control or "
+                              "check.")
+    lon, lat, height = (_number(path, line, row, name) for name in ("lon", "lat", "height"))
+    if not (-360 <= lon <= 360 and -90 <= lat <= 90 and -12000 < height < 10000):
+        raise InputTableError(f"'{path}', row {line}: point '{identity}' lies at longitude {lon:g}, latitude {lat:g}, "
+                              f"height {height:g} m; give degrees (WGS 84) and metres.")
+    return Gcp(identity, lon, lat, height, role, {})
+
+
+def _number(path: str, line: int, row: Mapping[str, Any], name: str) -> float:
+    value = row.get(name)
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputTableError(f"'{path}', row {line}: the field '{name}' is {value!r}, which is no number.")
+    return number
+
+
+def _csv_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+    try:
+        if Path(path).stat().st_size > _MOST_BYTES:
+            raise InputTableError(f"'{path}' is larger than {_MOST_BYTES >> 20} MiB: that is no list of points.")
+        with open(path, encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            fields = [str(name).strip().lower() for name in reader.fieldnames or ()]
+            _check_fields(path, fields)
+            reader.fieldnames = fields
+            yield from enumerate(reader, start=2)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputTableError(f"Cannot read the points of '{path}' ({error}): give a CSV file in UTF-8.") from error
+
+
+def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) -> None:
+    needed = [name for name in ("id", "lon", "lat", "height") if not (with_place and name in ("lon", "lat"))]
+    missing = [name for name in needed if name not in fields]
+    if missing:
+        raise InputTableError(f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a table "
+                              f"of points needs {', '.join(FIELDS)}.")
+
+
+def _layer_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        source = gdal.OpenEx(path, gdal.OF_VECTOR)
+    except RuntimeError:
+        source = None
+    finally:
+        gdal.PopErrorHandler()
+    if source is None or source.GetLayerCount() < 1:
+        raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
+    layer = source.GetLayer(0)
+    fields = [layer.GetLayerDefn().GetFieldDefn(i).GetName() for i in range(layer.GetLayerDefn().GetFieldCount())]
+    lower = [name.lower() for name in fields]
+    placed = ogr.GT_Flatten(layer.GetGeomType()) == ogr.wkbPoint
+    _check_fields(path, lower, placed)
+    reference = layer.GetSpatialRef()
+    transform = pyproj.Transformer.from_crs(reference.ExportToWkt(), "EPSG:4326", always_xy=True) if reference else None
+    for line, feature in enumerate(layer, start=1):
+        if line > _MOST_ROWS:
+            raise InputTableError(f"'{path}' has more than {_MOST_ROWS} rows: that is no list of points.")
+        row = {name: feature.GetField(index) for index, name in enumerate(lower)}
+        geometry = feature.GetGeometryRef()
+        if geometry is not None and placed and ("lon" not in row or "lat" not in row):
+            x, y = geometry.GetX(), geometry.GetY()
+            row["lon"], row["lat"] = transform.transform(x, y) if transform else (x, y)
+        yield line, row
+
+
+def _ellipsoidal(gcps: List[Gcp], vertical_crs: Optional[str], path: str) -> List[Gcp]:
+    """The points with heights above the ellipsoid; raises InputTableError where PROJ lacks the grid."""
+    if not vertical_crs:
+        return gcps
+    try:
+        source = pyproj.crs.CompoundCRS("points", ["EPSG:4326", vertical_crs])
+        shift = pyproj.Transformer.from_crs(source, "EPSG:4979", always_xy=True, allow_ballpark=False)
+        heights = [float(shift.transform(g.lon, g.lat, g.height)[2]) for g in gcps]
+    except pyproj.exceptions.ProjError as error:
+        raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {vertical_crs} to the ellipsoid ({error}): "
+                              "install its grid (the Environment report names it).") from error
+    if not np.isfinite(heights).all():
+        raise InputTableError(f"PROJ has no grid for {vertical_crs} at the points of '{path}': install it (the Environment "
+                              "report names it).")
+    return [replace(gcp, height=height) for gcp, height in zip(gcps, heights)]
+
+
+def intersect(gcp: Gcp, views: Sequence[View]) -> Optional[FloatArray]:
+    """(3,) east, north, up in metres from a point's true place to where its images (pointing included) put it.
+
+    None where fewer than two views see it.
+    """
+    seen = [view for view in views if view.name in gcp.pixels]
+    if len(seen) < 2:
+        return None
+    frame = EnuFrame(gcp.lon, gcp.lat, gcp.height)
+    place = np.zeros(3)
+    for _ in range(6):
+        ground = frame.to_geodetic(place)
+        moved = [frame.to_geodetic(place + delta) for delta in np.eye(3)]
+        base = [view.project(ground) for view in seen]
+        residual = np.concatenate([gcp.pixels[v.name] - b for v, b in zip(seen, base)])
+        jacobian = np.concatenate([np.stack([v.project(m) - b for m in moved], axis=-1) for v, b in zip(seen, base)])
+        step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+        place = place + step
+        if np.abs(step).max() < 1e-4:
+            break
+    return place

@@ -1,0 +1,113 @@
+#!/usr/bin/env python3
+"""Make docs/pictures again ('make pictures'): nothing there is drawn by hand.
+
+Takes the demo's results ('make demo' makes them first), the report as Chromium shows it, screenshots of the desktop
+tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair. What cannot be made here is
+said and left as it is.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+
+from osgeo import gdal
+
+ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+FOLDER = os.path.join(ROOT, "docs", "pictures")
+DEMO = os.path.join(ROOT, "demo")
+PAIR = os.path.join(os.path.dirname(ROOT), "shared", "data", "pleiades_pair")
+SHOWN = {"pipeline_toolbox.png": "toolbox.png", "pipeline_dialog.png": "dialog.png", "pipeline_log.png": "log.png",
+         "pipeline_map.png": "map.png", "errormap_map.png": "error_map.png"}
+MAX_BYTES = 390_000
+sys.path.insert(0, ROOT)
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+def keep(path: str, name: str) -> None:
+    """Put a picture into docs/pictures, with 256 colours where it would be too large otherwise."""
+    target = os.path.join(FOLDER, name)
+    if os.path.getsize(path) > MAX_BYTES:
+        source = gdal.Open(path)
+        bands = [source.GetRasterBand(i) for i in (1, 2, 3)]
+        colours = gdal.ColorTable()
+        gdal.ComputeMedianCutPCT(*bands, 256, colours)
+        few = gdal.GetDriverByName("MEM").Create("", source.RasterXSize, source.RasterYSize, 1)
+        gdal.DitherRGB2PCT(*bands, few.GetRasterBand(1), colours)
+        few.GetRasterBand(1).SetColorTable(colours)
+        gdal.GetDriverByName("PNG").CreateCopy(target, few, options=["ZLEVEL=9"])
+        bands = few = source = None
+        if os.path.exists(target + ".aux.xml"):
+            os.unlink(target + ".aux.xml")
+    else:
+        shutil.copyfile(path, target)
+    say(f"  {name:<18}{os.path.getsize(target) / 1000:6.0f} kB")
+
+
+def shaded(dsm: str, name: str, size: int, folder: str) -> None:
+    """A shaded DSM on white."""
+    from repm_qgis.evaluation import pictures
+
+    heights, cell = pictures.preview(dsm, size)
+    relief = pictures.shaded_relief(heights, cell)
+    relief[relief[..., 3] == 0] = 255
+    path = os.path.join(folder, name)
+    pictures.write_png(relief[..., :3].copy(), path)
+    keep(path, name)
+
+
+def real_pair(folder: str) -> None:
+    if not os.path.isdir(PAIR):
+        say(f"  pleiades_dsm.png is left as it is: no {PAIR}")
+        return
+    dsm = os.path.join(folder, "dsm.tif")
+    subprocess.run([os.path.join(ROOT, "scripts", "qgis-headless"), "run", "repm:pipeline", "--",
+                    f"IMAGES={PAIR}/img_01.tif", f"IMAGES={PAIR}/img_02.tif", "RESOLUTION=0.5", f"OUTPUT={dsm}",
+                    f"WORKSPACE={folder}/w"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    shaded(dsm, "pleiades_dsm.png", 640, folder)
+
+
+def report(folder: str) -> None:
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if not browser:
+        say("  report.png is left as it is: no Chromium here")
+        return
+    path, page = os.path.join(folder, "report.png"), os.path.join(folder, "report.html")
+    with open(os.path.join(DEMO, "report.html"), encoding="utf-8") as source, open(page, "w", encoding="utf-8") as copy:
+        copy.write(source.read().replace(DEMO + os.sep, ""))  # the picture is to show no folder of this machine
+    subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+                    "--disable-component-update", "--disable-sync", "--no-first-run", "--hide-scrollbars",
+                    f"--user-data-dir={folder}/browser", "--window-size=1000,1500", f"--screenshot={path}",
+                    f"file://{page}"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    keep(path, "report.png")
+
+
+def desktop(folder: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "pytest", "-p", "no:pytest_qgis", "-q", "tests/qgis/test_desktop.py"],
+                          cwd=ROOT, env={**os.environ, "REPM_KEEP_PICTURES": folder}, stdout=subprocess.PIPE, text=True,
+                          check=False)
+    if done.returncode:
+        say(f"  the desktop's pictures are left as they are: {done.stdout.splitlines()[-1]}")
+        return
+    for source, name in SHOWN.items():
+        keep(os.path.join(folder, source), name)
+
+
+def main() -> int:
+    os.makedirs(FOLDER, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        shaded(os.path.join(DEMO, "dsm.tif"), "demo_dsm.png", 640, folder)
+        report(folder)
+        desktop(folder)
+        real_pair(folder)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,264 @@
+"""Bad input gets one clear sentence that names file, value and remedy, and leaves nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+from repm_qgis.errors import (
+    EmptyResultError,
+    ImageError,
+    OptionError,
+    OverlapError,
+    RepmError,
+    RpcInvalidError,
+    RpcMissingError,
+    SceneError,
+    SceneVersionError,
+    WorkspaceError,
+)
+from repm_qgis.simulation.scene import rpc_tags
+from repm_qgis.stages import run_stage
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class Bench:
+    """A workspace and a pipeline that is expected to fail in it."""
+
+    def __init__(self, folder, urban, write_image, told):
+        self.folder, self.urban, self._write, self._told = folder, urban, write_image, told
+        self.workspace, self.output = str(folder / "ws"), str(folder / "dsm.tif")
+
+    def image(self, name, index=1, change=None, rpc=None, tags=None, nodata=None):
+        """A changed copy of one of the town's images."""
+        dataset = gdal.Open(self.urban.images[index])
+        pixels = dataset.ReadAsArray()
+        dataset = None
+        pixels = pixels if change is None else change(pixels)
+        return self._write(self.folder / name, pixels, rpc or self.urban.views[index].rpc, tags, nodata)
+
+    def fails(self, kind, stage="pipeline", **options):
+        """The sentence of the one error that the stage raises."""
+        defaults = {"images": self.urban.images[:2], "workspace": self.workspace, "output": self.output}
+        wanted = {**defaults, **options} if stage == "pipeline" else options
+        said = self._told()
+        with pytest.raises(RepmError) as caught:
+            run_stage(stage, wanted, said)
+        assert type(caught.value) is kind, caught.value
+        text = str(caught.value)
+        assert "\n" not in text and text.endswith(".") and 30 < len(text) < 900
+        assert not os.path.exists(self.output)
+        assert not [path for path in self.folder.rglob("*") if ".part" in path.name]
+        return text
+
+
+@pytest.fixture
+def bench(tmp_path, urban, write_image, told):
+    return Bench(tmp_path, urban, write_image, told)
+
+
+def test_an_image_without_rpc(bench, tmp_path, write_image):
+    path = write_image(tmp_path / "plain.tif", np.ones((200, 200), np.uint16))
+    text = bench.fails(RpcMissingError, images=[bench.urban.images[0], path])
+    for words in (path, "Looked in", ".RPB", "_RPC.TXT", "Put the vendor's RPC file beside the image"):
+        assert words in text
+    assert not os.path.exists(os.path.join(bench.workspace, "scene.json"))
+
+
+def test_a_projected_product(bench, tmp_path, write_image):
+    path = write_image(tmp_path / "ortho.tif", np.ones((200, 200), np.uint16), crs="EPSG:32631")
+    text = bench.fails(RpcMissingError, images=[bench.urban.images[0], path])
+    assert path in text and "already projected" in text and "order the Basic, Sensor or Primary level" in text
+
+
+def test_one_image_only(bench):
+    text = bench.fails(OptionError, images=bench.urban.images[:1])
+    assert "IMAGES" in text and "img_01.tif" in text and "at least two images" in text
+    assert "must not name the same image twice" in bench.fails(OptionError, images=[bench.urban.images[0]] * 2)
+    assert not os.path.exists(bench.workspace)
+
+
+def test_one_image_twice_under_two_names(bench):
+    other = bench.image("copy.tif", 0)
+    text = bench.fails(EmptyResultError, images=[bench.urban.images[0], other])
+    assert "0.0 degrees" in text and "choose images" in text
+
+
+def test_images_that_do_not_overlap(bench):
+    rpc = bench.urban.views[1].rpc
+    away = rpc.__class__(**{**rpc.to_mapping(), "lon_off": rpc.lon_off + 0.5})
+    text = bench.fails(OverlapError, images=[bench.urban.images[0], bench.image("away.tif", rpc=away)])
+    for words in ("do not overlap", "img_01", "away", f"{away.lon_off:.4f}", "Choose images of one place"):
+        assert words in text
+
+
+def test_an_extent_outside(bench):
+    text = bench.fails(OverlapError, extent=[10.0, 50.0, 10.1, 50.1])
+    assert "EXTENT" in text and "lies outside" in text and "Draw it there, or leave it empty" in text
+    assert "EPSG:4326" in text and "x 1.43" in text and "y 43.59" in text  # where it should lie, in its own CRS
+
+
+@pytest.mark.parametrize("extent, words", (
+    ([1.0, 43.0, 1.0, 44.0], "xmin < xmax"), ([1.0, 43.0, 1.1], "four finite numbers"),
+    ([float("nan"), 43.0, 1.1, 44.0], "four finite numbers")))
+def test_extents_that_are_none(bench, extent, words):
+    assert words in bench.fails(OptionError, extent=extent)
+
+
+def test_an_extent_in_an_absurd_crs(bench):
+    text = bench.fails(OptionError, extent=[1.0, 43.0, 1.1, 44.0], extent_crs="EPSG:nonsense")
+    assert "EXTENT" in text
+
+
+def test_a_truncated_image(bench):
+    path = bench.image("cut.tif")
+    whole = Path(path).read_bytes()
+    Path(path).write_bytes(whole[:len(whole) // 2])
+    text = bench.fails(ImageError, images=[bench.urban.images[0], path])
+    assert path in text and ("cut short" in text or "Cannot open" in text) and "again" in text
+
+
+def test_a_nodata_only_image(bench):
+    path = bench.image("empty.tif", change=lambda p: p * 0, nodata=0)
+    text = bench.fails(ImageError, images=[bench.urban.images[0], path])
+    assert path in text and "only nodata" in text and "choose another image" in text
+
+
+def test_a_constant_image(bench):
+    path = bench.image("flat.tif", change=lambda p: p * 0 + 321)
+    text = bench.fails(ImageError, images=[bench.urban.images[0], path])
+    assert path in text and "321" in text and "nothing to match" in text
+
+
+def test_images_of_different_places_under_one_rpc(bench):
+    """RPCs that say overlap, and images that share nothing: counts of tie points, no DSM of noise."""
+    numbers = np.random.default_rng(0)
+    path = bench.image("noise.tif", change=lambda p: numbers.integers(100, 900, p.shape).astype(np.uint16))
+    text = bench.fails(EmptyResultError, images=[bench.urban.images[0], path])
+    assert "tie points" in text and re.search(r"only \d+ tie points", text) and "noise" in text
+
+
+@pytest.mark.parametrize("key, value, words", (
+    ("LINE_SCALE", "0", "scale"), ("LAT_OFF", "nan", "nan"), ("SAMP_NUM_COEFF", " ".join(["nan"] * 20), "finite"),
+    ("HEIGHT_SCALE", "0", "scale")))
+def test_rpcs_that_cannot_be(bench, key, value, words):
+    tags = {**rpc_tags(bench.urban.views[1].rpc), key: value}
+    path = bench.image("bad.tif", tags=tags)
+    text = bench.fails(RpcInvalidError, images=[bench.urban.images[0], path])
+    assert path in text and words in text and "Get the file again" in text
+
+
+def test_an_unwritable_workspace(bench, tmp_path):
+    (tmp_path / "file").write_text("")
+    for workspace in (str(tmp_path / "file" / "ws"), "/proc/nowhere/ws"):
+        text = bench.fails(WorkspaceError, workspace=workspace)
+        assert workspace in text and "choose another" in text
+
+
+def test_an_unwritable_output(bench, tmp_path):
+    (tmp_path / "file").write_text("")
+    output = str(tmp_path / "file" / "dsm.tif")
+    text = bench.fails(WorkspaceError, output=output)
+    assert str(tmp_path / "file") in text
+
+
+def test_a_scene_of_a_newer_schema(bench, tmp_path):
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps({"format": "repm-scene", "schema": 99}))
+    other = str(tmp_path / "other.json")
+    for stage, options in (("refine", {"output_scene": other}), ("reconstruct", {"output_scene": other}),
+                           ("dsmfuse", {"output": bench.output}), ("errormap", {"output": bench.output})):
+        text = bench.fails(SceneVersionError, stage, scene=str(path), **options)
+        assert str(path) in text and "schema 99" in text and "update the plugin" in text
+    assert sorted(os.listdir(tmp_path)) == ["scene.json"]
+
+
+def test_a_workspace_with_a_scene_of_a_newer_schema_is_not_overwritten(bench):
+    os.makedirs(bench.workspace)
+    path = Path(bench.workspace) / "scene.json"
+    path.write_text(json.dumps({"format": "repm-scene", "schema": 99}))
+    assert "schema 99" in bench.fails(SceneVersionError)
+    assert json.loads(path.read_text())["schema"] == 99
+
+
+def test_stages_in_the_wrong_order(bench, urban, told):
+    fitted = run_stage("epmfit", {"images": urban.images[:2], "workspace": bench.workspace, "altitude_min": 150.0,
+                                  "altitude_max": 260.0}, told())["scene"]
+    text = bench.fails(SceneError, "dsmfuse", scene=fitted, output=bench.output)
+    assert fitted in text and "no height maps" in text
+    text = bench.fails(SceneError, "errormap", scene=fitted, output=bench.output, view="nadir")
+    assert "nadir" in text and "img_01, img_02" in text
+    text = bench.fails(OptionError, "errormap", scene=fitted, output=bench.output, altitude=5000.0)
+    assert "ALTITUDE is 5000.0" in text and "150 to 260 m" in text
+
+
+@pytest.mark.parametrize("cloud", ("points.ply", "points", "points.laz.gz"))
+def test_a_cloud_of_another_format_is_refused_before_the_work(bench, tmp_path, cloud):
+    text = bench.fails(OptionError, cloud=str(tmp_path / cloud))
+    assert "CLOUD" in text and cloud in text and ".laz or .las" in text
+    assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
+
+
+@pytest.mark.parametrize("crs, words", (
+    ("EPSG:nonsense", "not a coordinate reference system that PROJ knows"), ("EPSG:4326", "projected"),
+    ("EPSG:2263", "metres"), ("EPSG:32631+5773", "vertical"), ("EPSG:3031", "such as EPSG:32631"),
+    ("+proj=ortho +lat_0=-43 +lon_0=-178 +datum=WGS84 +units=m", "such as EPSG:32631"),
+    ("+proj=laea +lat_0=-43.6 +lon_0=-178.56 +datum=WGS84", "such as EPSG:32631")))
+def test_absurd_crss(bench, crs, words):
+    """Unknown, geographic, in feet, with a vertical part, or of another part of the world."""
+    text = bench.fails(OptionError, crs=crs)
+    assert "CRS" in text and words in text
+    assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
+
+
+@pytest.mark.parametrize("options, words", (
+    ({"altitude_min": 300.0, "altitude_max": 200.0}, "must be below ALTITUDE_MAX"), ({"resolution": -1.0}, "RESOLUTION"),
+    ({"tile_size": 10}, "TILE_SIZE"), ({"model": "spline"}, "MODEL"), ({"backend": "magic"}, "BACKEND"),
+    ({"method": "mode"}, "METHOD"), ({"outlier_radius": float("nan")}, "OUTLIER_RADIUS"), ({"workers": -1}, "WORKERS"),
+    ({"colour": "red"}, "not an option of this stage"), ({"workspace": ""}, "WORKSPACE"), ({"output": ""}, "OUTPUT"),
+    ({"error_budget": 0}, "ERROR_BUDGET")))
+def test_options_out_of_bounds(bench, options, words):
+    assert words in bench.fails(OptionError, **options)
+    assert not os.path.exists(bench.workspace)
+
+
+def test_altitudes_where_nothing_is(bench):
+    """Far above the town: matching finds nothing, and says so with numbers."""
+    with pytest.raises(RepmError) as caught:
+        run_stage("pipeline", {"images": bench.urban.images[:2], "workspace": bench.workspace, "output": bench.output,
+                               "altitude_min": 1500.0, "altitude_max": 1600.0}, bench._told())
+    assert isinstance(caught.value, (EmptyResultError, OverlapError)) and re.search(r"\d", str(caught.value))
+    assert not os.path.exists(bench.output)
+
+
+def test_a_dem_that_does_not_cover(bench, mountains):
+    text = bench.fails(OverlapError, dem=mountains.truth)
+    assert mountains.truth in text and "leave DEM empty" in text
+
+
+@pytest.mark.parametrize("package, stage", (("cv2", "reconstruct"), ("pyproj", "epmfit")))
+def test_a_missing_wheel(tmp_path, urban, told, package, stage):
+    """The engine's command line with an import that is blocked: code 1, the package, and the command."""
+    options = {"images": urban.images[:2], "workspace": str(tmp_path / "ws")}
+    if stage == "reconstruct":
+        fitted = run_stage("epmfit", {**options, "altitude_min": 150.0, "altitude_max": 260.0}, told())["scene"]
+        options = {"scene": fitted, "output_scene": str(tmp_path / "out.json")}
+    (tmp_path / "job.json").write_text(json.dumps(options))
+    code = (f"import sys; sys.modules[{package!r}] = None; "
+            "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))")
+    done = subprocess.run([sys.executable, "-c", code, stage, str(tmp_path / "job.json")], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stdout + done.stderr
+    last = json.loads(done.stdout.splitlines()[-1])
+    assert (last["type"], last["kind"]) == ("error", "MissingPackageError")
+    assert package in last["text"] and re.search("(make |scripts/)setup", last["text"])
+    assert not (tmp_path / "out.json").exists()

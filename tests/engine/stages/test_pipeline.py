@@ -1,0 +1,243 @@
+"""The whole way on simulated scenes, against their true surface; and the same result by every other way."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import laspy
+import numpy as np
+import pytest
+from osgeo import gdal, ogr
+
+from repm_qgis.geometry.frames import projected_from_geodetic
+from repm_qgis.scene import Scene
+from repm_qgis.stages import run_stage
+
+
+def bands(path):
+    """(bands, rows, columns) with NaN for nodata, and the geotransform."""
+    dataset = gdal.Open(path)
+    values = dataset.ReadAsArray().astype(np.float64).reshape(dataset.RasterCount, dataset.RasterYSize, -1)
+    nodata, transform = dataset.GetRasterBand(1).GetNoDataValue(), dataset.GetGeoTransform()
+    dataset = None
+    values[values == nodata] = np.nan
+    return values, transform
+
+
+def compared(path, truth, told):
+    return run_stage("comparedsm", {"dsm": path, "reference": truth, "align": "3d"}, told())
+
+
+@pytest.mark.parametrize("kind, nmad, within_1, within_5, valid", (
+    # Measured: urban 0.42 m, 76.6 %, 87.8 %, 98.1 %; mountains (1 m px) 0.80 m, 77.5 %, 99.7 %, 99.97 %.
+    ("urban", 0.50, 73.0, 85.0, 95.0), ("mountains", 0.92, 72.0, 99.0, 99.0)))
+def test_accuracy_against_the_true_surface(request, told, capsys, kind, nmad, within_1, within_5, valid):
+    run = request.getfixturevalue(f"{kind}_run")
+    found = compared(run.result["output"], run.scene.truth, told)
+    share = found["completeness_by_threshold"]
+    with capsys.disabled():
+        print(f"\n{kind}: NMAD {found['nmad']:.3f} m, within 1 m {share['1']:.1f} %, 5 m {share['5']:.1f} %, valid "
+              f"{found['valid']:.2f} %, moved by {found['dx']:.2f}, {found['dy']:.2f}, {found['dz']:.2f} m")
+    assert found["nmad"] < nmad and share["1"] > within_1 and share["5"] > within_5 and found["valid"] > valid
+    # What alignment took out is the pointing error that all views share: a few px.
+    assert np.hypot(found["dx"], found["dy"]) < 4 and abs(found["dz"]) < 8
+
+
+def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
+    """Along the borders of the four tiles heights are as good as anywhere."""
+    (height,), transform = bands(urban_run.result["output"])
+    scene = Scene.load(urban_run.result["scene"])
+    assert len(scene.tiles) >= 4
+    found = compared(urban_run.result["output"], urban.truth, told)
+    west, cell, _, north, _, _ = transform
+    truth_west, truth_cell, _, truth_north, _, _ = urban.transform
+    rows, cols = np.indices(height.shape)
+    x = west + (cols + 0.5) * cell + found["dx"]
+    y = north - (rows + 0.5) * cell + found["dy"]
+    tc, tr = ((x - truth_west) / truth_cell).astype(int), ((truth_north - y) / truth_cell).astype(int)
+    inside = (tc >= 0) & (tr >= 0) & (tc < urban.surface.shape[1]) & (tr < urban.surface.shape[0])
+    error = np.where(inside, height + found["dz"] - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)], np.nan)
+    near = np.zeros(height.shape, bool)
+    for tile in scene.tiles:
+        for edge in (tile.bounds[0], tile.bounds[2]):
+            near |= np.abs(x - found["dx"] - edge) < 2.5
+        for edge in (tile.bounds[1], tile.bounds[3]):
+            near |= np.abs(y - found["dy"] - edge) < 2.5
+    near &= inside
+    assert near.sum() > 500
+    good = [(np.abs(error[part]) < 1).mean() for part in (near, inside & ~near)]
+    assert good[0] > good[1] - 0.1
+    assert np.isfinite(error[near]).mean() > np.isfinite(error[inside & ~near]).mean() - 0.05
+
+
+def test_products_lie_on_each_other(urban_run):
+    result = urban_run.result
+    (height,), transform = bands(result["output"])
+    (count, spread, score), other = bands(result["confidence"])
+    (ortho,), third = bands(result["ortho"])
+    assert transform == other == third and height.shape == count.shape == ortho.shape
+    known = np.isfinite(height)
+    assert (np.isfinite(count) == known).all() and set(np.unique(count[known])) <= {1.0, 2.0, 3.0}
+    assert np.isfinite(spread[known & (count > 1)]).all() and np.isnan(spread[count == 1]).all()
+    assert np.nanmin(score) >= 0 and np.nanmax(score) <= 1
+    assert np.isfinite(ortho[known]).mean() > 0.95 and np.isnan(ortho[~known]).all()
+    assert result["valid"] == known.sum()
+    assert not [name for name in os.listdir(os.path.dirname(result["output"])) if ".part" in name]
+
+
+def test_the_dsm_says_what_it_is(urban_run, urban):
+    dataset = gdal.Open(urban_run.result["output"])
+    assert dataset.GetSpatialRef().GetAuthorityCode(None) == urban.crs.split(":")[1]
+    assert "ellipsoid" in dataset.GetRasterBand(1).GetDescription() and dataset.GetRasterBand(1).GetUnitType() == "m"
+    assert "ellipsoid" in dataset.GetMetadataItem("VERTICAL_DATUM") and dataset.GetMetadataItem("REPM_ENGINE")
+    assert dataset.GetGeoTransform()[0] % 0.5 == 0 and dataset.GetGeoTransform()[1] == 0.5
+    dataset = None
+
+
+def test_the_cloud_lies_on_the_dsm(urban_run):
+    (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
+    with laspy.open(urban_run.result["cloud"]) as reader:
+        points = reader.read()
+    assert len(points.x) == urban_run.result["points"] > 50000
+    cols = np.floor((np.asarray(points.x) - west) / cell).astype(int)
+    rows = np.floor((north - np.asarray(points.y)) / cell).astype(int)
+    inside = (cols >= 0) & (rows >= 0) & (cols < height.shape[1]) & (rows < height.shape[0])
+    assert inside.mean() > 0.99
+    difference = np.asarray(points.z)[inside] - height[rows[inside], cols[inside]]
+    assert np.isfinite(difference).mean() > 0.99
+    assert abs(np.nanmedian(difference)) < 0.1 and np.nanpercentile(np.abs(difference), 99) < 5
+
+
+def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban):
+    """Each cell's brightness is that of the nearest pixel of one of the views that see it there."""
+    (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
+    (ortho,), _ = bands(urban_run.result["ortho"])
+    scene = Scene.load(urban_run.result["scene"])
+    rows, cols = np.nonzero(np.isfinite(ortho))
+    pick = np.random.default_rng(0).permutation(len(rows))[:3000]
+    rows, cols = rows[pick], cols[pick]
+    from repm_qgis.geometry.frames import geodetic_from_projected
+
+    lon_lat = geodetic_from_projected(urban.crs, np.column_stack([west + (cols + 0.5) * cell, north - (rows + 0.5) * cell]))
+    ground = np.column_stack([lon_lat, height[rows, cols]])
+    best = np.full(len(rows), np.inf)
+    for view in scene.views:
+        dataset = gdal.Open(view.image)
+        image = dataset.ReadAsArray().astype(float)
+        dataset = None
+        pixel = view.project(ground)
+        c, r = np.rint(pixel).astype(int).T
+        inside = (c >= 1) & (r >= 1) & (c < 399) & (r < 399)
+        around = np.stack([image[np.clip(r + dr, 0, 399), np.clip(c + dc, 0, 399)] for dr in (-1, 0, 1) for dc in (-1, 0, 1)])
+        value = ortho[rows, cols]
+        off = np.maximum(np.maximum(around.min(axis=0) - value, value - around.max(axis=0)), 0)
+        best = np.minimum(best, np.where(inside, off, np.inf))
+    assert (best < 1.0).mean() > 0.97
+
+
+def test_layers_and_numbers(urban_run):
+    result = urban_run.result
+    source = ogr.Open(result["tie_points"])
+    assert source.GetLayer(0).GetFeatureCount() == result["n_tie_points"] > 500
+    heights = [feature["height"] for feature in source.GetLayer(0)]
+    residuals = [feature["residual"] for feature in source.GetLayer(0)]
+    source = None
+    low, high = urban_run.scene.height_range
+    assert low - 8 < np.percentile(heights, 1) and np.percentile(heights, 99) < high + 8
+    assert np.median(residuals) < 0.25
+    source = ogr.Open(result["tiles"])
+    layer = source.GetLayer(0)
+    assert layer.GetFeatureCount() >= 4
+    assert max(feature["worst_max"] for feature in layer) == pytest.approx(result["max_error"], rel=1e-6)
+    layer = source = None
+    assert result["rmse"] <= result["max_error"] < 5
+    assert os.path.getsize(result["report"]) > 2000 and set(result["seconds"]) == {"epmfit", "refine", "reconstruct", "dsmfuse"}
+    assert json.dumps(result, allow_nan=False)
+
+
+def test_progress_rises_to_the_end_and_names_what_it_does(urban_run):
+    fractions = urban_run.said.fractions
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0 and len(fractions) > 12
+    assert urban_run.said.checks > 10
+
+
+def test_ties_are_where_the_true_surface_is(mountains_run):
+    """Heights of tie points against the true DSM, but for the shift that all views share."""
+    scene = mountains_run.scene
+    source = ogr.Open(mountains_run.result["tie_points"])
+    ties = np.array([[f.geometry().GetX(), f.geometry().GetY(), f["height"]] for f in source.GetLayer(0)])
+    source = None
+    x, cell, _, y, _, _ = scene.transform
+    cols, rows = ((ties[:, 0] - x) / cell).astype(int), ((y - ties[:, 1]) / cell).astype(int)
+    inside = (cols > 0) & (rows > 0) & (cols < scene.surface.shape[1]) & (rows < scene.surface.shape[0])
+    error = ties[inside, 2] - scene.surface[rows[inside], cols[inside]]
+    assert inside.sum() > 800 and 1.4826 * np.median(np.abs(error - np.median(error))) < 1.7
+
+
+def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):
+    fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path), "tile_size": 256}, told())
+    refined = run_stage("refine", {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"),
+                                   "write_images": False}, told())
+    done = run_stage("reconstruct", {"scene": refined["output_scene"], "output_scene": str(tmp_path / "done.json"),
+                                     "workers": 1}, told())
+    fused = run_stage("dsmfuse", {"scene": done["output_scene"], "output": str(tmp_path / "dsm.tif"),
+                                  "resolution": 0.5, "workers": 1}, told())
+    ours, theirs = bands(fused["output"]), bands(urban_run.result["output"])
+    assert ours[1] == theirs[1]
+    np.testing.assert_array_equal(ours[0], theirs[0])
+
+
+def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
+    result = run_stage("pipeline", {**urban_run.options, "workspace": str(tmp_path / "ws"), "workers": 2,
+                                    **{name: str(tmp_path / f"{name}{end}") for name, end in (
+                                        ("output", ".tif"), ("confidence", ".tif"), ("ortho", "_o.tif"),
+                                        ("cloud", ".laz"))}}, told())
+    for name in ("output", "confidence", "ortho"):
+        ours, theirs = bands(result[name]), bands(urban_run.result[name])
+        assert ours[1] == theirs[1]
+        np.testing.assert_array_equal(ours[0], theirs[0])
+    a, b = (laspy.read(r["cloud"]) for r in (result, urban_run.result))
+    np.testing.assert_array_equal(a.xyz, b.xyz)
+
+
+def test_an_extent_cuts_the_dsm(urban, tmp_path, told):
+    x0, y0, x1, y1 = urban.bounds
+    extent = [np.floor(x0 + 40), np.floor(y0 + 40), np.floor(x0 + 100), np.floor(y0 + 90)]
+    result = run_stage("pipeline", {"images": urban.images[:2], "workspace": str(tmp_path / "ws"), "workers": 1,
+                                    "output": str(tmp_path / "dsm.tif"), "resolution": 0.5, "extent": extent,
+                                    "extent_crs": urban.crs}, told())
+    (height,), (west, cell, _, north, _, _) = bands(result["output"])
+    assert west >= extent[0] - 1 and north <= extent[3] + 1
+    assert west + height.shape[1] * cell <= extent[2] + 1 and north - height.shape[0] * cell >= extent[1] - 1
+    found = compared(result["output"], urban.truth, told)
+    assert found["nmad"] < 1.0
+
+
+@pytest.mark.parametrize("crs", ("EPSG:32630", "EPSG:2154"))
+def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_path, told, crs):
+    """Tiles are turned in another CRS, and their boxes overlap: no cell may be lost to a neighbour's empty corner."""
+    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"), "crs": crs,
+                                  "resolution": 0.5, "workers": 1}, told())
+    (height,), (west, cell, _, north, _, _) = bands(fused["output"])
+    (own,), (own_west, _, _, own_north, _, _) = bands(urban_run.result["output"])
+    from repm_qgis.geometry.frames import geodetic_from_projected
+
+    rows, cols = np.indices(own.shape)
+    xy = np.stack([own_west + (cols + 0.5) * cell, own_north - (rows + 0.5) * cell], axis=-1)
+    x, y = np.moveaxis(projected_from_geodetic(crs, geodetic_from_projected(urban.crs, xy)), -1, 0)
+    c, r = np.floor((x - west) / cell).astype(int), np.floor((north - y) / cell).astype(int)
+    inside = (c >= 0) & (r >= 0) & (c < height.shape[1]) & (r < height.shape[0])
+    other = np.where(inside, height[np.where(inside, r, 0), np.where(inside, c, 0)], np.nan)
+    known = np.isfinite(own)
+    lost = known & ~np.isfinite(other)
+    assert lost.sum() / known.sum() < 0.03
+    # Where cells of the own CRS are surely inside (all neighbours known), hardly one may be missing.
+    core = known.copy()
+    for axis in (0, 1):
+        for step in (-2, -1, 1, 2):
+            core &= np.roll(known, step, axis)
+    assert (lost & core).sum() / core.sum() < 0.005
+    assert np.nanmedian(np.abs(other - own)) < 0.15
+    # Cells within a millimetre of a border belong to both tiles.
+    assert fused["valid"] == pytest.approx(np.isfinite(height).sum(), abs=20)

@@ -1,0 +1,151 @@
+"""The scene on disk: there and back, and no to everything that is none."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from repm_qgis.errors import ImageError, RpcInvalidError, SceneError, SceneVersionError, WorkspaceError
+from repm_qgis.scene import SCHEMA, Scene, load_views, reusable
+from repm_qgis.stages import run_stage
+
+
+@pytest.fixture(scope="module")
+def fitted(urban, tmp_path_factory, told):
+    """The path of a scene with cameras and refinements."""
+    folder = tmp_path_factory.mktemp("fitted")
+    result = run_stage("epmfit", {"images": urban.images, "workspace": str(folder), "altitude_min": 150.0,
+                                  "altitude_max": 260.0}, told())
+    return run_stage("refine", {"scene": result["scene"], "output_scene": str(folder / "refined.json"),
+                                "write_images": False}, told())["output_scene"]
+
+
+def test_there_and_back_is_the_same_to_the_last_bit(fitted, tmp_path):
+    scene = Scene.load(fitted)
+    again = Scene.load(scene.save(str(tmp_path / "b.json")))
+    assert os.listdir(tmp_path) == ["b.json"]
+    first, second = (json.loads(open(path, encoding="utf-8").read()) for path in (fitted, str(tmp_path / "b.json")))
+    assert first == second
+    points = np.random.default_rng(0).uniform(-100, 100, (20, 3))
+    for old, new in zip(scene.tiles[0].views.values(), again.tiles[0].views.values()):
+        np.testing.assert_array_equal(old.camera.project(points), new.camera.project(points))
+        np.testing.assert_array_equal(old.refined.to_original.original_from_refined(points[:, :2]),
+                                      new.refined.to_original.original_from_refined(points[:, :2]))
+    assert again.views[0].rpc == scene.views[0].rpc and again.fingerprint == scene.fingerprint
+
+
+def test_what_a_scene_knows(fitted, urban):
+    scene = Scene.load(fitted)
+    assert [view.name for view in scene.views] == ["img_01", "img_02", "img_03"]
+    assert scene.view("img_02").size == (400, 400) and scene.altitudes == (150.0, 260.0)
+    assert scene.gsd_m == pytest.approx(0.5, rel=0.15) and scene.crs == urban.crs
+    assert [entry["stage"] for entry in scene.history] == ["epmfit", "refine"]
+    assert scene.facts("epmfit")["options"]["altitude_min"] == 150.0 and scene.facts("dsmfuse") == {}
+    with pytest.raises(SceneError) as caught:
+        scene.view("img_09")
+    assert "img_09" in str(caught.value) and "img_01, img_02, img_03" in str(caught.value)
+    scene.record("refine", "other", {}, 1.0)
+    assert [entry["fingerprint"] for entry in scene.history][1:] == ["other"]
+
+
+def test_pointing_moves_pixels_and_localise_undoes_it(fitted):
+    view = Scene.load(fitted).views[0]
+    moved = view.with_pointing(np.array([[1.0, 1e-4, 2.5], [-2e-4, 1.0, -1.5]]))
+    ground = view.rpc.localise(np.array([[10.0, 20.0], [300.0, 200.0]]), 200.0)
+    pixels = view.rpc.project(ground)
+    expected = pixels @ np.array([[1.0, -2e-4], [1e-4, 1.0]]) + [2.5, -1.5]
+    np.testing.assert_allclose(moved.project(ground), expected, atol=1e-9)
+    np.testing.assert_allclose(moved.localise(moved.project(ground), 200.0), ground, atol=1e-11)
+
+
+@pytest.mark.parametrize("change, words", (
+    (lambda d: d.pop("views"), "damaged"), (lambda d: d.pop("tiles"), "damaged"),
+    (lambda d: d["views"][0].pop("rpc"), "damaged"), (lambda d: d.update(tiles=5), "damaged"),
+    (lambda d: d["views"][0]["rpc"].update(row_scale=0), "row scale is 0"),
+    (lambda d: d["views"][0].update(width="wide"), "damaged"), (lambda d: d["views"][0].update(band=float("inf")), "damaged"),
+    (lambda d: d["tiles"][0].update(views=[1]), "damaged"), (lambda d: d.update(altitudes=None), "damaged"),
+    (lambda d: next(iter(d["tiles"][0]["views"].values())).update(window=[float("inf")] * 4), "damaged"),
+    (lambda d: next(iter(d["tiles"][0]["views"].values()))["refined"]["to_original"].update(kind="spline"), "spline"),
+    (lambda d: d.update(frame=[]), "damaged"), (lambda d: d.update(format="other"), "is not a REPM scene")))
+def test_damaged_scenes(fitted, tmp_path, change, words):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    change(document)
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(SceneError) as caught:
+        Scene.load(str(path))
+    assert str(path) in str(caught.value) and words in str(caught.value)
+    assert "Fit " in str(caught.value)  # the algorithm that makes a new one
+
+
+@pytest.mark.parametrize("text", ("", "{", "[1, 2]", "null", "3", '{"format": "repm-scene", "schema": ', "[" * 100000))
+def test_files_that_are_no_scene(tmp_path, text):
+    path = tmp_path / "scene.json"
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        Scene.load(str(path))
+    assert str(path) in str(caught.value)
+    assert reusable(str(path), "epmfit", "key") is None
+
+
+def test_other_files(tmp_path, urban):
+    for path in (str(tmp_path / "gone.json"), str(tmp_path), urban.images[0]):
+        with pytest.raises(SceneError) as caught:
+            Scene.load(path)
+        assert path in str(caught.value)
+    binary = tmp_path / "b.json"
+    binary.write_bytes(bytes(range(256)))
+    with pytest.raises(SceneError):
+        Scene.load(str(binary))
+
+
+def test_a_newer_schema_has_its_own_error_and_is_not_overwritten(fitted, tmp_path):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    path = tmp_path / "scene.json"
+    for schema in (SCHEMA + 1, 99):
+        document["schema"] = schema
+        path.write_text(json.dumps(document))
+        with pytest.raises(SceneVersionError) as caught:
+            Scene.load(str(path))
+        for words in (str(path), f"schema {schema}", f"up to {SCHEMA}", "update the plugin"):
+            assert words in str(caught.value)
+        with pytest.raises(SceneVersionError):
+            reusable(str(path), "refine", document["history"][-1]["fingerprint"])
+
+
+def test_reuse_asks_for_the_last_stage_and_its_fingerprint(fitted):
+    scene = Scene.load(fitted)
+    assert reusable(fitted, "refine", scene.fingerprint) is not None
+    assert reusable(fitted, "refine", "x") is None and reusable(fitted, "epmfit", scene.fingerprint) is None
+    assert reusable(fitted + "gone", "refine", scene.fingerprint) is None
+
+
+def test_saving_where_it_cannot_be(fitted):
+    with pytest.raises(WorkspaceError, match="/proc/nowhere"):
+        Scene.load(fitted).save("/proc/nowhere/scene.json")
+
+
+def test_views_of_the_same_name_are_told_apart(tmp_path, urban, write_image):
+    paths = []
+    for number, view in enumerate(urban.views):
+        (tmp_path / str(number)).mkdir()
+        paths.append(write_image(tmp_path / str(number) / "img.tif", rpc=view.rpc))
+    names = [view.name for view in load_views(tuple(paths))]
+    assert names[0] == "img" and len(set(names)) == 3
+
+
+def test_images_that_are_too_small_or_not_where_their_rpc_is(tmp_path, urban, write_image):
+    rpc = urban.views[0].rpc
+    with pytest.raises(ImageError) as caught:
+        load_views((write_image(tmp_path / "small.tif", np.ones((60, 200), np.uint16), rpc),))
+    assert "small.tif" in str(caught.value) and "200 x 60 px" in str(caught.value)
+    far = rpc.shifted(1e8, 1e8)
+    with pytest.raises(RpcInvalidError) as caught:
+        load_views((write_image(tmp_path / "far.tif", rpc=far),))
+    assert "far.tif" in str(caught.value)
+    microscope = rpc.__class__(**{**rpc.to_mapping(), "lat_scale": rpc.lat_scale / 1e4, "lon_scale": rpc.lon_scale / 1e4})
+    with pytest.raises(RpcInvalidError, match="micro.tif.*(no satellite image|cannot be used)"):
+        load_views((write_image(tmp_path / "micro.tif", rpc=microscope),))

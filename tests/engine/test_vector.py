@@ -1,0 +1,63 @@
+"""Vector layers, read again with OGR."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from osgeo import gdal, ogr
+
+from repm_qgis.errors import WorkspaceError
+from repm_qgis.vector import write_layer
+
+FIELDS = {"name": str, "count": int, "height": float}
+
+
+def features(count=3):
+    for number in range(count):
+        point = ogr.Geometry(ogr.wkbPoint)
+        point.AddPoint_2D(500000.0 + number, 4800000.25)
+        yield point, (f"pörtø {number}", number, 0.5 * number if number != 1 else None)
+
+
+@pytest.mark.parametrize("name, driver", (("a.gpkg", "GPKG"), ("a.geojson", "GeoJSON"), ("a.shp", "ESRI Shapefile"),
+                                          ("a.fgb", "FlatGeobuf"), ("a.GPKG", "GPKG")))
+def test_layers_come_back(tmp_path, name, driver):
+    path = str(tmp_path / "new" / name)
+    for count in (5, 3):  # written over, it has only the new features
+        assert write_layer(path, "EPSG:32631", ogr.wkbPoint, FIELDS, features(count)) == path
+    source = gdal.OpenEx(path, gdal.OF_VECTOR)
+    assert source.GetDriver().ShortName == driver
+    layer = source.GetLayer(0)
+    assert layer.GetFeatureCount() == 3
+    found = sorted((f["name"], f["count"], f["height"], f.geometry().GetX(), f.geometry().GetY()) for f in layer)
+    assert layer.GetSpatialRef().GetAuthorityCode(None) == "32631" or "UTM zone 31N" in layer.GetSpatialRef().GetName()
+    layer = source = None
+    assert [row[:3] for row in found] == [("pörtø 0", 0, 0.0), ("pörtø 1", 1, None), ("pörtø 2", 2, 1.0)]
+    assert found[2][3:] == (500002.0, 4800000.25)
+    assert not [entry for entry in os.listdir(tmp_path / "new") if ".part" in entry]
+
+
+def test_what_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.gpkg").mkdir()
+    for path in (str(tmp_path / "file" / "a.gpkg"), "/proc/nowhere/a.gpkg", str(tmp_path / "file" / "a.shp"),
+                 str(tmp_path / "folder.gpkg")):
+        with pytest.raises(WorkspaceError) as caught:
+            write_layer(path, "EPSG:32631", ogr.wkbPoint, FIELDS, features())
+        assert os.path.dirname(path) in str(caught.value)
+    assert sorted(os.listdir(tmp_path)) == ["file", "folder.gpkg"]
+
+
+def test_an_exception_leaves_nothing_new_and_what_was_there(tmp_path):
+    path = str(tmp_path / "a.gpkg")
+    write_layer(path, "EPSG:32631", ogr.wkbPoint, FIELDS, features())
+    before = open(path, "rb").read()
+
+    def broken():
+        yield from features(1)
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        write_layer(path, "EPSG:32631", ogr.wkbPoint, FIELDS, broken())
+    assert os.listdir(tmp_path) == ["a.gpkg"] and open(path, "rb").read() == before
