@@ -16,6 +16,7 @@ from .errors import OptionError
 MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm")
+POINTINGS = ("auto", "shift", "affine")
 METHODS = ("median", "mean")
 ALIGNMENTS = ("none", "vertical", "3d")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
@@ -192,12 +193,16 @@ class ReconstructOptions(Options):
     """Tie points, relative pointing and dense matching.
 
     ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them beside the
-    scene. ``workers`` 0 means one a core.
+    scene. ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical
+    CRS; "" is the ellipsoid). ``pointing`` is each view's correction. ``workers`` 0 means one a core.
     """
 
     scene: str
     output_scene: str
     backend: str = "auto"
+    gcps: Optional[str] = None
+    gcp_datum: str = ""
+    pointing: str = "auto"
     tie_points: Optional[str] = None
     heights: Optional[str] = None
     workers: int = 0
@@ -206,6 +211,7 @@ class ReconstructOptions(Options):
         _given("SCENE", self.scene)
         _given("OUTPUT_SCENE", self.output_scene)
         _one_of("BACKEND", self.backend, BACKENDS)
+        _one_of("POINTING", self.pointing, POINTINGS)
         _within("WORKERS", self.workers, 0, 1024)
 
 
@@ -260,6 +266,9 @@ class PipelineOptions(Options):
     model: str = "polynomial"
     order: int = 2
     backend: str = "auto"
+    gcps: Optional[str] = None
+    gcp_datum: str = ""
+    pointing: str = "auto"
     resolution: float = 0.0
     crs: Optional[str] = None
     method: str = "median"
@@ -279,7 +288,7 @@ class PipelineOptions(Options):
         RefineOptions("-", "-", self.model, order=self.order)
         if self.model == "terrain" and not self.dem:
             raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
-        ReconstructOptions("-", "-", self.backend, workers=self.workers)
+        ReconstructOptions("-", "-", self.backend, pointing=self.pointing, workers=self.workers)
         DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.outlier_radius, cloud=self.cloud)
 
     def fit_options(self) -> EpmFitOptions:

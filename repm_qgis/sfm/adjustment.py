@@ -157,10 +157,10 @@ def _compared(shift: "_Solution", affine: "_Solution") -> Tuple["_Solution", str
     a, b = shift.criterion, affine.criterion
     fall = affine.typical_px / max(shift.typical_px, 1e-9)
     if b < a and fall < _AFFINE_GAIN:
-        return affine, (f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px with "
-                        f"affine corrections (information criterion {b - a:+.0f})")
-    return shift, (f"an affine correction gains nothing: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} "
-                   f"px affine (information criterion {b - a:+.0f})")
+        return affine, (f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px "
+                        f"with affine corrections (information criterion {b - a:+.0f})")
+    return shift, (f"an affine correction gains nothing: {shift.typical_px:.3f} px with shifts, "
+                   f"{affine.typical_px:.3f} px affine (information criterion {b - a:+.0f})")
 
 
 class _Solution:
@@ -313,8 +313,9 @@ class _Solution:
         ground = np.empty((len(self.tracks), 3))
         for group in self.groups:
             ground[group.members] = group.ground
-        return Adjustment({view.name: self._pointing(i) for i, view in enumerate(self.views)}, self.model, reason, ground,
-                          self._residuals(), self.before, self.rejected, {v.name: v.size for v in self.views})
+        pointing = {view.name: self._pointing(i) for i, view in enumerate(self.views)}
+        return Adjustment(pointing, self.model, reason, ground, self._residuals(), self.before, self.rejected,
+                          {view.name: view.size for view in self.views})
 
     def _pointing(self, i: int) -> FloatArray:
         """(2, 3) affine map from the vendor's pixel to the real one."""

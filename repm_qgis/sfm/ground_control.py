@@ -62,14 +62,14 @@ def read_gcps(path: str, views: Sequence[View], vertical_crs: Optional[str] = No
         gcp = _point(path, line, row)
         known = points.setdefault(gcp.id, gcp)
         if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
-            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an earlier "
-                                  "row; give each point one place and one role.")
+            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an "
+                                  "earlier row; give each point one place and one role.")
         view = str(row.get("view") or "").strip()
         if not view:
             continue
         if view not in names:
-            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of the "
-                                  f"images ({', '.join(v.name for v in views)}); use the images' file names.")
+            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of "
+                                  f"the images ({', '.join(v.name for v in views)}); use the images' file names.")
         known.pixels[names[view]] = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
@@ -82,8 +82,8 @@ def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
         raise InputTableError(f"'{path}', row {line}: the field 'id' is empty; name every point.")
     role = str(row.get("role") or "control").strip().lower()
     if role not in ROLES:
-        raise InputTableError(f"'{path}', row {line}: the role of point '{identity}' is '{role}'; it must be control or "
-                              "check.")
+        raise InputTableError(f"'{path}', row {line}: the role of point '{identity}' is '{role}'; it must be control "
+                              "or check.")
     lon, lat, height = (_number(path, line, row, name) for name in ("lon", "lat", "height"))
     if not (-360 <= lon <= 360 and -90 <= lat <= 90 and -12000 < height < 10000):
         raise InputTableError(f"'{path}', row {line}: point '{identity}' lies at longitude {lon:g}, latitude {lat:g}, "
@@ -120,8 +120,8 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
     needed = [name for name in ("id", "lon", "lat", "height") if not (with_place and name in ("lon", "lat"))]
     missing = [name for name in needed if name not in fields]
     if missing:
-        raise InputTableError(f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a table "
-                              f"of points needs {', '.join(FIELDS)}.")
+        raise InputTableError(f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a "
+                              f"table of points needs {', '.join(FIELDS)}.")
 
 
 def _layer_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
@@ -161,11 +161,11 @@ def _ellipsoidal(gcps: List[Gcp], vertical_crs: Optional[str], path: str) -> Lis
         shift = pyproj.Transformer.from_crs(source, "EPSG:4979", always_xy=True, allow_ballpark=False)
         heights = [float(shift.transform(g.lon, g.lat, g.height)[2]) for g in gcps]
     except pyproj.exceptions.ProjError as error:
-        raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {vertical_crs} to the ellipsoid ({error}): "
-                              "install its grid (the Environment report names it).") from error
+        raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {vertical_crs} to the ellipsoid "
+                              f"({error}): install its grid (the Environment report names it).") from error
     if not np.isfinite(heights).all():
-        raise InputTableError(f"PROJ has no grid for {vertical_crs} at the points of '{path}': install it (the Environment "
-                              "report names it).")
+        raise InputTableError(f"PROJ has no grid for {vertical_crs} at the points of '{path}': install it (the "
+                              "Environment report names it).")
     return [replace(gcp, height=height) for gcp, height in zip(gcps, heights)]
 
 

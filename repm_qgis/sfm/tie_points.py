@@ -190,8 +190,8 @@ def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMa
     if count < _MIN_TIES:
         raise EmptyResultError(
             f"{first} and {second} have only {count} tie points that agree, of {found} candidates on "
-            f"{counted(len(parts), 'tile')} (needed: {_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT "
-            "with more texture, or another pair, may do.")
+            f"{counted(len(parts), 'tile')} (needed: {_MIN_TIES}). Do they show the same place, in focus "
+            "and without clouds? Another EXTENT with more texture, or another pair, may do.")
     return PairMatches(first, second, *(np.concatenate([getattr(part, name) for part in kept])
                                         for name in ("first_px", "second_px", "rows_px")))
 

@@ -41,7 +41,9 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     stage("refine", "Refinement", lambda p: refine.run(
         RefineOptions(fitted, refined, options.model, surface, options.order, write_images=False), p))
     heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
-        ReconstructOptions(refined, scene_path, options.backend, options.tie_points, workers=options.workers), p))
+        ReconstructOptions(
+            refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
+            workers=options.workers), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.outlier_radius,
         options.confidence, options.ortho, options.cloud, options.workers), p))

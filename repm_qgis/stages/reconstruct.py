@@ -12,7 +12,6 @@ from osgeo import ogr
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
-from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch, view_stretch
 from ..mvs.backends import resolve
 from ..mvs.dense import DenseTask, match_tile
@@ -20,14 +19,13 @@ from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..scene import Scene, Tile, reusable
-from ..sfm.adjustment import Adjustment, Track, adjust_shifts, tracks_from
-from ..sfm.sharpening import sharpen
-from ..sfm.tie_points import find_ties
+from ..sfm.adjustment import Adjustment, Track
+from ..sfm.ground_control import read_gcps
+from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.view_pairs import ViewPair, choose_pairs
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 
-_LEAST_TIES = 20        # a tile with fewer takes the scene's altitudes
 _LEAST_SHARE = 0.01     # of matched pixels: below that, nothing was reconstructed
 
 
@@ -38,7 +36,9 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     if not scene.refinement:
         scene.refinement = "polynomial"
     backend = resolve(options.backend)
-    key = fingerprint("reconstruct", scene.fingerprint, backend, [file_identity(v.image) for v in scene.views])
+    control = [file_identity(options.gcps), options.gcp_datum] if options.gcps else None
+    key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, control,
+                      [file_identity(v.image) for v in scene.views])
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
     report_path = str(beside.with_name("reconstruction.html"))
@@ -51,7 +51,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         notes = Recorder(progress)
         pairs = choose_pairs(scene)
         stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
-        ties = _point(scene, pairs, stretches, ties_path, Part(notes, 0.0, 0.35))
+        ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
         _match(scene, pairs, stretches, backend, key, str(folder), options.workers, Part(notes, 0.35, 1.0))
         scene.record("reconstruct", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
                      backend=backend, ties=ties, pairs=[vars(pair) for pair in pairs])
@@ -67,34 +67,15 @@ def _complete(scene: Scene) -> bool:
     return all(Path(record["file"]).exists() for tile in scene.tiles for record in tile.heights)
 
 
-def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], ties_path: str,
-           progress: Progress) -> Dict[str, Any]:
-    """Find ties, adjust the views' shifts, narrow the tiles' altitudes; gives the figures for the record."""
-    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.7))
-    tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95))
-    if len(tracks) < _LEAST_TIES:
-        raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {_LEAST_TIES}): are "
-                               "the images in focus, of one season, and free of clouds?")
-    adjusted = adjust_shifts(scene.views, tracks, sum(scene.altitudes) / 2)
-    scene.views = [view.with_pointing(np.column_stack([np.eye(2), adjusted.shifts[view.name]])) for view in scene.views]
-    xy = projected_from_geodetic(scene.crs, adjusted.ground)
+def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], options: ReconstructOptions,
+           ties_path: str, progress: Progress) -> Dict[str, Any]:
+    """Point the views, narrow the tiles' altitudes, write the ties; gives the figures for the record."""
+    gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
+    found = point_views(scene, pairs, stretches, options.pointing, gcps, progress)
     for tile in scene.tiles:
-        tile.altitudes = _tile_altitudes(scene, tile, xy, adjusted)
-    _write_ties(scene, tracks, adjusted, xy, ties_path)
-    figures = {
-        "count": len(tracks), "before_px": float(np.median(adjusted.before_px)),
-        "after_px": float(np.median(adjusted.residual_px)),
-        "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
-        "pairs": [{"pair": [m.first, m.second], "count": len(m.rows_px), "rows_before_px": float(np.median(m.rows_px)),
-                   "rows_spread_px": _spread(m.rows_px)} for m in matches]}
-    shifts = ", ".join(f"{name} ({shift[0]:+.2f}, {shift[1]:+.2f})" for name, shift in adjusted.shifts.items())
-    progress.info(f"{len(tracks)} tie points; pointing corrected by {shifts} px; their median residual fell from "
-                  f"{figures['before_px']:.2f} to {figures['after_px']:.2f} px.")
-    return figures
-
-
-def _spread(values: np.ndarray) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+        tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
+    _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)
+    return found.figures
 
 
 def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustment) -> Tuple[float, float]:
@@ -104,7 +85,7 @@ def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustme
     near = ((xy[:, 0] > xmin - reach) & (xy[:, 0] < xmax + reach) & (xy[:, 1] > ymin - reach)
             & (xy[:, 1] < ymax + reach) & (adjusted.residual_px < 1.5))
     heights = adjusted.ground[near, 2]
-    if len(heights) < _LEAST_TIES:
+    if len(heights) < LEAST_TIES:
         return scene.altitudes
     low, high = np.percentile(heights, (0.5, 99.5))
     margin = max(15.0, 0.1 * (high - low))

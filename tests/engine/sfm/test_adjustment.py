@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.sfm.adjustment import Track, adjust_shifts, tracks_from
+from repm_qgis.sfm.adjustment import Track, adjust, tracks_from
 from repm_qgis.sfm.tie_points import PairMatches
 
 
@@ -67,7 +67,7 @@ def test_without_correction_the_pairs_do_not_meet(scene):
 
 def test_known_pointing_errors_are_found(scene):
     tracks, _ = exact_tracks(scene)
-    found = adjust_shifts(scene.views, tracks, 500.0)
+    found = adjust(scene.views, tracks, 500.0)
     assert np.abs(left_over(scene, found.shifts)).max() < 0.01
     assert found.residual_px.max() < 0.01
     assert np.median(found.before_px) > 10 * np.median(found.residual_px)
@@ -75,7 +75,7 @@ def test_known_pointing_errors_are_found(scene):
 
 def test_the_mean_of_the_shifts_stays_zero(scene):
     tracks, _ = exact_tracks(scene)
-    shifts = np.array(list(adjust_shifts(scene.views, tracks, 500.0).shifts.values()))
+    shifts = np.array(list(adjust(scene.views, tracks, 500.0).shifts.values()))
     assert np.abs(shifts.mean(axis=0)).max() < 0.02
     # The smallest shifts that do: no longer than the errors themselves, freed of what all views share.
     free = scene.biases - scene.biases.mean(axis=0)
@@ -84,7 +84,7 @@ def test_the_mean_of_the_shifts_stays_zero(scene):
 
 def test_ground_points_are_where_they_are_but_for_what_all_views_share(scene):
     tracks, ground = exact_tracks(scene)
-    found = adjust_shifts(scene.views, tracks, 500.0)
+    found = adjust(scene.views, tracks, 500.0)
     offset = scene_metres(scene, found.ground) - scene_metres(scene, ground)
     # The common pointing error moves all points alike.
     assert np.abs(offset - offset.mean(axis=0)).max() < 0.02
@@ -100,7 +100,7 @@ def scene_metres(scene, lon_lat_h):
 @pytest.mark.parametrize("kind", ("scattered", "one way"))
 def test_a_fifth_of_gross_outliers_moves_nothing(scene, kind):
     clean, _ = exact_tracks(scene, 600, noise=0.1)
-    straight = adjust_shifts(scene.views, clean, 500.0).shifts
+    straight = adjust(scene.views, clean, 500.0).shifts
     numbers = np.random.default_rng(3)
     dirty = []
     for number, track in enumerate(clean):
@@ -109,7 +109,7 @@ def test_a_fifth_of_gross_outliers_moves_nothing(scene, kind):
             name = sorted(pixels)[number // 5 % len(pixels)]
             pixels[name] += numbers.uniform(-30, 30, 2) if kind == "scattered" else [4.0, -12.0]
         dirty.append(Track(pixels))
-    found = adjust_shifts(scene.views, dirty, 500.0).shifts
+    found = adjust(scene.views, dirty, 500.0).shifts
     moved = left_over(scene, found) - left_over(scene, straight)
     assert np.abs(moved).max() < 0.05
     assert max(np.abs(found[name] - straight[name]).max() for name in found) < 0.05
@@ -119,7 +119,7 @@ def test_two_views_are_enough(scene):
     tracks, _ = exact_tracks(scene)
     names = [view.name for view in scene.views[:2]]
     pairs = [Track({name: track.pixels[name] for name in names}) for track in tracks if set(names) <= set(track.pixels)]
-    found = adjust_shifts(scene.views[:2], pairs, 500.0)
+    found = adjust(scene.views[:2], pairs, 500.0)
     assert found.residual_px.max() < 0.01
     assert np.abs(sum(found.shifts.values())).max() < 0.02
 

@@ -9,7 +9,7 @@ from repm_qgis.errors import EmptyResultError
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.mvs.pairing import rectified_pair
 from repm_qgis.scene import Scene
-from repm_qgis.sfm.adjustment import adjust_shifts, tracks_from
+from repm_qgis.sfm.adjustment import adjust, tracks_from
 from repm_qgis.sfm.tie_points import find_ties
 from repm_qgis.stages import run_stage
 
@@ -50,7 +50,7 @@ def test_ties_are_true(found):
 def test_the_shifts_bring_rows_together(found):
     """Random points of space, seen by the true sensors, lie on one row once the views have their shifts."""
     truth, scene, matches, _ = found
-    adjusted = adjust_shifts(scene.views, tracks_from(matches), sum(scene.altitudes) / 2)
+    adjusted = adjust(scene.views, tracks_from(matches), sum(scene.altitudes) / 2)
     views = {view.name: view.with_pointing(np.column_stack([np.eye(2), adjusted.shifts[view.name]]))
              for view in scene.views}
     tile = scene.tiles[0]

@@ -1,0 +1,115 @@
+"""Where the images really look: ties, sharpened, adjusted, with ground control if there is any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Dict, List, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import EmptyResultError
+from ..geometry.frames import projected_from_geodetic
+from ..imagery.enhancement import Stretch
+from ..mvs.pairing import rectified_pair
+from ..progress import Part, Progress
+from ..scene import Scene
+from .adjustment import Adjustment, Track, adjust, tracks_from
+from .ground_control import Gcp, intersect
+from .sharpening import sharpen
+from .tie_points import PairMatches, find_ties
+from .view_pairs import ViewPair
+
+FloatArray = NDArray[np.float64]
+
+LEAST_TIES = 20
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """What the adjustment found, the ties it rests on with their (N, 2) places in the scene's CRS, and figures."""
+
+    tracks: List[Track]
+    adjusted: Adjustment
+    xy: FloatArray
+    figures: Dict[str, Any]
+
+
+def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], model: str,
+                gcps: Sequence[Gcp], progress: Progress) -> Pointing:
+    """Find ties and adjust the views' pointing; the scene's views are replaced by the corrected ones.
+
+    Raises EmptyResultError with the counts where the ties are too few.
+    """
+    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.7))
+    tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95))
+    if len(tracks) < LEAST_TIES:
+        raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
+                               "images in focus, of one season, and free of clouds?")
+    adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps)
+    before = {(pair.first, pair.second): _rows(scene, pair, tracks) for pair in pairs}
+    scene.views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
+    after = {(pair.first, pair.second): _rows(scene, pair, tracks) for pair in pairs}
+    figures = {
+        "count": len(tracks), "before_px": float(np.median(adjusted.before_px)),
+        "after_px": float(np.median(adjusted.residual_px)), "model": adjusted.model, "reason": adjusted.reason,
+        "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
+        "pairs": [_pair_figures(match, before, after) for match in matches],
+        **_absolute(scene, pairs, before, gcps, adjusted)}
+    _tell(figures, progress)
+    return Pointing(tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
+
+
+def _rows(scene: Scene, pair: ViewPair, tracks: Sequence[Track]) -> FloatArray:
+    """(N,) row differences of a pair's tracks once rectified with the views' present pointing, px."""
+    first, second = scene.view(pair.first), scene.view(pair.second)
+    shared = [t.pixels for t in tracks if pair.first in t.pixels and pair.second in t.pixels]
+    bounds = np.array([tile.bounds for tile in scene.tiles])
+    whole = (*map(float, bounds[:, :2].min(axis=0)), *map(float, bounds[:, 2:].max(axis=0)))
+    rectified = rectified_pair(scene, first, second, whole, scene.altitudes)
+    if rectified is None or not shared:
+        return np.zeros(0)
+    a = rectified.first_rectified(np.array([pixels[pair.first] for pixels in shared]))
+    b = rectified.second_rectified(np.array([pixels[pair.second] for pixels in shared]))
+    return (a - b)[:, 1]
+
+
+def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> Dict[str, Any]:
+    key = (match.first, match.second)
+    return {"pair": list(key), "candidates": len(match.rows_px), "count": len(after[key]),
+            "rows_before_px": _median(before[key]), "rows_after_px": _median(np.abs(after[key])),
+            "rows_spread_px": 1.4826 * _median(np.abs(after[key] - _median(after[key])))}
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _absolute(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray], gcps: Sequence[Gcp],
+              adjusted: Adjustment) -> Dict[str, Any]:
+    """How far the absolute height can be trusted: by ground control, or by how much the vendors' RPCs disagree."""
+    if any(gcp.role == "control" for gcp in gcps):
+        points = []
+        for gcp in gcps:
+            offset = intersect(gcp, scene.views)
+            if offset is not None:
+                points.append({"id": gcp.id, "role": gcp.role, "rejected": gcp.id in adjusted.rejected,
+                               "east_m": float(offset[0]), "north_m": float(offset[1]), "up_m": float(offset[2])})
+        return {"gcps": points, "rejected_gcps": list(adjusted.rejected)}
+    # Across the parallax the disagreement is seen; along it, where it passes for height, it is likely as large.
+    uncertain = [np.median(np.abs(before[pair.first, pair.second])) * scene.gsd_m / pair.base_to_height
+                 for pair in pairs if len(before[pair.first, pair.second])]
+    return {"height_uncertainty_m": float(max(uncertain, default=0.0))}
+
+
+def _tell(figures: Dict[str, Any], progress: Progress) -> None:
+    shifts = ", ".join(f"{name} ({c:+.2f}, {r:+.2f})" for name, (c, r) in figures["shifts_px"].items())
+    progress.info(f"{figures['count']} tie points; pointing corrected by {shifts} px ({figures['model']}: "
+                  f"{figures['reason']}); their median residual fell from {figures['before_px']:.2f} to "
+                  f"{figures['after_px']:.2f} px.")
+    for identity in figures.get("rejected_gcps", []):
+        progress.warn(f"The control point {identity} contradicts all others and was left out: check its coordinates, "
+                      "its height's datum, and its pixels.")
+    if "height_uncertainty_m" in figures:
+        progress.info("Without ground control points the absolute height is as good as the vendors' RPCs, here likely "
+                      f"some {max(figures['height_uncertainty_m'], 0.1):.1f} m; relative heights are not affected.")

@@ -1,0 +1,91 @@
+"""The engine stands alone: every module imports where QGIS and Qt cannot be, says nothing and asks for nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import json
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ENGINE = ROOT / "repm_qgis"
+MODULES = sorted(info.name for info in pkgutil.walk_packages([str(ENGINE)], "repm_qgis."))
+
+
+def python(code):
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, check=False)
+
+
+def test_every_module_imports_without_qgis():
+    assert len(MODULES) > 50 and "repm_qgis.stages.pipeline" in MODULES
+    done = python("import importlib, sys\nfor name in ('qgis', 'PyQt5', 'PyQt6', 'processing'):\n"
+                  "    sys.modules[name] = None\n"
+                  f"for name in {MODULES!r}:\n    importlib.import_module(name)")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "" and "Error" not in done.stderr
+
+
+@pytest.mark.parametrize("stage", ("epmfit", "errormap", "comparedsm", "environment"))
+def test_light_stages_need_only_what_qgis_ships(stage):
+    """numpy, GDAL and pyproj: these stages run in QGIS's own process, where the wheels may be missing."""
+    done = python("import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"
+                  f"    sys.modules[name] = None\nimport repm_qgis.stages.{stage}")
+    assert done.returncode == 0, done.stderr
+
+
+def test_heavy_packages_are_imported_only_where_they_are_used():
+    done = python("import sys\nimport repm_qgis, repm_qgis.options, repm_qgis.stages, repm_qgis.scene\n"
+                  "import repm_qgis.stages.epmfit\n"
+                  "print([n for n in ('cv2', 'pycolmap', 'laspy', 'open3d', 'scipy') if n in sys.modules])")
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_no_file_prints_exits_or_reaches_for_qgis():
+    """Read as syntax, so that no comment or string is mistaken."""
+    found = []
+    for path in ENGINE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(getattr(node, "func", None), "id", "")
+            if isinstance(node, ast.Call) and name in ("print", "eval", "exec", "input"):
+                found.append(f"{path.name}: {name}")
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
+                found += [f"{path.name}: {n}" for n in names if n.split(".")[0] in ("qgis", "PyQt5", "random", "pickle")]
+            if isinstance(node, ast.Assert):
+                found.append(f"{path.name}: assert")
+            if isinstance(node, ast.Attribute) and node.attr == "exit" and path.name != "__main__.py":
+                found.append(f"{path.name}: exit")
+    assert found == []
+
+
+def test_the_command_line_counts_a_bug_as_2(tmp_path):
+    """An exception that is not ours: code 2 and the traceback as a message."""
+    (tmp_path / "job.json").write_text("{}")
+    done = python("import sys\nimport repm_qgis.stages as s\n"
+                  "def broken(*a):\n    raise ZeroDivisionError('a bug')\n"
+                  "s.run_stage = broken\nfrom repm_qgis.__main__ import main\n"
+                  f"sys.exit(main(['environment', {str(tmp_path / 'job.json')!r}]))")
+    assert done.returncode == 2
+    last = json.loads(done.stdout.splitlines()[-1])
+    assert last["type"] == "bug" and "ZeroDivisionError: a bug" in last["text"]
+
+
+def test_the_command_line_runs_a_pipeline(urban, tmp_path):
+    """One heavy stage as QGIS starts it: JSON lines alone, rising progress, the result last."""
+    (tmp_path / "job.json").write_text(json.dumps({
+        "images": urban.images[:2], "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")}))
+    done = subprocess.run([sys.executable, "-m", "repm_qgis", "pipeline", str(tmp_path / "job.json")], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    fractions = [message["fraction"] for message in said if message["type"] == "progress"]
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
+    titles = " ".join(message["text"] for message in said if message["type"] == "progress")
+    assert all(name in titles for name in ("Pinhole cameras", "Refinement", "Reconstruction", "Fusion"))
+    assert said[-1]["type"] == "result" and (tmp_path / "dsm.tif").exists()
+    assert said[-1]["result"]["valid"] > 10000
