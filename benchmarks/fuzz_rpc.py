@@ -166,8 +166,8 @@ def deep(data: bytes, rng: Rng) -> bytes:
 
 def huge(data: bytes, rng: Rng) -> bytes:
     filler = (b" ", b"\n", b"0", b"<a/>", b"1 ", b"a='1' ", b"X: 1\n", b"[", b"-", b"\xff")[rng.integers(0, 10)]
-    place = rng.integers(0, len(data))
-    return data[:place] + filler * int(rng.choice([10_000, 1_000_000, 8_000_000, 9_000_000]) // len(filler)) + data[place:]
+    place, size = rng.integers(0, len(data)), int(rng.choice([10_000, 1_000_000, 8_000_000, 9_000_000]))
+    return data[:place] + filler * (size // len(filler)) + data[place:]
 
 
 def spliced(data: bytes, rng: Rng) -> bytes:
@@ -313,7 +313,7 @@ class Report:
         totals = [sum(c.values()) for c in (self.refused, self.identical, self.different)]
         rows += [f"{'all':18}{self.inputs:8}{totals[0]:9}{totals[1]:7}{totals[2]:15}",
                  f"wrong models: {len(self.wrong)}; other exceptions: {len(self.crashed)}",
-                 f"slowest: {self.slowest_ms:.1f} ms ({self.slowest}); most memory: {self.peak_mb:.1f} MB "
+                 f"slowest: {self.slowest_ms:.1f} ms of CPU ({self.slowest}); most memory: {self.peak_mb:.1f} MB "
                  f"({self.peak}); process grew by {self.rss_mb:.0f} MB; {self.seconds:.0f} s in all"]
         return "\n".join(rows + self.wrong[:10] + self.crashed[:10])
 
@@ -371,7 +371,7 @@ def _read_whole(path: Path, data: bytes) -> Rpc:
 def _one(report: Report, path: Path, data: bytes, kind: str, mutation: str, label: str, original: Rpc) -> None:
     report.inputs += 1
     tracemalloc.reset_peak()
-    held, began = tracemalloc.get_traced_memory()[0], time.perf_counter()
+    held, began = tracemalloc.get_traced_memory()[0], time.process_time()
     rpc, trouble = None, ""
     try:
         rpc = read_rpc_file(str(path))
@@ -380,7 +380,7 @@ def _one(report: Report, path: Path, data: bytes, kind: str, mutation: str, labe
             trouble = "its message is no sentence"
     except BaseException as error:  # noqa: B036 - any other exception is what is looked for
         trouble = f"{type(error).__name__}: {error}"[:300]
-    ms = (time.perf_counter() - began) * 1e3
+    ms = (time.process_time() - began) * 1e3
     peak = (tracemalloc.get_traced_memory()[1] - held) / 1e6
     if ms > report.slowest_ms:
         report.slowest_ms, report.slowest = ms, label

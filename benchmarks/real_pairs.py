@@ -85,8 +85,8 @@ def main() -> int:
         rows.append([name, count, score["NMAD"], score["bias"], score["RMSE"], score["valid"], wall, cpu, peak])
     publish("real", "Real Pleiades images against S2P", "make bench-real", [
         "`repm:pipeline` with RESOLUTION=0.5 and nothing else set, through `scripts/qgis-headless`; no alignment "
-        "before the comparison. S2P's DSM is no truth: NMAD is how far two programs differ. Time and memory are those of the "
-        f"whole command, the start of QGIS included, on {len(os.sched_getaffinity(0))} cores.",
+        "before the comparison. S2P's DSM is no truth: NMAD is how far two programs differ. Time and memory are those "
+        f"of the whole command, the start of QGIS included, on {len(os.sched_getaffinity(0))} cores.",
         table(["images", "views", "NMAD, m", "bias, m", "RMSE, m", "valid, % of S2P's cells", "wall, s", "CPU, s",
                "peak memory, GiB"], rows),
         "Bars of the project: NMAD at most 0.45 m (pair) and 0.7 m (triplet), at least 88 % valid, the pair within "

@@ -196,11 +196,11 @@
     </message>
     <message>
         <source>Turn the cameras towards their images</source>
-        <translation type="unfinished"></translation>
+        <translation>Kameras auf ihre Bilder drehen</translation>
     </message>
     <message>
         <source>On: principal points lie in the images' middle and pixels are square, as COLMAP's triangulation and software in single precision need it. Off: the refined images and cameras as they are in the scene.</source>
-        <translation type="unfinished"></translation>
+        <translation>An: Hauptpunkte liegen in der Bildmitte und Pixel sind quadratisch, wie es die Triangulation von COLMAP und Programme in einfacher Genauigkeit brauchen. Aus: verfeinerte Bilder und Kameras, wie sie in der Szene sind.</translation>
     </message>
     <message>
         <source>Bits of a pixel</source>

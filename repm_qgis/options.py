@@ -18,6 +18,7 @@ KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm")
 POINTINGS = ("auto", "shift", "affine")
 METHODS = ("median", "mean")
+FILLS = ("none", "occlusions")
 ALIGNMENTS = ("none", "vertical", "3d")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
@@ -220,7 +221,8 @@ class DsmFuseOptions(Options):
     """Fuse height maps into a DSM.
 
     ``resolution`` in units of the CRS, 0 = twice the ground sampling distance; ``crs`` any projected CRS, None the
-    scene's UTM zone. ``method`` of the cells' heights across pairs. ``outlier_radius`` in metres, None = from the
+    scene's UTM zone. ``method`` of the cells' heights across pairs. ``fill``: cells that one image
+    hides from the other take the background's height, or none. ``outlier_radius`` in metres, None = from the
     data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted.
     """
 
@@ -229,6 +231,7 @@ class DsmFuseOptions(Options):
     resolution: float = 0.0
     crs: Optional[str] = None
     method: str = "median"
+    fill: str = "occlusions"
     outlier_radius: Optional[float] = None
     confidence: Optional[str] = None
     ortho: Optional[str] = None
@@ -241,6 +244,7 @@ class DsmFuseOptions(Options):
         if self.resolution != 0:
             _within("RESOLUTION", self.resolution, 0.01, 1000, "m, or be 0 for automatic")
         _one_of("METHOD", self.method, METHODS)
+        _one_of("FILL", self.fill, FILLS)
         if self.outlier_radius is not None:
             _within("OUTLIER_RADIUS", self.outlier_radius, 0, 1000, "m")
         if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
@@ -272,6 +276,7 @@ class PipelineOptions(Options):
     resolution: float = 0.0
     crs: Optional[str] = None
     method: str = "median"
+    fill: str = "occlusions"
     outlier_radius: Optional[float] = None
     confidence: Optional[str] = None
     ortho: Optional[str] = None
@@ -289,7 +294,8 @@ class PipelineOptions(Options):
         if self.model == "terrain" and not self.dem:
             raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
         ReconstructOptions("-", "-", self.backend, pointing=self.pointing, workers=self.workers)
-        DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.outlier_radius, cloud=self.cloud)
+        DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.fill, self.outlier_radius,
+                       cloud=self.cloud)
 
     def fit_options(self) -> EpmFitOptions:
         """This run's first stage; its CRS is that of the DSM."""

@@ -35,7 +35,16 @@ def temporary_name(path: str) -> str:
     """
     target = Path(path)
     ensure_folder(str(target.parent))
-    return str(target.with_name(f".{target.stem}.part{target.suffix}"))
+    return str(_temporary(target))
+
+
+def drop_temporary(path: str) -> None:
+    """Remove what a process that was ended half-way has left of the file it was writing."""
+    _temporary(Path(path)).unlink(missing_ok=True)
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".{target.stem}.part{target.suffix}")
 
 
 def take_name(temporary: str, path: str) -> None:

@@ -36,6 +36,7 @@ class FuseTask:
     window: Tuple[int, int, int, int]
     crs: str
     method: str
+    fill: str
     radius: float
     ortho_views: Tuple[View, ...]
     cloud: bool
@@ -45,10 +46,11 @@ class FuseTask:
 class FusedTile:
     """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted.
 
-    ``own`` tells which of the window's cells belong to the tile; None stands for all.
+    ``filled`` cells have the background's height, because one image hides them. ``own`` tells which of the window's cells belong to the tile; None stands for all.
     """
 
     fused: Aggregate
+    filled: NDArray[np.bool_]
     ortho: Optional[NDArray[np.float32]]
     points: Optional[FloatArray]
     removed: int
@@ -63,24 +65,27 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     ends = (min(col + width + _MARGIN_CELLS, task.grid.shape[1]), min(row + height + _MARGIN_CELLS, task.grid.shape[0]))
     grid = task.grid.part((wide[0], wide[1], ends[0] - wide[0], ends[1] - wide[1]))
     maps = [load_heights(task.scene, task.bounds, record, task.crs) for record in task.records]
-    gridded = [grid_points(grid, m.x, m.y, m.height, m.score) for m in maps]
-    fused = aggregate([g[0] for g in gridded], [g[1] for g in gridded],
-                      [record["metres_per_px"] for record in task.records], task.method)
+    metres = [record["metres_per_px"] for record in task.records]
+    matched = [grid_points(grid, m.x, m.y, np.where(m.filled, np.nan, m.height), m.score) for m in maps]
+    fused = aggregate([g[0] for g in matched], [g[1] for g in matched], metres, task.method)
+    filled = np.zeros(grid.shape, dtype=bool)
+    if task.fill == "occlusions":
+        fused, filled = _with_background(fused, grid, maps, metres, task.method)
     removed, needed = 0, 0
     if task.radius > 0:
         alone, needed = lonely(fused.height, grid.cell, task.radius)
         removed = int(alone.sum())
-        fused = _without(fused, alone)
+        fused, filled = _without(fused, alone), filled & ~alone
     ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
     own = (slice(row - wide[1], row - wide[1] + height), slice(col - wide[0], col - wide[0] + width))
     cut = Aggregate(*(getattr(fused, name)[own] for name in ("height", "count", "spread", "score")))
-    ortho = None if ortho is None else ortho[own]
+    ortho, filled = None if ortho is None else ortho[own], filled[own]
     belonging = _belonging(task)
     if belonging is not None:
-        cut = _without(cut, ~belonging)
+        cut, filled = _without(cut, ~belonging), filled & belonging
         ortho = None if ortho is None else np.where(belonging, ortho, np.float32(np.nan))
     points = _agreeing(task.grid.part(task.window), cut.height, maps, task.records) if task.cloud else None
-    return FusedTile(cut, ortho, points, removed, needed, belonging)
+    return FusedTile(cut, filled, ortho, points, removed, needed, belonging)
 
 
 def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
@@ -99,6 +104,15 @@ def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
     return (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
 
 
+def _with_background(fused: Aggregate, grid: CellGrid, maps: Sequence[HeightMap], metres: Sequence[float],
+                     method: str) -> Tuple[Aggregate, NDArray[np.bool_]]:
+    """Cells that nothing was matched in take the background's height from the maps that say what hides them."""
+    hidden = [grid_points(grid, m.x, m.y, np.where(m.filled, m.height, np.nan), np.zeros_like(m.score)) for m in maps]
+    background = aggregate([h[0] for h in hidden], [h[1] for h in hidden], metres, method)
+    filled = np.isnan(fused.height) & np.isfinite(background.height)
+    return Aggregate(np.where(filled, background.height, fused.height), fused.count, fused.spread, fused.score), filled
+
+
 def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:
     return Aggregate(np.where(cells, np.nan, fused.height), np.where(cells, 0, fused.count).astype(np.uint8),
                      np.where(cells, np.nan, fused.spread), np.where(cells, np.nan, fused.score))
@@ -109,7 +123,7 @@ def _agreeing(grid: CellGrid, height: FloatArray, maps: Sequence[HeightMap],
     """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
     parts: List[FloatArray] = []
     for heights, record in zip(maps, records):
-        known = np.isfinite(heights.height)
+        known = np.isfinite(heights.height) & ~heights.filled
         x, y, z, s = heights.x[known], heights.y[known], heights.height[known], heights.score[known]
         column = np.floor((x - grid.west) / grid.cell).astype(np.int64)
         row = np.floor((grid.north - y) / grid.cell).astype(np.int64)

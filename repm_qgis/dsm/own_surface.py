@@ -33,7 +33,7 @@ def own_surface(scene: Scene, cell: float, path: str) -> str:
                  pyproj.CRS.from_user_input(scene.crs).to_wkt(), unit="m") as raster:
         for tile in tiles:
             window = grid.window(tile.bounds)
-            fused = fuse_tile(FuseTask(scene, tile.bounds, tuple(tile.heights), grid, window, scene.crs, "median", 0.0,
-                                       (), False)).fused
+            fused = fuse_tile(FuseTask(scene, tile.bounds, tuple(tile.heights), grid, window, scene.crs, "median",
+                                       "occlusions", 0.0, (), False)).fused
             raster.write(fused.height.astype(np.float32), window[0], window[1])
     return path

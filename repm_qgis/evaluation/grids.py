@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import Optional, Tuple
 
 import numpy as np
 from osgeo import gdal, osr
 from pyproj import CRS, Transformer
-from pyproj.aoi import AreaOfInterest
 from pyproj.exceptions import CRSError, ProjError
-from pyproj.transformer import TransformerGroup
 
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs, vertical_part
+from ..geometry.frames import flat_crs, vertical_operations, vertical_part
 from ..imagery import raster
 
 Bounds = Tuple[float, float, float, float]
@@ -258,18 +255,7 @@ class HeightWarper:
         west, south, east, north = Transformer.from_crs(self._target_flat, 4326, always_xy=True).transform_bounds(
             *self._target.bounds, densify_pts=5
         )
-        area = AreaOfInterest(west, south, east, north) if east > west and north > south else None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what pyproj would say of missing grids is said below
-            group = TransformerGroup(source, target, always_xy=True, area_of_interest=area, allow_ballpark=False)
-        missing = sorted(
-            {
-                grid.short_name
-                for operation in group.unavailable_operations
-                for grid in operation.grids
-                if not grid.available
-            }
-        )
+        group, missing = vertical_operations(source, target, (west, south, east, north))
         if not group.transformers:
             grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ knows no way"
             raise ImageError(

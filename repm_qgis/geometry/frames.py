@@ -5,14 +5,17 @@ Longitude and latitude are in degrees, heights in metres above the WGS 84 ellips
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Mapping, Optional
+from typing import Any, List, Mapping, Optional, Tuple
 
 import numpy as np
 import pyproj
 from numpy.typing import NDArray
 from osgeo import osr
+from pyproj.aoi import AreaOfInterest
+from pyproj.transformer import TransformerGroup
 
 from ..errors import OptionError
 
@@ -142,6 +145,22 @@ def vertical_part(crs: pyproj.CRS) -> Optional[str]:
     if crs.is_compound:
         return crs.sub_crs_list[1].name
     return f"ellipsoidal height ({crs.ellipsoid.name})" if len(crs.axis_info) == 3 else None
+
+
+def vertical_operations(source: pyproj.CRS, target: pyproj.CRS,
+                        bounds: Tuple[float, float, float, float]) -> Tuple[TransformerGroup, List[str]]:
+    """PROJ's ways from one CRS with heights to another, best first, and the grids that are missing for others.
+
+    ``bounds`` are west, south, east, north in degrees. Ways that leave heights as they are ("ballpark") do not count.
+    """
+    west, south, east, north = bounds
+    area = AreaOfInterest(west, south, east, north) if east > west and north > south else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what pyproj would say of missing grids is the caller's to say
+        group = TransformerGroup(source, target, always_xy=True, area_of_interest=area, allow_ballpark=False)
+    missing = {grid.short_name for operation in group.unavailable_operations for grid in operation.grids
+               if not grid.available}
+    return group, sorted(missing)
 
 
 @lru_cache(maxsize=32)

@@ -8,8 +8,10 @@ from typing import Callable, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .matching import Matched
+
 FloatImage = NDArray[np.float32]
-Matcher = Callable[[FloatImage, FloatImage, Tuple[int, int]], Tuple[FloatImage, FloatImage]]
+Matcher = Callable[[FloatImage, FloatImage, Tuple[int, int], float], Matched]
 
 _MODULES = {"sgm": "repm_qgis.mvs.sgm"}
 

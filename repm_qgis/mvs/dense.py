@@ -11,13 +11,14 @@ from typing import Any, Dict, Optional, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import EmptyResultError, SceneError
+from ..errors import EmptyResultError, ImageError, SceneError
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened, read, write
 from ..imagery.warping import warp
 from ..scene import Scene, View
 from .backends import matcher_of
+from .matching import Matched
 from .pairing import grown, rectified_pair
 from .rectification import RectifiedPair
 from .triangulation import PairGeometry, pair_geometry
@@ -29,6 +30,7 @@ _RANGE_MARGIN_PX = 6    # disparities searched beyond the altitude range
 _SMALLEST_PX = 48
 _KEY = "REPM_FINGERPRINT"
 _RECORD = "REPM_RECORD"
+_BANDS = ("height above the WGS 84 ellipsoid (m)", "matching score", "filled from the background (1)")
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,9 @@ class DenseTask:
 def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
     """Rectify, match, and turn disparities into heights; gives the height map's record, None where nothing is shared.
 
-    The file has two bands in the geometry of the rectified first image: height in metres above the ellipsoid, and
-    the matching score. A file that an earlier, stopped run has finished is taken as it is (``reused`` in the record).
+    The file has three bands in the geometry of the rectified first image: height in metres above the ellipsoid, the
+    matching score, and 1 where the height was not matched but taken from the background of an occlusion. A file
+    that an earlier, stopped run has finished is taken as it is (``reused`` in the record).
     """
     done = finished(task.path, task.key)
     if done is not None:
@@ -64,39 +67,44 @@ def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
         geometry = pair_geometry(pair, first, second, task.altitudes, task.scene.crs)
     except EmptyResultError:
         return None
-    disparity, score = _match(task, pair, geometry, first, second)
+    matched = _match(task, pair, geometry, first, second)
     columns, rows = np.arange(pair.size[0], dtype=np.float64), np.arange(pair.size[1], dtype=np.float64)
-    heights = geometry.height.on_grid(columns, rows, disparity.astype(np.float64)).astype(np.float32)
+    heights = geometry.height.on_grid(columns, rows, matched.disparity.astype(np.float64)).astype(np.float32)
     record = {
         "tile": task.tile, "pair": [task.first, task.second], "file": task.path, "size": list(pair.size),
-        "valid": int(np.isfinite(heights).sum()), "metres_per_px": geometry.metres_per_px,
-        "row_px": geometry.row_px, "table_error_m": geometry.error_m, "altitudes": list(task.altitudes),
+        "valid": int((np.isfinite(heights) & ~matched.filled).sum()), "filled": int(matched.filled.sum()),
+        "metres_per_px": geometry.metres_per_px, "row_px": geometry.row_px, "table_error_m": geometry.error_m,
+        "altitudes": list(task.altitudes),
     }
-    write(task.path, [heights, score], (0, 1, 0, 0, 0, 1), "", metadata={_KEY: task.key, _RECORD: json.dumps(record)},
-          descriptions=("height above the WGS 84 ellipsoid (m)", "matching score"))
+    write(task.path, [heights, matched.score, matched.filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
+          metadata={_KEY: task.key, _RECORD: json.dumps(record)}, descriptions=_BANDS)
     return record
 
 
 def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
-    """The record of a height map that is there and was made from the very same things; else None."""
+    """The record of a height map that is there, whole, and made from the very same things; else None."""
     if not os.path.exists(path):
         return None
-    with opened(path) as dataset:
-        if dataset.GetMetadataItem(_KEY) != key:
-            return None
-        record = json.loads(dataset.GetMetadataItem(_RECORD))
+    try:
+        with opened(path) as dataset:
+            if dataset.GetMetadataItem(_KEY) != key:
+                return None
+            record = json.loads(dataset.GetMetadataItem(_RECORD))
+            for band in (1, 2):
+                read(dataset, band=band)
+    except (ImageError, TypeError, ValueError):
+        return None
     return {**record, "file": path, "reused": True}
 
 
-def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: View,
-           second: View) -> Tuple[FloatImage, FloatImage]:
+def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: View, second: View) -> Matched:
     low = math.floor(geometry.disparities[0]) - _RANGE_MARGIN_PX
     high = math.ceil(geometry.disparities[1]) + _RANGE_MARGIN_PX
     width, height = pair.size
     shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
     a = _brightness(first, task.stretches[0], pair.first_original, (width, height))
     b = _brightness(second, task.stretches[1], shifted.second_original, (width + high - low, height))
-    return matcher_of(task.backend)(a, b, (low, high))
+    return matcher_of(task.backend)(a, b, (low, high), geometry.nearer)
 
 
 def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int, int]) -> FloatImage:
@@ -106,12 +114,16 @@ def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int,
 
 @dataclass(frozen=True)
 class HeightMap:
-    """Ground points of a height map: ``x``, ``y`` in a projected CRS, ``height``, ``score``; all (H, W), NaN = none."""
+    """Ground points of a height map: ``x``, ``y`` in a projected CRS, ``height``, ``score``; all (H, W), NaN = none.
+
+    ``filled`` says which heights were taken from the background of an occlusion.
+    """
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     height: NDArray[np.float64]
     score: FloatImage
+    filled: NDArray[np.bool_]
 
 
 def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
@@ -124,16 +136,21 @@ def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record
     first, second = (scene.view(name) for name in record["pair"])
     altitudes = tuple(record["altitudes"])
     pair = _rectified(scene, first, second, bounds, altitudes)
-    with opened(record["file"]) as dataset:
-        height = read(dataset, band=1).astype(np.float64)
-        score = read(dataset, band=2)
+    try:
+        with opened(record["file"]) as dataset:
+            height = read(dataset, band=1).astype(np.float64)
+            score = read(dataset, band=2)
+        filled = read(dataset, band=3) > 0
+    except ImageError as error:
+        raise SceneError(f"The height map '{record['file']}' is gone or damaged: delete what is left of it, and run "
+                         "'Reconstruct heights' again.") from error
     if pair is None or pair.size != (height.shape[1], height.shape[0]):
         raise SceneError(f"The height map '{record['file']}' does not belong to the scene '{scene.path}': run "
                          "'Reconstruct heights' again.")
     geometry = pair_geometry(pair, first, second, altitudes, crs)
     rows, columns = (np.arange(n, dtype=np.float64) for n in height.shape)
     x, y = (table.on_grid(columns, rows, height) for table in (geometry.x, geometry.y))
-    return HeightMap(x, y, height, score)
+    return HeightMap(x, y, height, score, filled)
 
 
 def _rectified(scene: Scene, first: View, second: View, bounds: Tuple[float, float, float, float],

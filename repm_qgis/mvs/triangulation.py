@@ -86,6 +86,11 @@ class PairGeometry:
     error_m: float
     row_px: float
 
+    @property
+    def nearer(self) -> float:
+        """+1 where greater disparities are higher ground, -1 where lower."""
+        return float(np.sign(np.mean(self.height.coefficients[1])))
+
 
 def pair_geometry(pair: RectifiedPair, first: View, second: View, altitudes: Tuple[float, float],
                   crs: str) -> PairGeometry:

@@ -13,14 +13,17 @@ import pyproj
 from numpy.typing import NDArray
 from osgeo import gdal, ogr
 
-from ..errors import InputTableError
-from ..geometry.frames import EnuFrame
+from ..errors import InputTableError, OptionError
+from ..geometry.frames import EnuFrame, vertical_operations
 from ..scene import View
 
 FloatArray = NDArray[np.float64]
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
+DATUMS = {"ellipsoid": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
+"""Names of vertical datums that people say, and PROJ's for them; "" is the WGS 84 ellipsoid."""
+
 _MOST_BYTES = 64 << 20
 _MOST_ROWS = 1_000_000
 
@@ -45,19 +48,29 @@ class Gcp:
         return np.array([self.lon, self.lat, self.height])
 
 
-def read_gcps(path: str, views: Sequence[View], vertical_crs: Optional[str] = None) -> List[Gcp]:
+def points_file(path: str) -> Tuple[str, str]:
+    """The file and the layer ("": the first) of a name as QGIS writes it: ``points.gpkg|layername=gcps``."""
+    file, *rest = path.split("|")
+    return file, next((part[len("layername="):] for part in rest if part.startswith("layername=")), "")
+
+
+def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
     """Read points from a CSV or any point layer that OGR opens, one row an observation.
 
     Fields ``id, lon, lat, height, view, col, row, role``: ``view`` is the image's file name (with or without its
     extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
-    A layer may have its place in its geometry instead of lon and lat. ``vertical_crs`` is what heights refer to (any
-    PROJ name, EPSG:3855 for EGM2008, say); None means the WGS 84 ellipsoid.
+    A layer may have its place in its geometry instead of lon and lat. ``views`` None reads places and heights only.
+    ``datum`` is what heights refer to: a name of :data:`DATUMS`, or any vertical CRS that PROJ knows; None or "" is
+    the WGS 84 ellipsoid.
 
-    Raises InputTableError with the file, the row and the value that is wrong.
+    Raises InputTableError with the file, the row and the value that is wrong, OptionError for an unknown datum.
     """
-    rows = _csv_rows(path) if Path(path).suffix.lower() in (".csv", ".txt") else _layer_rows(path)
+    vertical = vertical_datum(datum)
+    file, layer = points_file(path)
+    rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
     points: Dict[str, Gcp] = {}
-    names = {alias: view.name for view in views for alias in (view.name, Path(view.image).name, Path(view.image).stem)}
+    names = {alias: view.name for view in views or ()
+             for alias in (view.name, Path(view.image).name, Path(view.image).stem)}
     for line, row in rows:
         gcp = _point(path, line, row)
         known = points.setdefault(gcp.id, gcp)
@@ -65,15 +78,18 @@ def read_gcps(path: str, views: Sequence[View], vertical_crs: Optional[str] = No
             raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an "
                                   "earlier row; give each point one place and one role.")
         view = str(row.get("view") or "").strip()
-        if not view:
+        if not view or views is None:
             continue
         if view not in names:
             raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of "
                                   f"the images ({', '.join(v.name for v in views)}); use the images' file names.")
-        known.pixels[names[view]] = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
+        pixel = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
+        if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
+            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another pixel in '{view}' than in an "
+                                  "earlier row; give each point one row an image.")
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
-    return _ellipsoidal(list(points.values()), vertical_crs, path)
+    return _ellipsoidal(list(points.values()), vertical, path)
 
 
 def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
@@ -124,7 +140,7 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
                               f"table of points needs {', '.join(FIELDS)}.")
 
 
-def _layer_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         source = gdal.OpenEx(path, gdal.OF_VECTOR)
@@ -134,7 +150,9 @@ def _layer_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
         gdal.PopErrorHandler()
     if source is None or source.GetLayerCount() < 1:
         raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
-    layer = source.GetLayer(0)
+    layer = source.GetLayerByName(name) if name else source.GetLayer(0)
+    if layer is None:
+        raise InputTableError(f"'{path}' has no layer '{name}': choose one that is there.")
     fields = [layer.GetLayerDefn().GetFieldDefn(i).GetName() for i in range(layer.GetLayerDefn().GetFieldCount())]
     lower = [name.lower() for name in fields]
     placed = ogr.GT_Flatten(layer.GetGeomType()) == ogr.wkbPoint
@@ -152,21 +170,40 @@ def _layer_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
         yield line, row
 
 
-def _ellipsoidal(gcps: List[Gcp], vertical_crs: Optional[str], path: str) -> List[Gcp]:
-    """The points with heights above the ellipsoid; raises InputTableError where PROJ lacks the grid."""
-    if not vertical_crs:
-        return gcps
+def vertical_datum(text: Optional[str]) -> Optional[pyproj.CRS]:
+    """What heights refer to, longitude and latitude in WGS 84 included; None for the WGS 84 ellipsoid.
+
+    Raises OptionError where PROJ knows no vertical CRS of that name.
+    """
+    name = DATUMS.get((text or "").strip().lower(), (text or "").strip())
+    if not name:
+        return None
     try:
-        source = pyproj.crs.CompoundCRS("points", ["EPSG:4326", vertical_crs])
-        shift = pyproj.Transformer.from_crs(source, "EPSG:4979", always_xy=True, allow_ballpark=False)
-        heights = [float(shift.transform(g.lon, g.lat, g.height)[2]) for g in gcps]
-    except pyproj.exceptions.ProjError as error:
-        raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {vertical_crs} to the ellipsoid "
-                              f"({error}): install its grid (the Environment report names it).") from error
+        vertical = pyproj.CRS.from_user_input(name)
+        parts = vertical.sub_crs_list or [vertical]
+        return pyproj.crs.CompoundCRS("points", ["EPSG:4326", next(part for part in parts if part.is_vertical)])
+    except (pyproj.exceptions.ProjError, StopIteration) as error:
+        raise OptionError("GCP_DATUM", text, "is no vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a "
+                          "code such as EPSG:5773") from error
+
+
+def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> List[Gcp]:
+    """The points with heights above the ellipsoid; raises InputTableError where PROJ lacks the grid."""
+    if vertical is None:
+        return gcps
+    places = np.array([gcp.lon_lat_h for gcp in gcps])
+    bounds = (*(places[:, :2].min(axis=0) - 0.01), *(places[:, :2].max(axis=0) + 0.01))
+    group, missing = vertical_operations(vertical, pyproj.CRS.from_user_input("EPSG:4979"), bounds)
+    name = vertical.sub_crs_list[1].name
+    if not group.transformers:
+        grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
+        raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {name} to the ellipsoid: {grids}. "
+                              "Install it (package proj-data, or 'projsync --file NAME'), or give ellipsoidal heights.")
+    heights = np.asarray(group.transformers[0].transform(*places.T)[2])
     if not np.isfinite(heights).all():
-        raise InputTableError(f"PROJ has no grid for {vertical_crs} at the points of '{path}': install it (the "
-                              "Environment report names it).")
-    return [replace(gcp, height=height) for gcp, height in zip(gcps, heights)]
+        raise InputTableError(f"PROJ's grid for {name} does not cover all points of '{path}': check their places, or "
+                              "give heights above the ellipsoid.")
+    return [replace(gcp, height=float(height)) for gcp, height in zip(gcps, heights)]
 
 
 def intersect(gcp: Gcp, views: Sequence[View]) -> Optional[FloatArray]:

@@ -24,7 +24,8 @@ from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, Tile
 
-_CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score")
+_CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score",
+                     "filled from the background of an occlusion (1)")
 
 
 def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
@@ -41,8 +42,8 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}; outlier radius "
                   f"{radius:g} m.")
     views = tuple(nadir_first(scene)) if options.ortho else ()
-    tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, radius, views,
-                      bool(options.cloud)) for tile, window in zip(tiles, windows)]
+    tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, options.fill,
+                      radius, views, bool(options.cloud)) for tile, window in zip(tiles, windows)]
     results = run_tasks(fuse_tile, tasks, options.workers, progress, lambda task: f"fusing {task.records[0]['tile']}")
     facts = _write(options, scene, grid, crs, windows, results)
     _check(facts, progress)
@@ -98,7 +99,8 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
             keep = result.own is not None
             _put(dsm, [fused.height], place, cut, keep)
             count = np.where(fused.count > 0, fused.count, np.nan)
-            _put(confidence, [count, fused.spread, fused.score], place, cut, keep)
+            filled = np.where(np.isfinite(fused.height), result.filled, np.nan)
+            _put(confidence, [count, fused.spread, fused.score, filled], place, cut, keep)
             _put(ortho, [result.ortho], place, cut, keep)
             if cloud is not None:
                 cloud.write(*result.points.T)

@@ -45,7 +45,8 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
             refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
             workers=options.workers), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
-        scene_path, options.output, options.resolution, options.crs, options.method, options.outlier_radius,
+        scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
+        options.outlier_radius,
         options.confidence, options.ortho, options.cloud, options.workers), p))
     report_path = options.report or str(folder / "report.html")
     products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],

@@ -24,7 +24,7 @@ from ..sfm.ground_control import read_gcps
 from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.view_pairs import ViewPair, choose_pairs
 from ..vector import write_layer
-from ..workspace import ensure_folder, file_identity, fingerprint
+from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
 
 _LEAST_SHARE = 0.01     # of matched pixels: below that, nothing was reconstructed
 
@@ -44,7 +44,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     report_path = str(beside.with_name("reconstruction.html"))
     folder = ensure_folder(options.heights or str(beside.parent / f"{beside.stem}_heights"))
     done = reusable(options.output_scene, "reconstruct", key)
-    if done is not None and _complete(done) and Path(ties_path).exists():
+    if done is not None and _complete(done, folder) and Path(ties_path).exists():
         progress.info(f"Reused {counted(sum(len(t.heights) for t in done.tiles), 'height map')} and the relative "
                       f"pointing in '{options.output_scene}'.")
     else:
@@ -63,8 +63,10 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
             "report": report_path, "n_tie_points": done.facts("reconstruct")["ties"]["count"]}
 
 
-def _complete(scene: Scene) -> bool:
-    return all(Path(record["file"]).exists() for tile in scene.tiles for record in tile.heights)
+def _complete(scene: Scene, folder: Path) -> bool:
+    """Whether all height maps are there, in the folder where they are wanted."""
+    files = [Path(record["file"]) for tile in scene.tiles for record in tile.heights]
+    return all(file.exists() and file.parent.resolve() == folder.resolve() for file in files)
 
 
 def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], options: ReconstructOptions,
@@ -116,8 +118,13 @@ def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
                   str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
                   fingerprint(key, tile.id, pair.first, pair.second))
         for tile in scene.tiles for pair in pairs if pair.first in tile.views and pair.second in tile.views]
-    records = run_tasks(match_tile, tasks, workers, progress,
-                        lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
+    try:
+        records = run_tasks(match_tile, tasks, workers, progress,
+                            lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
+    except BaseException:
+        for task in tasks:  # a worker that is ended while it writes cannot clean up
+            drop_temporary(task.path)
+        raise
     reused = sum(bool(record and record.pop("reused", False)) for record in records)
     if reused:
         progress.info(f"Reused {reused} of {len(tasks)} height maps that an earlier run had finished.")

@@ -81,6 +81,12 @@ def told():
 
 
 @pytest.fixture(scope="session")
+def pipeline():
+    """The class of a run: ``pipeline(scene, folder, **options)`` has workspace, options, result and said."""
+    return Pipeline
+
+
+@pytest.fixture(scope="session")
 def urban(tmp_path_factory):
     return TruthScene("urban", tmp_path_factory.mktemp("urban"), 400)
 

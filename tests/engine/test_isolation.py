@@ -1,4 +1,4 @@
-"""The engine stands alone: every module imports where QGIS and Qt cannot be, says nothing and asks for nothing heavy."""
+"""The engine stands alone: every module imports where QGIS and Qt cannot be, and light stages need no wheel."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def test_no_file_prints_exits_or_reaches_for_qgis():
                 found.append(f"{path.name}: {name}")
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
-                found += [f"{path.name}: {n}" for n in names if n.split(".")[0] in ("qgis", "PyQt5", "random", "pickle")]
+                found += [f"{path.name}: {n}" for n in names if n.split(".")[0] in ("qgis", "PyQt5", "random",
+                                                                                    "pickle")]
             if isinstance(node, ast.Assert):
                 found.append(f"{path.name}: assert")
             if isinstance(node, ast.Attribute) and node.attr == "exit" and path.name != "__main__.py":
@@ -79,7 +80,8 @@ def test_the_command_line_runs_a_pipeline(urban, tmp_path):
     """One heavy stage as QGIS starts it: JSON lines alone, rising progress, the result last."""
     (tmp_path / "job.json").write_text(json.dumps({
         "images": urban.images[:2], "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")}))
-    done = subprocess.run([sys.executable, "-m", "repm_qgis", "pipeline", str(tmp_path / "job.json")], cwd=ROOT, text=True,
+    done = subprocess.run([sys.executable, "-m", "repm_qgis", "pipeline", str(tmp_path / "job.json")], cwd=ROOT,
+                          text=True,
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     said = [json.loads(line) for line in done.stdout.splitlines()]

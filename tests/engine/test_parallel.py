@@ -77,7 +77,8 @@ def test_cancel_is_quick_and_leaves_no_process(work, told):
     with pytest.raises(Cancelled):
         run_tasks(work.slow, list(range(8)), 2, told(cancel_at=3), str)
     assert time.monotonic() - start < 5
-    listed = subprocess.run(["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True, stdout=subprocess.PIPE,
+    listed = subprocess.run(["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True,
+                            stdout=subprocess.PIPE,
                             check=False).stdout
     assert "spawn_main" not in "".join(line for line in listed.splitlines(True) if " Z" not in line)
 

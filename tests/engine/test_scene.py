@@ -65,7 +65,8 @@ def test_pointing_moves_pixels_and_localise_undoes_it(fitted):
     (lambda d: d.pop("views"), "damaged"), (lambda d: d.pop("tiles"), "damaged"),
     (lambda d: d["views"][0].pop("rpc"), "damaged"), (lambda d: d.update(tiles=5), "damaged"),
     (lambda d: d["views"][0]["rpc"].update(row_scale=0), "row scale is 0"),
-    (lambda d: d["views"][0].update(width="wide"), "damaged"), (lambda d: d["views"][0].update(band=float("inf")), "damaged"),
+    (lambda d: d["views"][0].update(width="wide"), "damaged"), (lambda d: d["views"][0].update(band=float("inf")),
+                                                                "damaged"),
     (lambda d: d["tiles"][0].update(views=[1]), "damaged"), (lambda d: d.update(altitudes=None), "damaged"),
     (lambda d: next(iter(d["tiles"][0]["views"].values())).update(window=[float("inf")] * 4), "damaged"),
     (lambda d: next(iter(d["tiles"][0]["views"].values()))["refined"]["to_original"].update(kind="spline"), "spline"),
@@ -146,6 +147,7 @@ def test_images_that_are_too_small_or_not_where_their_rpc_is(tmp_path, urban, wr
     with pytest.raises(RpcInvalidError) as caught:
         load_views((write_image(tmp_path / "far.tif", rpc=far),))
     assert "far.tif" in str(caught.value)
-    microscope = rpc.__class__(**{**rpc.to_mapping(), "lat_scale": rpc.lat_scale / 1e4, "lon_scale": rpc.lon_scale / 1e4})
+    microscope = rpc.__class__(**{**rpc.to_mapping(), "lat_scale": rpc.lat_scale / 1e4,
+                                  "lon_scale": rpc.lon_scale / 1e4})
     with pytest.raises(RpcInvalidError, match="micro.tif.*(no satellite image|cannot be used)"):
         load_views((write_image(tmp_path / "micro.tif", rpc=microscope),))

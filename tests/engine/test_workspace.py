@@ -7,7 +7,7 @@ import os
 import pytest
 
 from repm_qgis.errors import WorkspaceError
-from repm_qgis.workspace import ensure_folder, file_identity, fingerprint, temporary_name, write_text
+from repm_qgis.workspace import drop_temporary, ensure_folder, file_identity, fingerprint, temporary_name, write_text
 
 
 def test_text_is_written_whole(tmp_path):
@@ -47,3 +47,12 @@ def test_fingerprints_tell_changes(tmp_path):
     path.write_text("123")
     assert file_identity(str(path)) != first
     assert file_identity(str(tmp_path / "gone")) == [str(tmp_path / "gone")]
+
+
+def test_what_is_left_of_a_file_can_be_dropped(tmp_path):
+    path = str(tmp_path / "dsm.tif")
+    with open(temporary_name(path), "w", encoding="utf-8") as stream:
+        stream.write("half")
+    drop_temporary(path)
+    drop_temporary(path)
+    assert os.listdir(tmp_path) == []

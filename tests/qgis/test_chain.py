@@ -52,10 +52,16 @@ def test_the_pipeline_makes_all_that_it_names(whole):
         assert results[name] == given[name]
         assert os.path.exists(results[name])
     assert os.path.exists(results["SCENE"])
-    assert os.path.exists(given["OUTPUT"].replace(".tif", ".qml"))
+    for name in ("OUTPUT", "CONFIDENCE", "ORTHO", "TILES", "TIE_POINTS"):
+        assert os.path.exists(os.path.splitext(given[name])[0] + ".qml")
+    assert results["N_TIE_POINTS"] > 100 and 50 < results["VALID_PERCENT"] <= 100
     assert heard["progress"][-1] == 100
     with open(results["REPORT"], encoding="utf-8") as stream:
-        assert "qgis_process run repm:pipeline -- IMAGES=" in stream.read()
+        page = stream.read()
+    for words in ("qgis_process run repm:pipeline -- IMAGES=", "Tie points&#x27; residuals", "Mean matching score",
+                  given["CLOUD"], "opencv-python-headless", ">polynomial</td>"):
+        assert words in page, words
+    assert page.count("<td>order</td>") == 1  # one table of options for all stages
 
 
 def test_a_second_run_says_what_it_reused(whole, run):

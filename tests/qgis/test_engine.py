@@ -74,9 +74,8 @@ def engine(plugin, tmp_path, monkeypatch):
     from repm.processing_provider import engine
 
     package = tmp_path / "plugin folder" / "repm_qgis"
-    (package / "stages").mkdir(parents=True)
-    for name in ("__init__", "__main__", "errors", "progress", "options"):
-        shutil.copy(ROOT / "repm_qgis" / f"{name}.py", package)
+    shutil.copytree(ROOT / "repm_qgis", package, ignore=shutil.ignore_patterns("__pycache__", "stages"))
+    (package / "stages").mkdir()
     (package / "stages" / "__init__.py").write_text(STAGES)
     jobs = tmp_path / "jobs"
     jobs.mkdir()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 
 import numpy as np
@@ -9,6 +10,7 @@ from osgeo import gdal
 from repm_qgis.errors import ImageError, OptionError, WorkspaceError
 from repm_qgis.evaluation import charts, pictures, styles
 from repm_qgis.evaluation.report import Report, number
+from repm_qgis.imagery import raster
 from repm_qgis.progress import Silent
 from repm_qgis.stages import run_stage
 
@@ -250,3 +252,16 @@ def test_vector_styles_and_unknown_kinds(tmp_path):
         assert f'attr="{field}"' in text
     with pytest.raises(OptionError, match="kind is 'x'"):
         styles.write_style("x", tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize(("counts", "band"), [((1.0, 1.0), 3), ((1.0, 3.0), 1)])
+def test_a_confidence_of_one_height_map_shows_the_score(tmp_path, counts, band):
+    rows = np.ones((20, 20), np.float32)
+    count = np.where(np.arange(20) < 10, *counts) * rows
+    path = str(tmp_path / "confidence.tif")
+    raster.write(path, [count.astype(np.float32), rows * np.nan, np.linspace(0.2, 0.9, 400, dtype=np.float32).reshape(
+        20, 20)], (0, 1, 0, 20, 0, -1), "")
+    text = open(styles.write_style("confidence", path), encoding="utf-8").read()
+    assert f'type="singlebandpseudocolor" band="{band}"' in text
+    low = float(re.search(r'classificationMin="([^"]*)"', text).group(1))
+    assert low == pytest.approx({3: 0.2, 1: 1.0}[band], abs=0.02)

@@ -13,6 +13,7 @@ from repm_qgis.geometry.frames import (
     geodetic_from_ecef,
     geodetic_from_projected,
     projected_crs,
+    projected_crs_at,
     projected_from_geodetic,
     utm_crs,
 )
@@ -74,7 +75,8 @@ def test_projecting_agrees_with_pyproj():
 @pytest.mark.parametrize("text, words", (
     ("EPSG:4326", "must be a projected CRS"), ("EPSG:4978", "must be a projected CRS"),
     ("no such thing", "is not a coordinate reference system that PROJ knows"), ("", "is not a coordinate reference"),
-    ("EPSG:999999", "is not a coordinate reference"), ("EPSG:2263", "metres"), ("EPSG:32631+5773", "without a vertical")))
+    ("EPSG:999999", "is not a coordinate reference"), ("EPSG:2263", "metres"), ("EPSG:32631+5773",
+                                                                                "without a vertical")))
 def test_a_dsm_needs_a_projected_crs_in_metres(text, words):
     with pytest.raises(OptionError) as caught:
         projected_crs(text)

@@ -87,7 +87,8 @@ def test_moved_and_straightened():
     straight = camera.without_skew()
     assert straight.K[0, 1] == 0
     skew = camera.K @ np.linalg.inv(straight.K)
-    np.testing.assert_allclose(straight.project(points) @ skew[:2, :2].T + skew[:2, 2], camera.project(points), atol=1e-6)
+    np.testing.assert_allclose(straight.project(points) @ skew[:2, :2].T + skew[:2, 2], camera.project(points),
+                               atol=1e-6)
     again = PinholeCamera.from_mapping(camera.to_mapping())
     np.testing.assert_array_equal(again.P, camera.P)
 

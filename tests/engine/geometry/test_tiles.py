@@ -14,7 +14,8 @@ AREAS = {
     "square": box((500000.0, 4800000.0, 501000.0, 4801000.0)),
     "broken metres": box((500000.9, 4800000.1, 500840.9, 4800700.9)),
     "thin": box((500000.5, 4800000.0, 503000.2, 4800040.0)),
-    "slanted": geometry_of(np.array([[500100.3, 4800000.2], [501500.7, 4800300.9], [501200.4, 4801400.6], [499800.1, 4801100.3]])),
+    "slanted": geometry_of(np.array([[500100.3, 4800000.2], [501500.7, 4800300.9], [501200.4, 4801400.6],
+                                     [499800.1, 4801100.3]])),
     "tiny": box((500000.4, 4800000.4, 500000.6, 4800000.6))}
 
 
@@ -70,7 +71,8 @@ def test_what_the_image_does_not_see_has_no_window(urban):
                             view.size)
 
     assert window((x1 + 5000, y0, x1 + 5100, y1)) is None
-    assert window((x0 + 50, y0 + 50, x0 + 51, y0 + 51)) is None or min(window((x0 + 50, y0 + 50, x0 + 51, y0 + 51))[2:]) >= 48
+    assert window((x0 + 50, y0 + 50, x0 + 51, y0 + 51)) is None or min(window((x0 + 50, y0 + 50, x0 + 51,
+                                                                               y0 + 51))[2:]) >= 48
     whole = window((x0 - 1000, y0 - 1000, x1 + 1000, y1 + 1000))
     assert whole == (0, 0, *view.size)
 

@@ -9,11 +9,18 @@ from repm_qgis.errors import ImageError
 from repm_qgis.imagery.enhancement import Stretch, view_stretch
 
 
-def test_stretch_is_a_root_between_the_ends_and_keeps_nan():
-    pixels = np.array([[50, 100, 200, 500, 900, np.nan]], dtype=np.float32)
+def test_stretch_is_a_root_up_to_the_threshold_and_keeps_nan():
+    pixels = np.array([[50, 100, 200, 500, np.nan]], dtype=np.float32)
     found = Stretch(100.0, 500.0).apply(pixels)
-    np.testing.assert_allclose(found[0, :5], [0, 0, 0.5, 1, 1], atol=1e-6)
-    assert np.isnan(found[0, 5]) and found.dtype == np.float32
+    np.testing.assert_allclose(found[0, :4], [0, 0, 0.45, 0.9], atol=1e-6)
+    assert np.isnan(found[0, 4]) and found.dtype == np.float32
+
+
+def test_above_the_threshold_brighter_stays_brighter_and_below_1():
+    found = Stretch(100.0, 500.0).apply(np.arange(300, 1200, 5, dtype=np.float32)[None])[0]
+    assert (np.diff(found) > 0).all() and found[-1] < 1.0
+    steps = np.diff(found)
+    assert np.abs(np.diff(steps)).max() < 0.1 * steps.max()  # no kink at the threshold
 
 
 def test_percentiles_leave_out_glare_and_nodata(tmp_path, write_image):

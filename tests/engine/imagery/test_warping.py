@@ -126,4 +126,5 @@ def test_whole_pixels_are_taken_as_they_are():
     source = np.random.default_rng(0).normal(size=(30, 40)).astype(np.float32)
     x, y = np.meshgrid(np.arange(5.0, 30.0), np.arange(4.0, 20.0))
     for kernel in ("bilinear", "cubic", "lanczos"):
-        np.testing.assert_allclose(sample_array(source, np.stack([x, y], axis=-1), kernel), source[4:20, 5:30], atol=1e-5)
+        np.testing.assert_allclose(sample_array(source, np.stack([x, y], axis=-1), kernel), source[4:20, 5:30],
+                                   atol=1e-5)

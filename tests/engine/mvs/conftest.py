@@ -71,6 +71,7 @@ def case(request):
     shared_data = request.getfixturevalue("shared_data")
     if request.param.startswith("pleiades"):
         images = sorted((shared_data / request.param).glob("img*.tif"))
-        return _images(images[:2], {"pleiades_pair": (2200.0, 2450.0), "pleiades_triplet": (100.0, 250.0)}[request.param],
+        return _images(images[:2], {"pleiades_pair": (2200.0, 2450.0), "pleiades_triplet": (100.0,
+                                                                                            250.0)}[request.param],
                        120.0)
     return _full_scene(shared_data, request.param, 300.0, 200.0)

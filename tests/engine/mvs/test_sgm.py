@@ -28,7 +28,8 @@ def pair_of(disparity, seed=0):
     first = ndimage.map_coordinates(coefficients, [rows, columns + 100], order=3, prefilter=False)
     rows, columns = np.mgrid[:HEIGHT, :WIDTH + HIGH - LOW].astype(float)
     columns -= HIGH
-    second = ndimage.map_coordinates(coefficients, [rows, columns + disparity(columns, rows) + 100], order=3, prefilter=False)
+    second = ndimage.map_coordinates(coefficients, [rows, columns + disparity(columns, rows) + 100], order=3,
+                                     prefilter=False)
     return first.astype(np.float32), second.astype(np.float32)
 
 

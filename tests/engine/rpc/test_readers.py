@@ -37,7 +37,8 @@ def rpc_txt(rpc):
 def rpb(rpc):
     """DigitalGlobe's .RPB."""
     tags = rpc_tags(rpc)
-    text = 'satId = "WV01";\nbandId = "P";\nSpecId = "RPC00B";\nBEGIN_GROUP = IMAGE\n\terrBias = 1.0;\n\terrRand = 0.5;\n'
+    text = 'satId = "WV01";\nbandId = "P";\nSpecId = "RPC00B";\n'
+    text += "BEGIN_GROUP = IMAGE\n\terrBias = 1.0;\n\terrRand = 0.5;\n"
     for ours, theirs in (("LINE", "line"), ("SAMP", "samp"), ("LAT", "lat"), ("LONG", "long"), ("HEIGHT", "height")):
         text += f"\t{theirs}Offset = {float(tags[f'{ours}_OFF']):.12f};\n"
         text += f"\t{theirs}Scale = {float(tags[f'{ours}_SCALE']):.12f};\n"
@@ -56,7 +57,8 @@ def dimap(rpc, height_off=None, head=""):
                    for i, value in enumerate(tags[f"{name}_COEFF"].split(), start=1))
     direct = "".join(f"<{name}_COEFF_{i}>{0.5 + i}</{name}_COEFF_{i}>\n"
                      for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN") for i in range(1, 21))
-    numbers = {f"{k}_{e}": tags[f"{k}_{e}"] for k in ("LONG", "LAT", "HEIGHT", "SAMP", "LINE") for e in ("SCALE", "OFF")}
+    numbers = {f"{k}_{e}": tags[f"{k}_{e}"] for k in ("LONG", "LAT", "HEIGHT", "SAMP", "LINE") for e in ("SCALE",
+                                                                                                         "OFF")}
     numbers["SAMP_OFF"] = repr(float(numbers["SAMP_OFF"]) + 1)
     numbers["LINE_OFF"] = repr(float(numbers["LINE_OFF"]) + 1)
     if height_off is not None:
@@ -156,7 +158,8 @@ def test_missing_rpc_lists_the_places(tmp_path, write_image):
     with pytest.raises(RpcMissingError) as caught:
         read(image)
     text = str(caught.value)
-    for words in (image, "GTiff metadata", ".RPB", "_RPC.TXT", "scene.xml", "Put the vendor's RPC file beside the image"):
+    for words in (image, "GTiff metadata", ".RPB", "_RPC.TXT", "scene.xml",
+                  "Put the vendor's RPC file beside the image"):
         assert words in text
 
 
@@ -164,13 +167,15 @@ def test_projected_product_has_its_own_sentence(tmp_path, write_image):
     image = write_image(tmp_path / "ortho.tif", crs="EPSG:32631")
     with pytest.raises(RpcMissingError) as caught:
         read(image)
-    assert "already projected to a map" in str(caught.value) and "order the Basic, Sensor or Primary" in str(caught.value)
+    assert "already projected to a map" in str(caught.value)
+    assert "order the Basic, Sensor or Primary" in str(caught.value)
     assert "Looked in" not in str(caught.value)
 
 
 @pytest.mark.parametrize("key, value, words", (
     ("LINE_SCALE", "0", "row scale is 0.0"), ("LAT_OFF", "nan", "lat offset is nan"),
-    ("HEIGHT_SCALE", "0.0 meters", "height scale is 0.0"), ("LONG_OFF", "east", "LONG_OFF is 'east', which is not a number"),
+    ("HEIGHT_SCALE", "0.0 meters", "height scale is 0.0"), ("LONG_OFF", "east",
+                                                            "LONG_OFF is 'east', which is not a number"),
     ("SAMP_DEN_COEFF", " ".join(["0"] * 20), "col_den has only zero coefficients"),
     ("SAMP_NUM_COEFF", " ".join(["1"] * 19), "col_num has 19 coefficients"),
     ("LINE_NUM_COEFF", " ".join(["1"] * 19 + ["nan"]), "row_num has a coefficient that is not a finite number")))

@@ -124,6 +124,29 @@ def test_two_views_are_enough(scene):
     assert np.abs(sum(found.shifts.values())).max() < 0.02
 
 
+def bent(tracks, views, size=1.2):
+    """The tracks as images see them that are also stretched and turned by up to ``size`` px at their border."""
+    numbers = np.random.default_rng(12)
+    maps = {view.name: numbers.uniform(-size / 400, size / 400, (2, 2)) for view in views}
+    return [Track({name: pixel + maps[name] @ (pixel - 200) for name,
+                   pixel in track.pixels.items()}) for track in tracks]
+
+
+def test_affine_errors_need_the_affine_model(scene):
+    tracks = bent(exact_tracks(scene, 400, noise=0.05)[0], scene.views)
+    shift, affine = (adjust(scene.views, tracks, 500.0, model) for model in ("shift", "affine"))
+    assert np.median(affine.residual_px) < 0.06 and np.median(shift.residual_px) > 0.12
+    assert adjust(scene.views, tracks, 500.0, "auto").model == "affine"
+
+
+def test_pure_shifts_stay_shifts(scene):
+    tracks, _ = exact_tracks(scene, 400, noise=0.1)
+    found = adjust(scene.views, tracks, 500.0, "auto")
+    assert found.model == "shift" and found.reason
+    for pointing in found.pointing.values():
+        np.testing.assert_array_equal(pointing[:, :2], np.eye(2))
+
+
 def matches(first, second, a, b):
     return PairMatches(first, second, np.array(a, float), np.array(b, float), np.zeros(len(a)))
 

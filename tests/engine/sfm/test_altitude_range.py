@@ -79,8 +79,9 @@ def test_a_dem_comes_before_the_images(urban, told):
 def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
     from repm_qgis.scene import load_views
 
-    grey = np.full((400, 400), 300, np.uint16)
-    views = load_views(tuple(write_image(tmp_path / f"{i}.tif", grey, view.rpc) for i, view in enumerate(urban.views)))
+    noise = np.random.default_rng(0).integers(100, 1000, (3, 400, 400)).astype(np.uint16)
+    views = load_views(tuple(write_image(tmp_path / f"{i}.tif", noise[i], view.rpc) for i,
+                             view in enumerate(urban.views)))
     said = told()
     assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
     assert "do not tell the altitude range" in said.warnings[0]

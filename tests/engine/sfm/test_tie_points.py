@@ -30,7 +30,8 @@ def epipolar(truth, match):
     """Distance of the second pixel from the true epipolar line of the first, px: needs no surface."""
     first, second = (next(v for v in truth.true_views if v.name == name) for name in (match.first, match.second))
     low, high = truth.height_range
-    ends = [second.rpc.project(first.rpc.localise(match.first_px, np.full(len(match.first_px), h))) for h in (low, high)]
+    ends = [second.rpc.project(first.rpc.localise(match.first_px, np.full(len(match.first_px), h))) for h in (low,
+                                                                                                              high)]
     along = ends[1] - ends[0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     offset = match.second_px - ends[0]
@@ -64,7 +65,8 @@ def test_the_shifts_bring_rows_together(found):
         rows = (pair.first_rectified(true[match.first].project(points))[:, 1]
                 - pair.second_rectified(true[match.second].project(points))[:, 1])
         assert np.median(np.abs(rows)) < 0.1  # the issue asks for 0.3
-        before = rectified_pair(scene, *(scene.view(n) for n in (match.first, match.second)), tile.bounds, tile.altitudes)
+        before = rectified_pair(scene, *(scene.view(n) for n in (match.first, match.second)), tile.bounds,
+                                tile.altitudes)
         raw = (before.first_rectified(true[match.first].project(points))[:, 1]
                - before.second_rectified(true[match.second].project(points))[:, 1])
         assert np.median(np.abs(rows)) < np.median(np.abs(raw))

@@ -36,8 +36,8 @@ def test_convergence_is_the_angle_between_the_looks(urban):
     angle, ratio = convergence(a, b, place[0], place[1], 200.0)
     assert angle == pytest.approx(np.degrees(np.arccos(rays[0] @ rays[1])), abs=1e-3)
     looks = urban.record["views"]
-    assert ratio == pytest.approx(abs(np.tan(np.radians(looks[0]["pitch_deg"])) - np.tan(np.radians(looks[2]["pitch_deg"]))),
-                                  rel=0.25)
+    slopes = np.tan(np.radians([look["pitch_deg"] for look in looks]))
+    assert ratio == pytest.approx(abs(slopes[0] - slopes[2]), rel=0.25)
 
 
 def test_three_views_make_three_pairs(urban):

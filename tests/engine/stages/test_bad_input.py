@@ -221,7 +221,8 @@ def test_absurd_crss(bench, crs, words):
 
 
 @pytest.mark.parametrize("options, words", (
-    ({"altitude_min": 300.0, "altitude_max": 200.0}, "must be below ALTITUDE_MAX"), ({"resolution": -1.0}, "RESOLUTION"),
+    ({"altitude_min": 300.0, "altitude_max": 200.0}, "must be below ALTITUDE_MAX"), ({"resolution": -1.0},
+                                                                                     "RESOLUTION"),
     ({"tile_size": 10}, "TILE_SIZE"), ({"model": "spline"}, "MODEL"), ({"backend": "magic"}, "BACKEND"),
     ({"method": "mode"}, "METHOD"), ({"outlier_radius": float("nan")}, "OUTLIER_RADIUS"), ({"workers": -1}, "WORKERS"),
     ({"colour": "red"}, "not an option of this stage"), ({"workspace": ""}, "WORKSPACE"), ({"output": ""}, "OUTPUT"),

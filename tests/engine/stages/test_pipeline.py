@@ -57,7 +57,8 @@ def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
     y = north - (rows + 0.5) * cell + found["dy"]
     tc, tr = ((x - truth_west) / truth_cell).astype(int), ((truth_north - y) / truth_cell).astype(int)
     inside = (tc >= 0) & (tr >= 0) & (tc < urban.surface.shape[1]) & (tr < urban.surface.shape[0])
-    error = np.where(inside, height + found["dz"] - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)], np.nan)
+    error = np.where(inside, height + found["dz"] - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)],
+                     np.nan)
     near = np.zeros(height.shape, bool)
     for tile in scene.tiles:
         for edge in (tile.bounds[0], tile.bounds[2]):
@@ -119,7 +120,8 @@ def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban
     rows, cols = rows[pick], cols[pick]
     from repm_qgis.geometry.frames import geodetic_from_projected
 
-    lon_lat = geodetic_from_projected(urban.crs, np.column_stack([west + (cols + 0.5) * cell, north - (rows + 0.5) * cell]))
+    lon_lat = geodetic_from_projected(urban.crs, np.column_stack([west + (cols + 0.5) * cell,
+                                                                  north - (rows + 0.5) * cell]))
     ground = np.column_stack([lon_lat, height[rows, cols]])
     best = np.full(len(rows), np.inf)
     for view in scene.views:
@@ -129,7 +131,8 @@ def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban
         pixel = view.project(ground)
         c, r = np.rint(pixel).astype(int).T
         inside = (c >= 1) & (r >= 1) & (c < 399) & (r < 399)
-        around = np.stack([image[np.clip(r + dr, 0, 399), np.clip(c + dc, 0, 399)] for dr in (-1, 0, 1) for dc in (-1, 0, 1)])
+        around = np.stack([image[np.clip(r + dr, 0, 399), np.clip(c + dc, 0, 399)] for dr in (-1, 0,
+                                                                                              1) for dc in (-1, 0, 1)])
         value = ortho[rows, cols]
         off = np.maximum(np.maximum(around.min(axis=0) - value, value - around.max(axis=0)), 0)
         best = np.minimum(best, np.where(inside, off, np.inf))
@@ -152,7 +155,8 @@ def test_layers_and_numbers(urban_run):
     assert max(feature["worst_max"] for feature in layer) == pytest.approx(result["max_error"], rel=1e-6)
     layer = source = None
     assert result["rmse"] <= result["max_error"] < 5
-    assert os.path.getsize(result["report"]) > 2000 and set(result["seconds"]) == {"epmfit", "refine", "reconstruct", "dsmfuse"}
+    assert os.path.getsize(result["report"]) > 2000 and set(result["seconds"]) == {"epmfit", "refine", "reconstruct",
+                                                                                   "dsmfuse"}
     assert json.dumps(result, allow_nan=False)
 
 

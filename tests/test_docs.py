@@ -1,0 +1,50 @@
+"""The documents: links lead somewhere, pictures are small, and nothing of one machine is in them."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def anchors(page: pathlib.Path) -> set[str]:
+    """The anchors that a page's headings have."""
+    heads = re.findall(r"(?m)^#+ (.*)$", page.read_text(encoding="utf-8"))
+    return {re.sub(r"[^\w\- ]", "", head).strip().lower().replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page):
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    for link in links:
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{page.name} links to {link}"
+        assert not anchor or anchor in anchors(target), f"{page.name} links to {link}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_pages_name_no_folder_of_one_machine(page):
+    assert not re.search(r"(?<![\w.])/(work|root|home|tmp)/", page.read_text(encoding="utf-8"))
+
+
+def test_every_algorithm_has_its_page_and_its_help():
+    names = {path.stem for path in (ROOT / "resources" / "help").glob("*.md")}
+    assert len(names) >= 9
+    assert names == {path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md")}
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert not [name for name in names if f"`repm:{name}`" not in readme]
+
+
+def test_pictures_are_small():
+    pictures = list((ROOT / "docs" / "pictures").glob("*.png"))
+    assert len(pictures) >= 6
+    for picture in pictures:
+        assert picture.read_bytes()[:4] == b"\x89PNG"
+        assert picture.stat().st_size < 400_000, picture.name
