@@ -124,8 +124,8 @@ def full_scenes() -> List[str]:
     if not rows:
         return [f"Real RPCs: not measured, '{SHARED}' is absent."]
     return [
-        "RMSE / maximum of the equivalent error in px over full scenes and the RPC's own altitude range (25 x 25 pixels "
-        "x 11 altitudes); terrain: 7000 random points, surface wrong by up to 10 m, fractal ground of the whole range.",
+        "RMSE / maximum of the equivalent error in px over full scenes and the RPC's own altitude range (25 x 25 px "
+        "x 11 altitudes); terrain: 7000 random points, surface wrong by up to 10 m, fractal ground all over.",
         table(["scene", "altitudes, m", "uncorrected", "homography", "polynomial", "terrain", "terrain, middle 5120 px",
                "fit, CPU s"], rows),
         f"Terrain, worst of {len(rows)} scenes: full {worst['full'][0]:.3f} / {worst['full'][1]:.3f} px (bars 0.16 / "

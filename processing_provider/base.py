@@ -18,6 +18,7 @@ from qgis.core import (
     QgsProcessingParameterDefinition,
     QgsProcessingParameterNumber,
     QgsProcessingUtils,
+    QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
@@ -119,7 +120,9 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def checkParameterValues(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
         for definition in self.parameterDefinitions():
             problem = ""
-            if definition.type() == "multilayer":
+            if definition.name() in ("RPCS", "GCPS"):
+                problem = self._check_files(definition.name(), parameters.get(definition.name()), context)
+            elif definition.type() == "multilayer":
                 problem = self._check_images(definition.name(), parameters.get(definition.name()), context)
             elif definition.type() in ("enum", "number"):
                 problem = self._check_choice(definition, parameters.get(definition.name()))
@@ -180,6 +183,15 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         if not value.lower().endswith(".json"):
             return self.tr("{name} '{path}' is no scene: choose the scene.json that the stage before wrote.").format(
                 name=definition.name(), path=value)
+        return ""
+
+    def _check_files(self, name: str, value: object, context: QgsProcessingContext) -> str:
+        for item in raster_items(value, context):
+            if isinstance(item, str) and not os.path.exists(item.split("|")[0]):
+                return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
+            if isinstance(item, QgsMapLayer) and not isinstance(item, QgsVectorLayer):
+                return self.tr("The layer '{layer}' of {name} holds no points: choose a point layer or a CSV "
+                               "file.").format(layer=item.name(), name=name)
         return ""
 
     def _check_raster(self, name: str, value: object, context: QgsProcessingContext) -> str:

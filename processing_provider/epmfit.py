@@ -24,8 +24,9 @@ class EpmFit(RepmAlgorithm):
         return self.tr("Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.")
 
     def parameters(self) -> list:
-        return [parameters.images(), parameters.extent(), parameters.dem(), *parameters.altitudes(),
-                *parameters.tiles_and_budget(), parameters.workspace(), parameters.tiles(), parameters.report()]
+        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.rpcs(),
+                *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.workspace(), parameters.tiles(),
+                parameters.report()]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),

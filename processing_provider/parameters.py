@@ -17,7 +17,9 @@ from qgis.core import (
     QgsProcessingParameterNumber,
     QgsProcessingParameterRasterDestination,
     QgsProcessingParameterRasterLayer,
+    QgsProcessingParameterString,
     QgsProcessingParameterVectorDestination,
+    QgsProcessingParameterVectorLayer,
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
@@ -87,12 +89,53 @@ class Raster(QgsProcessingParameterRasterLayer):
         return Raster(self)
 
 
+class Points(QgsProcessingParameterVectorLayer):
+    """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and names what is
+    wrong in them."""
+
+    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+        return super().checkValueIsAcceptable(input)
+
+    def clone(self) -> Points:
+        return Points(self)
+
+
 def images() -> QgsProcessingParameterDefinition:
     parameter = Images(
         "IMAGES", tr("Satellite images with RPCs"), QgsProcessing.SourceType.TypeRaster)
     parameter.setMinimumNumberInputs(2)
     return helped(parameter, tr("Two or more images of the same ground in sensor geometry (level Basic, Sensor or "
                                 "Primary), each with its RPC in the file or beside it."))
+
+
+def rpcs() -> QgsProcessingParameterDefinition:
+    return advanced(helped(QgsProcessingParameterMultipleLayers(
+        "RPCS", tr("RPC files (empty: in the images or beside them)"), QgsProcessing.SourceType.TypeFile,
+        optional=True),
+        tr("Only where the RPCs lie elsewhere: one file for each image, in the images' order.")))
+
+
+def gcps(optional: bool = True) -> QgsProcessingParameterDefinition:
+    return helped(Points(
+        "GCPS", tr("Ground control points"), [QgsProcessing.SourceType.TypeVector], optional=optional),
+        tr("A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's "
+           "file name), col, row (the first pixel's centre is 0, 0), role (control or check). A layer's geometry may "
+           "stand for lon and lat."))
+
+
+def gcp_datum() -> QgsProcessingParameterDefinition:
+    return advanced(helped(QgsProcessingParameterString(
+        "GCP_DATUM", tr("Heights of the control points refer to (empty: the WGS 84 ellipsoid)"), "", optional=True),
+        tr("EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773. Its grid must be installed: the "
+           "Environment report names what is missing.")))
+
+
+def pointing() -> QgsProcessingParameterDefinition:
+    from ..repm_qgis.options import POINTINGS
+
+    return advanced(choice("POINTING", tr("Correction of the images' pointing"), POINTINGS, "auto",
+                           tr("shift: one shift an image; affine: also stretched and turned; auto: affine where the "
+                              "tie points show a trend and span the images well enough to carry it.")))
 
 
 def extent() -> QgsProcessingParameterDefinition:
@@ -166,10 +209,13 @@ def crs() -> QgsProcessingParameterDefinition:
 
 
 def fusion() -> list[QgsProcessingParameterDefinition]:
-    from ..repm_qgis.options import METHODS
+    from ..repm_qgis.options import FILLS, METHODS
 
     return [advanced(choice("METHOD", tr("Fusion of the pairs' heights"), METHODS, "median",
                             tr("median: robust, for three images or more; mean: smoother."))),
+            advanced(choice("FILL", tr("Fill"), FILLS, "occlusions",
+                            tr("occlusions: cells that one image hides take the height of the ground behind, and are "
+                               "marked in the confidence raster; none: they stay nodata."))),
             advanced(real("OUTLIER_RADIUS", tr("Outlier radius (m, empty: automatic, 0: off)"), None, 0.0, 1000.0,
                           tr("Points with too few neighbours within this distance are dropped.")))]
 

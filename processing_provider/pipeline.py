@@ -16,7 +16,7 @@ class Pipeline(RepmAlgorithm):
 
     ID = "pipeline"
     GROUP = "whole"
-    TAGS = "SfM,MVS,surface model,point cloud,orthophoto,REPM,tri-stereo"
+    TAGS = "SfM,MVS,GCP,ground control,surface model,point cloud,orthophoto,REPM,tri-stereo"
     USES_WORKERS = True
     LAYERS = {"OUTPUT": ("DSM", "dsm"), "CONFIDENCE": ("Confidence", "confidence"), "ORTHO": ("Orthophoto", "ortho"),
               "TILES": ("Tiles", "tiles"), "TIE_POINTS": ("Tie points", "tie_points")}
@@ -29,7 +29,8 @@ class Pipeline(RepmAlgorithm):
 
     def parameters(self) -> list:
         dsm, *extras = parameters.dsm_products()
-        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.resolution(), parameters.crs(),
+        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.gcps(), parameters.resolution(),
+                parameters.crs(), parameters.rpcs(), parameters.gcp_datum(), parameters.pointing(),
                 *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.advanced(parameters.model()),
                 parameters.advanced(parameters.order()), parameters.advanced(parameters.backend()),
                 *parameters.fusion(), dsm, parameters.workspace(), parameters.report(), parameters.tiles(),

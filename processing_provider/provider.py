@@ -12,6 +12,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from . import settings
 from .base import GROUPS, PLUGIN_FOLDER, RepmAlgorithm, resource
+from .checkgcps import CheckGcps
 from .comparedsm import CompareDsm
 from .dsmfuse import DsmFuse
 from .environment import Environment
@@ -23,8 +24,8 @@ from .reconstruct import Reconstruct
 from .refine import Refine
 from .sampledata import SampleData
 
-ALGORITHMS = (EpmFit, ErrorMap, Refine, Reconstruct, DsmFuse, Pipeline, CompareDsm, SampleData, Environment,
-              ExportCameras)
+ALGORITHMS = (EpmFit, ErrorMap, Refine, Reconstruct, DsmFuse, Pipeline, CompareDsm, CheckGcps, SampleData,
+              Environment, ExportCameras)
 
 
 class ShippedModel(QgsProcessingModelAlgorithm):

@@ -13,7 +13,7 @@ class Reconstruct(RepmAlgorithm):
 
     ID = "reconstruct"
     GROUP = "surface"
-    TAGS = "SfM,MVS,tie points,bundle adjustment,dense matching,SGM,disparity"
+    TAGS = "SfM,MVS,tie points,GCP,ground control,bundle adjustment,dense matching,SGM,disparity"
     USES_WORKERS = True
     LAYERS = {"TIE_POINTS": ("Tie points", "tie_points")}
 
@@ -26,7 +26,8 @@ class Reconstruct(RepmAlgorithm):
     def parameters(self) -> list:
         heights = QgsProcessingParameterFolderDestination(
             "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False)
-        return [parameters.scene(), parameters.backend(), parameters.output_scene(), parameters.tie_points(), heights]
+        return [parameters.scene(), parameters.backend(), parameters.gcps(), parameters.gcp_datum(),
+                parameters.pointing(), parameters.output_scene(), parameters.tie_points(), heights]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputHtml("REPORT", self.tr("Report")),

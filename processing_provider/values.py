@@ -9,13 +9,17 @@ from typing import Any, Mapping, Optional
 from qgis.core import (
     QgsCoordinateReferenceSystem,
     QgsMapLayer,
+    QgsProcessing,
     QgsProcessingAlgorithm,
     QgsProcessingContext,
+    QgsProcessingException,
     QgsProcessingParameterDefinition,
     QgsProcessingParameterNumber,
     QgsProcessingUtils,
     QgsProperty,
     QgsProviderRegistry,
+    QgsVectorFileWriter,
+    QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QVariant
 
@@ -57,6 +61,46 @@ def raster_paths(value: object, context: QgsProcessingContext) -> list[str]:
     return [os.path.abspath(path) if os.path.exists(path) else path for path in found]
 
 
+def file_paths(value: object, context: QgsProcessingContext) -> list[str]:
+    """Absolute paths of a list of files, in its order."""
+    if isinstance(value, QgsProperty):
+        value = value.valueAsString(context.expressionContext())[0]
+    values = value if isinstance(value, (list, tuple)) else [value]
+    return [os.path.abspath(str(item)) for item in values if not is_empty(item)]
+
+
+def points_path(value: object, context: QgsProcessingContext) -> Optional[str]:
+    """The file of a point layer or table (``file|layername=name`` where the layer is one of several).
+
+    A layer that is no file, or of which a filter shows a part, is written to a temporary one.
+    """
+    item = next(iter(raster_items(value, context)), None)
+    if not isinstance(item, QgsVectorLayer):
+        path, *rest = str(item).split("|") if item is not None else [""]
+        return "|".join([os.path.abspath(path), *rest]) if path else None
+    parts = QgsProviderRegistry.instance().decodeUri(item.providerType(), item.source())
+    path, name = parts.get("path", ""), parts.get("layerName")
+    table = item.providerType() == "delimitedtext"
+    # The engine reads tables with commas and the fields' names in the first line; QGIS can be told otherwise.
+    plain = path.lower().endswith(".csv") and not set(parts) - {"path"} if table else item.providerType() == "ogr"
+    if plain and os.path.exists(path) and not item.subsetString():
+        return f"{path}|layername={name}" if name else path
+    return _written(item, context)
+
+
+def _written(layer: QgsVectorLayer, context: QgsProcessingContext) -> str:
+    """A copy of a layer in a temporary GeoPackage; raises QgsProcessingException where that fails."""
+    path = QgsProcessingUtils.generateTempFilename("points.gpkg")
+    options = QgsVectorFileWriter.SaveVectorOptions()
+    options.driverName = "GPKG"
+    options.layerOptions = ["FID=repm_fid"]  # the table may have a field of that name
+    error, text, *_ = QgsVectorFileWriter.writeAsVectorFormatV3(layer, path, context.transformContext(), options)
+    if error != QgsVectorFileWriter.WriterError.NoError:
+        raise QgsProcessingException(f"The layer '{layer.name()}' cannot be read ({text}): save it as a GeoPackage, "
+                                     "and choose that.")
+    return path
+
+
 def crs_text(crs: QgsCoordinateReferenceSystem) -> Optional[str]:
     """The authority's code where there is one, else WKT 2; None for no CRS."""
     if not crs.isValid():
@@ -85,9 +129,12 @@ def input_options(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingPa
     if kind == "extent":
         return _extent(algorithm, name, parameters, context)
     if kind == "multilayer":
-        value: Any = raster_paths(given, context)
+        rasters = definition.layerType() == QgsProcessing.SourceType.TypeRaster
+        value: Any = raster_paths(given, context) if rasters else file_paths(given, context)
     elif kind == "raster":
         value = next(iter(raster_paths(given, context)), None)
+    elif kind == "vector":
+        value = points_path(given, context)
     elif kind == "crs":
         value = crs_text(algorithm.parameterAsCrs(parameters, name, context))
     elif kind == "number":

@@ -328,6 +328,27 @@ class CompareDsmOptions(Options):
 
 
 @dataclass(frozen=True)
+class CheckGcpsOptions(Options):
+    """Measure a scene's RPCs and pointing, and a DSM, at ground control points.
+
+    ``scene`` or ``dsm`` may be left out, not both. ``gcps`` is a table or point layer, ``gcp_datum`` what its heights
+    refer to (a vertical CRS; "" is the ellipsoid). ``output`` is the point layer to write, None = not wanted.
+    """
+
+    gcps: str
+    scene: Optional[str] = None
+    dsm: Optional[str] = None
+    gcp_datum: str = ""
+    output: Optional[str] = None
+    report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        _given("GCPS", self.gcps)
+        if not self.scene and not self.dsm:
+            raise OptionError("SCENE", self.scene, "must be given, or DSM, or both: there is nothing to check")
+
+
+@dataclass(frozen=True)
 class SampleDataOptions(Options):
     """Make a truth scene: simulated images of a known surface."""
 

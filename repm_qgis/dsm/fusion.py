@@ -46,7 +46,8 @@ class FuseTask:
 class FusedTile:
     """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted.
 
-    ``filled`` cells have the background's height, because one image hides them. ``own`` tells which of the window's cells belong to the tile; None stands for all.
+    ``filled`` cells have the background's height: one image hides them. ``own`` tells which of the
+    window's cells belong to the tile; None stands for all.
     """
 
     fused: Aggregate

@@ -91,8 +91,8 @@ def locate(found: GcpAccuracy, views: Sequence[View]) -> None:
     good = {name: residual for name, residual in control.items() if name not in found.wrong}
     found.shifts = _shifts(good)
     for name in found.wrong:
-        found.warnings.append(f"The control point {name} contradicts the others and is left out: check its coordinates, "
-                              "its height's datum, and its pixels.")
+        found.warnings.append(f"The control point {name} contradicts the others and is left out: check its "
+                              "coordinates, its height's datum, and its pixels.")
     if good:
         shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
         found.residuals["compensated"] = [_residuals(gcp, views) for gcp, views in zip(found.gcps, shifted)]
@@ -181,8 +181,8 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
         return warper.warnings
     if "ellipsoid" in (dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
-    return [f"'{grid.path}' does not say its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. If "
-            "they are above a geoid, assign it a CRS that says so (EPSG:32631+3855, say)."]
+    return [f"'{grid.path}' does not say its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
+            "If they are above a geoid, assign it a CRS that says so (EPSG:32631+3855, say)."]
 
 
 def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray) -> List[str]:

@@ -13,15 +13,15 @@ from .. import __version__
 from ..environment import PACKAGES, version_of
 from ..geometry.footprints import footprint
 from ..geometry.frames import projected_from_geodetic
-from ..imagery.raster import opened, quiet
+from ..imagery.raster import opened
 from ..progress import counted
 from ..scene import Scene, View
 from . import charts, pictures
 from .error_study import add_error_study
+from .geometry_section import add_geometry
 from .report import Report
 
 _MOST_ROWS = 300
-_MOST_TIES = 200000
 _PRODUCTS = (("output", "DSM"), ("confidence", "Confidence"), ("ortho", "Orthophoto"), ("cloud", "Point cloud"),
              ("tiles", "Tiles with their errors"), ("tie_points", "Tie points"), ("scene", "Scene, for the next stage"))
 _WHERE_IT_RUNS = frozenset(("workspace", "scene", "output_scene", "output", "report", "tiles", "tie_points", "heights",
@@ -184,56 +184,9 @@ def _errors(report: Report, scene: Scene) -> None:
 
 
 def _reconstruction(report: Report, scene: Scene) -> None:
-    """Pairs, ties and what was matched."""
-    facts = scene.facts("reconstruct")
-    report.section("Pairs and tie points")
-    ties = {tuple(entry["pair"]): entry for entry in facts["ties"]["pairs"]}
-    rows = []
-    for pair in facts["pairs"]:
-        tie = ties[pair["first"], pair["second"]]
-        rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}",
-                     tie["count"], f"{tie['rows_before_px']:+.2f}", f"{tie['rows_spread_px']:.2f}"])
-    report.table(["first", "second", "convergence", "B/H", "ties", "rows apart, px", "spread, px"], rows,
-                 "'Rows apart' is by how much the vendors' RPCs disagree across the parallax.")
-    report.table(["view", "column shift, px", "row shift, px"],
-                 [[name, *(f"{value:+.2f}" for value in shift)] for name, shift in facts["ties"]["shifts_px"].items()],
-                 "Relative pointing: corrections of the vendors' RPCs. They sum to zero: without ground control points "
-                 "the position and height of the whole stay where the vendors put them, which may be metres off.")
-    report.facts([("Tie points", facts["ties"]["count"]),
-                  ("Median residual", f"{facts['ties']['before_px']:.2f} px before, {facts['ties']['after_px']:.2f} px "
-                                      "after the correction"), ("Matcher", facts["backend"])])
-    _tie_curves(report, scene)
+    """Pairs, ties, pointing, and what was matched."""
+    add_geometry(report, scene)
     _height_maps(report, scene)
-
-
-def _tie_curves(report: Report, scene: Scene) -> None:
-    """How many ties are how good, before and after the correction; nothing where their layer is gone."""
-    path = scene.facts("reconstruct")["options"].get("tie_points") or str(scene.path.with_name("tie_points.gpkg"))
-    found = _tie_residuals(path)
-    if not len(found):
-        return
-    share = np.linspace(0, 100, len(found))
-    limit = float(np.percentile(found, 98))
-    report.svg(charts.curves({"vendors' RPCs": (np.sort(found[:, 0]), share),
-                              "corrected": (np.sort(found[:, 1]), share)}, "residual of a tie point (px)",
-                             "tie points with less (%)", xlim=(0.0, max(limit, 0.1)), ylim=(0.0, 100.0)),
-               "Tie points' residuals: root mean square distance between measured and projected pixels.")
-
-
-def _tie_residuals(path: str) -> np.ndarray:
-    """(N, 2) residuals before and after, px."""
-    with quiet():
-        try:
-            source = ogr.Open(path) if os.path.exists(path) else None
-        except RuntimeError:
-            source = None
-        if source is None:
-            return np.empty((0, 2))
-        layer = source.GetLayer(0)
-        values = [(feature.GetField("before"), feature.GetField("residual"))
-                  for feature, _ in zip(layer, range(_MOST_TIES))]
-        layer = source = None
-    return np.array([pair for pair in values if None not in pair], dtype=float).reshape(-1, 2)
 
 
 def _height_maps(report: Report, scene: Scene) -> None:

@@ -12,7 +12,8 @@ filled in here. Each is valid for QGIS 3.22 and later.
 | confidence | height maps that agree, or the matching score where there is only one; dark (low) to bright | 2..98 % |
 | ortho | grey | 2..98 % |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
-| tie_points | points by ``residual`` | fixed classes in px |
+| tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
+| gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from .pictures import RAMPS, preview, rgb, spread
 
 STYLES = Path(__file__).resolve().parents[2] / "resources" / "styles"
 _RAMP_OF = {"dsm": "elevation", "error": "viridis", "dsm_error": "diverging", "confidence": "viridis", "ortho": "grey"}
-KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles", "tie_points")
+KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles", "tie_points", "gcps")
 _SAMPLE_PX = 1200
 
 

@@ -22,18 +22,21 @@ from .ground_control import Gcp
 from .tie_points import PairMatches
 
 FloatArray = NDArray[np.float64]
+Weights = Callable[[FloatArray, float], FloatArray]
 
 MODELS = ("auto", "shift", "affine")
 
 _ROUNDS = 10
 _HUBER_PX = 0.7
-_TUKEY_PX = 1.5     # residuals from here on are wrong matches, and count for nothing in the end
+_TUKEY = 4.685      # standard deviations from which on residuals are wrong matches, and count for nothing in the end
+_LEAST_SIGMA_PX = 0.05
 _GCP_SIGMA = 3.0    # a control point is measured some three times worse than a tie point
 _GCP_WRONG_PX = 1.5
 _AFFINE_TIES = 60
 _AFFINE_COVER = 0.4     # of an image's width and height that the ties must span
 _AFFINE_GAIN = 0.9      # of the shifts' residual that the affine correction must get below
 _RANK = 1e-6        # of the largest eigenvalue: what lies below, the ties do not tell
+_KNOWN_PX = 0.25    # nor do they tell what they would tell with a larger standard deviation
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,8 @@ def _compared(shift: "_Solution", affine: "_Solution") -> Tuple["_Solution", str
     if len(shift.tracks) < _AFFINE_TIES or cover < _AFFINE_COVER:
         return shift, (f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides carry no affine "
                        "correction")
-    a, b = shift.criterion, affine.criterion
+    limit = 3.0 * shift.typical_px
+    a, b = shift.criterion(limit), affine.criterion(limit)
     fall = affine.typical_px / max(shift.typical_px, 1e-9)
     if b < a and fall < _AFFINE_GAIN:
         return affine, (f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px "
@@ -170,7 +174,7 @@ class _Solution:
                  gcps: Sequence[Gcp]) -> None:
         self.views = [view.with_pointing(np.eye(2, 3)) for view in views]
         self.tracks, self.model = tracks, model
-        self.control = [gcp for gcp in gcps if gcp.role == "control"]
+        self.control = [gcp for gcp in gcps if gcp.role == "control" and gcp.pixels]
         self.rejected: Tuple[str, ...] = ()
         self.parameters = np.zeros((len(views), 2 if model == "shift" else 6))
         self.groups = _groups(self.views, tracks, altitude)
@@ -181,7 +185,7 @@ class _Solution:
             self._solve(weights)
         self._drop_wrong_control()
 
-    def _solve(self, weights: Callable[[FloatArray], FloatArray]) -> None:
+    def _solve(self, weights: Weights) -> None:
         for _ in range(_ROUNDS):
             step = self._step(weights)
             self.parameters = self.parameters + step
@@ -245,35 +249,47 @@ class _Solution:
         for _ in range(passes):
             frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
             residual, jacobian, _ = self._linearised(group, frame)
-            step = np.einsum("nij,nj->ni", np.linalg.pinv(jacobian), residual)
+            step = np.einsum("nij,nj->ni", _pseudo_inverse(jacobian), residual)
             group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
 
-    def _step(self, weights: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    def _step(self, weights: Weights) -> FloatArray:
         """(views, p) Gauss-Newton step of the parameters, ground points eliminated."""
         count, p = self.parameters.shape
         normal, right = np.zeros((count * p, count * p)), np.zeros(count * p)
-        for group in self.groups:
-            frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
-            residual, jacobian, bases = self._linearised(group, frame)
-            # What no move of the ground point reaches: I - J J^+.
-            projector = np.eye(residual.shape[1]) - jacobian @ np.linalg.pinv(jacobian)
-            reduced = np.einsum("nij,nj->ni", projector, residual)
-            weight = weights(np.linalg.norm(reduced, axis=1))
-            design = np.concatenate([projector[:, :, 2 * k:2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
+        parts = [self._reduced(group) for group in self.groups]
+        # One degree of freedom of a track: two a view, less the three of its ground point.
+        sizes = [np.linalg.norm(reduced, axis=1) / math.sqrt(max(reduced.shape[1] - 3, 1)) for reduced, _ in parts]
+        sigma = max(1.4826 * float(np.median(np.concatenate(sizes))), _LEAST_SIGMA_PX) if sizes else _LEAST_SIGMA_PX
+        for group, (reduced, design), size in zip(self.groups, parts, sizes):
+            weighted = design * weights(size, sigma)[:, None, None]
             columns = np.concatenate([np.arange(i * p, (i + 1) * p) for i in group.views])
-            normal[np.ix_(columns, columns)] += np.einsum("n,nij,nik->jk", weight, design, design)
-            right[columns] += np.einsum("n,nij,ni->j", weight, design, reduced)
+            flat = design.reshape(-1, design.shape[2])
+            normal[np.ix_(columns, columns)] += weighted.reshape(flat.shape).T @ flat
+            right[columns] += weighted.reshape(flat.shape).T @ reduced.ravel()
         for gcp in self.control:
             residuals = self.control_residuals(gcp)
             size = np.array([max(np.linalg.norm(r) for r in residuals.values())]) / _GCP_SIGMA
-            weight = float(_huber(size)[0]) / _GCP_SIGMA ** 2
+            weight = float(_huber(size, sigma)[0]) / _GCP_SIGMA ** 2
             for i, view in enumerate(self.views):
                 if view.name in residuals:
                     basis = self._basis(view, view.project(gcp.lon_lat_h))
                     columns = np.arange(i * p, (i + 1) * p)
                     normal[np.ix_(columns, columns)] += weight * basis.T @ basis
                     right[columns] += weight * basis.T @ residuals[view.name]
-        return (np.linalg.pinv(normal, rcond=_RANK, hermitian=True) @ right).reshape(count, p)
+        values, vectors = np.linalg.eigh(normal)
+        known = values > max(_RANK * values[-1], (sigma / _KNOWN_PX) ** 2)
+        step = vectors[:, known] @ ((vectors[:, known].T @ right) / values[known])
+        return step.reshape(count, p)
+
+    def _reduced(self, group: _Group) -> Tuple[FloatArray, FloatArray]:
+        """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, free of any move of the ground."""
+        frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
+        residual, jacobian, bases = self._linearised(group, frame)
+        # What no move of the ground point reaches: I - J J^+.
+        projector = np.eye(residual.shape[1]) - jacobian @ _pseudo_inverse(jacobian)
+        reduced = np.einsum("nij,nj->ni", projector, residual)
+        design = np.concatenate([projector[:, :, 2 * k:2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
+        return reduced, design
 
     def _residuals(self) -> FloatArray:
         """(tracks,) root mean square reprojection distance of each track, px."""
@@ -291,10 +307,9 @@ class _Solution:
         """The median residual of the tracks."""
         return float(np.median(self._residuals()))
 
-    @property
-    def criterion(self) -> float:
-        """Schwarz's information criterion of residuals cut at Tukey's limit: smaller is better."""
-        residual = np.minimum(self._residuals(), _TUKEY_PX)
+    def criterion(self, limit_px: float) -> float:
+        """Schwarz's information criterion of residuals, the largest cut at a limit: smaller is better."""
+        residual = np.minimum(self._residuals(), limit_px)
         count = len(residual)
         return count * math.log(max(float(np.mean(residual ** 2)), 1e-12)) + self.parameters.size * math.log(count)
 
@@ -340,11 +355,16 @@ def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> 
     return groups
 
 
-def _huber(size: FloatArray) -> FloatArray:
+def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
+    """(n, 3, m) of (n, m, 3): of rank three, as rays that meet at an angle have it; far faster than by SVD."""
+    transposed = np.swapaxes(jacobian, 1, 2)
+    return np.linalg.solve(transposed @ jacobian, transposed)
+
+
+def _huber(size: FloatArray, sigma: float) -> FloatArray:
     return np.minimum(1.0, _HUBER_PX / np.maximum(size, 1e-9))
 
 
-def _tukey(size: FloatArray) -> FloatArray:
-    # Where most residuals are large, the model (one shift a view) is poor and the matches are not to blame.
-    limit = max(_TUKEY_PX, 4.685 * 1.4826 * float(np.median(size)))
-    return np.maximum(1.0 - (size / limit) ** 2, 0.0) ** 2
+def _tukey(size: FloatArray, sigma: float) -> FloatArray:
+    # In the residuals' own standard deviation: where the model is poor, the matches are not to blame.
+    return np.maximum(1.0 - (size / (_TUKEY * sigma)) ** 2, 0.0) ** 2

@@ -36,13 +36,16 @@ class Pointing:
 
 
 def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], model: str,
-                gcps: Sequence[Gcp], progress: Progress) -> Pointing:
+                gcps: Sequence[Gcp], progress: Progress, workers: int = 0) -> Pointing:
     """Find ties and adjust the views' pointing; the scene's views are replaced by the corrected ones.
+
+    ``workers`` 0 means one a core.
 
     Raises EmptyResultError with the counts where the ties are too few.
     """
-    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.7))
-    tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95))
+    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.7),
+                        workers)
+    tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95), workers)
     if len(tracks) < LEAST_TIES:
         raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
                                "images in focus, of one season, and free of clouds?")
@@ -88,18 +91,19 @@ def _median(values: FloatArray) -> float:
 def _absolute(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray], gcps: Sequence[Gcp],
               adjusted: Adjustment) -> Dict[str, Any]:
     """How far the absolute height can be trusted: by ground control, or by how much the vendors' RPCs disagree."""
-    if any(gcp.role == "control" for gcp in gcps):
-        points = []
-        for gcp in gcps:
-            offset = intersect(gcp, scene.views)
-            if offset is not None:
-                points.append({"id": gcp.id, "role": gcp.role, "rejected": gcp.id in adjusted.rejected,
-                               "east_m": float(offset[0]), "north_m": float(offset[1]), "up_m": float(offset[2])})
-        return {"gcps": points, "rejected_gcps": list(adjusted.rejected)}
+    points = []
+    for gcp in gcps:
+        offset = intersect(gcp, scene.views)
+        if offset is not None:
+            points.append({"id": gcp.id, "role": gcp.role, "rejected": gcp.id in adjusted.rejected,
+                           "east_m": float(offset[0]), "north_m": float(offset[1]), "up_m": float(offset[2])})
+    figures: Dict[str, Any] = {"gcps": points, "rejected_gcps": list(adjusted.rejected)} if gcps else {}
+    if any(gcp.role == "control" and gcp.pixels for gcp in gcps):
+        return figures
     # Across the parallax the disagreement is seen; along it, where it passes for height, it is likely as large.
     uncertain = [np.median(np.abs(before[pair.first, pair.second])) * scene.gsd_m / pair.base_to_height
                  for pair in pairs if len(before[pair.first, pair.second])]
-    return {"height_uncertainty_m": float(max(uncertain, default=0.0))}
+    return {**figures, "height_uncertainty_m": float(max(uncertain, default=0.0))}
 
 
 def _tell(figures: Dict[str, Any], progress: Progress) -> None:

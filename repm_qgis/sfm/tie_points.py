@@ -1,38 +1,55 @@
 """Tie points: the same ground points found in several images, in original-image pixels.
 
-SIFT (Lowe 2004) on rectified pairs of a few tiles spread over the scene: the pinhole cameras say which rows and
-columns a match may have, so only few candidates compete and repetitive roofs do little harm.
+SIFT (Lowe 2004) on a few patches spread over the scene, where its texture is best: the pinhole cameras say which rows
+and columns a match may have, so only few candidates compete and repetitive roofs do little harm.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from osgeo import ogr
 
 from ..errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
+from ..geometry.footprints import box
+from ..geometry.frames import geodetic_from_projected
 from ..geometry.refinement import apply_homography
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import opened
+from ..imagery.raster import opened, read
 from ..imagery.warping import warp
 from ..mvs.pairing import ground_points, grown, rectify_over, refined_view
 from ..mvs.rectification import RectifiedPair
-from ..progress import Progress, counted
+from ..parallel import run_tasks
+from ..progress import Part, Progress, counted
 from ..scene import Scene, View
 
 FloatArray = NDArray[np.float64]
+Bounds = Tuple[float, float, float, float]
+Pair = Tuple[str, str]
 
 _REDUCTION = 2.0            # SIFT on half-size images: a sixth of the time, ties enough
-_MOST_FEATURES = 4000
-_MOST_TILES = 9
-_PATCH_PX = 1600            # largest side of a patch of a tile that is searched
-_ROW_TOLERANCE_PX = 24.0    # vendor RPCs are off by up to tens of px
+_FEATURES_PER_MPX = 2500
+_FEATURES = (600, 4000)     # of a patch, at least and at most
+_SPARE_FEATURES = 3         # times as many to choose an even spread from
+_BUCKETS = 12               # a side of a patch, for an even spread of features
+_WHOLE_PX = 1600            # a scene up to this side is one patch
+_CELLS = 5                  # a side of a larger scene; each cell gives one patch at a time
+_PATCH_PX = 500
+_PLACES = 6                 # a side of a cell, at most, that are looked at for the best patch
+_MARGIN_PX = 24
+_TOLERANCE_PX = 64.0        # vendor RPCs are off by up to tens of px, each view in its own way
+_NEAR_PX = 8.0              # of a patch's row difference, once that is known
+_LIKELY_PX = 6.0            # of the scene's row difference: trends over the images are smaller
 _RATIO = 0.85
 _MIN_TIES = 12
+_ENOUGH_TIES = 100          # with fewer, more patches are searched
+_ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -56,62 +73,135 @@ class _Features:
     descriptors: NDArray[np.float32]
 
 
-def find_ties(scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[str, Stretch],
-              progress: Progress) -> List[PairMatches]:
-    """Match pairs of views on tiles spread over the scene.
+@dataclass(frozen=True)
+class _PatchTask:
+    """What a worker needs to match all pairs over one patch; ``scene`` is without its tiles."""
 
-    Raises EmptyResultError with the counts where a pair gives fewer than a dozen trustworthy ties.
+    scene: Scene
+    bounds: Bounds
+    pairs: Tuple[Pair, ...]
+    stretches: Dict[str, Stretch]
+
+
+def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch], progress: Progress,
+              workers: int = 0) -> List[PairMatches]:
+    """Match pairs of views on patches spread over the scene; more patches where the first give too few.
+
+    ``workers`` 0 means one a core. Raises EmptyResultError with the counts where a pair gives fewer than a dozen
+    trustworthy ties.
     """
-    tiles = _spread(scene)
-    parts: Dict[Tuple[str, str], List[PairMatches]] = {tuple(pair): [] for pair in pairs}
-    names = [name for name in stretches if any(name in pair for pair in pairs)]
-    for index, tile in enumerate(tiles):
-        bounds = _bounds(scene, tile)
-        features: Dict[str, _Features] = {}
-        for number, name in enumerate(names):
-            progress.check_cancelled()
-            progress.step((index + 0.8 * number / len(names)) / len(tiles), f"tie points of tile {tile}, {name}")
-            found = _features(scene, scene.view(name), stretches[name], bounds)
-            if found is not None:
-                features[name] = found
-        for first, second in parts:
-            progress.check_cancelled()
-            if first in features and second in features:
-                matches = _match(scene, features[first], features[second], bounds)
-                if matches is not None:
-                    parts[first, second].append(matches)
+    wanted = tuple((first, second) for first, second in pairs)
+    names = {name for pair in wanted for name in pair}
+    used = {name: stretch for name, stretch in stretches.items() if name in names}
+    cells = _ranked_patches(scene, used, progress)
+    parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
+    lean = scene.lean()
+    for number in range(_ROUNDS):
+        tasks = [_PatchTask(lean, cell[number], wanted, used) for cell in cells if number < len(cell)]
+        if not tasks:
+            break
+        part = Part(progress, 1 - 0.5 ** number, 1 - 0.5 ** (number + 1), "tie points")
+        for found in run_tasks(_match_patch, tasks, workers, part, lambda _: "patch"):
+            for pair, matches in found.items():
+                parts[pair].append(matches)
+        if all(len(_agreeing(*pair, found)[0]) >= _ENOUGH_TIES for pair, found in parts.items()):
+            break
     return [_consistent(first, second, found) for (first, second), found in parts.items()]
 
 
-def patches(scene: Scene) -> List[Tuple[float, float, float, float]]:
-    """The ground rectangles that tie points are looked for in."""
-    return [_bounds(scene, tile) for tile in _spread(scene)]
+def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progress) -> List[List[Bounds]]:
+    """For each cell of the scene, ground rectangles to search, the most promising first."""
+    bounds = np.array([tile.bounds for tile in scene.tiles])
+    low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+    if ((high - low) <= _WHOLE_PX * scene.gsd_m).all():
+        return [[(*map(float, low), *map(float, high))]]
+    area = ogr.CreateGeometryFromWkt(scene.area)
+    side = _PATCH_PX * scene.gsd_m
+    cells = np.maximum(np.minimum(np.ceil((high - low) / side), _CELLS), 1).astype(int)
+    step = (high - low) / cells
+    result = []
+    for i, j in np.ndindex(*cells):
+        progress.check_cancelled()
+        corner = low + step * (i, j)
+        places = [place for place in _places(corner, step, side) if _mostly_within(place, area)]
+        if len(places) > 1:
+            places.sort(key=lambda place: -_texture(scene, stretches, place))
+        if places:
+            result.append(places)
+    return result
 
 
-def _spread(scene: Scene) -> List[str]:
-    """Up to nine tiles, evenly through the list, which runs over the scene row by row."""
-    ids = [tile.id for tile in scene.tiles]
-    if len(ids) <= _MOST_TILES:
-        return ids
-    return [ids[i] for i in np.unique(np.linspace(0, len(ids) - 1, _MOST_TILES).round().astype(int))]
+def _places(corner: FloatArray, step: FloatArray, side: float) -> List[Bounds]:
+    """Squares of a side (or less) evenly over a cell, its middle first."""
+    def starts(low: float, length: float) -> List[float]:
+        if length <= side:
+            return [low]
+        count = min(math.ceil(length / side), _PLACES)
+        return list(np.linspace(low, low + length - side, count))
+
+    width, height = min(side, step[0]), min(side, step[1])
+    places = [(float(x), float(y), float(x + width), float(y + height))
+              for x in starts(corner[0], step[0]) for y in starts(corner[1], step[1])]
+    middle = corner + step / 2
+    return sorted(places, key=lambda p: math.hypot((p[0] + p[2]) / 2 - middle[0], (p[1] + p[3]) / 2 - middle[1]))
 
 
-def _bounds(scene: Scene, tile_id: str) -> Tuple[float, float, float, float]:
-    """A tile's ground rectangle, cut to its middle where it is larger than a patch."""
-    xmin, ymin, xmax, ymax = next(tile.bounds for tile in scene.tiles if tile.id == tile_id)
-    half = _PATCH_PX * scene.gsd_m / 2
-    x, y = (xmin + xmax) / 2, (ymin + ymax) / 2
-    return max(xmin, x - half), max(ymin, y - half), min(xmax, x + half), min(ymax, y + half)
+def _mostly_within(place: Bounds, area: ogr.Geometry) -> bool:
+    shape = box(place)
+    shared = shape.Intersection(area)
+    return shared is not None and shared.GetArea() > 0.3 * shape.GetArea()
 
 
-def _features(scene: Scene, view: View, stretch: Stretch,
-              bounds: Tuple[float, float, float, float]) -> Optional[_Features]:
+def _texture(scene: Scene, stretches: Dict[str, Stretch], place: Bounds) -> float:
+    """How much there is to hold on to around a place's middle, in the view that shows the least: clouds and water.
+
+    A view that does not show it counts as half as good as the others.
+    """
+    middle = np.array([[(place[0] + place[2]) / 2, (place[1] + place[3]) / 2]])
+    ground = np.append(geodetic_from_projected(scene.crs, middle)[0], sum(scene.altitudes) / 2)
+    values, missed = [], 0
+    for name, stretch in stretches.items():
+        view = scene.view(name)
+        side = int(0.5 * _PATCH_PX * scene.gsd_m / view.gsd_m)
+        corner = np.round(view.project(ground) - side / 2)
+        low = np.maximum(corner, 0)
+        size = np.minimum(corner + side, view.size) - low
+        if not np.isfinite(corner).all() or (size < side / 2).any():
+            missed += 1
+            continue
+        window = tuple(int(v) for v in (*low, *size))
+        with opened(view.image) as dataset:
+            pixels = read(dataset, window, view.band, (window[2] // 2, window[3] // 2))
+        grey = np.nan_to_num(stretch.apply(pixels), nan=0.0)
+        values.append(float(np.quantile(np.sqrt(np.maximum(cv2.cornerMinEigenVal(grey, 5), 0)), 0.9)))
+    return 0.0 if len(values) < 2 else min(values) * 0.5 ** missed
+
+
+def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
+    """Matches of all pairs over one patch; pairs without any are left out."""
+    coarsest = max(task.scene.view(name).gsd_m for name in task.stretches)
+    features: Dict[str, _Features] = {}
+    for name, stretch in task.stretches.items():
+        found = _features(task.scene, task.scene.view(name), stretch, task.bounds, coarsest)
+        if found is not None:
+            features[name] = found
+    result = {}
+    for first, second in task.pairs:
+        if first in features and second in features:
+            matches = _match(task.scene, features[first], features[second], task.bounds)
+            if matches is not None:
+                result[first, second] = matches
+    return result
+
+
+def _features(scene: Scene, view: View, stretch: Stretch, bounds: Bounds, coarsest_m: float) -> Optional[_Features]:
     """SIFT keypoints and RootSIFT descriptors of a view over a patch; None where it shows too little."""
-    camera = refined_view(scene, view, grown(bounds, _ROW_TOLERANCE_PX * scene.gsd_m), scene.altitudes)
+    camera = refined_view(scene, view, grown(bounds, _MARGIN_PX * scene.gsd_m), scene.altitudes)
     if camera is None:
         return None
-    factor = _REDUCTION if min(camera.size) >= 500 else 1.0
-    size = (int(camera.size[0] / factor), int(camera.size[1] / factor))
+    # All views at one sampling distance: most keypoints are of the smallest size there is, and must meet their like.
+    factor = (_REDUCTION if min(camera.size) >= 500 else 1.0) * coarsest_m / view.gsd_m
+    size = (max(1, int(camera.size[0] / factor)), max(1, int(camera.size[1] / factor)))
 
     def to_original(points: FloatArray) -> FloatArray:
         return camera.to_original.original_from_refined((points + 0.5) * factor - 0.5)
@@ -121,26 +211,53 @@ def _features(scene: Scene, view: View, stretch: Stretch,
     missing = ~np.isfinite(pixels)
     grey = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
     mask = cv2.erode((~missing).astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
-    points, descriptors = cv2.SIFT_create(_MOST_FEATURES, contrastThreshold=0.02).detectAndCompute(grey, mask)
+    most = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
+    sift = cv2.SIFT_create(_SPARE_FEATURES * most, contrastThreshold=0.02)
+    points, descriptors = sift.detectAndCompute(grey, mask)
     if len(points) < 8:
         return None
-    # Arandjelovic and Zisserman, Three things everyone should know to improve object retrieval, 2012.
-    roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
-    refined = (np.array([p.pt for p in points], dtype=np.float64) + 0.5) * factor - 0.5
+    places = np.array([p.pt for p in points], dtype=np.float64)
     # SIFT gives a strong corner once for each of its orientations: one is enough as a tie.
-    _, once = np.unique(refined, axis=0, return_index=True)
-    return _Features(view, camera, refined[once], roots[once])
+    _, once = np.unique(places, axis=0, return_index=True)
+    chosen = once[_even(places[once], np.array([points[i].response for i in once]), size, most)]
+    # Arandjelovic and Zisserman, Three things everyone should know to improve object retrieval, 2012.
+    descriptors = descriptors[chosen]
+    roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
+    return _Features(view, camera, (places[chosen] + 0.5) * factor - 0.5, roots)
 
 
-def _match(scene: Scene, first: _Features, second: _Features,
-           bounds: Tuple[float, float, float, float]) -> Optional[PairMatches]:
-    """Matches of two views over a patch, in original pixels; None where there are none."""
+def _even(points: FloatArray, strength: FloatArray, size: Tuple[int, int], most: int) -> NDArray[np.intp]:
+    """Indices of at most so many points: the strongest of every bucket first, then the second of each, and so on."""
+    if len(points) <= most:
+        return np.arange(len(points))
+    place = np.clip((points / size * _BUCKETS).astype(int), 0, _BUCKETS - 1)
+    bucket = place[:, 1] * _BUCKETS + place[:, 0]
+    order = np.lexsort((-strength, bucket))
+    ordered = bucket[order]
+    starts = np.searchsorted(ordered, ordered, side="left")
+    rank = np.arange(len(order)) - starts
+    return np.sort(order[np.lexsort((-strength[order], rank))[:most]])
+
+
+def _match(scene: Scene, first: _Features, second: _Features, bounds: Bounds) -> Optional[PairMatches]:
+    """Matches of two views over a patch, in original pixels; None where there are none.
+
+    A first pass allows for the RPCs' errors; where its matches agree on a row difference, a second one searches near
+    it, where fewer candidates compete.
+    """
     pair = rectify_over(scene, first.camera, second.camera, bounds, scene.altitudes)
     a = apply_homography(pair.h_first, first.points)
     b = apply_homography(pair.h_second, second.points)
     low, high = disparity_range(pair, first.view, second.view, ground_points(scene, bounds, scene.altitudes))
-    index = _guided_matches(((a, first.descriptors), (b, second.descriptors)),
-                            (low - _ROW_TOLERANCE_PX, high + _ROW_TOLERANCE_PX), _ROW_TOLERANCE_PX)
+    difference = (a[:, None] - b[None, :]).astype(np.float32)
+    distance = np.sqrt(np.maximum(2.0 - 2.0 * (first.descriptors @ second.descriptors.T), 0.0))
+    distance[(difference[..., 0] < low - _TOLERANCE_PX) | (difference[..., 0] > high + _TOLERANCE_PX)] = np.inf
+    index = _guided_matches(distance, np.abs(difference[..., 1]) <= _TOLERANCE_PX)
+    rows = (a[index[:, 0], 1] - b[index[:, 1], 1])
+    if len(rows) >= _MIN_TIES:
+        middle = _mode(rows, 2.0)
+        if (np.abs(rows - middle) < 2.0).sum() >= max(_MIN_TIES, 0.15 * len(rows)):
+            index = _guided_matches(distance, np.abs(difference[..., 1] - np.float32(middle)) <= _NEAR_PX)
     if not len(index):
         return None
     i, j = index[:, 0], index[:, 1]
@@ -155,16 +272,14 @@ def disparity_range(pair: RectifiedPair, first: View, second: View, ground: Floa
     return float(np.nanmin(difference[:, 0])), float(np.nanmax(difference[:, 0]))
 
 
-def _guided_matches(features: Sequence[Tuple[FloatArray, FloatArray]], columns: Tuple[float, float],
-                    rows: float) -> NDArray[np.intp]:
-    """(N, 2) indices of mutual best matches that pass the ratio test among geometrically possible candidates."""
-    (a, da), (b, db) = features
-    similarity = da @ db.T
-    disparity = a[:, None, 0] - b[None, :, 0]
-    possible = (np.abs(a[:, None, 1] - b[None, :, 1]) <= rows) & (disparity >= columns[0]) & (disparity <= columns[1])
-    distance = np.where(possible, np.sqrt(np.maximum(2.0 - 2.0 * similarity, 0.0)), np.inf)
+def _guided_matches(distance: NDArray[np.float32], possible: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """(N, 2) indices of mutual best matches that pass the ratio test among geometrically possible candidates.
+
+    ``distance`` (A, B) of descriptors, infinite where a match is out of the question.
+    """
+    distance = np.where(possible, distance, np.float32(np.inf))
     best = distance.argmin(axis=1)
-    first = np.arange(len(a))
+    first = np.arange(len(distance))
     nearest = distance[first, best]
     distance[first, best] = np.inf
     second = distance.min(axis=1)
@@ -174,26 +289,54 @@ def _guided_matches(features: Sequence[Tuple[FloatArray, FloatArray]], columns: 
     return np.column_stack([first[good], best[good]])
 
 
+def _agreeing(first: str, second: str, parts: Sequence[PairMatches]) -> Tuple[FloatArray, FloatArray, FloatArray]:
+    """First pixels, second pixels, row differences of all patches' matches that agree, to 1.5 px, on a trend.
+
+    A trend is a plane over the first image: that is what shifts and affine errors of two views make. Each patch may
+    differ from it a little.
+    """
+    if not parts:
+        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
+    a, b, rows = (np.concatenate([getattr(part, name) for part in parts])
+                  for name in ("first_px", "second_px", "rows_px"))
+    patch = np.repeat(np.arange(len(parts)), [len(part.rows_px) for part in parts])
+    off = rows - _row_trend(a, rows)
+    kept = np.zeros(len(rows), dtype=bool)
+    for number in range(len(parts)):
+        near = (patch == number) & (np.abs(off) < 2.5)
+        if near.sum() >= 4:
+            kept |= near & (np.abs(off - np.median(off[near])) < 1.5)
+    return a[kept], b[kept], rows[kept]
+
+
+def _row_trend(pixels: FloatArray, rows: FloatArray) -> FloatArray:
+    """(N,) the row difference that most matches agree on: a constant, or a plane over the image."""
+    constant = np.full(len(rows), _mode(rows))
+    near = np.abs(rows - constant) < _LIKELY_PX
+    if near.sum() < 40:
+        return constant
+    middle = pixels.mean(axis=0)
+    design = np.column_stack([np.ones(len(rows)), (pixels - middle) / np.maximum(np.ptp(pixels, axis=0), 1.0)])
+    trend = constant
+    for reach in (_LIKELY_PX, 4.0, 3.0, 2.0, 2.0):
+        # Tukey's weights, ever stricter: what lies beyond the reach counts for nothing.
+        weight = np.maximum(1.0 - ((rows - trend) / reach) ** 2, 0.0)
+        solution, *_ = np.linalg.lstsq(design * weight[:, None], rows * weight, rcond=1e-6)
+        trend = design @ solution
+    support = (np.abs(rows - trend) < 1.5).sum(), (np.abs(rows - constant) < 1.5).sum()
+    return trend if support[0] >= support[1] else constant
+
+
 def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMatches:
-    """All tiles' matches of a pair whose row differences agree: gross errors do not survive, slow trends do."""
-    kept: List[PairMatches] = []
-    found = sum(len(part.rows_px) for part in parts)
-    if found:
-        mode = _mode(np.concatenate([part.rows_px for part in parts]))
-        for part in parts:
-            near = np.abs(part.rows_px - mode) < 6.0
-            if near.sum() >= 4:
-                middle = float(np.median(part.rows_px[near]))
-                near = np.abs(part.rows_px - middle) < 1.5
-                kept.append(PairMatches(first, second, part.first_px[near], part.second_px[near], part.rows_px[near]))
-    count = sum(len(part.rows_px) for part in kept)
-    if count < _MIN_TIES:
+    """All patches' matches of a pair that agree: gross errors do not survive, slow trends do."""
+    agreed = _agreeing(first, second, parts)
+    if len(agreed[0]) < _MIN_TIES:
         raise EmptyResultError(
-            f"{first} and {second} have only {count} tie points that agree, of {found} candidates on "
-            f"{counted(len(parts), 'tile')} (needed: {_MIN_TIES}). Do they show the same place, in focus "
-            "and without clouds? Another EXTENT with more texture, or another pair, may do.")
-    return PairMatches(first, second, *(np.concatenate([getattr(part, name) for part in kept])
-                                        for name in ("first_px", "second_px", "rows_px")))
+            f"{first} and {second} have only {len(agreed[0])} tie points that agree, of "
+            f"{sum(len(part.rows_px) for part in parts)} candidates on {counted(len(parts), 'patch')} (needed: "
+            f"{_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT with more texture, "
+            "or another pair, may do.")
+    return PairMatches(first, second, *agreed)
 
 
 def _mode(values: FloatArray, width: float = 1.0) -> float:

@@ -21,6 +21,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "dsmfuse": _options.DsmFuseOptions,
     "pipeline": _options.PipelineOptions,
     "comparedsm": _options.CompareDsmOptions,
+    "checkgcps": _options.CheckGcpsOptions,
     "sampledata": _options.SampleDataOptions,
     "environment": _options.EnvironmentOptions,
 }

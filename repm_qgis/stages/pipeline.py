@@ -9,7 +9,8 @@ from typing import Any, Callable, Dict
 from ..evaluation.stage_reports import pipeline_report
 from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
 from ..progress import Part, Progress
-from ..scene import Scene
+from ..scene import Scene, load_views
+from ..sfm.ground_control import read_gcps
 from ..workspace import ensure_folder
 from . import dsmfuse, epmfit, reconstruct, refine
 
@@ -23,6 +24,8 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     for path in (options.output, options.confidence, options.ortho, options.cloud, options.report):
         if path:  # hours of matching are not to end at a folder that cannot be written
             ensure_folder(str(Path(path).parent))
+    if options.gcps:  # nor at a table's misspelt field
+        read_gcps(options.gcps, load_views(options.images, options.rpcs), options.gcp_datum)
     fitted, refined, scene_path = (str(folder / name) for name in ("scene.json", "refined.json", "reconstructed.json"))
     seconds: Dict[str, float] = {}
     begin = 0.0

@@ -20,8 +20,10 @@ from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
-from ..sfm.ground_control import read_gcps
+from ..sfm.advice import advice, ties_by_tile
+from ..sfm.ground_control import points_file, read_gcps
 from ..sfm.pointing import LEAST_TIES, point_views
+from ..sfm.row_residuals import worst_rows
 from ..sfm.view_pairs import ViewPair, choose_pairs
 from ..vector import write_layer
 from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
@@ -36,7 +38,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     if not scene.refinement:
         scene.refinement = "polynomial"
     backend = resolve(options.backend)
-    control = [file_identity(options.gcps), options.gcp_datum] if options.gcps else None
+    control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
     key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, control,
                       [file_identity(v.image) for v in scene.views])
     beside = Path(options.output_scene)
@@ -73,11 +75,17 @@ def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
            ties_path: str, progress: Progress) -> Dict[str, Any]:
     """Point the views, narrow the tiles' altitudes, write the ties; gives the figures for the record."""
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
+    if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
+        progress.warn(f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
+                      "where the vendors put it; fill the fields view, col and row of points with the role control.")
     found = point_views(scene, pairs, stretches, options.pointing, gcps, progress)
     for tile in scene.tiles:
         tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
     _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)
-    return found.figures
+    figures = {**found.figures, "tiles": ties_by_tile(scene, found.xy)}
+    for text in advice(scene, pairs, figures):
+        progress.warn(text)
+    return figures
 
 
 def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustment) -> Tuple[float, float]:
@@ -96,15 +104,19 @@ def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustme
 
 
 def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: np.ndarray, path: str) -> None:
+    rows, directions = worst_rows(scene.views, tracks, adjusted.ground)
+
     def features() -> Any:
         for number, (track, (x, y)) in enumerate(zip(tracks, xy)):
             point = ogr.Geometry(ogr.wkbPoint)
             point.AddPoint_2D(float(x), float(y))
             yield point, (number, ", ".join(sorted(track.pixels)), float(adjusted.ground[number, 2]),
-                          float(adjusted.residual_px[number]), float(adjusted.before_px[number]))
+                          float(adjusted.residual_px[number]), float(adjusted.before_px[number]),
+                          float(rows[number]), float(directions[number]))
 
     write_layer(path, scene.crs, ogr.wkbPoint,
-                {"track": int, "views": str, "height": float, "residual": float, "before": float}, features())
+                {"track": int, "views": str, "height": float, "residual": float, "before": float, "row": float,
+                 "direction": float}, features())
     write_style("tie_points", path)
 
 

@@ -30,8 +30,8 @@ def compared(path, truth, told):
 
 
 @pytest.mark.parametrize("kind, nmad, within_1, within_5, valid", (
-    # Measured: urban 0.42 m, 76.6 %, 87.8 %, 98.1 %; mountains (1 m px) 0.80 m, 77.5 %, 99.7 %, 99.97 %.
-    ("urban", 0.50, 73.0, 85.0, 95.0), ("mountains", 0.92, 72.0, 99.0, 99.0)))
+    # Measured: urban 0.37 m, 78.4 %, 90.0 %, 98.7 %; mountains (1 m px) 0.58 m, 89.3 %, 99.8 %, 100.0 %.
+    ("urban", 0.42, 75.0, 87.5, 96.0), ("mountains", 0.65, 86.0, 99.0, 99.0)))
 def test_accuracy_against_the_true_surface(request, told, capsys, kind, nmad, within_1, within_5, valid):
     run = request.getfixturevalue(f"{kind}_run")
     found = compared(run.result["output"], run.scene.truth, told)
@@ -75,11 +75,14 @@ def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
 def test_products_lie_on_each_other(urban_run):
     result = urban_run.result
     (height,), transform = bands(result["output"])
-    (count, spread, score), other = bands(result["confidence"])
+    (count, spread, score, filled), other = bands(result["confidence"])
     (ortho,), third = bands(result["ortho"])
     assert transform == other == third and height.shape == count.shape == ortho.shape
     known = np.isfinite(height)
-    assert (np.isfinite(count) == known).all() and set(np.unique(count[known])) <= {1.0, 2.0, 3.0}
+    counted = np.isfinite(count)
+    assert not (counted & ~known).any() and set(np.unique(count[counted])) <= {1.0, 2.0, 3.0}
+    # What no map has matched is filled, and marked so.
+    assert (filled[known & ~counted] > 0).all() and counted[known].mean() > 0.8
     assert np.isfinite(spread[known & (count > 1)]).all() and np.isnan(spread[count == 1]).all()
     assert np.nanmin(score) >= 0 and np.nanmax(score) <= 1
     assert np.isfinite(ortho[known]).mean() > 0.95 and np.isnan(ortho[~known]).all()
@@ -142,7 +145,7 @@ def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban
 def test_layers_and_numbers(urban_run):
     result = urban_run.result
     source = ogr.Open(result["tie_points"])
-    assert source.GetLayer(0).GetFeatureCount() == result["n_tie_points"] > 500
+    assert source.GetLayer(0).GetFeatureCount() == result["n_tie_points"] > 100
     heights = [feature["height"] for feature in source.GetLayer(0)]
     residuals = [feature["residual"] for feature in source.GetLayer(0)]
     source = None
@@ -176,7 +179,7 @@ def test_ties_are_where_the_true_surface_is(mountains_run):
     cols, rows = ((ties[:, 0] - x) / cell).astype(int), ((y - ties[:, 1]) / cell).astype(int)
     inside = (cols > 0) & (rows > 0) & (cols < scene.surface.shape[1]) & (rows < scene.surface.shape[0])
     error = ties[inside, 2] - scene.surface[rows[inside], cols[inside]]
-    assert inside.sum() > 800 and 1.4826 * np.median(np.abs(error - np.median(error))) < 1.7
+    assert inside.sum() > 100 and 1.4826 * np.median(np.abs(error - np.median(error))) < 1.7
 
 
 def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):

@@ -1,0 +1,58 @@
+"""repm:checkgcps."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingContext,
+    QgsProcessingOutputNumber,
+    QgsProcessingParameterFile,
+    QgsProcessingParameterVectorDestination,
+)
+
+from . import parameters
+from .base import RepmAlgorithm
+from .values import is_empty
+
+
+class CheckGcps(RepmAlgorithm):
+    """Measures RPCs, corrected RPCs and a DSM at ground control points."""
+
+    ID = "checkgcps"
+    GROUP = "evaluation"
+    TAGS = "GCP,ground control,check points,accuracy,RMSE,localisation,georeferencing"
+    HEAVY = False
+    LAYERS = {"OUTPUT": ("Ground control points", "gcps")}
+
+    def displayName(self) -> str:
+        return self.tr("Check against ground control points")
+
+    def shortDescription(self) -> str:
+        return self.tr("How far points of known place are from where RPCs, corrected RPCs and a DSM put them.")
+
+    def parameters(self) -> list:
+        scene = QgsProcessingParameterFile(
+            "SCENE", self.tr("Scene (for the images' geometry)"), QgsProcessingParameterFile.Behavior.File,
+            fileFilter=parameters.SCENE_FILTER, optional=True)
+        return [parameters.gcps(optional=False),
+                parameters.helped(scene, self.tr(
+                    "The scene.json of any stage; one that was reconstructed also shows what its pointing is worth.")),
+                parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
+                parameters.gcp_datum(),
+                QgsProcessingParameterVectorDestination(
+                    "OUTPUT", self.tr("Points with their errors"), QgsProcessing.SourceType.TypeVectorPoint),
+                parameters.report()]
+
+    def extra_outputs(self) -> list:
+        by = {"RPC": self.tr("RPC localisation"), "COMPENSATED": self.tr("RPCs with image-space compensation"),
+              "SCENE": self.tr("the scene's pointing"), "DSM": self.tr("the DSM")}
+        return [QgsProcessingOutputNumber(f"{name}_{figure}", self.tr("{figure} of heights by {source} (m)").format(
+            figure=figure, source=source)) for name, source in by.items() for figure in ("ME", "RMSE", "MAX")]
+
+    def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
+        if is_empty(values.get("SCENE")) and is_empty(values.get("DSM")):
+            return False, self.tr("Neither SCENE nor DSM is given: there is nothing to check; give one of them, or "
+                                  "both.")
+        return super().checkParameterValues(values, context)

@@ -1,0 +1,167 @@
+"""The part of a report that says what the images' geometry is worth: pairs, ties, pointing, ground control."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, List, Mapping
+
+import numpy as np
+from osgeo import ogr
+
+from ..geometry.footprints import footprint, geometry_of
+from ..geometry.frames import projected_from_geodetic
+from ..imagery.raster import quiet
+from ..progress import counted
+from ..scene import Scene
+from ..sfm.advice import MATCHING_PX
+from . import charts
+from .gcp_accuracy import Errors
+from .report import Report
+
+_MOST_TIES = 200000
+_MOST_TILES = 60
+
+
+def add_geometry(report: Report, scene: Scene) -> None:
+    """Pairs, tie points before and after, pointing, and what the absolute position rests on."""
+    facts = scene.facts("reconstruct")
+    _pairs(report, scene, facts)
+    _ties(report, scene, facts)
+    _pointing(report, facts["ties"])
+    _absolute(report, facts["ties"])
+
+
+def _pairs(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
+    report.section("Pairs")
+    rows = []
+    for pair in facts["pairs"]:
+        metres = _metres_per_px(scene, pair)
+        rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}",
+                     f"{overlap_percent(scene, pair['first'], pair['second']):.0f}", f"{metres:.2f}",
+                     f"{MATCHING_PX * metres:.2f}"])
+    report.table(["first", "second", "convergence", "B/H", "overlap, %", "m of height a px", "expected accuracy, m"],
+                 rows, "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
+                 f"heights is that of matching good to {MATCHING_PX:g} px; a narrow pair (B/H below 0.1) tells heights "
+                 "poorly, a wide one (above 0.9) matches poorly.")
+
+
+def overlap_percent(scene: Scene, first: str, second: str) -> float:
+    """What two views' footprints have in common at the middle altitude, in % of the smaller one."""
+    middle = sum(scene.altitudes) / 2
+    shapes = [geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size, middle)))
+              for view in (scene.view(first), scene.view(second))]
+    common = shapes[0].Intersection(shapes[1])
+    smaller = min(shape.GetArea() for shape in shapes)
+    return 100.0 * common.GetArea() / smaller if common is not None and smaller > 0 else 0.0
+
+
+def _metres_per_px(scene: Scene, pair: Mapping[str, Any]) -> float:
+    """Metres of height a px of parallax: as matched, else from the angle."""
+    known = [record["metres_per_px"] for tile in scene.tiles for record in tile.heights
+             if list(record["pair"]) == [pair["first"], pair["second"]]]
+    return float(np.median(known)) if known else scene.gsd_m / pair["base_to_height"]
+
+
+def _ties(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
+    report.section("Tie points")
+    ties = facts["ties"]
+    report.facts([("Tie points", ties["count"]),
+                  ("Median residual", f"{ties['before_px']:.2f} px before, {ties['after_px']:.2f} px after the "
+                                      "correction"), ("Matcher", facts["backend"])])
+    report.table(["first", "second", "candidates", "ties", "rows before, px", "rows after, px", "spread, px"],
+                 [[*pair["pair"], pair["candidates"], pair["count"], f"{pair['rows_before_px']:+.2f}",
+                   f"{pair['rows_after_px']:.3f}", f"{pair['rows_spread_px']:.3f}"] for pair in ties["pairs"]],
+                 "'Rows' are by how much a pair's pixels miss each other across the parallax: with the vendors' RPCs "
+                 "(median), and corrected (median of the absolute values; their spread as NMAD).")
+    tiles = ties.get("tiles", [])
+    if len(tiles) > 1:
+        left = f" {len(tiles) - _MOST_TILES} more tiles are left out here." if len(tiles) > _MOST_TILES else ""
+        report.table(["tile", "tie points around it"],
+                     [[entry["tile"], entry["ties"]] for entry in tiles[:_MOST_TILES]],
+                     "Within the tile, or within a fifth of the scene where that is more." + left)
+    _curves(report, scene, facts)
+
+
+def _curves(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
+    """How many ties are how good, and where rows still differ; nothing where the ties' layer is gone."""
+    path = facts["options"].get("tie_points") or str(scene.path.with_name("tie_points.gpkg"))
+    found = _read_ties(path)
+    if not len(found):
+        return
+    share = np.linspace(0, 100, len(found))
+    limit = float(np.percentile(found[:, :2], 98))
+    report.svg(charts.curves({"vendors' RPCs": (np.sort(found[:, 0]), share),
+                              "corrected": (np.sort(found[:, 1]), share)}, "residual of a tie point (px)",
+                             "tie points with less (%)", xlim=(0.0, max(limit, 0.1)), ylim=(0.0, 100.0)),
+               "Tie points' residuals: root mean square distance between measured and projected pixels.")
+    row, azimuth = found[:, 2], np.radians(found[:, 3])
+    vectors = np.column_stack([row * np.sin(azimuth), -row * np.cos(azimuth)])
+    report.svg(charts.arrows(found[:, 4:] * (1, -1), vectors, "Rows left", "px"),
+               "What is left of the rows' differences, at the tie points on the ground, north up (the layer of tie "
+               "points has them too, in its field 'row'). Arrows in all directions are noise; arrows that agree over "
+               "a part of the scene are a trend that POINTING=affine may take out.")
+
+
+def _read_ties(path: str) -> np.ndarray:
+    """(N, 6) residuals before and after, row, its azimuth, x, y of the ties' layer; empty where it cannot be read."""
+    with quiet():
+        try:
+            source = ogr.Open(path) if os.path.exists(path) else None
+        except RuntimeError:
+            source = None
+        if source is None:
+            return np.empty((0, 6))
+        layer = source.GetLayer(0)
+        definition = layer.GetLayerDefn()
+        names = ("before", "residual", "row", "direction")
+        if min(definition.GetFieldIndex(name) for name in names) < 0:
+            layer = source = None
+            return np.empty((0, 6))
+        values = [(*(feature.GetField(name) for name in names), feature.geometry().GetX(), feature.geometry().GetY())
+                  for feature, _ in zip(layer, range(_MOST_TIES))]
+        layer = source = None
+    return np.array([value for value in values if None not in value], dtype=float).reshape(-1, 6)
+
+
+def _pointing(report: Report, ties: Mapping[str, Any]) -> None:
+    report.section("Pointing")
+    said = {"shift": "one shift an image", "affine": "an affine correction an image"}
+    report.facts([("Correction", said.get(ties["model"], ties["model"])), ("Why", ties["reason"])])
+    report.table(["view", "column shift, px", "row shift, px"],
+                 [[name, *(f"{value:+.2f}" for value in shift)] for name, shift in ties["shifts_px"].items()],
+                 "Corrections of the vendors' RPCs at the images' centres.")
+
+
+def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
+    """Ground control, or how uncertain things are without it."""
+    report.section("Absolute position")
+    if "height_uncertainty_m" in ties:
+        report.paragraph("Without control points the corrections sum to zero: the position and height of the whole "
+                         "stay where the vendors put them. By how much their RPCs disagree across the parallax, the "
+                         f"absolute height is uncertain by some {max(ties['height_uncertainty_m'], 0.1):.1f} m "
+                         "(relative heights are not affected). Ground control points (GCPS), or an alignment with a "
+                         "reference, take that out.")
+    points = ties.get("gcps", [])
+    rejected = ties.get("rejected_gcps", [])
+    if rejected:
+        report.warning(f"{counted(len(rejected), 'control point')} contradicted all others and took no part: "
+                       f"{', '.join(rejected)}.", "check coordinates, the heights' datum, and the measured pixels.")
+    if not points:
+        return
+    report.table(["points", "count", "component", "ME, m", "RMSE, m", "Max, m"], _summary(points),
+                 "From the true place to where the corrected images put it. Control points were fitted; only check "
+                 "points tell how good the result is.")
+    report.table(["point", "role", "east, m", "north, m", "height, m"],
+                 [[point["id"], "rejected" if point["rejected"] else point["role"],
+                   *(f"{point[name]:+.3f}" for name in ("east_m", "north_m", "up_m"))] for point in points])
+
+
+def _summary(points: List[Dict[str, Any]]) -> List[List[Any]]:
+    rows = []
+    for role in ("control", "check"):
+        mine = [point for point in points if point["role"] == role and not point["rejected"]]
+        for name, title in (("east_m", "east"), ("north_m", "north"), ("up_m", "height")):
+            errors = Errors.of(np.array([point[name] for point in mine]))
+            if errors.count:
+                rows.append([role, errors.count, title, f"{errors.me:.3f}", f"{errors.rmse:.3f}", f"{errors.max:.3f}"])
+    return rows

@@ -1,0 +1,145 @@
+"""Ground control points against RPCs, corrected RPCs and a DSM: numbers, a point layer and a report."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Optional, Tuple
+
+import numpy as np
+from osgeo import ogr
+
+from ..errors import EmptyResultError
+from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, locate, measure_dsm
+from ..evaluation.gcp_page import gcp_page
+from ..evaluation.styles import write_style
+from ..geometry.frames import projected_from_geodetic, utm_crs
+from ..imagery.raster import opened
+from ..options import CheckGcpsOptions
+from ..progress import Progress, counted
+from ..scene import Scene
+from ..sfm.ground_control import Gcp, points_file, read_gcps
+from ..vector import write_layer
+
+_SHORT = {"east": "e", "north": "n", "height": "h"}
+
+
+def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
+    """Measure; see :mod:`repm_qgis.evaluation.gcp_accuracy` for what the errors mean.
+
+    Gives ``{column}_me``, ``_rmse`` and ``_max`` of the heights (m) for rpc, compensated, scene and dsm as far as they
+    are known, the same for the three ``components``, and the points left out as ``wrong``.
+
+    Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
+    """
+    scene = Scene.load(options.scene) if options.scene else None
+    found = GcpAccuracy(read_gcps(options.gcps, scene.views if scene else None, options.gcp_datum))
+    if scene is not None:
+        progress.step(0.1, "points in the images")
+        _locate(scene, found, options)
+    progress.check_cancelled()
+    if options.dsm:
+        progress.step(0.4, "points on the DSM")
+        with opened(options.dsm) as dsm:
+            measure_dsm(found, dsm, options.gcps)
+        if not np.isfinite(found.dsm_heights).any():
+            raise EmptyResultError(f"None of the {counted(len(found.gcps), 'point')} of '{options.gcps}' lies where "
+                                   f"the DSM '{options.dsm}' has a height: choose the points of that place.")
+    for text in found.warnings:
+        progress.warn(text)
+    if options.output:
+        _write_points(scene, found, options.output)
+    if options.report:
+        gcp_page(found, options).write(options.report)
+    result = {"output": options.output, "report": options.report, "points": len(found.gcps),
+              "wrong": list(found.wrong), **_numbers(found)}
+    _tell(found, progress)
+    progress.step(1.0, "points checked")
+    return result
+
+
+def _locate(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
+    if any(gcp.pixels for gcp in found.gcps):
+        locate(found, scene.views)
+        if "compensated" not in found.errors:
+            found.warnings.append(f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role "
+                                  "control: there is no image-space compensation to show.")
+    elif not options.dsm:
+        raise EmptyResultError(f"No point of '{options.gcps}' was measured in an image: fill the fields view, col and "
+                               "row, or give a DSM to check its heights.")
+    else:
+        found.warnings.append(f"No point of '{options.gcps}' was measured in an image: only the DSM is checked.")
+
+
+def _numbers(found: GcpAccuracy) -> Dict[str, Any]:
+    numbers: Dict[str, Any] = {"components": {}}
+    for column in found.errors:
+        for component in COMPONENTS:
+            errors = found.summary(column, component)
+            if errors.count:
+                of = {"me": errors.me, "rmse": errors.rmse, "max": errors.max, "count": errors.count}
+                numbers["components"].setdefault(column, {})[component] = of
+                if component == "height":
+                    numbers.update({f"{column}_{name}": of[name] for name in ("me", "rmse", "max")})
+    return numbers
+
+
+def _tell(found: GcpAccuracy, progress: Progress) -> None:
+    for column in found.errors:
+        errors = found.summary(column, "height")
+        if errors.count:
+            progress.info(f"{COLUMNS[column]}: heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max "
+                          f"{errors.max:.3f} m of {counted(errors.count, 'point')}.")
+
+
+def _shown(found: GcpAccuracy) -> str:
+    """The column whose planimetric errors the arrows show: the best that there is."""
+    return next((column for column in ("scene", "compensated", "rpc") if column in found.errors), "")
+
+
+def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None:
+    """The point layer: each column's errors, the image residuals, and what the style shows."""
+    places = np.array([gcp.lon_lat_h for gcp in found.gcps])
+    crs = scene.crs if scene is not None else utm_crs(*map(float, places[:, :2].mean(axis=0)))
+    fields: Dict[str, type] = {"id": str, "role": str, "wrong": int, "height": float, "views": str}
+    for column in ("rpc", "compensated", "scene"):
+        fields.update({f"{column}_{_SHORT[name]}": float for name in COMPONENTS})
+        fields[f"{column}_px"] = float
+    fields.update({"dsm_height": float, "dsm_error": float, "shown": str, "east": float, "north": float,
+                   "height_error": float})
+
+    def features() -> Any:
+        for row, (x, y) in enumerate(projected_from_geodetic(crs, places)):
+            point = ogr.Geometry(ogr.wkbPoint)
+            point.AddPoint_2D(float(x), float(y))
+            yield point, _values(found, row)
+
+    write_layer(path, crs, ogr.wkbPoint, fields, features())
+    write_style("gcps", path)
+
+
+def _values(found: GcpAccuracy, row: int) -> List[Any]:
+    gcp: Gcp = found.gcps[row]
+    values: List[Any] = [gcp.id, gcp.role, int(gcp.id in found.wrong), gcp.height, ", ".join(sorted(gcp.pixels))]
+    for column in ("rpc", "compensated", "scene"):
+        values += [*_known(found, column, row), _pixels(found, column, row)]
+    shown = _shown(found)
+    planimetric = _known(found, shown, row) if shown else (None,) * 3
+    dsm_error = _known(found, "dsm", row)[2]
+    values += [_number(found.dsm_heights[row]) if found.dsm_heights is not None else None, dsm_error, shown,
+               planimetric[0], planimetric[1], dsm_error if found.dsm_heights is not None else planimetric[2]]
+    return values
+
+
+def _known(found: GcpAccuracy, column: str, row: int) -> Tuple[Optional[float], ...]:
+    if column not in found.errors:
+        return (None,) * 3
+    return tuple(_number(value) for value in found.errors[column][row])
+
+
+def _pixels(found: GcpAccuracy, column: str, row: int) -> Optional[float]:
+    """Root mean square distance of a point's residuals over the images, px."""
+    residuals = list(found.residuals[column][row].values()) if column in found.residuals else []
+    return float(np.sqrt(np.mean([residual @ residual for residual in residuals]))) if residuals else None
+
+
+def _number(value: float) -> Optional[float]:
+    return float(value) if np.isfinite(value) else None
