@@ -17,6 +17,7 @@ MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm")
 POINTINGS = ("auto", "shift", "affine")
+ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions")
 ALIGNMENTS = ("none", "vertical", "3d")
@@ -195,7 +196,8 @@ class ReconstructOptions(Options):
 
     ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them beside the
     scene. ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical
-    CRS; "" is the ellipsoid). ``pointing`` is each view's correction. ``workers`` 0 means one a core.
+    CRS; "" is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or
+    COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0 means one a core.
     """
 
     scene: str
@@ -207,12 +209,20 @@ class ReconstructOptions(Options):
     tie_points: Optional[str] = None
     heights: Optional[str] = None
     workers: int = 0
+    adjustment: str = "rpc"
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
         _given("OUTPUT_SCENE", self.output_scene)
         _one_of("BACKEND", self.backend, BACKENDS)
         _one_of("POINTING", self.pointing, POINTINGS)
+        _one_of("ADJUSTMENT", self.adjustment, ADJUSTMENTS)
+        if self.adjustment == "colmap" and self.pointing == "affine":
+            raise OptionError("POINTING", self.pointing, "must be auto or shift where ADJUSTMENT is colmap, which moves "
+                              "principal points only; choose rpc for affine corrections")
+        if self.adjustment == "colmap" and self.gcps:
+            raise OptionError("ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is "
+                              "relative")
         _within("WORKERS", self.workers, 0, 1024)
 
 

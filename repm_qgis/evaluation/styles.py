@@ -39,7 +39,8 @@ _SAMPLE_PX = 1200
 def write_style(kind: str, path: Union[str, os.PathLike], limits: Optional[Tuple[float, float]] = None) -> str:
     """Write the style of a raster or vector file beside it; gives the path of the ``.qml``.
 
-    ``limits`` set a raster's range by hand, so that maps that belong together can be compared by their colours.
+    ``limits`` set a raster's range by hand, so that maps that belong together can be compared by their colours; of
+    ``gcps`` the second one is the error in metres that an arrow of 10 mm shows.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read, WorkspaceError where the
     style cannot be written.
@@ -56,6 +57,9 @@ def write_style(kind: str, path: Union[str, os.PathLike], limits: Optional[Tuple
     if kind in _RAMP_OF:
         values, band = _shown(kind, path)
         text = _filled(text, kind, *(limits or _value_range(kind, values))).replace("@band@", str(band))
+    if kind == "gcps":
+        length = limits[1] if limits else 1.0
+        text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
     return write_text(str(Path(path).with_suffix(".qml")), text)
 
 

@@ -141,14 +141,20 @@ def adjust(views: Sequence[View], tracks: Sequence[Track], altitude: float, mode
     """
     if model not in MODELS:
         raise OptionError("POINTING", model, f"must be one of {', '.join(MODELS)}")
-    shift = _Solution(views, tracks, altitude, "shift", gcps)
+    shift = _Solution(views, tracks, altitude, "shift", gcps).solved()
     if model == "shift":
         return shift.adjustment("asked for")
-    affine = _Solution(views, tracks, altitude, "affine", gcps)
+    affine = _Solution(views, tracks, altitude, "affine", gcps).solved()
     if model == "affine":
         return affine.adjustment("asked for")
     better, reason = _compared(shift, affine)
     return better.adjustment(reason)
+
+
+def with_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: float, shifts: Dict[str, FloatArray],
+                reason: str) -> Adjustment:
+    """The ground points and residuals of shifts, (2,) px a view, that were found otherwise."""
+    return _Solution(views, tracks, altitude, "shift", ()).with_shifts(shifts).adjustment(reason)
 
 
 def _compared(shift: "_Solution", affine: "_Solution") -> Tuple["_Solution", str]:
@@ -181,9 +187,19 @@ class _Solution:
         for group in self.groups:
             self._intersect(group)
         self.before = self._residuals()
+
+    def solved(self) -> "_Solution":
         for weights in (_huber, _tukey):
             self._solve(weights)
         self._drop_wrong_control()
+        return self
+
+    def with_shifts(self, shifts: Dict[str, FloatArray]) -> "_Solution":
+        """The corrections that another adjustment found, and the ground points that fit them."""
+        self.parameters = np.array([shifts[view.name] for view in self.views])
+        for group in self.groups:
+            self._intersect(group)
+        return self
 
     def _solve(self, weights: Weights) -> None:
         for _ in range(_ROUNDS):

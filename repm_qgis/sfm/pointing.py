@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
-from ..mvs.pairing import rectified_pair
 from ..progress import Part, Progress
 from ..scene import Scene
 from .adjustment import Adjustment, Track, adjust, tracks_from
+from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect
+from .row_residuals import row_residuals
 from .sharpening import sharpen
 from .tie_points import PairMatches, find_ties
 from .view_pairs import ViewPair
@@ -36,10 +37,11 @@ class Pointing:
 
 
 def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], model: str,
-                gcps: Sequence[Gcp], progress: Progress, workers: int = 0) -> Pointing:
+                gcps: Sequence[Gcp], progress: Progress, workers: int = 0, route: str = "rpc") -> Pointing:
     """Find ties and adjust the views' pointing; the scene's views are replaced by the corrected ones.
 
-    ``workers`` 0 means one a core.
+    ``workers`` 0 means one a core. ``route`` is ``rpc`` (ours) or ``colmap`` (principal points only: ``model`` and
+    ``gcps`` are not used).
 
     Raises EmptyResultError with the counts where the ties are too few.
     """
@@ -49,10 +51,13 @@ def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, St
     if len(tracks) < LEAST_TIES:
         raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
                                "images in focus, of one season, and free of clouds?")
-    adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps)
-    before = {(pair.first, pair.second): _rows(scene, pair, tracks) for pair in pairs}
+    if route == "colmap":
+        adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0))
+    else:
+        adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps)
+    before = {(pair.first, pair.second): _rows(scene, pair, tracks, adjusted.ground) for pair in pairs}
     scene.views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
-    after = {(pair.first, pair.second): _rows(scene, pair, tracks) for pair in pairs}
+    after = {(pair.first, pair.second): _rows(scene, pair, tracks, adjusted.ground) for pair in pairs}
     figures = {
         "count": len(tracks), "before_px": float(np.median(adjusted.before_px)),
         "after_px": float(np.median(adjusted.residual_px)), "model": adjusted.model, "reason": adjusted.reason,
@@ -63,18 +68,14 @@ def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, St
     return Pointing(tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
 
 
-def _rows(scene: Scene, pair: ViewPair, tracks: Sequence[Track]) -> FloatArray:
-    """(N,) row differences of a pair's tracks once rectified with the views' present pointing, px."""
-    first, second = scene.view(pair.first), scene.view(pair.second)
-    shared = [t.pixels for t in tracks if pair.first in t.pixels and pair.second in t.pixels]
-    bounds = np.array([tile.bounds for tile in scene.tiles])
-    whole = (*map(float, bounds[:, :2].min(axis=0)), *map(float, bounds[:, 2:].max(axis=0)))
-    rectified = rectified_pair(scene, first, second, whole, scene.altitudes)
-    if rectified is None or not shared:
+def _rows(scene: Scene, pair: ViewPair, tracks: Sequence[Track], ground: FloatArray) -> FloatArray:
+    """(N,) row differences of a pair's tracks with the views' present pointing, px."""
+    shared = [k for k, t in enumerate(tracks) if pair.first in t.pixels and pair.second in t.pixels]
+    if not shared:
         return np.zeros(0)
-    a = rectified.first_rectified(np.array([pixels[pair.first] for pixels in shared]))
-    b = rectified.second_rectified(np.array([pixels[pair.second] for pixels in shared]))
-    return (a - b)[:, 1]
+    names = (pair.first, pair.second)
+    pixels = tuple(np.array([tracks[k].pixels[name] for k in shared]) for name in names)
+    return row_residuals((scene.view(names[0]), scene.view(names[1])), pixels, ground[shared])[0]
 
 
 def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> Dict[str, Any]:

@@ -63,7 +63,7 @@ def sharpen(scene: Scene, tracks: Sequence[Track], stretches: Dict[str, Stretch]
     xy = _places(scene, tracks, seen)
     lean = scene.lean()
     tasks = []
-    for members in _clusters(xy, np.arange(len(tracks)), _PATCH_PX * scene.gsd_m):
+    for members in clusters(xy, np.arange(len(tracks)), _PATCH_PX * scene.gsd_m):
         pairs: Dict[Tuple[str, str], List[int]] = {}
         for number in members:
             for other in seen[number][1:]:
@@ -95,7 +95,7 @@ def _places(scene: Scene, tracks: Sequence[Track], seen: Sequence[List[str]]) ->
     return xy
 
 
-def _clusters(xy: FloatArray, members: Indices, side: float) -> List[Indices]:
+def clusters(xy: FloatArray, members: Indices, side: float) -> List[Indices]:
     """Split points until no part is larger than a side: at the widest gap, where there is one, else in the middle."""
     extent = np.ptp(xy[members], axis=0)
     axis = int(extent.argmax())
@@ -107,7 +107,7 @@ def _clusters(xy: FloatArray, members: Indices, side: float) -> List[Indices]:
     at = int(gaps.argmax()) + 1
     if gaps[at - 1] < 0.05 * side:
         at = int(np.clip(np.searchsorted(values, (values[0] + values[-1]) / 2), 1, len(order) - 1))
-    return _clusters(xy, order[:at], side) + _clusters(xy, order[at:], side)
+    return clusters(xy, order[:at], side) + clusters(xy, order[at:], side)
 
 
 def _sharpen_patch(task: _Task) -> Dict[Tuple[int, str], FloatArray]:

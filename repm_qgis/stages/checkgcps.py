@@ -113,7 +113,19 @@ def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None
             yield point, _values(found, row)
 
     write_layer(path, crs, ogr.wkbPoint, fields, features())
-    write_style("gcps", path)
+    write_style("gcps", path, (0.0, _arrow_length(found)))
+
+
+def _arrow_length(found: GcpAccuracy) -> float:
+    """Metres for an arrow of 10 mm: a round number near the larger planimetric errors."""
+    shown = _shown(found)
+    lengths = np.hypot(*found.errors[shown][found.rows(), :2].T) if shown else np.empty(0)
+    lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
+    if not lengths.size:
+        return 1.0
+    typical = float(np.quantile(lengths, 0.9))
+    power = 10.0 ** np.floor(np.log10(typical))
+    return float(next(factor * power for factor in (1, 2, 5, 10) if factor * power >= typical * 0.999))
 
 
 def _values(found: GcpAccuracy, row: int) -> List[Any]:

@@ -39,7 +39,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         scene.refinement = "polynomial"
     backend = resolve(options.backend)
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
-    key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, control,
+    key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, options.adjustment, control,
                       [file_identity(v.image) for v in scene.views])
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))

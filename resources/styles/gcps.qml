@@ -11,7 +11,7 @@
       <rule key="{a0000000-0000-4000-8000-000000000007}" filter="&quot;wrong&quot; = 0 AND &quot;height_error&quot; IS NOT NULL AND &quot;height_error&quot; &gt;= 5" label="height over 5 m" symbol="6"/>
       <rule key="{a0000000-0000-4000-8000-000000000008}" filter="&quot;wrong&quot; = 0 AND &quot;height_error&quot; IS NULL" label="no height found" symbol="7"/>
       <rule key="{a0000000-0000-4000-8000-000000000009}" filter="&quot;wrong&quot; = 1" label="contradicts the others" symbol="8"/>
-      <rule key="{a0000000-0000-4000-8000-000000000010}" filter="&quot;east&quot; IS NOT NULL AND &quot;wrong&quot; = 0" label="planimetric error (1 m: 5 mm)" symbol="9"/>
+      <rule key="{a0000000-0000-4000-8000-000000000010}" filter="&quot;east&quot; IS NOT NULL AND &quot;wrong&quot; = 0" label="planimetric error (10 mm: @length@ m)" symbol="9"/>
     </rules>
     <symbols>
       <symbol type="marker" name="0" alpha="1" clip_to_extent="1" force_rhr="0">
@@ -154,7 +154,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="east"/>
             <Option type="QString" name="y_attribute" value="north"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="@scale@"/>
             <Option type="QString" name="vector_field_type" value="0"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>
@@ -200,7 +200,7 @@
         <text-buffer bufferDraw="1" bufferSize="0.8" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.85" bufferNoFill="1" bufferJoinStyle="128" bufferBlendMode="0"/>
       </text-style>
       <text-format multilineAlign="0" wrapChar="" formatNumbers="0" decimals="3" plussign="0"/>
-      <placement placement="6" dist="1" distUnits="MM" priority="5"/>
+      <placement placement="6" dist="2" distUnits="MM" priority="5"/>
       <rendering drawLabels="1" obstacle="0" fontMinPixelSize="3" fontMaxPixelSize="10000" upsidedownLabels="0" displayAll="0" limitNumLabels="0" maxNumLabels="2000" scaleVisibility="0" scaleMin="0" scaleMax="0" fontLimitPixelSize="0" labelPerPart="0" mergeLines="0" minFeatureSize="0" obstacleFactor="1" obstacleType="0" zIndex="0"/>
     </settings>
   </labeling>

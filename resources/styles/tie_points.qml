@@ -28,7 +28,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="row"/>
             <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="20"/>
             <Option type="QString" name="vector_field_type" value="1"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>
@@ -84,7 +84,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="row"/>
             <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="20"/>
             <Option type="QString" name="vector_field_type" value="1"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>
@@ -140,7 +140,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="row"/>
             <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="20"/>
             <Option type="QString" name="vector_field_type" value="1"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>
@@ -196,7 +196,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="row"/>
             <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="20"/>
             <Option type="QString" name="vector_field_type" value="1"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>
@@ -252,7 +252,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="row"/>
             <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="20"/>
             <Option type="QString" name="vector_field_type" value="1"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>
@@ -308,7 +308,7 @@
           <Option type="Map">
             <Option type="QString" name="x_attribute" value="row"/>
             <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="5"/>
+            <Option type="QString" name="scale" value="20"/>
             <Option type="QString" name="vector_field_type" value="1"/>
             <Option type="QString" name="angle_orientation" value="0"/>
             <Option type="QString" name="angle_units" value="0"/>

@@ -1,0 +1,306 @@
+"""The paper's Adapted COLMAP: known poses, triangulated ties, and a bundle adjustment of principal points only.
+
+Ties are grouped into patches no larger than the scene's tiles. Each patch gets fresh equivalent pinhole cameras in a
+frame of its own, centred and scaled to about one, as satellites are some thousand times farther away than a patch is
+wide. The cameras are turned towards their images' middles, because COLMAP needs principal points inside. COLMAP moves
+the principal points; what they move by goes through M's Jacobian to the original image, where each view gets one shift
+for the whole image: the patches' mean, weighted by their ties.
+
+The gauge. A move of all ground points looks the same as a shift of all principal points. COLMAP is given one ground
+point that stays; afterwards the part of the shifts that a move of the ground explains is taken out again, so that no
+view is the truth and the vendors' mean stays put, as in ``adjustment``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import EmptyResultError, MissingPackageError
+from ..geometry.equivalent_error import RefinedPinhole
+from ..geometry.frames import EnuFrame, projected_from_geodetic
+from ..geometry.pinhole import PinholeCamera
+from ..geometry.refinement import apply_homography
+from ..mvs.pairing import grown, refined_view
+from ..progress import Progress
+from ..scene import Scene, View
+from .adjustment import Adjustment, Track, with_shifts
+from .camera_exports.model import ExportView
+from .sharpening import clusters
+
+FloatArray = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_LEAST_TIES = 8         # of a patch
+_FIRST_SCALE_PX = 1.0   # of the Cauchy loss, before the residuals are known
+_CAUCHY = 2.385         # standard deviations: 95 % efficient where residuals are Gaussian
+_WRONG = 4.685          # standard deviations from which on a tie is left out
+_LEAST_SIGMA_PX = 0.03
+_MARGIN_PX = 24
+_ROOM_M = 30.0          # below and above the ties, for the cameras
+_PASSES = 3
+
+
+@dataclass(frozen=True)
+class _PatchView:
+    """A view over a patch: the camera for COLMAP (patch frame), and the homography to its pixels from refined ones."""
+
+    view: View
+    refined: RefinedPinhole
+    camera: PinholeCamera
+    size: Tuple[int, int]
+    turned_from_refined: FloatArray
+
+    def measured(self, original_px: FloatArray) -> FloatArray:
+        """(N, 2) original pixels in the camera's image."""
+        return apply_homography(self.turned_from_refined, self.refined.to_original.refined_from_original(original_px))
+
+    def original_shift(self, shift: FloatArray, at: FloatArray) -> FloatArray:
+        """(2,) what a shift of the camera's image is in the original, around original pixels ``at`` (N, 2)."""
+        here = self.measured(at.mean(axis=0)[None])[0]
+        back = np.linalg.inv(self.turned_from_refined)
+        steps = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+        ends = self.refined.to_original.original_from_refined(apply_homography(back, here + steps))
+        return np.column_stack([ends[0] - ends[1], ends[2] - ends[3]]) @ shift
+
+
+@dataclass(frozen=True)
+class _PatchShifts:
+    """What a patch says: (v, 2) shifts of some views in original px, free of any move of the ground; its ties."""
+
+    views: List[int]
+    shifts: FloatArray
+    projector: FloatArray
+    ties: int
+
+
+def adjust_colmap(scene: Scene, tracks: Sequence[Track], progress: Progress) -> Adjustment:
+    """One shift a view from COLMAP's adjustment of principal points.
+
+    The scene's views are taken with their vendors' RPCs; their present pointing is not used. Raises
+    MissingPackageError where pycolmap is not installed, EmptyResultError where no patch has enough ties.
+    """
+    pycolmap = _pycolmap()
+    views = [view.with_pointing(np.eye(2, 3)) for view in scene.views]
+    altitude = sum(scene.altitudes) / 2
+    start = with_shifts(views, tracks, altitude, {view.name: np.zeros(2) for view in views}, "")
+    xy = projected_from_geodetic(scene.crs, start.ground)
+    found = []
+    parts = clusters(xy, np.arange(len(tracks)), _tile_side(scene))
+    for number, members in enumerate(parts):
+        progress.check_cancelled()
+        progress.step(number / len(parts), "COLMAP's bundle adjustment")
+        patch = _adjust_patch(pycolmap, scene, views, [tracks[k] for k in members], start.ground[members], xy[members])
+        if patch is not None:
+            found.append(patch)
+    if not found:
+        raise EmptyResultError(f"No patch of the scene has {_LEAST_TIES} tie points for COLMAP's adjustment: choose "
+                               "ADJUSTMENT rpc, or an EXTENT with more texture.")
+    shifts = _joined(found, len(views))
+    ties = sum(patch.ties for patch in found)
+    return with_shifts(views, tracks, altitude, {view.name: shift for view, shift in zip(views, shifts)},
+                       f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches")
+
+
+def _pycolmap() -> Any:
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise MissingPackageError(f"ADJUSTMENT colmap needs the Python package 'pycolmap', which is not installed "
+                                  f"({error}): run 'make setup' in the plugin's folder, or choose rpc.") from error
+    return pycolmap
+
+
+def _tile_side(scene: Scene) -> float:
+    """The largest side of a tile, m: up to there one camera a view is good enough."""
+    return max(max(t.bounds[2] - t.bounds[0], t.bounds[3] - t.bounds[1]) for t in scene.tiles)
+
+
+def _adjust_patch(pycolmap: Any, scene: Scene, views: Sequence[View], tracks: Sequence[Track], ground: FloatArray,
+                  xy: FloatArray) -> Optional[_PatchShifts]:
+    """The shifts that a patch's ties ask for; None where they are too few."""
+    if len(tracks) < _LEAST_TIES:
+        return None
+    seen, origin, scale = _patch_views(scene, views, ground, xy)
+    measured, numbers = _measured(seen, tracks)
+    usable = [k for k, pixels in enumerate(measured) if len(pixels) >= 2]
+    if len(usable) < _LEAST_TIES:
+        return None
+    places = (scene.frame.from_geodetic(ground) - origin) / scale
+    model = _Model(pycolmap, seen, [measured[k] for k in usable], places[usable])
+    moved = model.solve()
+    indices = [k for k in sorted(seen) if k in moved]
+    if len(indices) < 2:
+        return None
+    shifts = np.array([seen[i].original_shift(moved[i], numbers[i]) for i in indices])
+    projector = _observable([views[i] for i in indices], ground.mean(axis=0))
+    return _PatchShifts(indices, (projector @ shifts.ravel()).reshape(-1, 2), projector, model.kept)
+
+
+def _patch_views(scene: Scene, views: Sequence[View], ground: FloatArray,
+                 xy: FloatArray) -> Tuple[Dict[int, _PatchView], FloatArray, float]:
+    """Cameras of all views that see a patch, by index, and the patch's frame: origin (m, scene frame) and unit."""
+    low, high = np.percentile(ground[:, 2], (1, 99)) + (-_ROOM_M, _ROOM_M)
+    bounds = grown((*map(float, xy.min(axis=0)), *map(float, xy.max(axis=0))), _MARGIN_PX * scene.gsd_m)
+    enu = scene.frame.from_geodetic(ground)
+    origin = np.median(enu, axis=0)
+    scale = max(float(np.ptp(xy, axis=0).max()) / 2, 1.0)
+    plain = Scene(list(views), scene.frame, scene.crs, scene.area, scene.altitudes, [], scene.refinement, scene.order,
+                  scene.surface)
+    seen = {}
+    for index, view in enumerate(views):
+        refined = refined_view(plain, view, bounds, (float(low), float(high)))
+        if refined is None:
+            continue
+        turned = ExportView(view, refined.camera, refined.to_original.original_from_refined, refined.size, (1.0, 1.0),
+                            refined.error, np.zeros(2), enu).centred()
+        homography = turned.camera.K @ turned.camera.R @ np.linalg.inv(refined.camera.K @ refined.camera.R)
+        local = PinholeCamera(turned.camera.K, turned.camera.R, (turned.camera.R @ origin + turned.camera.t) / scale)
+        seen[index] = _PatchView(view, refined, local, turned.size, homography)
+    return seen, origin, scale
+
+
+def _measured(seen: Dict[int, _PatchView], tracks: Sequence[Track]) -> Tuple[List[Dict[int, FloatArray]],
+                                                                            Dict[int, FloatArray]]:
+    """For each track its pixels in the cameras' images by view, and for each view its (N, 2) original pixels."""
+    result: List[Dict[int, FloatArray]] = [{} for _ in tracks]
+    originals: Dict[int, FloatArray] = {}
+    for index, patch_view in seen.items():
+        own = [k for k, track in enumerate(tracks) if patch_view.view.name in track.pixels]
+        if not own:
+            continue
+        originals[index] = np.array([tracks[k].pixels[patch_view.view.name] for k in own])
+        for k, pixel in zip(own, patch_view.measured(originals[index])):
+            if np.isfinite(pixel).all():
+                result[k][index] = pixel
+    return result, originals
+
+
+class _Model:
+    """A patch as COLMAP has it: one camera a view, poses that stay, points triangulated from them."""
+
+    def __init__(self, pycolmap: Any, seen: Dict[int, _PatchView], measured: Sequence[Dict[int, FloatArray]],
+                 places: FloatArray) -> None:
+        self._pycolmap, self._seen, self._measured = pycolmap, seen, measured
+        self._points = np.array([self._triangulated(pixels, place) for pixels, place in zip(measured, places)])
+        self._use = np.ones(len(measured), dtype=bool)
+        # COLMAP counts from the first pixel's corner.
+        self._centre = {i: view.camera.K[:2, 2] + 0.5 for i, view in seen.items()}
+        self._start = {i: centre.copy() for i, centre in self._centre.items()}
+
+    @property
+    def kept(self) -> int:
+        return int(self._use.sum())
+
+    def solve(self) -> Dict[int, FloatArray]:
+        """(2,) how far each view's principal point moves, px."""
+        scale = _FIRST_SCALE_PX
+        for _ in range(_PASSES):
+            residual = self._adjusted(scale)
+            sigma = max(1.4826 * float(np.median(residual[self._use])), _LEAST_SIGMA_PX)
+            self._use = residual < _WRONG * sigma
+            scale = _CAUCHY * sigma
+        return {i: self._centre[i] - self._start[i] for i in self._seen
+                if any(i in pixels for pixels, use in zip(self._measured, self._use) if use)}
+
+    def _triangulated(self, pixels: Dict[int, FloatArray], fallback: FloatArray) -> FloatArray:
+        """(3,) the point that known poses give; the RPCs' own where COLMAP finds none."""
+        cameras = [self._seen[i].camera for i in pixels]
+        rays = np.array([np.linalg.solve(camera.K, [*pixel, 1.0]) for camera, pixel in zip(cameras, pixels.values())])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        poses = [np.column_stack([camera.R, camera.t]) for camera in cameras]
+        point = self._pycolmap.triangulate_multi_view_point(poses, rays)
+        return fallback if point is None or not np.isfinite(point).all() else np.asarray(point).ravel()
+
+    def _adjusted(self, scale_px: float) -> FloatArray:
+        """Bundle adjustment of the principal points and the points in use; (tracks,) residuals of all, px."""
+        made = self._reconstruction()
+        config = self._pycolmap.BundleAdjustmentConfig()
+        for image in made.images.values():
+            config.add_image(image.image_id)
+            config.set_constant_rig_from_world_pose(image.frame_id)
+        config.add_constant_point(self._anchor())
+        self._pycolmap.create_default_bundle_adjuster(self._options(scale_px), config, made).solve()
+        for i in self._seen:
+            camera = made.cameras[i + 1]
+            self._centre[i] = np.array([camera.principal_point_x, camera.principal_point_y])
+        for k in np.flatnonzero(self._use):
+            self._points[k] = made.points3D[int(k) + 1].xyz
+        return self._residuals()
+
+    def _options(self, scale_px: float) -> Any:
+        options = self._pycolmap.BundleAdjustmentOptions()
+        options.refine_focal_length = False
+        options.refine_extra_params = False
+        options.refine_principal_point = True
+        options.refine_rig_from_world = False
+        options.print_summary = False
+        options.ceres.loss_function_type = self._pycolmap.LossFunctionType.CAUCHY
+        options.ceres.loss_function_scale = scale_px
+        options.ceres.solver_options.num_threads = 1     # sums in one order: the same result every time
+        options.ceres.solver_options.gradient_tolerance = 1e-10
+        options.ceres.solver_options.function_tolerance = 1e-12
+        return options
+
+    def _reconstruction(self) -> Any:
+        pycolmap = self._pycolmap
+        made = pycolmap.Reconstruction()
+        places: Dict[int, List[FloatArray]] = {i: [] for i in self._seen}
+        elements = []
+        for pixels in self._measured:
+            elements.append([(i, len(places[i])) for i in pixels])
+            for i, pixel in pixels.items():
+                places[i].append(pixel + 0.5)
+        for i, view in self._seen.items():
+            focal = view.camera.K[0, 0], view.camera.K[1, 1]
+            made.add_camera_with_trivial_rig(pycolmap.Camera(
+                camera_id=i + 1, model="PINHOLE", width=view.size[0], height=view.size[1],
+                params=[*focal, *self._centre[i]]))
+            made.add_image_with_trivial_frame(
+                pycolmap.Image(view.view.name, np.array(places[i]).reshape(-1, 2), i + 1, i + 1),
+                pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t))
+        for k in np.flatnonzero(self._use):
+            track = pycolmap.Track([pycolmap.TrackElement(i + 1, place) for i, place in elements[k]])
+            made.add_point3D_with_id(int(k) + 1, pycolmap.Point3D(xyz=self._points[k], track=track))
+        return made
+
+    def _anchor(self) -> int:
+        """The point that stays: seen by most views, and among those near the middle of the residuals."""
+        residual = np.where(self._use, self._residuals(), np.inf)
+        views = np.array([len(pixels) for pixels in self._measured])
+        most = np.flatnonzero(self._use & (views == views[self._use].max()))
+        return int(most[np.argsort(residual[most], kind="stable")[len(most) // 2]]) + 1
+
+    def _residuals(self) -> FloatArray:
+        """(tracks,) root mean square distance of measured and projected pixels."""
+        square, count = np.zeros(len(self._measured)), np.zeros(len(self._measured))
+        for i, view in self._seen.items():
+            own = np.array([k for k, pixels in enumerate(self._measured) if i in pixels], dtype=int)
+            if len(own):
+                pixels = np.array([self._measured[k][i] for k in own])
+                moved = self._centre[i] - self._start[i]
+                square[own] += ((view.camera.project(self._points[own]) + moved - pixels) ** 2).sum(axis=1)
+                count[own] += 1
+        return np.sqrt(square / np.maximum(count, 1))
+
+
+def _observable(views: Sequence[View], ground: FloatArray) -> FloatArray:
+    """(2v, 2v) projector of shifts onto what no move of the ground explains."""
+    frame = EnuFrame(*map(float, ground))
+    base = [view.project(ground) for view in views]
+    moved = frame.to_geodetic(np.eye(3))
+    moves = np.concatenate([(view.project(moved) - start).T for view, start in zip(views, base)])
+    return np.eye(2 * len(views)) - moves @ np.linalg.pinv(moves)
+
+
+def _joined(patches: Sequence[_PatchShifts], count: int) -> FloatArray:
+    """(views, 2) the smallest shifts that fit what all patches say, weighted by their ties."""
+    normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    for patch in patches:
+        columns = np.concatenate([[2 * i, 2 * i + 1] for i in patch.views])
+        normal[np.ix_(columns, columns)] += patch.ties * patch.projector
+        right[columns] += patch.ties * patch.shifts.ravel()
+    return (np.linalg.pinv(normal, rcond=1e-3, hermitian=True) @ right).reshape(count, 2)
