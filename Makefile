@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench-epm bench-matching bench-real lint package models i18n pictures clean
+.PHONY: help setup demo test bench-epm bench-matching bench-pointing bench-real lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -22,6 +22,9 @@ bench-epm: setup ## the equivalent pinhole model: errors, agreement, cost (write
 
 bench-real: setup ## real Pleiades images against S2P's DSMs: agreement, time, memory (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/real_pairs.py
+
+bench-pointing: setup ## ties and pointing: known errors found again, real images, cost (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/pointing.py
 
 bench-matching: setup ## the matcher with one thing changed at a time (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/matching.py

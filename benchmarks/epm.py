@@ -236,7 +236,8 @@ def colmap_difference() -> float:
         scene = Scene.load(refined["output_scene"])
         model = pycolmap.Reconstruction(f"{made['models'][0]}/sparse/0")
         tile = scene.tiles[0]
-        ground = np.random.default_rng(3).uniform((-80, -80, scene.altitudes[0]), (80, 80, scene.altitudes[1]), (500, 3))
+        low, high = scene.altitudes
+        ground = np.random.default_rng(3).uniform((-80, -80, low), (80, 80, high), (500, 3))
         worst = 0.0
         for image in model.images.values():
             view = next(view for name, view in tile.views.items() if image.name.startswith(name))
@@ -250,7 +251,8 @@ def fuzzing() -> List[str]:
     """Point 6: broken files."""
     from benchmarks.fuzz_rpc import fuzz
 
-    return ["Broken and hostile RPC files (`benchmarks/fuzz_rpc.py`):", "```\n" + fuzz(20000, 1).table().strip() + "\n```"]
+    found = fuzz(20000, 1).table().strip()
+    return ["Broken and hostile RPC files (`benchmarks/fuzz_rpc.py`):", f"```\n{found}\n```"]
 
 
 def in_process(code: str) -> Dict[str, float]:

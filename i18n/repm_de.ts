@@ -2,6 +2,57 @@
 <!DOCTYPE TS>
 <TS version="2.1" language="de" sourcelanguage="en">
 <context>
+    <name>CheckGcps</name>
+    <message>
+        <source>Check against ground control points</source>
+        <translation>Gegen Passpunkte prüfen</translation>
+    </message>
+    <message>
+        <source>How far points of known place are from where RPCs, corrected RPCs and a DSM put them.</source>
+        <translation>Wie weit Punkte bekannter Lage von dort entfernt sind, wohin RPC, korrigierte RPC und ein DOM sie legen.</translation>
+    </message>
+    <message>
+        <source>Scene (for the images' geometry)</source>
+        <translation>Szene (für die Geometrie der Bilder)</translation>
+    </message>
+    <message>
+        <source>The scene.json of any stage; one that was reconstructed also shows what its pointing is worth.</source>
+        <translation>Die scene.json irgendeiner Stufe; eine rekonstruierte zeigt auch, was ihre Ausrichtung wert ist.</translation>
+    </message>
+    <message>
+        <source>DSM (for the heights at the points)</source>
+        <translation>DOM (für die Höhen an den Punkten)</translation>
+    </message>
+    <message>
+        <source>Points with their errors</source>
+        <translation>Punkte mit ihren Fehlern</translation>
+    </message>
+    <message>
+        <source>RPC localisation</source>
+        <translation>RPC-Lokalisierung</translation>
+    </message>
+    <message>
+        <source>RPCs with image-space compensation</source>
+        <translation>RPC mit Korrektur im Bildraum</translation>
+    </message>
+    <message>
+        <source>the scene's pointing</source>
+        <translation>die Ausrichtung der Szene</translation>
+    </message>
+    <message>
+        <source>the DSM</source>
+        <translation>das DOM</translation>
+    </message>
+    <message>
+        <source>{figure} of heights by {source} (m)</source>
+        <translation>{figure} der Höhen durch {source} (m)</translation>
+    </message>
+    <message>
+        <source>Neither SCENE nor DSM is given: there is nothing to check; give one of them, or both.</source>
+        <translation>Weder SCENE noch DSM ist angegeben: Es gibt nichts zu prüfen; geben Sie eines davon an, oder beide.</translation>
+    </message>
+</context>
+<context>
     <name>CompareDsm</name>
     <message>
         <source>Compare a DSM with a reference</source>
@@ -351,6 +402,10 @@
         <translation>{name} „{path}“ ist keine Szene: die scene.json wählen, die die Stufe davor geschrieben hat.</translation>
     </message>
     <message>
+        <source>The layer '{layer}' of {name} holds no points: choose a point layer or a CSV file.</source>
+        <translation>Der Layer '{layer}' von {name} enthält keine Punkte: Wählen Sie einen Punktlayer oder eine CSV-Datei.</translation>
+    </message>
+    <message>
         <source>{name} '{path}' cannot be read as a raster: check that the file is whole.</source>
         <translation>{name} „{path}“ ist nicht als Raster lesbar: prüfen, ob die Datei vollständig ist.</translation>
     </message>
@@ -361,6 +416,10 @@
     <message>
         <source>Seconds: {stages}</source>
         <translation>Sekunden: {stages}</translation>
+    </message>
+    <message>
+        <source>Ground control points</source>
+        <translation>Passpunkte</translation>
     </message>
     <message>
         <source>Height error</source>
@@ -404,6 +463,38 @@
     <message>
         <source>Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), each with its RPC in the file or beside it.</source>
         <translation>Zwei oder mehr Bilder desselben Gebiets in Sensorgeometrie (Stufe Basic, Sensor oder Primary), jedes mit seinem RPC in der Datei oder daneben.</translation>
+    </message>
+    <message>
+        <source>RPC files (empty: in the images or beside them)</source>
+        <translation>RPC-Dateien (leer: in den Bildern oder daneben)</translation>
+    </message>
+    <message>
+        <source>Only where the RPCs lie elsewhere: one file for each image, in the images' order.</source>
+        <translation>Nur wo die RPC anderswo liegen: eine Datei je Bild, in der Reihenfolge der Bilder.</translation>
+    </message>
+    <message>
+        <source>Ground control points</source>
+        <translation>Passpunkte</translation>
+    </message>
+    <message>
+        <source>A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). A layer's geometry may stand for lon and lat.</source>
+        <translation>Eine CSV-Datei oder ein Punktlayer mit einer Zeile je Punkt und Bild: id, lon, lat, height, view (Dateiname des Bildes), col, row (die Mitte des ersten Pixels ist 0, 0), role (control oder check). Die Geometrie eines Layers kann lon und lat ersetzen.</translation>
+    </message>
+    <message>
+        <source>Heights of the control points refer to (empty: the WGS 84 ellipsoid)</source>
+        <translation>Höhenbezug der Passpunkte (leer: das WGS-84-Ellipsoid)</translation>
+    </message>
+    <message>
+        <source>EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773. Its grid must be installed: the Environment report names what is missing.</source>
+        <translation>EGM96, EGM2008 oder irgendein Höhensystem, das PROJ kennt, etwa EPSG:5773. Sein Gitter muss installiert sein: Der Umgebungsbericht nennt, was fehlt.</translation>
+    </message>
+    <message>
+        <source>Correction of the images' pointing</source>
+        <translation>Korrektur der Ausrichtung der Bilder</translation>
+    </message>
+    <message>
+        <source>shift: one shift an image; affine: also stretched and turned; auto: affine where the tie points show a trend and span the images well enough to carry it.</source>
+        <translation>shift: eine Verschiebung je Bild; affine: auch gestreckt und gedreht; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken, um ihn zu tragen.</translation>
     </message>
     <message>
         <source>Area (empty: all that two images see)</source>
@@ -512,6 +603,14 @@
     <message>
         <source>median: robust, for three images or more; mean: smoother.</source>
         <translation>median: robust, ab drei Bildern; mean: glatter.</translation>
+    </message>
+    <message>
+        <source>Fill</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>occlusions: cells that one image hides take the height of the ground behind, and are marked in the confidence raster; none: they stay nodata.</source>
+        <translation type="unfinished"></translation>
     </message>
     <message>
         <source>Outlier radius (m, empty: automatic, 0: off)</source>

@@ -21,7 +21,7 @@ from qgis.core import (
     QgsVectorFileWriter,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QVariant
+from qgis.PyQt.QtCore import QUrl, QUrlQuery, QVariant
 
 
 def is_empty(value: object) -> bool:
@@ -80,12 +80,17 @@ def points_path(value: object, context: QgsProcessingContext) -> Optional[str]:
         return "|".join([os.path.abspath(path), *rest]) if path else None
     parts = QgsProviderRegistry.instance().decodeUri(item.providerType(), item.source())
     path, name = parts.get("path", ""), parts.get("layerName")
-    table = item.providerType() == "delimitedtext"
-    # The engine reads tables with commas and the fields' names in the first line; QGIS can be told otherwise.
-    plain = path.lower().endswith(".csv") and not set(parts) - {"path"} if table else item.providerType() == "ogr"
+    plain = _is_plain_table(item.source(), path) if item.providerType() == "delimitedtext" else \
+        item.providerType() == "ogr"
     if plain and os.path.exists(path) and not item.subsetString():
         return f"{path}|layername={name}" if name else path
     return _written(item, context)
+
+
+def _is_plain_table(source: str, path: str) -> bool:
+    """Whether a text layer is read as the engine reads a table: commas, names in the first line, place in fields."""
+    keys = {key for key, _ in QUrlQuery(QUrl(source)).queryItems()}
+    return path.lower().endswith(".csv") and keys <= {"type", "detectTypes", "watchFile", "spatialIndex", "subsetIndex"}
 
 
 def _written(layer: QgsVectorLayer, context: QgsProcessingContext) -> str:

@@ -138,9 +138,9 @@ def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
     if "height_uncertainty_m" in ties:
         report.paragraph("Without control points the corrections sum to zero: the position and height of the whole "
                          "stay where the vendors put them. By how much their RPCs disagree across the parallax, the "
-                         f"absolute height is uncertain by some {max(ties['height_uncertainty_m'], 0.1):.1f} m "
-                         "(relative heights are not affected). Ground control points (GCPS), or an alignment with a "
-                         "reference, take that out.")
+                         f"absolute height is uncertain by {ties['height_uncertainty_m']:.1f} m (two "
+                         "standard deviations; relative heights are not affected). Ground control points (GCPS), or "
+                         "an alignment with a reference, take that out.")
     points = ties.get("gcps", [])
     rejected = ties.get("rejected_gcps", [])
     if rejected:

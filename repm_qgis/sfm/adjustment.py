@@ -293,9 +293,13 @@ class _Solution:
                     normal[np.ix_(columns, columns)] += weight * basis.T @ basis
                     right[columns] += weight * basis.T @ residuals[view.name]
         values, vectors = np.linalg.eigh(normal)
-        known = values > max(_RANK * values[-1], (sigma / _KNOWN_PX) ** 2)
-        step = vectors[:, known] @ ((vectors[:, known].T @ right) / values[known])
-        return step.reshape(count, p)
+        # Before the first corrections residuals are no noise, and tell nothing of what the ties can tell.
+        noise = 0.0 if weights is _huber else sigma / _KNOWN_PX
+        known = vectors[:, values > max(_RANK * values[-1], noise ** 2)]
+        # All of the corrections is solved for, not only the step: they are to be the smallest that do.
+        whole = right + normal @ self.parameters.ravel()
+        found = known @ np.linalg.solve(known.T @ normal @ known, known.T @ whole)
+        return found.reshape(count, p) - self.parameters
 
     def _reduced(self, group: _Group) -> Tuple[FloatArray, FloatArray]:
         """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, free of any move of the ground."""
@@ -374,7 +378,10 @@ def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> 
 def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
     """(n, 3, m) of (n, m, 3): of rank three, as rays that meet at an angle have it; far faster than by SVD."""
     transposed = np.swapaxes(jacobian, 1, 2)
-    return np.linalg.solve(transposed @ jacobian, transposed)
+    square = transposed @ jacobian
+    # Rays from one place meet nowhere: a trace of a ridge keeps their point where it is.
+    ridge = 1e-12 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return np.linalg.solve(square + ridge, transposed)
 
 
 def _huber(size: FloatArray, sigma: float) -> FloatArray:

@@ -19,7 +19,7 @@ MATCHING_PX = 0.25
 NARROW, WIDE = 0.1, 0.9
 _FEW_TIES = 5       # in a tile's neighbourhood
 _CELLS = 5          # a side of the scene: ties are looked for in a patch of each
-_UNCERTAIN_M, _UNCERTAIN_GSD = 2.0, 4.0
+_UNCERTAIN_M, _UNCERTAIN_GSD = 5.0, 10.0     # two standard deviations
 
 
 def ties_by_tile(scene: Scene, xy: FloatArray) -> List[Dict[str, Any]]:

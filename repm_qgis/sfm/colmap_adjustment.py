@@ -13,7 +13,7 @@ view is the truth and the vendors' mean stays put, as in ``adjustment``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -148,8 +148,7 @@ def _patch_views(scene: Scene, views: Sequence[View], ground: FloatArray,
     enu = scene.frame.from_geodetic(ground)
     origin = np.median(enu, axis=0)
     scale = max(float(np.ptp(xy, axis=0).max()) / 2, 1.0)
-    plain = Scene(list(views), scene.frame, scene.crs, scene.area, scene.altitudes, [], scene.refinement, scene.order,
-                  scene.surface)
+    plain = replace(scene, views=list(views), tiles=[], history=[])
     seen = {}
     for index, view in enumerate(views):
         refined = refined_view(plain, view, bounds, (float(low), float(high)))

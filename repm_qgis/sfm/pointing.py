@@ -24,6 +24,7 @@ from .view_pairs import ViewPair
 FloatArray = NDArray[np.float64]
 
 LEAST_TIES = 20
+_USUAL_PX = 2.0     # by which two vendor RPCs of one pass disagree, in each direction
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,19 @@ def _absolute(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatAr
     figures: Dict[str, Any] = {"gcps": points, "rejected_gcps": list(adjusted.rejected)} if gcps else {}
     if any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         return figures
-    # Across the parallax the disagreement is seen; along it, where it passes for height, it is likely as large.
-    uncertain = [np.median(np.abs(before[pair.first, pair.second])) * scene.gsd_m / pair.base_to_height
-                 for pair in pairs if len(before[pair.first, pair.second])]
-    return {**figures, "height_uncertainty_m": float(max(uncertain, default=0.0))}
+    return {**figures, "height_uncertainty_m": _height_uncertainty(scene, pairs, before)}
+
+
+def _height_uncertainty(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray]) -> float:
+    """Two standard deviations of the absolute height, m.
+
+    Across the parallax the vendors' disagreement is seen; along it, where it passes for height, it is likely as large.
+    One or three pairs are few to tell a deviation from, so what is usual counts as one pair more. The pair with the
+    widest base tells the height best.
+    """
+    seen = [_median(rows) for rows in before.values() if len(rows)]
+    deviation = np.sqrt((_USUAL_PX ** 2 + sum(row ** 2 for row in seen)) / (1 + len(seen)))
+    return float(2.0 * deviation * scene.gsd_m / max(pair.base_to_height for pair in pairs))
 
 
 def _tell(figures: Dict[str, Any], progress: Progress) -> None:
@@ -116,5 +126,6 @@ def _tell(figures: Dict[str, Any], progress: Progress) -> None:
         progress.warn(f"The control point {identity} contradicts all others and was left out: check its coordinates, "
                       "its height's datum, and its pixels.")
     if "height_uncertainty_m" in figures:
-        progress.info("Without ground control points the absolute height is as good as the vendors' RPCs, here likely "
-                      f"some {max(figures['height_uncertainty_m'], 0.1):.1f} m; relative heights are not affected.")
+        progress.info("Without ground control points the absolute height is as good as the vendors' RPCs: uncertain by "
+                      f"{figures['height_uncertainty_m']:.1f} m (two standard deviations); relative heights are not "
+                      "affected.")

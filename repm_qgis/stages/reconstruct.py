@@ -78,7 +78,8 @@ def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         progress.warn(f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
                       "where the vendors put it; fill the fields view, col and row of points with the role control.")
-    found = point_views(scene, pairs, stretches, options.pointing, gcps, progress)
+    found = point_views(scene, pairs, stretches, options.pointing, gcps, progress,
+                        options.workers, options.adjustment)
     for tile in scene.tiles:
         tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
     _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)

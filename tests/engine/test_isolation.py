@@ -30,7 +30,7 @@ def test_every_module_imports_without_qgis():
     assert done.stdout == "" and "Error" not in done.stderr
 
 
-@pytest.mark.parametrize("stage", ("epmfit", "errormap", "comparedsm", "environment"))
+@pytest.mark.parametrize("stage", ("epmfit", "errormap", "comparedsm", "checkgcps", "environment"))
 def test_light_stages_need_only_what_qgis_ships(stage):
     """numpy, GDAL and pyproj: these stages run in QGIS's own process, where the wheels may be missing."""
     done = python("import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"

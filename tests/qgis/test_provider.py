@@ -11,15 +11,17 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 # Issue 2's table: models and scripts rely on these names.
 PARAMETERS = {
-    "epmfit": "IMAGES EXTENT DEM ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
+    "epmfit": "IMAGES EXTENT DEM RPCS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
     "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
     "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
     "exportcameras": "SCENE FORMAT TILE CENTRE BITS KERNEL FOLDER",
-    "reconstruct": "SCENE BACKEND OUTPUT_SCENE TIE_POINTS HEIGHTS",
+    "reconstruct": "SCENE BACKEND GCPS GCP_DATUM POINTING OUTPUT_SCENE TIE_POINTS HEIGHTS",
     "dsmfuse": "SCENE RESOLUTION CRS METHOD FILL OUTLIER_RADIUS OUTPUT CONFIDENCE ORTHO CLOUD",
-    "pipeline": "IMAGES EXTENT DEM RESOLUTION CRS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND "
-                "METHOD FILL OUTLIER_RADIUS OUTPUT WORKSPACE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD",
+    "pipeline": "IMAGES EXTENT DEM GCPS RESOLUTION CRS RPCS GCP_DATUM POINTING ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE "
+                "ERROR_BUDGET MODEL ORDER BACKEND METHOD FILL OUTLIER_RADIUS OUTPUT WORKSPACE REPORT TILES TIE_POINTS "
+                "CONFIDENCE ORTHO CLOUD",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS ERROR REPORT",
+    "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "sampledata": "KIND SIZE SEED FOLDER",
     "environment": "REPORT",
 }
@@ -32,6 +34,8 @@ OUTPUTS = {
     "dsmfuse": "OUTPUT CONFIDENCE ORTHO CLOUD VALID_PERCENT",
     "pipeline": "OUTPUT SCENE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD WORKSPACE N_TIE_POINTS VALID_PERCENT",
     "comparedsm": "ERROR REPORT RMSE ME MAE NMAD COMPLETENESS",
+    "checkgcps": "OUTPUT REPORT " + " ".join(f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM")
+                                             for figure in ("ME", "RMSE", "MAX")),
     "sampledata": "FOLDER IMAGES TRUTH GCPS",
     "environment": "REPORT",
 }
@@ -70,7 +74,7 @@ def test_every_parameter_is_an_option_of_the_engine_with_its_default(plugin, nam
         default = fields[option].default
         if definition.isDestination() or default is dataclasses.MISSING or definition.name() == "THRESHOLDS":
             continue
-        assert definition.defaultValue() == default, f"{name}.{option}"
+        assert definition.defaultValue() == (None if default == () else default), f"{name}.{option}"
 
 
 @pytest.mark.parametrize("name", PARAMETERS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.sfm.adjustment import Track, adjust, tracks_from
+from repm_qgis.sfm.adjustment import Track, adjust, tracks_from, with_shifts
 from repm_qgis.sfm.tie_points import PairMatches
 
 
@@ -145,6 +145,46 @@ def test_pure_shifts_stay_shifts(scene):
     assert found.model == "shift" and found.reason
     for pointing in found.pointing.values():
         np.testing.assert_array_equal(pointing[:, :2], np.eye(2))
+
+
+@pytest.mark.parametrize("model", ("shift", "affine"))
+def test_errors_of_fifteen_pixels_are_found(scene, model):
+    tracks, _ = exact_tracks(scene, 400, noise=0.1)
+    errors = {view.name: np.array(error) for view, error in zip(scene.views, ((15, -11), (-12, 15), (4, -14)))}
+    far = [Track({name: pixel + errors[name] for name, pixel in track.pixels.items()}) for track in tracks]
+    near, found = adjust(scene.views, tracks, 500.0, model), adjust(scene.views, far, 500.0, model)
+    assert np.median(found.residual_px) == pytest.approx(np.median(near.residual_px), abs=0.01)
+    extra = {name: found.shifts[name] - near.shifts[name] - errors[name] for name in errors}
+    free = left_over(scene, {name: near.shifts[name] + extra[name] for name in errors}) - left_over(scene, near.shifts)
+    assert np.abs(free).max() < 0.03
+
+
+def test_what_ties_cannot_tell_stays_where_the_vendors_put_it(scene):
+    """Affine corrections mimic a tilt of the ground: noise must not make one of many pixels."""
+    tracks, _ = exact_tracks(scene, 300, noise=0.15)
+    for pointing in adjust(scene.views, tracks, 500.0, "affine").pointing.values():
+        corners = np.array([[0, 0], [399, 0], [0, 399], [399, 399]], dtype=float)
+        moved = corners @ pointing[:, :2].T + pointing[:, 2] - corners
+        assert np.abs(moved - moved.mean(axis=0)).max() < 0.6
+
+
+def test_shifts_found_otherwise_get_their_ground_points(scene):
+    tracks, _ = exact_tracks(scene)
+    ours = adjust(scene.views, tracks, 500.0)
+    other = with_shifts(scene.views, tracks, 500.0, ours.shifts, "taken over")
+    assert other.reason == "taken over" and other.model == "shift"
+    np.testing.assert_allclose(scene_metres(scene, other.ground), scene_metres(scene, ours.ground), atol=0.02)
+    np.testing.assert_allclose(other.residual_px, ours.residual_px, atol=2e-3)
+
+
+def test_rays_from_one_place_do_no_harm(scene):
+    """Two views with the same RPC see no height; their ties say nothing, and break nothing."""
+    tracks, _ = exact_tracks(scene, 200)
+    twin = scene.views[0].__class__(**{**vars(scene.views[0]), "name": "twin"})
+    more = [Track({scene.views[0].name: np.array([50.0 + k, 60.0]), "twin": np.array([50.0 + k, 60.0])})
+            for k in range(30)]
+    found = adjust([*scene.views, twin], tracks + more, 500.0)
+    assert np.isfinite(found.ground).all() and found.residual_px[:200].max() < 0.02
 
 
 def matches(first, second, a, b):

@@ -153,6 +153,7 @@ def test_ellipsoidal_heights_stay(table, name):
     assert read_gcps(table("A,1.44,43.6,100,,,,check"), None, name)[0].height == 100.0
 
 
+@pytest.mark.filterwarnings("ignore:Best transformation")
 def test_a_missing_grid_is_named(table):
     path = table("A,1.44,43.6,100,,,,check")
     group = pyproj.transformer.TransformerGroup(pyproj.CRS("EPSG:4326+3855"), pyproj.CRS("EPSG:4979"), always_xy=True,

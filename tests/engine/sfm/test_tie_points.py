@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from osgeo import gdal
 
 from repm_qgis.errors import EmptyResultError
+from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.mvs.pairing import rectified_pair
 from repm_qgis.scene import Scene
+from repm_qgis.sfm import tie_points
 from repm_qgis.sfm.adjustment import adjust, tracks_from
-from repm_qgis.sfm.tie_points import find_ties
+from repm_qgis.sfm.sharpening import clusters, sharpen
+from repm_qgis.sfm.tie_points import PairMatches, find_ties
 from repm_qgis.stages import run_stage
 
 
@@ -98,3 +102,120 @@ def test_too_few_ties_are_an_error_with_the_counts(found, told, tmp_path, write_
     with pytest.raises(EmptyResultError) as caught:
         find_ties(blind, [tuple(names)], {name: stretches[name] for name in names}, told())
     assert all(name in str(caught.value) for name in names) and "needed: 12" in str(caught.value)
+
+
+def test_sharpening_brings_ties_to_a_tenth_of_a_pixel(found, told):
+    truth, scene, matches, stretches = found
+    names = [view.name for view in scene.views]
+    tracks = sharpen(scene, tracks_from(matches), stretches, told())
+    for first, second in ((names[0], names[1]), (names[1], names[2])):
+        # Tracks that begin with the pair's first view were aligned with it.
+        own = [t for t in tracks if first in t.pixels and second in t.pixels and next(iter(t.pixels)) == first]
+        distance = epipolar(truth, PairMatches(first, second, *(np.array([t.pixels[n] for t in own])
+                                                                for n in (first, second)), np.zeros(len(own))))
+        assert len(own) > 60
+        assert 1.4826 * np.median(np.abs(distance - np.median(distance))) < 0.12
+        assert abs(np.median(distance)) < 0.05 and (np.abs(distance) > 1.0).mean() < 0.05
+
+
+@pytest.mark.parametrize("errors", (((15, -11), (-12, 15), (4, -14)), ((-3, 25), (3, -25), (0, 0))))
+def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
+    truth, scene, _, stretches = found
+    wrong = [view.__class__(**{**vars(view), "rpc": true.rpc.shifted(*error)})
+             for view, true, error in zip(scene.views, truth.true_views, errors)]
+    lost = Scene(**{**vars(scene), "views": wrong})
+    names = [view.name for view in wrong]
+    pairs = [(names[0], names[1]), (names[1], names[2]), (names[0], names[2])]
+    tracks = sharpen(lost, tracks_from(find_ties(lost, pairs, stretches, told())), stretches, told())
+    pointing = adjust(wrong, tracks, sum(scene.altitudes) / 2).pointing
+    right = [view.with_pointing(pointing[view.name]) for view in wrong]
+    ground = truth.true_views[1].localise(np.random.default_rng(5).uniform(50, 350, (200, 2)), sum(scene.altitudes) / 2)
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        pair = rectified_pair(scene, right[i], right[j], scene.tiles[0].bounds, scene.altitudes)
+        rows = (pair.first_rectified(truth.true_views[i].project(ground))
+                - pair.second_rectified(truth.true_views[j].project(ground)))[:, 1]
+        assert np.abs(rows).max() < 0.1
+
+
+def in_cells(scene, monkeypatch, whole=150, patch=130):
+    """Make the search treat the small scene like a large one."""
+    monkeypatch.setattr(tie_points, "_WHOLE_PX", whole)
+    monkeypatch.setattr(tie_points, "_PATCH_PX", patch)
+    return Scene(**vars(scene))
+
+
+def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(found, told, monkeypatch):
+    truth, scene, _, stretches = found
+    large, pair = in_cells(scene, monkeypatch), tuple(view.name for view in scene.views[:2])
+    one, two = (find_ties(large, [pair], stretches, told(), workers)[0] for workers in (1, 2))
+    np.testing.assert_array_equal(one.first_px, two.first_px)
+    np.testing.assert_array_equal(one.second_px, two.second_px)
+    distance = epipolar(truth, one)
+    assert len(distance) > 60 and np.median(np.abs(distance)) < 0.3
+    assert (np.ptp(one.first_px, axis=0) > 250).all()
+
+
+def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, told, tmp_path, write_image, monkeypatch):
+    """Water everywhere but around one place: its patch leads its cell's list, and the ties come from there."""
+    truth, scene, _, _ = found
+    if truth is not urban:
+        pytest.skip("one scene is enough")
+    x0, y0, x1, y1 = truth.bounds
+    land = np.array([x0 + 0.6 * (x1 - x0), y0 + 0.62 * (y1 - y0)])
+    ground = np.append(geodetic_from_projected(truth.crs, land[None])[0], np.median(truth.surface))
+    views, numbers = [], np.random.default_rng(2)
+    for view, true in zip(scene.views, truth.true_views):
+        pixels = gdal.Open(view.image).ReadAsArray()
+        centre = true.project(ground)
+        rows, cols = np.indices(pixels.shape)
+        water = np.hypot(cols - centre[0], rows - centre[1]) > 70
+        pixels[water] = np.rint(200 + numbers.normal(0, 4, pixels.shape))[water].astype(np.uint16)
+        views.append(view.__class__(**{**vars(view), "image": write_image(tmp_path / f"{view.name}.tif", pixels, view.rpc)}))
+    wet = in_cells(Scene(**{**vars(scene), "views": views}), monkeypatch)
+    stretches = {view.name: view_stretch(view.image, view.band) for view in views}
+    cells = tie_points._ranked_patches(wet, stretches, told())
+    size = np.array([(np.array(cell[0][2:]) - cell[0][:2]).max() for cell in cells])
+    assert len(cells) > 4 and (size <= 130 * scene.gsd_m + 1).all()
+    best = max((tie_points._texture(wet, stretches, cell[0]), cell) for cell in cells)[1]
+    assert best[0][0] - 40 < land[0] < best[0][2] + 40 and best[0][1] - 40 < land[1] < best[0][3] + 40
+    ties = find_ties(wet, [(views[0].name, views[1].name)], stretches, told())[0]
+    assert len(ties.first_px) >= 12
+    off = np.linalg.norm(ties.first_px - truth.true_views[0].project(ground), axis=1)
+    assert np.quantile(off, 0.9) < 110
+
+
+def test_features_are_spread_evenly():
+    numbers = np.random.default_rng(1)
+    points = np.concatenate([numbers.uniform(0, 40, (2000, 2)), numbers.uniform(0, 480, (800, 2))])
+    strength = np.concatenate([numbers.uniform(5, 6, 2000), numbers.uniform(0, 1, 800)])
+    chosen = tie_points._even(points, strength, (480, 480), 500)
+    assert len(chosen) == len(set(chosen)) == 500
+    corner = (points[chosen] < 40).all(axis=1).sum()
+    assert corner < 20  # of 2000 stronger ones
+    np.testing.assert_array_equal(tie_points._even(points, strength, (480, 480), 4000), np.arange(2800))
+
+
+@pytest.mark.parametrize("slope", (0.0, 0.006))
+def test_rows_follow_a_trend_whatever_else_is_there(slope):
+    """4.8 px of trend over 800 px, half a pixel of noise, and as many wrong matches as right ones."""
+    numbers = np.random.default_rng(3)
+    pixels = numbers.uniform(0, 800, (600, 2))
+    true = 12.0 + pixels @ [slope, -slope / 2]
+    rows = true + numbers.normal(0, 0.4, 600)
+    rows[::2] = numbers.uniform(-64, 64, 300)
+    part = PairMatches("a", "b", pixels, pixels, rows)
+    np.testing.assert_allclose(tie_points._row_trend(pixels, rows), true, atol=0.3)
+    kept = tie_points._agreeing("a", "b", [part])
+    good = np.isin(rows, kept[2])
+    assert good[1::2].mean() > 0.97 and good[::2].mean() < 0.06
+
+
+def test_clusters_hold_every_point_once_and_are_no_larger_than_asked():
+    numbers = np.random.default_rng(0)
+    islands = [numbers.uniform(0, 300, (50, 2)) + corner for corner in ((0, 0), (2000, 100), (900, 3000))]
+    xy = np.concatenate([*islands, numbers.uniform(5000, 7000, (200, 2))])
+    found = clusters(xy, np.arange(len(xy)), 400.0)
+    assert sorted(np.concatenate(found)) == list(range(len(xy)))
+    assert all((np.ptp(xy[part], axis=0) <= 400).all() for part in found)
+    for number in range(3):  # what lies together stays together
+        assert any(set(range(50 * number, 50 * number + 50)) == set(part) for part in found)

@@ -1,0 +1,306 @@
+"""Checking against ground control points: errors that were put in come out, in every column."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pyproj
+import pytest
+from osgeo import gdal, ogr, osr
+
+from repm_qgis.errors import EmptyResultError, ImageError, InputTableError, OptionError, SceneError
+from repm_qgis.evaluation.gcp_accuracy import Errors, wrong_control
+from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
+from repm_qgis.scene import Scene
+from repm_qgis.stages import run_stage
+
+FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
+
+
+@pytest.fixture(scope="module")
+def scene(urban, tmp_path_factory, told):
+    """The town's scene as epmfit leaves it: vendors' RPCs, wrong by the biases that truth.json records."""
+    folder = tmp_path_factory.mktemp("scene")
+    return run_stage("epmfit", {"images": urban.images, "workspace": str(folder)}, told())["scene"]
+
+
+@pytest.fixture(scope="module")
+def points(urban):
+    """(12, 3) ground points on cells of the true surface: longitude, latitude, height."""
+    numbers = np.random.default_rng(8)
+    rows, cols = (numbers.integers(20, n - 20, 12) for n in urban.surface.shape)
+    x, cell, _, y, _, _ = urban.transform
+    xy = np.column_stack([x + (cols + 0.5) * cell, y - (rows + 0.5) * cell])
+    return np.column_stack([geodetic_from_projected(urban.crs, xy), urban.surface[rows, cols]])
+
+
+def written(path, urban, points, role=lambda k: "check" if k % 2 else "control", pixel=lambda k, name, p: p, views=3):
+    """A table of the points as the true sensors see them."""
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(FIELDS)
+        for k, point in enumerate(points):
+            for view in urban.true_views[:views] or [None]:
+                seen = (view.name + ".tif", *map(repr, map(float, pixel(k, view.name, view.project(point))))) \
+                    if view else ("", "", "")
+                table.writerow([f"P{k:02d}", *map(repr, map(float, point)), *seen, role(k)])
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def exact(urban, points, tmp_path_factory):
+    return written(tmp_path_factory.mktemp("points") / "gcps.csv", urban, points)
+
+
+def features(path):
+    source = ogr.Open(path)
+    layer = source.GetLayer(0)
+    found = {feature["id"]: json.loads(feature.ExportToJson()) for feature in layer}
+    crs = layer.GetSpatialRef().GetAuthorityCode(None)
+    layer = source = None
+    return found, crs
+
+
+def located_by_hand(urban, point):
+    """(3,) east, north, up where the biased RPCs' rays of a point's true pixels meet, by a search of its own."""
+    from scipy.optimize import least_squares
+
+    frame = EnuFrame(*map(float, point))
+    pixels = [view.project(point) for view in urban.true_views]
+
+    def misfit(enu):
+        ground = frame.to_geodetic(enu)
+        return np.concatenate([pixel - view.project(ground) for pixel, view in zip(pixels, urban.views)])
+
+    return least_squares(misfit, np.zeros(3), x_scale=1.0, xtol=1e-14, ftol=1e-14).x
+
+
+def test_known_biases_come_out_and_compensation_takes_them_out(urban, scene, exact, points, tmp_path, told):
+    result = run_stage("checkgcps", {"gcps": exact, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
+    found, crs = features(result["output"])
+    assert crs == Scene.load(scene).crs.split(":")[1] and len(found) == result["points"] == 12
+    by_hand = np.array([located_by_hand(urban, point) for point in points])
+    ours = np.array([[found[f"P{k:02d}"]["properties"][f"rpc_{axis}"] for axis in "enh"] for k in range(12)])
+    np.testing.assert_allclose(ours, by_hand, atol=1e-3)
+    assert np.abs(by_hand).max() > 0.3  # there is something to find
+    for name, column in zip(("east", "north", "height"), by_hand.T):
+        of = result["components"]["rpc"][name]
+        assert (of["me"], of["rmse"], of["max"], of["count"]) == pytest.approx(
+            (np.median(np.abs(column)), np.sqrt(np.mean(column ** 2)), np.abs(column).max(), 12), abs=1e-3)
+    assert result["rpc_rmse"] == result["components"]["rpc"]["height"]["rmse"]
+    # A bias is the same all over such a small scene: shifts take it out.
+    assert result["compensated_max"] < 0.02 and result["components"]["compensated"]["east"]["max"] < 0.01
+    assert not {"scene_me", "dsm_me"} & set(result)
+    residual = found["P03"]["properties"]["rpc_px"]
+    assert residual == pytest.approx(np.sqrt(np.mean((urban.biases ** 2).sum(axis=1))), abs=0.02)
+
+
+def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, told):
+    """One control point off by 1 px in all rows of all views: its own error shows in full, others feel a fifth."""
+    path = written(tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: p + (0.0, 1.0 if k == 0 else 0.0))
+    result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
+    assert result["wrong"] == []
+    found, _ = features(result["output"])
+    px = [found[f"P{k:02d}"]["properties"]["compensated_px"] for k in range(12)]
+    assert px[0] == pytest.approx(1.0, abs=0.01)
+    for k in range(1, 12):
+        assert px[k] == pytest.approx(1 / 6 if k % 2 else 1 / 5, abs=0.01)
+
+
+def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points, tmp_path, told):
+    numbers = np.random.default_rng(4)
+    wrong = {2: (5.0, -2.0), 6: (-1.0, 8.0)}
+    path = written(tmp_path / "g.csv", urban, points, role=lambda k: "control",
+                   pixel=lambda k, name, p: p + numbers.normal(0, 0.3, 2) + wrong.get(k, (0.0, 0.0)))
+    said = told()
+    result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg"),
+                                     "report": str(tmp_path / "r.html")}, said)
+    assert result["wrong"] == ["P02", "P06"]
+    assert [text.split(" contradicts")[0] for text in said.warnings] == ["The control point P02", "The control point P06"]
+    assert result["components"]["compensated"]["height"]["count"] == 10
+    assert result["components"]["compensated"]["east"]["max"] < 0.5  # 0.3 px of 0.5 m, in three views
+    found, _ = features(result["output"])
+    assert [name for name, feature in found.items() if feature["properties"]["wrong"]] == ["P02", "P06"]
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert page.count("<td>wrong</td>") == 2 and "P02 contradicts the others" in page
+
+
+def test_the_scenes_own_pointing_is_a_column_once_there_is_one(urban, scene, exact, tmp_path, told):
+    corrected = Scene.load(scene)
+    corrected.views = [view.with_pointing(np.column_stack([np.eye(2), -bias]))
+                       for view, bias in zip(corrected.views, urban.biases)]
+    corrected.save(str(tmp_path / "corrected.json"))
+    result = run_stage("checkgcps", {"gcps": exact, "scene": str(tmp_path / "corrected.json"),
+                                     "output": str(tmp_path / "p.gpkg")}, told())
+    assert result["scene_max"] < 0.02 < 0.3 < result["rpc_max"]
+    found, _ = features(result["output"])
+    assert {feature["properties"]["shown"] for feature in found.values()} == {"scene"}
+
+
+def test_a_point_in_one_image_has_a_place_but_no_height(urban, scene, points, tmp_path, told):
+    path = written(tmp_path / "g.csv", urban, points[:3], role=lambda k: "control", views=1)
+    result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
+    assert set(result["components"]["rpc"]) == {"east", "north"} and "rpc_rmse" not in result
+    ground = urban.views[0].localise(urban.true_views[0].project(points[1]), points[1, 2])
+    found, _ = features(result["output"])
+    east, north, _ = EnuFrame(*map(float, points[1])).from_geodetic(ground)
+    place = found["P01"]["properties"]
+    assert (place["rpc_e"], place["rpc_n"]) == pytest.approx((east, north), abs=1e-6)
+    assert found["P01"]["properties"]["height_error"] is None
+
+
+def changed(source, path, change=lambda heights: heights, crs=None, metadata=True):
+    """A copy of a DSM with other heights, CRS, or without its words on the vertical datum."""
+    original = gdal.Open(source)
+    copy = gdal.GetDriverByName("GTiff").CreateCopy(str(path), original)
+    band = copy.GetRasterBand(1)
+    band.WriteArray(change(original.GetRasterBand(1).ReadAsArray()))
+    if crs:
+        reference = osr.SpatialReference()
+        reference.SetFromUserInput(crs)
+        copy.SetSpatialRef(reference)
+    if not metadata:
+        copy.SetMetadata({})
+    band = copy = original = None  # noqa: F841
+    return str(path)
+
+
+def test_the_true_dsm_has_no_error_and_a_raised_one_its_own(urban, exact, tmp_path, told):
+    said = told()
+    result = run_stage("checkgcps", {"gcps": exact, "dsm": urban.truth}, said)
+    assert result["dsm_max"] < 0.001 and said.warnings == []
+    assert set(result["components"]) == {"dsm"} and set(result["components"]["dsm"]) == {"height"}
+    raised = changed(urban.truth, tmp_path / "raised.tif", lambda heights: heights + 1.25)
+    result = run_stage("checkgcps", {"gcps": exact, "dsm": raised}, told())
+    assert (result["dsm_me"], result["dsm_rmse"], result["dsm_max"]) == pytest.approx((1.25,) * 3, abs=0.001)
+
+
+def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
+    """On a tilted plane, points anywhere in the cells."""
+    x, cell, _, y, _, _ = urban.transform
+    rows, cols = np.indices(urban.surface.shape)
+    plane = changed(urban.truth, tmp_path / "plane.tif", lambda heights: 200 + 0.3 * cols - 0.7 * rows)
+    numbers = np.random.default_rng(2)
+    col, row = (numbers.uniform(20, n - 20, 12) for n in urban.surface.shape[::-1])
+    lon_lat = geodetic_from_projected(urban.crs, np.column_stack([x + (col + 0.5) * cell, y - (row + 0.5) * cell]))
+    path = written(tmp_path / "g.csv", urban, np.column_stack([lon_lat, 200 + 0.3 * col - 0.7 * row]), views=0)
+    result = run_stage("checkgcps", {"gcps": path, "dsm": plane}, told())
+    assert result["dsm_max"] < 0.01
+
+
+def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, tmp_path, told):
+    """Both above EGM96, and each alone, against heights that pyproj converted."""
+    zone = urban.crs.split(":")[1]
+    undulation = pyproj.Transformer.from_crs("EPSG:4326+5773", "EPSG:4979", always_xy=True).transform(
+        points[0, 0], points[0, 1], 0.0)[2]
+    assert 40 < undulation < 60
+    geoid = changed(urban.truth, tmp_path / "geoid.tif", lambda heights: heights - undulation, f"EPSG:{zone}+5773")
+    above = points - [0, 0, undulation]
+    tables = {"": written(tmp_path / "e.csv", urban, points, views=0),
+              "EGM96": written(tmp_path / "g.csv", urban, above, views=0)}
+    for datum, path in tables.items():
+        for dsm in (urban.truth, geoid):
+            said = told()
+            result = run_stage("checkgcps", {"gcps": path, "gcp_datum": datum, "dsm": dsm}, said)
+            assert result["dsm_max"] < 0.05 and said.warnings == []  # the geoid tilts by centimetres over the scene
+    said = told()
+    result = run_stage("checkgcps", {"gcps": tables["EGM96"], "dsm": urban.truth}, said)
+    assert result["dsm_me"] == pytest.approx(undulation, abs=0.05)
+    assert any("usually a geoid" in text and "GCP_DATUM" in text for text in said.warnings)
+
+
+def test_a_dsm_that_does_not_say_its_datum_is_taken_as_ellipsoidal_aloud(urban, exact, tmp_path, told):
+    silent = changed(urban.truth, tmp_path / "silent.tif", metadata=False)
+    said = told()
+    assert run_stage("checkgcps", {"gcps": exact, "dsm": silent}, said)["dsm_max"] < 0.001
+    assert len(said.warnings) == 1 and "does not say its vertical datum" in said.warnings[0]
+
+
+def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_path, told):
+    x, cell, _, y, _, _ = urban.transform
+    away = np.vstack([points, points[0] + [0.5, 0, 0]])
+    xy = pyproj.Transformer.from_crs("EPSG:4326", urban.crs, always_xy=True).transform(*points[3, :2])
+    col, row = int((xy[0] - x) / cell), int((y - xy[1]) / cell)
+
+    def holed(heights):
+        heights[row - 1:row + 2, col - 1:col + 2] = -9999.0
+        return heights
+
+    dsm = changed(urban.truth, tmp_path / "holed.tif", holed)
+    source = gdal.Open(dsm, gdal.GA_Update)
+    source.GetRasterBand(1).SetNoDataValue(-9999.0)
+    source = None
+    said = told()
+    result = run_stage("checkgcps", {"gcps": written(tmp_path / "g.csv", urban, away, views=0), "dsm": dsm,
+                                     "output": str(tmp_path / "p.gpkg")}, said)
+    assert result["components"]["dsm"]["height"]["count"] == 11 and result["dsm_max"] < 0.001
+    assert any("1 point lies outside the DSM and is not counted: P12" in text for text in said.warnings)
+    assert any("1 point lies where the DSM has no height and is not counted: P03" in text for text in said.warnings)
+    found, _ = features(result["output"])
+    assert found["P03"]["properties"]["dsm_error"] is None and found["P12"]["properties"]["dsm_height"] is None
+
+
+def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, told):
+    result = run_stage("checkgcps", {"gcps": exact, "scene": scene, "dsm": urban.truth,
+                                     "report": str(tmp_path / "r.html"), "output": str(tmp_path / "p.gpkg")}, told())
+    style = (tmp_path / "p.qml").read_text(encoding="utf-8")
+    assert "@scale@" not in style and "@length@" not in style and "&quot;height_error&quot;" in style
+    length = float(style.split("(10 mm: ")[1].split(" m)")[0])
+    east_north = result["components"]["compensated"]
+    assert length >= 0.9 * min(east_north["east"]["rmse"], east_north["north"]["rmse"])
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    for words in ("RPC localisation, image-space compensation", "DSM&#x27;s height", "control", "check", "Max, m",
+                  f"{result['rpc_rmse']:.3f}", f"{result['components']['rpc']['east']['max']:.3f}", "P11"):
+        assert words in page
+    found, _ = features(result["output"])
+    assert found["P05"]["properties"]["height_error"] == pytest.approx(0.0, abs=1e-3)
+    assert found["P05"]["properties"]["views"] == "img_01, img_02, img_03"
+    assert json.dumps(result, allow_nan=False)
+
+
+def fails(kind, told, *words, **options):
+    with pytest.raises(kind) as caught:
+        run_stage("checkgcps", options, told())
+    text = str(caught.value)
+    assert "\n" not in text and text.endswith(".") and all(word in text for word in words), text
+
+
+def test_what_cannot_be_checked_is_said_in_a_sentence(urban, scene, exact, points, tmp_path, told):
+    fails(OptionError, told, "SCENE is None", "or DSM, or both", gcps=exact)
+    fails(OptionError, told, "GCPS", gcps="", dsm=urban.truth)
+    fails(OptionError, told, "GCP_DATUM is 'sea'", gcps=exact, dsm=urban.truth, gcp_datum="sea")
+    fails(SceneError, told, "gone.json", gcps=exact, scene=str(tmp_path / "gone.json"))
+    fails(ImageError, told, "gone.tif", gcps=exact, dsm=str(tmp_path / "gone.tif"))
+    fails(InputTableError, told, "gone.csv", gcps=str(tmp_path / "gone.csv"), dsm=urban.truth)
+    bare = written(tmp_path / "bare.csv", urban, points, views=0)
+    fails(EmptyResultError, told, "No point of", "measured in an image", "give a DSM", gcps=bare, scene=scene)
+    far = written(tmp_path / "far.csv", urban, points + [1.0, 0, 0], views=0)
+    fails(EmptyResultError, told, "None of the 12 points", "choose the points of that place", gcps=far, dsm=urban.truth,
+          output=str(tmp_path / "p.gpkg"))
+    renamed = tmp_path / "renamed.csv"
+    renamed.write_text(open(exact, encoding="utf-8").read().replace("img_02.tif", "nadir.tif"), encoding="utf-8")
+    fails(InputTableError, told, "'nadir.tif'", "img_01, img_02, img_03", gcps=str(renamed), scene=scene)
+    assert not (tmp_path / "p.gpkg").exists()
+
+
+def test_without_control_points_there_is_no_compensation_and_that_is_said(urban, scene, points, tmp_path, told):
+    path = written(tmp_path / "g.csv", urban, points, role=lambda k: "check")
+    said = told()
+    result = run_stage("checkgcps", {"gcps": path, "scene": scene}, said)
+    assert "rpc_me" in result and "compensated_me" not in result
+    assert len(said.warnings) == 1 and "role control" in said.warnings[0]
+
+
+def test_errors_are_the_papers():
+    errors = Errors.of(np.array([1.0, -2.0, 2.0, np.nan, -5.0]))
+    assert (errors.count, errors.me, errors.max) == (4, 2.0, 5.0) and errors.rmse == pytest.approx(np.sqrt(34 / 4))
+    assert Errors.of(np.array([np.nan])).count == 0
+
+
+def test_few_points_accuse_nobody():
+    far = {name: {"a": np.array([k * 50.0, 0.0])} for k, name in enumerate("pqr")}
+    assert wrong_control(far) == ()
+    near = {f"p{k}": {"a": np.array([k * 0.01, 0.0])} for k in range(5)}
+    assert wrong_control({**near, "x": {"a": np.array([9.0, 0.0])}}) == ("x",)
