@@ -48,7 +48,7 @@ def test_inputs_become_options_of_the_engine(plugin, context, feedback, rasters)
                                "DEM": rasters[0]}, context, feedback)
     assert found == {"images": rasters, "extent": [1.5, 2.5, 3.5, 4.5], "extent_crs": "EPSG:32631",
                      "dem": rasters[0], "altitude_min": -5.5, "altitude_max": None, "tile_size": 512,
-                     "error_budget": 0.1}
+                     "error_budget": 0.1, "rpcs": []}
     EpmFitOptions.from_json(json.loads(json.dumps({**found, "workspace": "w"})))
 
 

@@ -49,8 +49,8 @@ def test_the_truth_scenes_points_are_read_whole(urban):
 
 
 def test_a_table_with_bom_capitals_and_no_role(urban, table):
-    path = table("A,1.44,43.6,190.5,img_01.tif,10.25,20.5", " B ,1.45,43.61,191,,,", header="ID,Lon,LAT,height,view,col,row",
-                 encoding="utf-8-sig")
+    path = table("A,1.44,43.6,190.5,img_01.tif,10.25,20.5", " B ,1.45,43.61,191,,,",
+                 header="ID,Lon,LAT,height,view,col,row", encoding="utf-8-sig")
     first, second = read_gcps(path, urban.views)
     assert (first.id, first.lon, first.lat, first.height, first.role) == ("A", 1.44, 43.6, 190.5, "control")
     np.testing.assert_array_equal(first.pixels["img_01"], [10.25, 20.5])

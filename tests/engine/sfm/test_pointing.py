@@ -55,8 +55,9 @@ def moved(gcp, by):
 def absolute_error(scene, found):
     """(views, 2) by how much corrected views miss the true pixels of ground points, px."""
     ground = places(scene, 300, 9)
-    return np.array([np.median(view.with_pointing(found.pointing[view.name]).project(ground) - true.project(ground), axis=0)
-                     for view, true in zip(scene.views, scene.true_views)])
+    corrected = [view.with_pointing(found.pointing[view.name]) for view in scene.views]
+    return np.array([np.median(view.project(ground) - true.project(ground), axis=0)
+                     for view, true in zip(corrected, scene.true_views)])
 
 
 @pytest.mark.parametrize("seed", range(4))
