@@ -34,7 +34,6 @@ from repm_qgis.sfm.adjustment import Track, adjust  # noqa: E402
 from repm_qgis.sfm.colmap_adjustment import adjust_colmap  # noqa: E402
 from repm_qgis.sfm.ground_control import Gcp  # noqa: E402
 from repm_qgis.sfm.pointing import Pointing, point_views  # noqa: E402
-from repm_qgis.sfm.row_residuals import row_residuals  # noqa: E402
 from repm_qgis.sfm.view_pairs import choose_pairs  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene, make_views, rpc_tags  # noqa: E402
@@ -143,9 +142,9 @@ class Case:
     def absolute_px(self, pointing: Dict[str, np.ndarray]) -> np.ndarray:
         """(N,) the largest error of a recovered pointing over the views at points of the surface, px."""
         ground = self.ground(600, 78)
-        return np.max([np.linalg.norm(view.project(ground) - vendor.with_pointing(pointing[vendor.name]).project(ground),
-                                      axis=1)
-                       for view, vendor in zip(self.true, load_views(tuple(self.images)))], axis=0)
+        found = [view.with_pointing(pointing[view.name]) for view in load_views(tuple(self.images))]
+        return np.max([np.linalg.norm(true.project(ground) - view.project(ground), axis=1)
+                       for true, view in zip(self.true, found)], axis=0)
 
 
 def fitted(images: Sequence[str], workspace: Path, **options: Any) -> Scene:
@@ -180,12 +179,13 @@ def shift_of(col: float, row: float) -> np.ndarray:
 
 
 def known_pointings(kind: str) -> List[np.ndarray]:
-    """Shifts of up to 15 px, and with ``drift`` an affine part of up to 3 px from one side of the image to the other."""
+    """Shifts of up to 15 px; ``affine``: and a drift of up to 3 px from one side of the image to the other."""
     pointings = [shift_of(15.0, -11.0), shift_of(-12.0, 15.0), shift_of(4.0, -14.0)]
     if kind == "shift":
         return pointings
     middle = (SIZE - 1) / 2
-    for A, linear in zip(pointings, ([[3.0, -1.5], [1.0, 2.0]], [[-2.0, 3.0], [-3.0, 1.0]], [[1.5, -2.5], [3.0, -3.0]])):
+    drifts = [[3.0, -1.5], [1.0, 2.0]], [[-2.0, 3.0], [-3.0, 1.0]], [[1.5, -2.5], [3.0, -3.0]]
+    for A, linear in zip(pointings, drifts):
         linear = np.array(linear) / SIZE
         A[:, :2] += linear
         A[:, 2] -= linear @ [middle, middle]
@@ -233,9 +233,9 @@ def truth_urban() -> List[str]:
                     else f"{len(facts['rejected_gcps'])} of {len(facts['gcps'])} points rejected")
             rows.append([label, pair["count"], abs(pair["rows_before_px"]), pair["rows_after_px"],
                          float(np.median(error)), float(1.4826 * np.median(np.abs(error - np.median(error)))), said])
-    return ["**1. truth_urban**: two views, real Pleiades RPCs, the second wrong by (1.7, -2.3) px; GCPs with 0.3 px of "
-            "noise. Bars: row residual below 0.1 px; bias with GCPs below 0.15 m without any alignment; without GCPs the "
-            "report says how uncertain the absolute height is.",
+    return ["**1. truth_urban**: two views, real Pleiades RPCs, the second wrong by (1.7, -2.3) px; GCPs with 0.3 px "
+            "of noise. Bars: row residual below 0.1 px; bias with GCPs below 0.15 m without any alignment; without "
+            "GCPs the report says how uncertain the absolute height is.",
             table(["GCPs", "ties", "row residual before, px", "after (median of absolute), px", "bias of the DSM, m",
                    "NMAD, m", "said of the absolute height"], rows)]
 
@@ -263,12 +263,14 @@ def known_errors() -> List[str]:
                 named.append(", ".join(sorted(controlled.rejected)) or "none")
             rows.append([label, kind, len(found.tracks), found.adjusted.model,
                          *(f"{np.median(o):.3f} / {o.max():.3f}" for o in observable), bar,
-                         *(f"{np.median(a):.3f} / {a.max():.3f}" for a in absolute), " and ".join(dict.fromkeys(named))])
-    return [f"**2. Known errors**: simulated tri-stereo, {SIZE} px, RPCs shifted by up to 15 px; *affine*: with drift of up "
-            "to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over the "
+                         *(f"{np.median(a):.3f} / {a.max():.3f}" for a in absolute),
+                         " and ".join(dict.fromkeys(named))])
+    return [f"**2. Known errors**: simulated tri-stereo, {SIZE} px, RPCs shifted by up to 15 px; *affine*: with drift "
+            "of up to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over the "
             "views, at 600 points of the surface (median / largest), px. Absolute: the largest view's error with 12 "
-            "control points of which G01 and G02 are wrong by 4 to 12 px in each direction. With 0.3 px of noise ten good "
-            "points cannot tell a shift better than 0.3 / sqrt(10) = 0.095 px a coordinate, whatever the software.",
+            "control points of which G01 and G02 are wrong by 4 to 12 px in each direction. Of ten good points "
+            "with 0.3 px of noise a shift is expected to be wrong by 0.3 / sqrt(10) = 0.095 px a coordinate (less where "
+            "ties share it among the views), an affine correction by more.",
             table(["scene", "errors", "ties", "model chosen", "observable", "with 20 % gross outliers", "bar",
                    "absolute, exact GCPs", "absolute, GCPs of 0.3 px", "named as wrong"], rows)]
 
@@ -328,7 +330,8 @@ def triplet() -> List[str]:
             rows.append([" and ".join(one), " and ".join(two), float(np.nanmedian(error)), worst,
                          float(1.4826 * np.nanmedian(np.abs(error - np.nanmedian(error))))])
     return ["**3. pleiades_triplet**: the DSMs of the three pairs against each other after adjustment, 0.5 m cells, no "
-            "alignment. Bar: median within 0.3 m (S2P's raw pairs differ by 4.8 m; CARS leaves up to 2.4 m in corners).",
+            "alignment. Bar: median within 0.3 m (S2P's raw pairs differ by 4.8 m; CARS leaves up to 2.4 m in "
+            "corners).",
             table(["DSM of", "less DSM of", "median, m", "worst corner's median, m", "NMAD, m"], rows)]
 
 
@@ -397,8 +400,8 @@ def poor_scenes() -> List[str]:
             rows.append([label, len(found.tracks), f"{np.median(left):.3f} / {left.max():.3f}", found.adjusted.reason])
         except RepmError as error:
             rows.append([label, 0, "stopped", str(error)])
-    return [f"**4. Poor scenes**: the town of point 2 (shifts of up to 15 px), most of it hidden. What is left that could "
-            "be observed, px (median / largest); or the sentence that it stops with.",
+    return ["**4. Poor scenes**: the town of point 2 (shifts of up to 15 px), most of it hidden. What is left that "
+            "could be observed, px (median / largest); or the sentence that it stops with.",
             table(["scene", "ties", "left, px", "why this model, or why it stopped"], rows)]
 
 
@@ -447,8 +450,9 @@ def costs() -> List[str]:
     found = cost([str(folder / f"img_0{i}.tif") for i in (1, 2, 3)])
     rows.append([f"3 x {BIG} x {BIG} (ZY-3 simulated)", *_cost_row(found), "30 s, 1024 MiB"])
     return [f"**5. Cost** of ties and adjustment, on {len(os.sched_getaffinity(0))} cores that others used too (load "
-            f"{os.getloadavg()[0]:.1f}); memory of the process plus, where there are worker processes, of as many of the "
-            "largest.", table(["scene", "ties", "median residual, px", "wall, s", "CPU, s", "memory, MiB", "bar"], rows)]
+            f"{os.getloadavg()[0]:.1f}); memory of the process plus, where there are worker processes, of as many "
+            "of the largest.",
+            table(["scene", "ties", "median residual, px", "wall, s", "CPU, s", "memory, MiB", "bar"], rows)]
 
 
 def _cost_row(found: Dict[str, float]) -> List[Any]:
@@ -481,14 +485,15 @@ def two_routes() -> List[str]:
                      float(np.nanmedian(error)), float(np.nanmedian(np.abs(error))), rpc_s, colmap_s])
     return ["**Both routes**: against the original RPCs (the default), and the paper's: COLMAP's bundle adjustment of "
             "principal points only. Bar: their DSMs differ by less than 0.05 m (median).",
-            table(["scene", "left where observable, RPC route, px", "COLMAP route, px", "largest difference of shifts, px",
-                   "DSM difference, median, m", "median of absolute, m", "RPC route, CPU s", "COLMAP route, CPU s"], rows)]
+            table(["scene", "left where observable, RPC route, px", "COLMAP route, px",
+                   "largest difference of shifts, px", "DSM difference, median, m", "median of absolute, m",
+                   "RPC route, CPU s", "COLMAP route, CPU s"], rows)]
 
 
 def route_dsm(images: Sequence[str], folder: Path, route: str) -> str:
     made = run_stage("epmfit", {"images": list(images), "workspace": str(folder)}, Silent())
-    made = run_stage("reconstruct", {"scene": made["scene"], "output_scene": str(folder / "r.json"), "pointing": "shift",
-                                     "adjustment": route}, Silent())
+    made = run_stage("reconstruct", {"scene": made["scene"], "output_scene": str(folder / "r.json"),
+                                     "pointing": "shift", "adjustment": route}, Silent())
     return run_stage("dsmfuse", {"scene": made["output_scene"], "output": str(folder / "dsm.tif"), "resolution": 0.5},
                      Silent())["output"]
 

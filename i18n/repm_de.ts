@@ -606,11 +606,11 @@
     </message>
     <message>
         <source>Fill</source>
-        <translation type="unfinished"></translation>
+        <translation>Auffüllen</translation>
     </message>
     <message>
         <source>occlusions: cells that one image hides take the height of the ground behind, and are marked in the confidence raster; none: they stay nodata.</source>
-        <translation type="unfinished"></translation>
+        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter und sind im Vertrauensraster gekennzeichnet; none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
         <source>Outlier radius (m, empty: automatic, 0: off)</source>

@@ -218,8 +218,8 @@ class ReconstructOptions(Options):
         _one_of("POINTING", self.pointing, POINTINGS)
         _one_of("ADJUSTMENT", self.adjustment, ADJUSTMENTS)
         if self.adjustment == "colmap" and self.pointing == "affine":
-            raise OptionError("POINTING", self.pointing, "must be auto or shift where ADJUSTMENT is colmap, which moves "
-                              "principal points only; choose rpc for affine corrections")
+            raise OptionError("POINTING", self.pointing, "must be auto or shift where ADJUSTMENT is colmap, which "
+                              "moves principal points only; choose rpc for affine corrections")
         if self.adjustment == "colmap" and self.gcps:
             raise OptionError("ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is "
                               "relative")

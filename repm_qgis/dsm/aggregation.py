@@ -34,11 +34,12 @@ def aggregate(heights: Sequence[FloatArray], scores: Sequence[FloatArray], metre
     ----------
     heights, scores : one (H, W) array a map.
     metres_per_px : height that one px of disparity means in each map: narrow pairs are noisier, and weigh less.
-    method : ``median`` or ``mean``, weighted by 1 / metres_per_px squared either way.
+    method : ``median`` or ``mean``, weighted by 1 / metres_per_px either way (the square would let the widest pair of
+        three decide alone).
     """
     stack = np.stack(heights)
     known = np.isfinite(stack)
-    weight = np.array([1.0 / m ** 2 for m in metres_per_px])[:, None, None] * known
+    weight = np.array([1.0 / m for m in metres_per_px])[:, None, None] * known
     centre = _weighted_median(stack, weight)
     deviation = np.abs(stack - centre)
     mad = _median(deviation)

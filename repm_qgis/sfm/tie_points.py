@@ -334,8 +334,8 @@ def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMa
         raise EmptyResultError(
             f"{first} and {second} have only {len(agreed[0])} tie points that agree, of "
             f"{sum(len(part.rows_px) for part in parts)} candidates on {counted(len(parts), 'patch')} (needed: "
-            f"{_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT with more texture, "
-            "or another pair, may do.")
+            f"{_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT with more "
+            "texture, or another pair, may do.")
     return PairMatches(first, second, *agreed)
 
 

@@ -42,10 +42,10 @@ def test_the_mean():
 
 
 def test_narrow_pairs_weigh_less():
-    """Two maps: their mean, weighted by 1 / metres_per_px squared."""
+    """Two maps: their mean, weighted by 1 / metres_per_px."""
     a, b = np.full((5, 5), 100.0), np.full((5, 5), 101.0)
     found = aggregate([a, b], [a, a], [2.0, 6.0], "median")
-    np.testing.assert_allclose(found.height, (100 / 4 + 101 / 36) / (1 / 4 + 1 / 36))
+    np.testing.assert_allclose(found.height, (100 / 2 + 101 / 6) / (1 / 2 + 1 / 6))
 
 
 @pytest.mark.parametrize("method", ("median", "mean"))

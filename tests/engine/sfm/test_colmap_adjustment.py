@@ -68,7 +68,8 @@ def test_errors_of_many_pixels_are_found_in_several_patches(fitted, told):
     """Tiles of a quarter of the scene: four patches and more, whose shifts are joined."""
     truth, scene = fitted
     errors = {view.name: np.array(error) for view, error in zip(scene.views, ((15, -9), (-12, 14), (3, -12)))}
-    tracks = [Track({name: pixel + errors[name] for name, pixel in track.pixels.items()}) for track in true_tracks(truth)]
+    tracks = [Track({name: pixel + errors[name] for name, pixel in track.pixels.items()})
+              for track in true_tracks(truth)]
     whole = scene.tiles[0].bounds
     small = (whole[0], whole[1], (whole[0] + whole[2]) / 2, (whole[1] + whole[3]) / 2)
     tiled = Scene(**{**vars(scene), "tiles": [scene.tiles[0].__class__(**{**vars(scene.tiles[0]), "bounds": small})]})

@@ -118,7 +118,8 @@ def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points,
     result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg"),
                                      "report": str(tmp_path / "r.html")}, said)
     assert result["wrong"] == ["P02", "P06"]
-    assert [text.split(" contradicts")[0] for text in said.warnings] == ["The control point P02", "The control point P06"]
+    assert [text.split(" contradicts")[0] for text in said.warnings] == [
+        "The control point P02", "The control point P06"]
     assert result["components"]["compensated"]["height"]["count"] == 10
     assert result["components"]["compensated"]["east"]["max"] < 0.5  # 0.3 px of 0.5 m, in three views
     found, _ = features(result["output"])

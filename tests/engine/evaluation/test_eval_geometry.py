@@ -1,0 +1,80 @@
+"""The reports' geometry: figures that are in the scene, in sentences and tables."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from osgeo import ogr
+
+from repm_qgis.evaluation.geometry_section import add_geometry, overlap_percent
+from repm_qgis.evaluation.report import Report
+from repm_qgis.scene import Scene
+
+
+def page_of(scene):
+    report = Report("geometry")
+    add_geometry(report, scene)
+    return report.html()
+
+
+@pytest.fixture
+def scene(urban_run):
+    return Scene.load(urban_run.result["scene"])
+
+
+def test_overlap_is_of_the_smaller_footprint(scene):
+    view = scene.views[0]
+    half = replace(view, name="half", rpc=view.rpc.shifted(view.width / 2, 0))
+    part = replace(view, name="part", width=view.width // 4, height=view.height // 4)
+    scene.views = [view, replace(view, name="same"), half, part]
+    assert overlap_percent(scene, view.name, "same") == pytest.approx(100, abs=0.01)
+    assert overlap_percent(scene, view.name, "half") == pytest.approx(50, abs=0.2)
+    assert overlap_percent(scene, view.name, "part") == pytest.approx(100, abs=0.1)
+
+
+def test_every_pair_and_view_is_told_with_its_figures(scene):
+    facts, page = scene.facts("reconstruct"), page_of(scene)
+    for pair in facts["pairs"]:
+        metres = np.median([record["metres_per_px"] for tile in scene.tiles for record in tile.heights
+                            if list(record["pair"]) == [pair["first"], pair["second"]]])
+        angle, ratio = f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}"
+        for text in (angle, ratio, f"{metres:.2f}", f"{metres / 4:.2f}"):
+            assert f"{text}</td>" in page
+    for pair in facts["ties"]["pairs"]:
+        assert f">{pair['candidates']}</td>" in page and f">{pair['rows_after_px']:.3f}</td>" in page
+    for entry in facts["ties"]["tiles"]:
+        assert f">{entry['tile']}</td>" in page and f">{entry['ties']}</td>" in page
+    assert facts["ties"]["reason"] in page.replace("&#x27;", "'")
+    assert f"uncertain by {facts['ties']['height_uncertainty_m']:.1f} m" in page
+
+
+def test_control_points_are_told_and_rejected_ones_named(scene):
+    ties = scene.facts("reconstruct")["ties"]
+    del ties["height_uncertainty_m"]
+    ties["gcps"] = [{"id": f"P{k}", "role": role, "rejected": k == 2, "east_m": 0.1, "north_m": -0.2, "up_m": up}
+                    for k, (role, up) in enumerate((("control", 0.5), ("control", -0.7), ("control", 25.0),
+                                                    ("check", 0.9)))]
+    ties["rejected_gcps"] = ["P2"]
+    page = page_of(scene)
+    assert "1 control point contradicted all others and took no part: P2." in page and "<td>rejected</td>" in page
+    assert '<td>control</td><td class="n">2</td><td>height</td><td class="n">0.600</td><td class="n">0.608</td>' in page
+    assert '<td>check</td><td class="n">1</td><td>height</td><td class="n">0.900</td>' in page
+    assert "uncertain" not in page
+
+
+def test_ties_show_what_is_left_of_their_rows(scene, urban_run):
+    source = ogr.Open(urban_run.result["tie_points"])
+    rows = np.array([feature["row"] for feature in source.GetLayer(0)])
+    source = None
+    medians = [pair["rows_after_px"] for pair in scene.facts("reconstruct")["ties"]["pairs"]]
+    # A track counts in the worst of its pairs.
+    assert 0.5 * min(medians) < np.median(np.abs(rows)) < 3 * max(medians)
+    assert page_of(scene).count("<svg") == 2
+
+
+def test_without_the_ties_layer_there_is_no_drawing(scene, tmp_path):
+    scene.facts("reconstruct")["options"]["tie_points"] = str(tmp_path / "gone.gpkg")
+    assert not os.path.exists(tmp_path / "gone.gpkg") and "<svg" not in page_of(scene)
