@@ -266,11 +266,11 @@ def known_errors() -> List[str]:
                          *(f"{np.median(a):.3f} / {a.max():.3f}" for a in absolute),
                          " and ".join(dict.fromkeys(named))])
     return [f"**2. Known errors**: simulated tri-stereo, {SIZE} px, RPCs shifted by up to 15 px; *affine*: with drift "
-            "of up to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over the "
-            "views, at 600 points of the surface (median / largest), px. Absolute: the largest view's error with 12 "
+            "of up to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over "
+            "the views, at 600 points of the surface (median / largest), px. Absolute: the largest view's error with 12 "
             "control points of which G01 and G02 are wrong by 4 to 12 px in each direction. Of ten good points "
-            "with 0.3 px of noise a shift is expected to be wrong by 0.3 / sqrt(10) = 0.095 px a coordinate (less where "
-            "ties share it among the views), an affine correction by more.",
+            "with 0.3 px of noise a shift is expected to be wrong by 0.3 / sqrt(10) = 0.095 px a coordinate (less "
+            "where ties share it among the views), an affine correction by more.",
             table(["scene", "errors", "ties", "model chosen", "observable", "with 20 % gross outliers", "bar",
                    "absolute, exact GCPs", "absolute, GCPs of 0.3 px", "named as wrong"], rows)]
 
@@ -418,8 +418,10 @@ def main():
     found = pointed(scene)
     wall, after = time.perf_counter() - wall, os.times()
     cpu = sum(after[:4]) - sum(before[:4])
-    kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    print(json.dumps(dict(wall=wall, cpu=cpu, own=kib[0] / 1024, child=kib[1] / 1024, ties=len(found.tracks),
+    # Not getrusage's, which begins with the memory of the process that started this one.
+    own = next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+    child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    print(json.dumps(dict(wall=wall, cpu=cpu, own=own / 1024, child=child / 1024, ties=len(found.tracks),
                           after=found.figures["after_px"])))
 
 if __name__ == "__main__":
