@@ -90,7 +90,8 @@ def report(folder: str) -> None:
 
 def desktop(folder: str) -> None:
     done = subprocess.run([sys.executable, "-m", "pytest", "-p", "no:pytest_qgis", "-q", f"--basetemp={folder}/work",
-                           "tests/qgis/test_desktop.py"], cwd=ROOT, env={**os.environ, "REPM_KEEP_PICTURES": folder}, stdout=subprocess.PIPE, text=True,
+                           "tests/qgis/test_desktop.py"],
+                          cwd=ROOT, env={**os.environ, "REPM_KEEP_PICTURES": folder}, stdout=subprocess.PIPE, text=True,
                           check=False)
     if done.returncode:
         say(f"  the desktop's pictures are left as they are: {done.stdout.splitlines()[-1]}")

@@ -29,6 +29,7 @@ _SHARPEN_REACH_PX = 0.5     # semi-global matching is never farther off where it
 _SHARPEN_NOISE = 1e-3       # variance of gradients that sensor noise makes, of a brightness of 0..1
 _SHADOW_SLACK_PX, _SHADOW_FACTOR = 6, 1.6
 _SCORE_WINDOW = 7
+_RIM = 9                    # px: block, pre-filter and median together reach 4 px to each side
 
 
 def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], nearer: float) -> Matched:
@@ -42,18 +43,17 @@ def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], n
     nearer : +1 if greater disparities are higher ground, -1 if lower.
     """
     low, high = disparities
-    left = _grey(first), ~np.isfinite(first)
-    right = _grey(second), ~np.isfinite(second)
-    forth = _forth(left[0], right[0], low, high)
-    back = _back(left[0], right[0], low, high)
-    forth[left[1]] = np.nan
+    a, b = _grey(first), _grey(second)
+    forth, back = _forth(a, b, low, high), _back(a, b, low, high)
+    first, second = _without_rim(first), _without_rim(second)
+    forth[~np.isfinite(first)] = np.nan
     disparity = _without_islands(np.where(_agree(forth, back, high), forth, np.float32(np.nan)), low)
     disparity = _median(_sharpened(disparity, first, second, high))
     score = _score(first, second, disparity, high)
     # Where the second image has nothing, the matcher has only made something up.
     disparity[~np.isfinite(score)] = np.nan
     whole = _with_background(disparity, nearer)
-    whole[left[1]] = np.nan
+    whole[~np.isfinite(first)] = np.nan
     filled = np.isfinite(whole) & ~np.isfinite(disparity)
     whole = np.where(filled, _median(whole), whole)
     return Matched(whole, np.where(np.isfinite(disparity), np.clip(score, 0, 1), np.float32(np.nan)), filled)
@@ -61,6 +61,12 @@ def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], n
 
 def _grey(image: FloatImage) -> NDArray[np.uint8]:
     return (np.nan_to_num(image, nan=0.0) * 255).astype(np.uint8)
+
+
+def _without_rim(image: FloatImage) -> FloatImage:
+    """The image without the pixels whose neighbourhood reaches beyond it: costs there compare with nothing."""
+    missing = (~np.isfinite(image)).astype(np.uint8)
+    return np.where(cv2.dilate(missing, np.ones((_RIM, _RIM), np.uint8)) > 0, np.float32(np.nan), image)
 
 
 def _matcher(count: int) -> cv2.StereoSGBM:
