@@ -267,8 +267,8 @@ def known_errors() -> List[str]:
                          " and ".join(dict.fromkeys(named))])
     return [f"**2. Known errors**: simulated tri-stereo, {SIZE} px, RPCs shifted by up to 15 px; *affine*: with drift "
             "of up to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over "
-            "the views, at 600 points of the surface (median / largest), px. Absolute: the largest view's error with 12 "
-            "control points of which G01 and G02 are wrong by 4 to 12 px in each direction. Of ten good points "
+            "the views, at 600 points of the surface (median / largest), px. Absolute: the largest view's error with "
+            "12 control points of which G01 and G02 are wrong by 4 to 12 px in each direction. Of ten good points "
             "with 0.3 px of noise a shift is expected to be wrong by 0.3 / sqrt(10) = 0.095 px a coordinate (less "
             "where ties share it among the views), an affine correction by more.",
             table(["scene", "errors", "ties", "model chosen", "observable", "with 20 % gross outliers", "bar",
