@@ -81,12 +81,6 @@ def rpc_from_gdal(metadata: Mapping[str, str]) -> Rpc:
     return rpc_from_texts(metadata)
 
 
-def rpc_from_xml(path: Path) -> Optional[Rpc]:
-    """The RPC of an XML file beside an image; None where the XML is of another kind. Raises RpcInvalidError."""
-    found = read_sidecar(str(path))
-    return found.rpc if found else None
-
-
 # --- one file -------------------------------------------------------------------------------------------------------
 
 def _read(path: str) -> Found:

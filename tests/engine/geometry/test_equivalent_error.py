@@ -16,7 +16,7 @@ from repm_qgis.geometry.equivalent_error import (
     virtual_grid,
 )
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.rpc.readers import rpc_from_xml
+from repm_qgis.rpc.readers import read_rpc_file
 
 # docs and DESIGN.md: RMSE and max in px, uncorrected and after the polynomial of second order.
 TABLE = {"giza": ((22.5, 64.4), (1.23, 4.66)), "toulouse": ((19.0, 52.0), (1.13, 4.05)),
@@ -30,7 +30,7 @@ def full_scene(shared_data, site):
     text = path.read_text()
     text = text[text.index("<RFM_Validity>"):]
     size = [int(re.search(f"<LAST_{name}>([0-9]+)<", text).group(1)) for name in ("COL", "ROW")]
-    return rpc_from_xml(path), (0, 0, *size)
+    return read_rpc_file(str(path)), (0, 0, *size)
 
 
 def measured(rpc, window, altitudes):

@@ -19,7 +19,7 @@ from repm_qgis.geometry.refinement import (
     polynomial_terms,
     translation,
 )
-from repm_qgis.rpc.readers import rpc_from_xml
+from repm_qgis.rpc.readers import read_rpc_file
 
 H = np.array([[1.02, 0.03, 40.0], [-0.02, 0.97, -25.0], [2e-6, -1e-6, 1.0]])
 
@@ -58,7 +58,7 @@ def test_none_only_takes_the_skew_out():
 
 @pytest.mark.parametrize("site", ("giza", "calanques", "ubaye", "ossoue"))
 def test_round_trip_over_full_scenes(shared_data, site):
-    rpc = rpc_from_xml(sorted((shared_data / "rpc" / "pleiades").glob(f"{site}__*.XML"))[0])
+    rpc = read_rpc_file(sorted((shared_data / "rpc" / "pleiades").glob(f"{site}__*.XML"))[0])
     window = (0, 0, int(2 * rpc.col_off), int(2 * rpc.row_off))
     grid = virtual_grid(rpc.localise, window, rpc.height_range, EnuFrame(rpc.lon_off, rpc.lat_off, 0.0))
     fitted = fit_pinhole(grid)

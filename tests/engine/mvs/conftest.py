@@ -7,7 +7,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
-from repm_qgis.rpc.readers import rpc_from_xml
+from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene, View, load_views
 
 
@@ -46,7 +46,7 @@ def gdal_pixels():
 def _full_scene(shared_data, site, half_m, span_m):
     views = []
     for path in sorted((shared_data / "rpc" / "pleiades").glob(f"{site}__*.XML"))[:2]:
-        rpc = rpc_from_xml(path)
+        rpc = read_rpc_file(str(path))
         views.append(View(path.stem, "", 1, int(2 * rpc.col_off), int(2 * rpc.row_off), rpc, 0.5))
     middle = views[0].rpc.height_off
     lon, lat, _ = views[0].localise(np.array([views[0].width / 2, views[0].height / 2]), middle)

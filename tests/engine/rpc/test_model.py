@@ -11,7 +11,7 @@ from osgeo import gdal
 
 from repm_qgis.errors import RpcInvalidError
 from repm_qgis.rpc import Rpc
-from repm_qgis.rpc.readers import rpc_from_xml, rpc_of
+from repm_qgis.rpc.readers import read_rpc_file, rpc_of
 from repm_qgis.simulation.scene import rpc_tags
 
 CONVENTION = 0.5  # GDAL's pixel corners are whole numbers, our pixel centres are
@@ -53,7 +53,7 @@ def test_project_agrees_with_gdal_on_all_pleiades_scenes(shared_data, points_of)
     files = sorted((shared_data / "rpc" / "pleiades").glob("*.XML"))
     assert len(files) > 20
     for path in files:
-        rpc = rpc_from_xml(path)
+        rpc = read_rpc_file(str(path))
         points = points_of(rpc, 60)
         difference = rpc.project(points) - gdal_project(gdal_metadata(path.read_text()), points)
         assert np.abs(difference).max() < 1e-6, path.name
@@ -82,7 +82,7 @@ def test_localise_undoes_project(synthetic_rpc, points_of):
 
 def test_localise_undoes_project_on_real_rpcs(shared_data, points_of):
     for path in sorted((shared_data / "rpc" / "pleiades").glob("*.XML")):
-        rpc = rpc_from_xml(path)
+        rpc = read_rpc_file(str(path))
         pixels = rpc.project(points_of(rpc, 300))
         heights = np.linspace(*rpc.height_range, 300)
         found = rpc.localise(pixels, heights)

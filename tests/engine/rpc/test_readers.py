@@ -9,7 +9,7 @@ import pytest
 
 from repm_qgis.errors import RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
-from repm_qgis.rpc.readers import rpc_from_gdal, rpc_from_xml, rpc_of
+from repm_qgis.rpc.readers import read_rpc_file, rpc_from_gdal, rpc_of
 from repm_qgis.simulation.scene import rpc_tags
 
 
@@ -125,7 +125,7 @@ def test_real_sidecars(shared_data, tmp_path, write_image):
 def test_pleiades_xml_and_ossim_geom_are_the_same_model(shared_data):
     """OSSIM's file of the same scene, written by other software that counts from 0 too."""
     other = shared_data / "rpc" / "other"
-    rpc = rpc_from_xml(other / "RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML")
+    rpc = read_rpc_file(str(other / "RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML"))
     geom = dict(line.split(":", 1) for line in
                 (other / "PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.geom").read_text().splitlines() if ":" in line)
     assert (rpc.row_off, rpc.col_off) == (float(geom["line_off"]), float(geom["samp_off"]))
@@ -147,7 +147,8 @@ def test_xml_of_another_kind_is_passed_over(tmp_path, write_image):
     image = write_image(tmp_path / "a.tif")
     for text in ("<PAMDataset></PAMDataset>", "no xml at all", "", "<a><b></a>"):
         (tmp_path / "a.xml").write_text(text)
-        assert rpc_from_xml(tmp_path / "a.xml") is None
+        with pytest.raises(RpcInvalidError):
+            read_rpc_file(str(tmp_path / "a.xml"))
         with pytest.raises(RpcMissingError):
             read(image)
 
