@@ -59,6 +59,43 @@ class FusedTile:
     own: Optional[NDArray[np.bool_]] = None
 
 
+@dataclass(frozen=True)
+class StoredTile:
+    """A fused tile on disk, and what must be known of it before the DSM can be laid out.
+
+    ``valid`` counts the cells with a height, ``cells`` the tile's own; ``columns`` and ``rows`` are the first and last
+    of the window that have a height, None where none has.
+    """
+
+    path: str
+    valid: int
+    cells: int
+    removed: int
+    columns: Optional[Tuple[int, int]]
+    rows: Optional[Tuple[int, int]]
+
+    def load(self) -> FusedTile:
+        """The tile's cells again, in the precision that products have."""
+        with np.load(self.path, allow_pickle=False) as kept:
+            part = {name: kept[name] for name in kept.files}
+        return FusedTile(Aggregate(part["height"], part["count"], part["spread"], part["score"]), part["filled"],
+                         part.get("ortho"), part.get("points"), self.removed, 0, part.get("own"))
+
+
+def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
+    """Fuse a tile and keep it in a file, so that memory does not grow with the number of tiles."""
+    task, path = work
+    tile = fuse_tile(task)
+    fused, known = tile.fused, np.isfinite(tile.fused.height)
+    parts = {"height": fused.height.astype(np.float32), "count": fused.count, "filled": tile.filled,
+             "spread": fused.spread.astype(np.float32), "score": fused.score.astype(np.float32)}
+    parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
+    np.savez(path, **parts)
+    columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
+    return StoredTile(path, int(known.sum()), known.size if tile.own is None else int(tile.own.sum()), tile.removed,
+                      *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)))
+
+
 def fuse_tile(task: FuseTask) -> FusedTile:
     """Grid each height map, aggregate, remove lonely cells, cut to the tile's own cells."""
     col, row, width, height = task.window

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from contextlib import ExitStack
 from typing import Any, Dict, List, Optional, Tuple
@@ -11,7 +12,7 @@ import pyproj
 
 from .. import __version__
 from ..dsm.aggregation import automatic_radius
-from ..dsm.fusion import FusedTile, FuseTask, fuse_tile
+from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.grid import CellGrid
 from ..dsm.ortho import nadir_first
 from ..dsm.point_cloud import created_cloud
@@ -23,6 +24,7 @@ from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, Tile
+from ..workspace import ensure_folder, temporary_name
 
 _CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score",
                      "filled from the background of an occlusion (1)")
@@ -44,8 +46,14 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     views = tuple(nadir_first(scene)) if options.ortho else ()
     tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, options.fill,
                       radius, views, bool(options.cloud)) for tile, window in zip(tiles, windows)]
-    results = run_tasks(fuse_tile, tasks, options.workers, progress, lambda task: f"fusing {task.records[0]['tile']}")
-    facts = _write(options, scene, grid, crs, windows, results)
+    folder = temporary_name(str(scene.path.with_name("fusion")))
+    try:
+        ensure_folder(folder)
+        stored = run_tasks(fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)], options.workers,
+                           progress, lambda work: f"fusing {work[0].records[0]['tile']}")
+        facts = _write(options, scene, grid, crs, windows, stored)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
     _check(facts, progress)
     progress.info(f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover; "
                   f"{facts['removed']} lonely cells removed.")
@@ -70,12 +78,14 @@ def _layout(scene: Scene, tiles: List[Tile], crs: str,
 
 
 def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
-           windows: List[Tuple[int, int, int, int]], results: List[FusedTile]) -> Dict[str, Any]:
+           windows: List[Tuple[int, int, int, int]], stored: List[StoredTile]) -> Dict[str, Any]:
     wkt = pyproj.CRS.from_user_input(crs).to_wkt()
     metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method,
                 "VERTICAL_DATUM": "height above the WGS 84 ellipsoid (m)"}
-    crop = _valid_part(grid, windows, results)
-    valid = cells = points = 0
+    crop = _valid_part(grid, windows, stored)
+    valid, cells = sum(tile.valid for tile in stored), sum(tile.cells for tile in stored)
+    if not valid:
+        raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     with ExitStack() as stack:
         def raster(path: Optional[str], bands: Tuple[str, ...], unit: str) -> Any:
             if not path:
@@ -89,13 +99,12 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
         ortho = raster(options.ortho, ("brightness",), "")
         cloud = stack.enter_context(created_cloud(options.cloud, crs, (grid.west, grid.north, 0.0))) \
             if options.cloud else None
-        for window, result in zip(windows, results):
+        for window, tile in zip(windows, stored):
             place, cut = _placed(window, crop)
-            fused = result.fused
-            valid += int(np.isfinite(fused.height).sum())
-            cells += fused.height.size if result.own is None else int(result.own.sum())
             if place is None:
                 continue
+            result = tile.load()
+            fused = result.fused
             keep = result.own is not None
             _put(dsm, [fused.height], place, cut, keep)
             count = np.where(fused.count > 0, fused.count, np.nan)
@@ -105,27 +114,22 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
             if cloud is not None:
                 cloud.write(*result.points.T)
         points = cloud.count if cloud is not None else 0
-        if not valid:
-            raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
         if path:
             write_style(kind, path)
     return {"cells": cells, "valid": valid, "valid_percent": 100.0 * valid / cells, "points": points,
-            "removed": sum(result.removed for result in results), "resolution": grid.cell, "crs": crs}
+            "removed": sum(tile.removed for tile in stored), "resolution": grid.cell, "crs": crs}
 
 
 def _valid_part(grid: CellGrid, windows: List[Tuple[int, int, int, int]],
-                results: List[FusedTile]) -> Tuple[int, int, int, int]:
+                stored: List[StoredTile]) -> Tuple[int, int, int, int]:
     """The window of the grid that holds all heights: tiles reach beyond what the images see."""
-    columns, rows = np.zeros(grid.shape[1], dtype=bool), np.zeros(grid.shape[0], dtype=bool)
-    for (col, row, width, height), result in zip(windows, results):
-        known = np.isfinite(result.fused.height)
-        columns[col:col + width] |= known.any(axis=0)
-        rows[row:row + height] |= known.any(axis=1)
-    if not columns.any():
+    ends = [(col + tile.columns[0], row + tile.rows[0], col + tile.columns[1], row + tile.rows[1])
+            for (col, row, _, _), tile in zip(windows, stored) if tile.columns and tile.rows]
+    if not ends:
         return 0, 0, grid.shape[1], grid.shape[0]
-    c, r = np.flatnonzero(columns), np.flatnonzero(rows)
-    return int(c[0]), int(r[0]), int(c[-1] - c[0] + 1), int(r[-1] - r[0] + 1)
+    c0, r0 = min(end[0] for end in ends), min(end[1] for end in ends)
+    return c0, r0, max(end[2] for end in ends) - c0 + 1, max(end[3] for end in ends) - r0 + 1
 
 
 def _placed(window: Tuple[int, int, int, int], crop: Tuple[int, int, int, int]) -> Tuple[Any, Any]:
