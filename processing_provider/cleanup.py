@@ -8,7 +8,7 @@ import shutil
 from typing import Any, Iterator, Mapping
 
 _FOLDERS = ("workspace", "folder", "heights")
-_FILES_WITH_COMPANY = ("output_scene",)  # products lie below the scene's folder
+_FILES_WITH_COMPANY = ("output_scene", "scene")  # products, and what fusion keeps, lie in the scene's folder
 _FILES = ("output", "confidence", "ortho", "cloud", "tiles", "tie_points", "error", "report")
 _MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
 
