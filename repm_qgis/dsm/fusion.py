@@ -55,7 +55,6 @@ class FusedTile:
     ortho: Optional[NDArray[np.float32]]
     points: Optional[FloatArray]
     removed: int
-    needed: int
     own: Optional[NDArray[np.bool_]] = None
 
 
@@ -79,7 +78,7 @@ class StoredTile:
         with np.load(self.path, allow_pickle=False) as kept:
             part = {name: kept[name] for name in kept.files}
         return FusedTile(Aggregate(part["height"], part["count"], part["spread"], part["score"]), part["filled"],
-                         part.get("ortho"), part.get("points"), self.removed, 0, part.get("own"))
+                         part.get("ortho"), part.get("points"), self.removed, part.get("own"))
 
 
 def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
@@ -109,9 +108,9 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     filled = np.zeros(grid.shape, dtype=bool)
     if task.fill == "occlusions":
         fused, filled = _with_background(fused, grid, maps, metres, task.method)
-    removed, needed = 0, 0
+    removed = 0
     if task.radius > 0:
-        alone, needed = lonely(fused.height, grid.cell, task.radius)
+        alone, _ = lonely(fused.height, grid.cell, task.radius)
         removed = int(alone.sum())
         fused, filled = _without(fused, alone), filled & ~alone
     ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
@@ -123,7 +122,7 @@ def fuse_tile(task: FuseTask) -> FusedTile:
         cut, filled = _without(cut, ~belonging), filled & belonging
         ortho = None if ortho is None else np.where(belonging, ortho, np.float32(np.nan))
     points = _agreeing(task.grid.part(task.window), cut.height, maps, task.records) if task.cloud else None
-    return FusedTile(cut, filled, ortho, points, removed, needed, belonging)
+    return FusedTile(cut, filled, ortho, points, removed, belonging)
 
 
 def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:

@@ -20,13 +20,11 @@ class Stretch:
 
     The paper (Section 3.1, image enhancement) sets a brightness threshold and treats what exceeds it. The root makes
     photon noise even over the range; above the threshold, ever brighter pixels approach 1 and never reach it, so
-    that white roofs keep their texture. ``long_tail`` is how far the image's brightest pixels lie beyond the
-    threshold, in units of the range below it.
+    that white roofs keep their texture.
     """
 
     low: float
     high: float
-    long_tail: float = 0.0
 
     def apply(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
         """(height, width) brightness to 0..1; NaN stays NaN."""
@@ -49,8 +47,8 @@ def view_stretch(path: str, band: int) -> Stretch:
     known = pixels[np.isfinite(pixels)]
     if known.size < 100:
         raise ImageError(f"'{path}' has only nodata in band {band}: choose another image or band.")
-    low, high, brightest = np.percentile(known, (0.1, 99.5, 99.99))
+    low, high = np.percentile(known, (0.1, 99.5))
     if high <= low:
         raise ImageError(f"'{path}' has the same value ({low:g}) almost everywhere in band {band}: it shows nothing to "
                          "match.")
-    return Stretch(float(low), float(high), float((brightest - high) / (high - low)))
+    return Stretch(float(low), float(high))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable, Iterator, Optional, Sequence, Tuple
+from typing import Callable, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
     for a truncated or damaged file.
     """
     if band == 0:
-        meanings = [dataset.GetRasterBand(i).GetColorInterpretation() for i in range(1, dataset.RasterCount + 1)]
+        meanings = _meanings(dataset)
         return sum(np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
                    for colour, weight in _COLOURS.items())
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
@@ -259,12 +259,17 @@ def _describe(dataset: gdal.Dataset, geotransform: Optional[Sequence[float]], cr
             handle.SetUnitType(unit)
 
 
+def _meanings(dataset: gdal.Dataset) -> List[int]:
+    """Each band's colour interpretation, in order."""
+    return [dataset.GetRasterBand(i).GetColorInterpretation() for i in range(1, dataset.RasterCount + 1)]
+
+
 def grey_band(dataset: gdal.Dataset) -> int:
     """The band to match on: 0 (grey of red, green and blue) for a colour image, else the first that holds brightness.
 
     Alpha and palette bands do not.
     """
-    meanings = [dataset.GetRasterBand(i).GetColorInterpretation() for i in range(1, dataset.RasterCount + 1)]
+    meanings = _meanings(dataset)
     if all(colour in meanings for colour in _COLOURS):
         return 0
     for band, meaning in enumerate(meanings, start=1):

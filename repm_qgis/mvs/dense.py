@@ -90,7 +90,7 @@ def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
             if dataset.GetMetadataItem(_KEY) != key:
                 return None
             record = json.loads(dataset.GetMetadataItem(_RECORD))
-            for band in (1, 2):
+            for band in range(1, len(_BANDS) + 1):
                 read(dataset, band=band)
     except (ImageError, TypeError, ValueError):
         return None
@@ -140,7 +140,7 @@ def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record
         with opened(record["file"]) as dataset:
             height = read(dataset, band=1).astype(np.float64)
             score = read(dataset, band=2)
-        filled = read(dataset, band=3) > 0
+            filled = read(dataset, band=3) > 0
     except ImageError as error:
         raise SceneError(f"The height map '{record['file']}' is gone or damaged: delete what is left of it, and run "
                          "'Reconstruct heights' again.") from error
