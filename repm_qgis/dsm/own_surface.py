@@ -8,7 +8,9 @@ import numpy as np
 import pyproj
 
 from ..geometry.frames import geodetic_from_projected
+from ..geometry.tiles import enclosing
 from ..imagery.raster import created
+from ..mvs.pairing import grown
 from ..scene import Scene
 from .fusion import FuseTask, fuse_tile
 from .grid import CellGrid
@@ -16,9 +18,7 @@ from .grid import CellGrid
 
 def lon_lat_bounds(scene: Scene, margin_m: float = 300.0) -> Tuple[float, float, float, float]:
     """West, south, east, north of a scene's tiles with a margin, in degrees."""
-    boxes = np.array([tile.bounds for tile in scene.tiles])
-    xmin, ymin = boxes[:, :2].min(axis=0) - margin_m
-    xmax, ymax = boxes[:, 2:].max(axis=0) + margin_m
+    xmin, ymin, xmax, ymax = grown(enclosing([tile.bounds for tile in scene.tiles]), margin_m)
     corners = geodetic_from_projected(scene.crs, np.array([[xmin, ymin], [xmin, ymax], [xmax, ymin], [xmax, ymax]]))
     return (float(corners[:, 0].min()), float(corners[:, 1].min()), float(corners[:, 0].max()),
             float(corners[:, 1].max()))
@@ -27,8 +27,7 @@ def lon_lat_bounds(scene: Scene, margin_m: float = 300.0) -> Tuple[float, float,
 def own_surface(scene: Scene, cell: float, path: str) -> str:
     """Fuse a scene's height maps into coarse cells of ``cell`` metres, as a GeoTIFF in the scene's CRS."""
     tiles = [tile for tile in scene.tiles if tile.heights]
-    boxes = np.array([tile.bounds for tile in tiles])
-    grid = CellGrid.covering((*boxes[:, :2].min(axis=0), *boxes[:, 2:].max(axis=0)), cell)
+    grid = CellGrid.covering(enclosing([tile.bounds for tile in tiles]), cell)
     with created(path, grid.shape, np.dtype(np.float32), 1, grid.geotransform,
                  pyproj.CRS.from_user_input(scene.crs).to_wkt(), unit="m") as raster:
         for tile in tiles:

@@ -25,6 +25,11 @@ class GroundTile:
     bounds: Bounds
 
 
+def enclosing(boxes: Sequence[Bounds]) -> Bounds:
+    """The rectangle around rectangles (at least one)."""
+    return (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
+
+
 def lay_tiles(area: ogr.Geometry, size_m: float) -> List[GroundTile]:
     """Cover an area with equal rectangles of at most ``size_m`` a side, rounded up to whole metres.
 

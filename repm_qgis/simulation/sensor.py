@@ -195,10 +195,6 @@ class PushbroomView:
         seen = body[:, :2] / body[:, 2:]
         return np.stack([right - seen[:, 1], seen[:, 0] - forward], axis=1) / self.ifov_rad
 
-    def ground_speed(self) -> float:
-        """Speed of the point below the satellite, m / s."""
-        return self._rate * (self.radius_m - self.sensor.altitude_m)
-
 
 def _rotated(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
     """Rodrigues' rotation of a vector about a unit axis."""

@@ -19,6 +19,7 @@ from ..dsm.point_cloud import created_cloud
 from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import write_style
 from ..geometry.frames import projected_crs_at
+from ..geometry.tiles import enclosing
 from ..imagery.raster import created
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
@@ -72,8 +73,7 @@ def _layout(scene: Scene, tiles: List[Tile], crs: str,
     """The DSM's grid, and the window of each tile: in the scene's CRS every cell belongs to one of them."""
     transformer = None if crs == scene.crs else pyproj.Transformer.from_crs(scene.crs, crs, always_xy=True)
     boxes = [tile.bounds if transformer is None else transformer.transform_bounds(*tile.bounds) for tile in tiles]
-    grid = CellGrid.covering((min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes),
-                              max(b[3] for b in boxes)), cell)
+    grid = CellGrid.covering(enclosing(boxes), cell)
     return grid, [grid.window(box) for box in boxes]
 
 

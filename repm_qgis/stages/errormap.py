@@ -14,6 +14,7 @@ from ..errors import OptionError
 from ..evaluation.stage_reports import errormap_report
 from ..evaluation.styles import write_style
 from ..geometry.frames import geodetic_from_projected
+from ..geometry.tiles import enclosing
 from ..imagery.raster import created
 from ..imagery.sampling import upsample_grid
 from ..options import ErrorMapOptions
@@ -40,8 +41,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     tiles = [tile for tile in scene.tiles if view.name in tile.views]
     if not tiles:
         raise OptionError("VIEW", view.name, "sees none of the scene's tiles: choose another view")
-    bounds = [tile.bounds for tile in tiles]
-    whole = (min(b[0] for b in bounds), min(b[1] for b in bounds), max(b[2] for b in bounds), max(b[3] for b in bounds))
+    whole = enclosing([tile.bounds for tile in tiles])
     cell = max(scene.gsd_m, float(f"{max(whole[2] - whole[0], whole[3] - whole[1]) / _CELLS:.1g}"))
     grid = CellGrid.covering(whole, cell)
     squares, count, worst = 0.0, 0, 0.0
