@@ -9,6 +9,7 @@ import json
 import math
 import os
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
@@ -21,6 +22,7 @@ from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.frames import EnuFrame
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain, map_from_mapping
+from .imagery.acquisition import acquired, moment
 from .rpc import Rpc
 from .workspace import write_text
 
@@ -36,7 +38,8 @@ class View:
     """One image with its RPC, and where it really looks.
 
     ``pointing`` (2, 3) is the affine map from the pixel the vendor's RPC gives to the pixel where the ground point
-    is really seen; the identity until relative pointing is known.
+    is really seen; the identity until relative pointing is known. ``acquired`` is when the image was taken, ISO 8601 in
+    UTC, "" where nothing tells.
     """
 
     name: str
@@ -47,6 +50,12 @@ class View:
     rpc: Rpc
     gsd_m: float
     pointing: FloatArray = field(default_factory=lambda: _IDENTITY.copy())
+    acquired: str = ""
+
+    @property
+    def time(self) -> Optional[datetime]:
+        """When the image was taken; None where nothing tells."""
+        return moment(self.acquired)
 
     @property
     def size(self) -> Tuple[int, int]:
@@ -67,13 +76,13 @@ class View:
     def to_mapping(self) -> Dict[str, Any]:
         return {"name": self.name, "image": self.image, "band": self.band, "width": self.width,
                 "height": self.height, "gsd_m": self.gsd_m, "pointing": self.pointing.tolist(),
-                "rpc": self.rpc.to_mapping()}
+                "acquired": self.acquired, "rpc": self.rpc.to_mapping()}
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> "View":
         return cls(str(values["name"]), str(values["image"]), int(values["band"]), int(values["width"]),
                    int(values["height"]), Rpc.from_mapping(values["rpc"]), float(values["gsd_m"]),
-                   np.array(values["pointing"], dtype=np.float64).reshape(2, 3))
+                   np.array(values["pointing"], dtype=np.float64).reshape(2, 3), str(values.get("acquired") or ""))
 
 
 @dataclass
@@ -282,6 +291,7 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = ()) -> List[View]:
         with opened(path) as dataset:
             rpc = rpc_of(dataset, path, rpc_file)
             width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
+            when = acquired(dataset, path)
         if min(width, height) < 64:
             raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")
         taken = {view.name for view in views}
@@ -289,7 +299,7 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = ()) -> List[View]:
         while name in taken:
             name = f"{name}_{len(views) + 1}"
         views.append(View(name, os.path.abspath(path) if os.path.exists(path) else path, band, width, height, rpc,
-                          _gsd(path, rpc, width, height)))
+                          _gsd(path, rpc, width, height), acquired=when))
     return views
 
 

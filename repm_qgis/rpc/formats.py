@@ -517,3 +517,16 @@ def read_sidecar(path: str) -> Optional[Found]:
         return parsed(_content(path))
     except RpcInvalidError as error:
         raise RpcInvalidError(f"'{os.path.basename(path)}' cannot be used: {error}") from error
+
+
+# --- other facts in the same files ----------------------------------------------------------------------------------
+
+def sidecar_text(path: str) -> str:
+    """The text of a vendor's file; raises RpcMissingError or RpcInvalidError where it has none, or too much."""
+    return decoded(_content(path))
+
+
+def xml_texts(text: str, names: Sequence[str]) -> Dict[str, List[str]]:
+    """The texts of all elements of some names in an XML text, bounded as RPC files are; raises RpcInvalidError."""
+    tree = _tree(text)
+    return {name: [_leaf(node) for node in _anywhere(tree, name)] for name in names}

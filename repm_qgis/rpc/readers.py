@@ -164,21 +164,21 @@ def rpc_files_beside(path: str) -> List[str]:
     file the image's own name.
     """
     image = Path(path)
-    core, stem = _product(image), image.stem
+    core, stem = product_of(image), image.stem
     wanted = [f"RPC_{core}.XML", f"RPC_{core}_P.XML", f"{stem}_RPC.XML", f"{stem}.XML", f"{stem}.RPB",
               f"{stem}_RPC.TXT", f"{stem}.RPC", f"{stem}.geom", f"{stem}.JSON"]
-    there = _folder(image)
+    there = names_beside(image)
     names = [name for key in dict.fromkeys(name.lower() for name in wanted) for name in there.get(key, ())]
     return [str(image.with_name(name)) for name in names if name != image.name]
 
 
-def _product(image: Path) -> str:
+def product_of(image: Path) -> str:
     """The part of an Airbus file's name that its product's files share."""
     core = re.sub(r"^(IMG|DS|DIM)_", "", image.stem, flags=re.IGNORECASE)
     return re.sub(r"_R\d+C\d+$", "", core, flags=re.IGNORECASE)
 
 
-def _folder(image: Path) -> Dict[str, List[str]]:
+def names_beside(image: Path) -> Dict[str, List[str]]:
     """Names of the files in an image's folder by their lower-case form; empty where it cannot be listed."""
     names: Dict[str, List[str]] = {}
     try:
@@ -224,7 +224,7 @@ def _tile_origin(image: Path) -> Tuple[int, int]:
     row, col = (int(match[1]), int(match[2])) if match else (1, 1)
     if (row, col) == (1, 1):
         return 0, 0
-    core, there = _product(image), _folder(image)
+    core, there = product_of(image), names_beside(image)
     # Pleiades Neo's images name their band after what the product's own file is called.
     for product in (core, re.sub(r"_[A-Za-z-]+$", "", core)):
         for name in there.get(f"dim_{product}.xml".lower(), ()):

@@ -15,6 +15,7 @@ from ..geometry.equivalent_error import TILE_GRID, fit_pinhole, refine_pinhole, 
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
+from ..imagery.acquisition import time_files_beside
 from ..options import EpmFitOptions
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_files_beside
@@ -57,13 +58,15 @@ def _key(options: EpmFitOptions) -> str:
     wanted = {k: v for k, v in options.to_json().items() if k not in ("workspace", "tiles", "report")}
     named = options.rpcs or ("",) * len(options.images)
     beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_files_beside(image))]
+    beside += [path for image in options.images for path in time_files_beside(image) if path not in beside]
     files = [file_identity(path) for path in (*options.images, *beside, *([options.dem] if options.dem else []))]
     return fingerprint("epmfit", wanted, files)
 
 
 def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs)
-    progress.info("; ".join(f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views))
+    progress.info("; ".join(f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m"
+                            + (f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "") for v in views))
     crs = _crs(options, views)
     search = _common_heights(views)
     area = _area(views, crs, search, options)

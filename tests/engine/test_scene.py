@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
+from datetime import datetime, timezone
 
 import numpy as np
 import pytest
@@ -49,6 +51,30 @@ def test_what_a_scene_knows(fitted, urban):
     assert "img_09" in str(caught.value) and "img_01, img_02, img_03" in str(caught.value)
     scene.record("refine", "other", {}, 1.0)
     assert [entry["fingerprint"] for entry in scene.history][1:] == ["other"]
+
+
+def test_times_are_kept_and_old_scenes_have_none(fitted, tmp_path):
+    scene = Scene.load(fitted)
+    assert [view.time for view in scene.views] == [None] * 3
+    scene.views[0] = replace(scene.views[0], acquired="2012-02-25T00:24:15.300Z")
+    path = scene.save(str(tmp_path / "timed.json"))
+    again = Scene.load(path)
+    assert again.views[0].time == datetime(2012, 2, 25, 0, 24, 15, 300000, tzinfo=timezone.utc)
+    assert again.views[0].with_pointing(np.eye(2, 3)).acquired == "2012-02-25T00:24:15.300Z"
+    document = json.loads(open(path, encoding="utf-8").read())
+    for view, stored in zip(document["views"], ("nonsense", None, 7)):
+        view["acquired"] = stored
+    (tmp_path / "odd.json").write_text(json.dumps(document))
+    assert [view.time for view in Scene.load(str(tmp_path / "odd.json")).views] == [None] * 3
+    for view in document["views"]:
+        del view["acquired"]
+    (tmp_path / "old.json").write_text(json.dumps(document))
+    assert [view.acquired for view in Scene.load(str(tmp_path / "old.json")).views] == [""] * 3
+
+
+def test_times_come_with_the_images(tmp_path, write_image, synthetic_rpc):
+    path = write_image(tmp_path / "PHR1B_P_201709281038045_SEN.tif", rpc=synthetic_rpc())
+    assert load_views([path])[0].acquired == "2017-09-28T10:38:04.500Z"
 
 
 def test_pointing_moves_pixels_and_localise_undoes_it(fitted):

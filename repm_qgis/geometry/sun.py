@@ -1,0 +1,56 @@
+"""Where the sun stood, and where shadows fell."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime, timezone
+from typing import Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_J2000 = datetime(2000, 1, 1, 12, tzinfo=timezone.utc)
+
+
+def sun_position(moment: datetime, lon: float, lat: float) -> Tuple[float, float]:
+    """Azimuth (clockwise from north) and elevation of the sun's centre, degrees; refraction is not in it.
+
+    ``moment`` knows its time zone; ``lon`` and ``lat`` are degrees east and north.
+
+    References
+    ----------
+    The Astronomical Almanac, "Low precision formulas for the Sun's coordinates" (page C5): 0.01 degrees from 1950 to
+    2050. Sidereal time: Michalsky, Solar Energy 40 (1988).
+    """
+    days = (moment - _J2000).total_seconds() / 86400.0
+    mean_longitude = 280.460 + 0.9856474 * days
+    anomaly = math.radians(357.528 + 0.9856003 * days)
+    longitude = math.radians(mean_longitude + 1.915 * math.sin(anomaly) + 0.020 * math.sin(2 * anomaly))
+    obliquity = math.radians(23.439 - 4e-7 * days)
+    ascension = math.atan2(math.cos(obliquity) * math.sin(longitude), math.cos(longitude))
+    declination = math.asin(math.sin(obliquity) * math.sin(longitude))
+    sidereal = math.radians((280.46062 + 360.98564737 * days + lon) % 360.0)
+    hour_angle, phi = sidereal - ascension, math.radians(lat)
+    east = -math.cos(declination) * math.sin(hour_angle)
+    north = math.sin(declination) * math.cos(phi) - math.cos(declination) * math.sin(phi) * math.cos(hour_angle)
+    up = math.sin(declination) * math.sin(phi) + math.cos(declination) * math.cos(phi) * math.cos(hour_angle)
+    return math.degrees(math.atan2(east, north)) % 360.0, math.degrees(math.asin(max(-1.0, min(1.0, up))))
+
+
+def sun_angle(first: Tuple[float, float], second: Tuple[float, float]) -> float:
+    """The angle between two positions of the sun (azimuth, elevation), degrees."""
+    return math.degrees(math.acos(max(-1.0, min(1.0, float(_towards(*first) @ _towards(*second))))))
+
+
+def shadow_shift(first: Tuple[float, float], second: Tuple[float, float]) -> float:
+    """How far apart a thing's shadows end on level ground, m for each m of its height; both suns above the horizon."""
+    ends = [-sun[:2] / sun[2] for sun in (_towards(*first), _towards(*second))]
+    return float(np.linalg.norm(ends[0] - ends[1]))
+
+
+def _towards(azimuth: float, elevation: float) -> FloatArray:
+    """(3,) unit vector to the sun: east, north, up."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])

@@ -1,0 +1,140 @@
+"""When an image was taken: from the product's files beside it, its own metadata, or its name.
+
+Best first:
+
+1. files beside it: Airbus's ``DIM_*.XML``, Maxar's ``.IMD`` and ``.XML``, Orfeo ToolBox's ``.geom``;
+2. what GDAL's readers of vendors' files found (``ACQUISITIONDATETIME`` in the domain IMAGERY);
+3. a NITF's STDIDC and IDATIM, unless that is the constant that GDAL writes into files of its own;
+4. the name of the product, where the maker is known to write the time (UTC) into it.
+
+TIFFTAG_DATETIME is not used: TIFF 6.0 defines it as the time when the *file* was made, in no time zone, and a wrong
+time is worse than none, which only leaves the choice of pairs to geometry. A time that cannot be read is unknown, never
+an error: nothing but advice and the choice of pairs rests on it.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Iterator, List, Optional
+
+from osgeo import gdal
+
+from ..errors import RpcError
+from ..rpc.formats import sidecar_text, xml_texts
+from ..rpc.readers import names_beside, product_of
+
+_MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+_FIRST_YEAR, _LAST_YEAR = 1972, 2100
+_GDALS_OWN = "20021216151629"
+_ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ]+(\d\d):(\d\d):(\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?",
+                  re.ASCII | re.IGNORECASE)
+_COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(?:\.?(\d{1,9}))?", re.ASCII)
+_NITF20 = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)Z([A-Z]{3})(\d\d)", re.ASCII)
+_IN_NAMES = (
+    re.compile(r"(?:PHR1[AB]|SPOT[67]|PNEO[3-6])_(?:[A-Z-]{1,6}_)?(\d{14}\d?)(?!\d)", re.ASCII | re.IGNORECASE),
+    re.compile(r"^(20\d{6})_(\d{6})_(?:ssc?\d|(?:\d\d_)?[0-9a-f]{4}_)", re.ASCII),  # SkySat, PlanetScope
+    re.compile(r"(?<!\d)(20\d{6})T(\d{6})Z", re.ASCII),
+)
+_MAXAR_NAME = re.compile(rf"(\d\d)({'|'.join(_MONTHS)})(\d\d)(\d{{6}})-[A-Z]\d[A-Z]{{2}}", re.ASCII)
+_IMD = re.compile(r"^\s*(firstLineTime|TLCTime)\s*=\s*\"?([^;\"\s]{1,40})", re.MULTILINE)
+_GEOM = re.compile(r"^support_data\.(time_range_start|image_date):\s*(\S{1,40})", re.MULTILINE)
+
+
+def acquired(dataset: gdal.Dataset, path: str) -> str:
+    """When an opened image was taken, as ISO 8601 in UTC with milliseconds; "" where nothing tells."""
+    for text in _candidates(dataset, path):
+        found = moment(text)
+        if found is not None:
+            return found.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    return ""
+
+
+def moment(text: str) -> Optional[datetime]:
+    """A time in UTC from ISO 8601, ``CCYYMMDDhhmmss`` (more digits are fractions) or NITF 2.0's ``DDHHMMSSZMONYY``.
+
+    None for anything else, for days that the calendar lacks, and for years outside 1972 to 2100. A time without a zone
+    is UTC, as it is in all products we know.
+    """
+    text = str(text)[:64].strip()
+    old = _NITF20.fullmatch(text)
+    if old and old[5] in _MONTHS:
+        century = "19" if int(old[6]) >= 72 else "20"
+        text = f"{century}{old[6]}{_MONTHS.index(old[5]) + 1:02d}{old[1]}{old[2]}{old[3]}{old[4]}"
+    match = _ISO.fullmatch(text) or _COMPACT.fullmatch(text)
+    if not match:
+        return None
+    if not _FIRST_YEAR <= int(match[1]) <= _LAST_YEAR:
+        return None
+    try:
+        found = datetime(*(int(part) for part in match.groups()[:6]), tzinfo=timezone.utc)
+    except ValueError:
+        return None
+    found += timedelta(microseconds=int((match[7] or "0")[:6].ljust(6, "0")))
+    if match.re is _ISO and match[8]:
+        offset = timedelta(hours=int(match[9]), minutes=int(match[10]))
+        found += -offset if match[8] == "+" else offset
+    return found
+
+
+def time_of_name(path: str) -> str:
+    """The time in a product's file name, in a form that :func:`moment` reads; "" where the name is of no known kind."""
+    stem = Path(path).stem
+    for pattern in _IN_NAMES:
+        match = pattern.search(stem)
+        if match:
+            return "".join(match.groups())
+    match = _MAXAR_NAME.search(stem)
+    return f"20{match[1]}{_MONTHS.index(match[2]) + 1:02d}{match[3]}{match[4]}" if match else ""
+
+
+def time_files_beside(path: str) -> List[str]:
+    """Files beside an image that may tell when it was taken, as they are named after it, whole products' first."""
+    image = Path(path)
+    core, stem = product_of(image), image.stem
+    # Pleiades Neo's images name their band after what the product's own file is called.
+    wanted = [f"DIM_{core}.XML", f"DIM_{re.sub(r'_[A-Za-z-]+$', '', core)}.XML", f"{stem}.IMD", f"{stem}.XML",
+              f"{stem}.geom"]
+    there = names_beside(image)
+    return [str(image.with_name(name)) for key in dict.fromkeys(name.lower() for name in wanted)
+            for name in there.get(key, ())]
+
+
+def apart_text(days: Optional[float]) -> str:
+    """A time between two images as people say it; "unknown" for None."""
+    if days is None:
+        return "unknown"
+    for unit, seconds, most in (("s", 1, 120), ("min", 60, 120), ("h", 3600, 48)):
+        if days * 86400 < most * seconds:
+            return f"{days * 86400 / seconds:.0f} {unit}"
+    return f"{days:.0f} days"
+
+
+def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
+    """Texts that may be the time, best first; the files are opened only as far as they are needed."""
+    for file in time_files_beside(path):
+        try:
+            yield from _in_file(file)
+        except RpcError:  # too large, no text, no whole XML: then it tells nothing
+            continue
+    yield dataset.GetMetadataItem("ACQUISITIONDATETIME", "IMAGERY") or ""
+    for key in ("NITF_STDIDC_ACQUISITION_DATE", "NITF_IDATIM"):
+        text = dataset.GetMetadataItem(key) or ""
+        if text != _GDALS_OWN:
+            yield text
+    yield time_of_name(path)
+
+
+def _in_file(path: str) -> List[str]:
+    """Texts of a product's file that may be the time."""
+    text = sidecar_text(path)
+    if text.lstrip().startswith("<"):
+        names = ("IMAGING_DATE", "IMAGING_TIME", "START", "TIME", "FIRSTLINETIME", "TLCTIME")
+        found = xml_texts(text, names)
+        whole = [f"{day.strip()}T{time.strip()}" for day, time in zip(found["IMAGING_DATE"], found["IMAGING_TIME"])]
+        return [*whole, *(value for name in names[2:] for value in found[name])][:64]
+    pattern = _GEOM if path.lower().endswith(".geom") else _IMD
+    found_lines = {name: value for name, value in reversed(pattern.findall(text))}
+    order = ("time_range_start", "image_date", "firstLineTime", "TLCTime")
+    return [found_lines[name] for name in order if name in found_lines]
