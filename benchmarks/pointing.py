@@ -2,6 +2,7 @@
 
 Own truth scenes are simulated once and kept in the temporary folder. Real images are taken from the folder that
 REPM_SHARED_DATA names (default: ../shared/data beside the checkout); parts that need them say so where it is absent.
+Names of parts (``python benchmarks/pointing.py pairs``) run those alone, and only print them.
 """
 
 from __future__ import annotations
@@ -26,15 +27,19 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.errors import RepmError  # noqa: E402
-from repm_qgis.geometry.frames import EnuFrame  # noqa: E402
+from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice  # noqa: E402
+from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs  # noqa: E402
+from repm_qgis.imagery.acquisition import apart_text, moment, time_of_name  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
+from repm_qgis.mvs.pairing import convergence  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
-from repm_qgis.scene import Scene, load_views  # noqa: E402
+from repm_qgis.rpc.readers import read_rpc_file  # noqa: E402
+from repm_qgis.scene import Scene, Tile, View, load_views  # noqa: E402
 from repm_qgis.sfm.adjustment import Track, adjust  # noqa: E402
 from repm_qgis.sfm.colmap_adjustment import adjust_colmap  # noqa: E402
 from repm_qgis.sfm.ground_control import Gcp  # noqa: E402
 from repm_qgis.sfm.pointing import Pointing, point_views  # noqa: E402
-from repm_qgis.sfm.view_pairs import choose_pairs  # noqa: E402
+from repm_qgis.sfm.view_pairs import NARROW, WIDE, badness, choose_pairs  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene, make_views, rpc_tags  # noqa: E402
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402
@@ -500,9 +505,53 @@ def route_dsm(images: Sequence[str], folder: Path, route: str) -> str:
                      Silent())["output"]
 
 
+# 6 --------------------------------------------------------------------------------------------------------------
+
+
+def scene_of_rpcs(files: Sequence[Path]) -> Scene:
+    """A scene of full images that are not there: RPCs, times from the files' names, one tile over what all overlap."""
+    views = []
+    for path in files:
+        rpc = read_rpc_file(str(path))
+        taken = moment(time_of_name(path.name.partition("__")[2] or path.name))
+        views.append(View(path.stem[-8:], "", 1, round(2 * rpc.col_off), round(2 * rpc.row_off), rpc, 0.7,
+                          acquired=taken.isoformat() if taken else ""))
+    lon, lat = (float(np.median([getattr(view.rpc, name) for view in views])) for name in ("lon_off", "lat_off"))
+    crs, middle = utm_crs(lon, lat), float(np.median([view.rpc.height_off for view in views]))
+    area = seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, middle)) for v in views]])
+    tile = Tile("r000c000", bounds_of(area), (middle - 50, middle + 50), {view.name: None for view in views})
+    return Scene(views, EnuFrame(lon, lat), crs, area.ExportToWkt(), tile.altitudes, [tile])
+
+
+def pair_selection() -> List[str]:
+    """Point 6: which of the 136 pairs of 17 views are matched."""
+    files = sorted((SHARED / "rpc" / "pleiades").glob("melbourne__*.XML"))
+    if not files:
+        return [f"Pair selection: not measured, '{SHARED / 'rpc' / 'pleiades'}' is absent."]
+    scene = scene_of_rpcs(files)
+    start = time.process_time()
+    pairs = choose_pairs(scene)
+    seconds = time.process_time() - start
+    every = [convergence(a, b, scene.frame.lon, scene.frame.lat, sum(scene.altitudes) / 2)
+             for a, b in combinations(scene.views, 2)]
+    out = sum(ratio < NARROW for _, ratio in every), sum(ratio > WIDE for _, ratio in every)
+    slanting = max(ratio for angle, ratio in every if angle < 8)
+    count = [sum(view.name in (pair.first, pair.second) for pair in pairs) for view in scene.views]
+    rows = [[pair.first, pair.second, pair.angle_deg, pair.base_to_height, 100.0 * pair.share,
+             apart_text(pair.days), pair.sun_deg, badness(pair)] for pair in pairs]
+    return [f"**6. Pair selection**: the RPCs of {len(files)} full Pleiades scenes of Melbourne, one pass (times from "
+            f"the files' names). Of {len(every)} pairs ({min(a for a, _ in every):.1f} to "
+            f"{max(a for a, _ in every):.1f} degrees; {out[0]} too narrow, {out[1]} too wide) {len(pairs)} are "
+            f"matched, {min(count)} to {max(count)} a view, in {seconds:.2f} CPU s. Score: what speaks against a pair "
+            f"([method](method.md#pairs)). Slanting looks less than 8 degrees apart have B/H up to {slanting:.2f}: "
+            "hence the score by the angle.",
+            table(["first", "second", "convergence, degrees", "B/H", "of the area, %", "taken apart",
+                   "between the suns, degrees", "score"], rows)]
+
+
 PARTS: Dict[str, Callable[[], List[str]]] = {
     "urban": truth_urban, "known": known_errors, "triplet": triplet, "poor": poor_scenes, "cost": costs,
-    "routes": two_routes}
+    "routes": two_routes, "pairs": pair_selection}
 
 
 def main() -> int:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Dict, List, Mapping
+from typing import Any, Dict, List, Mapping, Optional
 
 import numpy as np
 from osgeo import ogr
 
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
+from ..imagery.acquisition import apart_text
 from ..imagery.raster import quiet
 from ..progress import counted
 from ..scene import Scene
@@ -38,11 +39,17 @@ def _pairs(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
         metres = _metres_per_px(scene, pair)
         rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}",
                      f"{overlap_percent(scene, pair['first'], pair['second']):.0f}", f"{metres:.2f}",
-                     f"{MATCHING_PX * metres:.2f}"])
-    report.table(["first", "second", "convergence", "B/H", "overlap, %", "m of height a px", "expected accuracy, m"],
-                 rows, "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
+                     f"{MATCHING_PX * metres:.2f}", apart_text(pair.get("days")), _sun_text(pair.get("sun_deg"))])
+    report.table(["first", "second", "convergence", "B/H", "overlap, %", "m of height a px", "expected accuracy, m",
+                  "taken apart", "angle between suns"], rows,
+                 "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
                  f"heights is that of matching good to {MATCHING_PX:g} px; a narrow pair (B/H below 0.1) tells heights "
-                 "poorly, a wide one (above 0.9) matches poorly.")
+                 "poorly, a wide one (above 0.9) matches poorly; images far apart in time or under another sun have "
+                 "changed, and match with gaps.")
+
+
+def _sun_text(degrees: Optional[float]) -> str:
+    return "unknown" if degrees is None else f"{degrees:.1f}°"
 
 
 def overlap_percent(scene: Scene, first: str, second: str) -> float:
@@ -79,6 +86,10 @@ def _ties(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
         report.table(["tile", "tie points around it"],
                      [[entry["tile"], entry["ties"]] for entry in tiles[:_MOST_TILES]],
                      "Within the tile, or within a fifth of the scene where that is more." + left)
+    parts = ties.get("parts", [])
+    if parts:
+        report.table([entry["part"] for entry in parts], [[entry["ties"] for entry in parts]],
+                     "Tie points by ninths of the area, north up.")
     _curves(report, scene, facts)
 
 

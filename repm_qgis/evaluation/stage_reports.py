@@ -16,6 +16,7 @@ from ..geometry.frames import projected_from_geodetic
 from ..imagery.raster import opened
 from ..progress import counted
 from ..scene import Scene, View
+from ..sfm.view_pairs import sun_over
 from . import charts, pictures
 from .error_study import add_error_study
 from .geometry_section import add_geometry
@@ -149,9 +150,10 @@ def _warnings(report: Report, scene: Scene, more: Tuple[str, ...] | List[str] = 
 def _inputs(report: Report, scene: Scene) -> None:
     """Images, area and a map of the footprints."""
     report.section("Images")
-    report.table(["view", "file", "size, px", "GSD, m", "RPC heights, m"],
+    report.table(["view", "file", "size, px", "GSD, m", "RPC heights, m", "taken (UTC)", "sun's azimuth, elevation"],
                  [[v.name, v.image, f"{v.width} x {v.height}", f"{v.gsd_m:.3f}",
-                   "{:.0f} to {:.0f}".format(*v.rpc.height_range)] for v in scene.views])
+                   "{:.0f} to {:.0f}".format(*v.rpc.height_range), *_taken(scene, v)] for v in scene.views],
+                 "The time is that of the product's files or name; the sun is computed from it for the scene's middle.")
     middle = sum(scene.altitudes) / 2
     outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}
     report.svg(charts.footprints(outlines, _outline(scene.area), geographic=False),
@@ -159,6 +161,14 @@ def _inputs(report: Report, scene: Scene) -> None:
     report.facts([("Coordinate reference system", scene.crs),
                   ("Altitudes", f"{scene.altitudes[0]:.0f} to {scene.altitudes[1]:.0f} m above the WGS 84 ellipsoid"),
                   ("Tiles", len(scene.tiles))])
+
+
+def _taken(scene: Scene, view: View) -> List[str]:
+    """When a view was taken, and where the sun stood."""
+    sun = sun_over(scene, view)
+    if sun is None:
+        return ["unknown", "unknown"]
+    return [f"{view.time:%Y-%m-%d %H:%M:%S}", "{:.1f}°, {:.1f}°".format(*sun)]
 
 
 def _outline(wkt: str) -> np.ndarray:

@@ -20,7 +20,7 @@ from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
-from ..sfm.advice import advice, ties_by_tile
+from ..sfm.advice import advice, ties_by_part, ties_by_tile
 from ..sfm.ground_control import points_file, read_gcps
 from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.row_residuals import worst_rows
@@ -52,6 +52,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene)
+        _tell_pairs(scene, pairs, notes)
         stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
         ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
         _match(scene, pairs, stretches, backend, key, str(folder), options.workers, Part(notes, 0.35, 1.0))
@@ -63,6 +64,15 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     progress.step(1.0, "heights reconstructed")
     return {"output_scene": options.output_scene, "tie_points": ties_path, "heights": str(folder),
             "report": report_path, "n_tie_points": done.facts("reconstruct")["ties"]["count"]}
+
+
+def _tell_pairs(scene: Scene, pairs: Sequence[ViewPair], progress: Progress) -> None:
+    """How many pairs of many views are matched."""
+    possible = len(scene.views) * (len(scene.views) - 1) // 2
+    if len(pairs) < possible:
+        angles = [pair.angle_deg for pair in pairs]
+        progress.info(f"{len(pairs)} of {counted(possible, 'pair')} of images will be matched, at {min(angles):.1f} to "
+                      f"{max(angles):.1f} degrees.")
 
 
 def _complete(scene: Scene, folder: Path) -> bool:
@@ -83,7 +93,7 @@ def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     for tile in scene.tiles:
         tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
     _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)
-    figures = {**found.figures, "tiles": ties_by_tile(scene, found.xy)}
+    figures = {**found.figures, "tiles": ties_by_tile(scene, found.xy), "parts": ties_by_part(scene, found.xy)}
     for text in advice(scene, pairs, figures):
         progress.warn(text)
     return figures

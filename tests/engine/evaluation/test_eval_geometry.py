@@ -11,6 +11,8 @@ from osgeo import ogr
 
 from repm_qgis.evaluation.geometry_section import add_geometry, overlap_percent
 from repm_qgis.evaluation.report import Report
+from repm_qgis.evaluation.stage_reports import fit_report
+from repm_qgis.geometry.sun import sun_position
 from repm_qgis.scene import Scene
 
 
@@ -49,6 +51,38 @@ def test_every_pair_and_view_is_told_with_its_figures(scene):
         assert f">{entry['tile']}</td>" in page and f">{entry['ties']}</td>" in page
     assert facts["ties"]["reason"] in page.replace("&#x27;", "'")
     assert f"uncertain by {facts['ties']['height_uncertainty_m']:.1f} m" in page
+
+
+def test_times_and_suns_are_told_where_they_are_known(scene):
+    page = page_of(scene)
+    assert page.count("<td>unknown</td>") == 2 * len(scene.facts("reconstruct")["pairs"])
+    for pair, days, sun in zip(scene.facts("reconstruct")["pairs"], (21 / 86400, 0.25, 184.0), (0.12, 40.04, 12.0)):
+        pair["days"], pair["sun_deg"] = days, sun
+    page = page_of(scene)
+    for text in ("21 s", "0.1°", "6 h", "40.0°", "184 days", "12.0°"):
+        assert f"{text}</td>" in page
+    for name in ("share", "days", "sun_deg", "shadow"):  # scenes of earlier versions
+        for pair in scene.facts("reconstruct")["pairs"]:
+            del pair[name]
+    del scene.facts("reconstruct")["ties"]["parts"]
+    assert "<td>unknown</td>" in page_of(scene)
+
+
+def test_ties_are_told_by_compass(scene):
+    parts = scene.facts("reconstruct")["ties"]["parts"]
+    total = scene.facts("reconstruct")["ties"]["count"]
+    assert parts[0]["part"] == "north-west"
+    assert 0.9 * total < sum(entry["ties"] for entry in parts) <= total
+    page = page_of(scene)
+    assert all(f"{entry['part']}</th>" in page and f"{entry['ties']}</td>" in page for entry in parts)
+
+
+def test_the_images_table_tells_when_and_under_which_sun(scene):
+    scene.views[0] = replace(scene.views[0], acquired="2012-06-21T12:00:00.000Z")
+    page = fit_report(scene).html()
+    azimuth, elevation = sun_position(scene.views[0].time, scene.frame.lon, scene.frame.lat)
+    assert "2012-06-21 12:00:00</td>" in page and f"{azimuth:.1f}°, {elevation:.1f}°</td>" in page
+    assert page.count("unknown</td>") == 4
 
 
 def test_control_points_are_told_and_rejected_ones_named(scene):

@@ -237,11 +237,13 @@ def test_advice_names_the_pair_the_tile_and_the_remedy(pointed):
     scene, pairs, _, found, _ = pointed
     fine = {"tiles": ties_by_tile(scene, found.xy), **found.figures}
     assert advice(scene, pairs, fine) == []
-    narrow, wide = ViewPair("a", "b", 3.4, 0.06, 1), ViewPair("a", "c", 52.0, 1.02, 1)
+    narrow, wide = ViewPair("img_01", "img_02", 3.4, 0.06, 1), ViewPair("img_01", "img_03", 52.0, 1.02, 1)
     few = {**fine, "tiles": [{"tile": "r000c000", "ties": 80}, {"tile": "r000c001", "ties": 2}],
            "height_uncertainty_m": 6.4}
     said = advice(scene, [narrow, wide], few)
     assert len(said) == 4
-    for text, words in zip(said, (("a and b", "B/H 0.06", "m only"), ("a and c", "1.02", "from between"),
-                                  ("1 tile of 2 has", "r000c001", "EXTENT"), ("6.4 m", "GCPS", "ALIGN=3d"))):
+    for text, words in zip(said, (("img_01 and img_02", "B/H 0.06", "m only"),
+                                  ("img_01 and img_03", "1.02", "from between"),
+                                  ("1 tile of 2: r000c001", "of the overlap", "EXTENT"),
+                                  ("6.4 m", "GCPS", "ALIGN=3d"))):
         assert all(word in text for word in words), text

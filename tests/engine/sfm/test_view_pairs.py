@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+
 import numpy as np
 import pytest
 
 from repm_qgis.errors import EmptyResultError
-from repm_qgis.geometry.frames import EnuFrame
+from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
+from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
+from repm_qgis.imagery.acquisition import moment, time_of_name
 from repm_qgis.mvs.pairing import convergence
-from repm_qgis.scene import Scene, Tile
-from repm_qgis.sfm.view_pairs import choose_pairs
+from repm_qgis.rpc.readers import read_rpc_file
+from repm_qgis.scene import Scene, Tile, View
+from repm_qgis.sfm.view_pairs import (
+    NARROW,
+    WIDE,
+    ViewPair,
+    badness,
+    change_cost,
+    choose_pairs,
+    days_off_season,
+    sun_over,
+    usual_change,
+)
+
+NOON = datetime(2012, 6, 20, 12, 0, tzinfo=timezone.utc)
 
 
 def scene_of(views, urban):
@@ -18,8 +37,33 @@ def scene_of(views, urban):
     return Scene(list(views), EnuFrame(lon, lat), urban.crs, "", (150.0, 250.0), [tile])
 
 
-def named(view, name):
-    return view.__class__(**{**vars(view), "name": name})
+def named(view, name, days=None):
+    return replace(view, name=name, acquired="" if days is None else (NOON + timedelta(days=days)).isoformat())
+
+
+@pytest.fixture(scope="module")
+def melbourne(shared_data):
+    """17 full scenes of one pass: RPCs, and times from the files' names; one tile over what two of them see."""
+    views = []
+    for path in sorted((shared_data / "rpc" / "pleiades").glob("melbourne__*.XML")):
+        rpc = read_rpc_file(str(path))
+        taken = moment(time_of_name(path.name.partition("__")[2]))
+        views.append(View(path.stem[-8:], "", 1, round(2 * rpc.col_off), round(2 * rpc.row_off), rpc, 0.7,
+                          acquired=taken.isoformat()))
+    lon, lat = (float(np.median([getattr(view.rpc, name) for view in views])) for name in ("lon_off", "lat_off"))
+    crs = utm_crs(lon, lat)
+    area = seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, 50.0)) for v in views]])
+    tile = Tile("r000c000", bounds_of(area), (0.0, 100.0), {view.name: None for view in views})
+    return Scene(views, EnuFrame(lon, lat), crs, area.ExportToWkt(), (0.0, 100.0), [tile])
+
+
+def connected(pairs, names):
+    group = {names[0]}
+    for _ in names:
+        for pair in pairs:
+            if {pair.first, pair.second} & group:
+                group |= {pair.first, pair.second}
+    return group == set(names)
 
 
 def test_convergence_is_the_angle_between_the_looks(urban):
@@ -40,25 +84,98 @@ def test_convergence_is_the_angle_between_the_looks(urban):
     assert ratio == pytest.approx(abs(slopes[0] - slopes[2]), rel=0.25)
 
 
-def test_three_views_make_three_pairs(urban):
-    pairs = choose_pairs(scene_of(urban.views, urban))
+@pytest.mark.parametrize("days", [(None, None, None), (0.0, 400.0, 183.0)])
+def test_three_views_make_three_pairs_whatever_their_times(urban, days):
+    views = [named(view, view.name, day) for view, day in zip(urban.views, days)]
+    pairs = choose_pairs(scene_of(views, urban))
+    assert [(p.first, p.second) for p in pairs] == [(p.first, p.second) for p in choose_pairs(scene_of(urban.views,
+                                                                                                        urban))]
     assert len(pairs) == 3
-    badness = [abs(np.log(pair.base_to_height / 0.35)) for pair in pairs]
-    assert badness == sorted(badness)
+    ratios = [abs(np.log(pair.base_to_height / 0.35)) for pair in pairs]
+    assert ratios == sorted(ratios)
 
 
 def test_many_views_stay_few_pairs_and_connected(urban):
     views = [named(urban.views[i % 3], f"v{i}") for i in range(9)]
     pairs = choose_pairs(scene_of(views, urban))
-    assert len(pairs) <= 3 * 9 and all(pair.base_to_height >= 0.05 for pair in pairs)
-    group = {"v0"}
-    for _ in views:
-        for pair in pairs:
-            if {pair.first, pair.second} & group:
-                group |= {pair.first, pair.second}
-    assert group == {view.name for view in views}
+    assert len(pairs) <= 5 * 9 / 2 and all(pair.base_to_height >= 0.05 for pair in pairs)
+    assert connected(pairs, [view.name for view in views])
 
 
 def test_views_from_the_same_place_are_refused_with_their_angle(urban):
     with pytest.raises(EmptyResultError, match="again: 0.0 degrees"):
         choose_pairs(scene_of([urban.views[0], named(urban.views[0], "again")], urban))
+
+
+def test_seventeen_real_views(melbourne):
+    pairs = choose_pairs(melbourne)
+    names = [view.name for view in melbourne.views]
+    every = [convergence(a, b, melbourne.frame.lon, melbourne.frame.lat, 50.0)[0]
+             for i, a in enumerate(melbourne.views) for b in melbourne.views[i + 1:]]
+    assert len(names) == 17 and min(every) < 6 and max(every) > 90   # there is much to choose wrongly
+    assert all(12 < pair.angle_deg < 32 and NARROW < pair.base_to_height < WIDE for pair in pairs)
+    count = Counter(name for pair in pairs for name in (pair.first, pair.second))
+    assert set(count) == set(names) and min(count.values()) >= 3 and max(count.values()) <= 5
+    assert connected(pairs, names) and pairs == choose_pairs(melbourne)
+    assert all(pair.days < 100 / 86400 and pair.sun_deg < 0.5 and 0.4 < pair.share < 0.8 for pair in pairs)
+    # The summer sun of Melbourne at 11.24 in the morning stands high in the north-east.
+    azimuth, elevation = sun_over(melbourne, melbourne.views[0])
+    assert 30 < azimuth < 70 and 45 < elevation < 60
+    scores = [badness(pair) for pair in pairs]
+    assert scores == sorted(scores)
+
+
+def test_the_order_of_the_images_does_not_choose(melbourne):
+    chosen = {frozenset((pair.first, pair.second)) for pair in choose_pairs(melbourne)}
+    turned = replace(melbourne, views=melbourne.views[::-1])
+    assert {frozenset((pair.first, pair.second)) for pair in choose_pairs(turned)} == chosen
+
+
+def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne):
+    """The same 17 looks half a year later, under another sun: pairs are of one pass but where that connects them."""
+    later = [replace(view, name=f"later_{view.name}", acquired=(view.time + timedelta(days=183)).isoformat())
+             for view in melbourne.views]
+    scene = replace(melbourne, views=[*melbourne.views, *later])
+    scene.tiles = [Tile("r000c000", scene.tiles[0].bounds, scene.altitudes, {view.name: None for view in scene.views})]
+    pairs = choose_pairs(scene)
+    across = [pair for pair in pairs if pair.days > 1]
+    assert len(across) == 1 and connected(pairs, [view.name for view in scene.views])
+    assert 19 < across[0].sun_deg < 21 and 12 < across[0].angle_deg < 32
+    assert len(pairs) == 2 * len(choose_pairs(melbourne)) + 1
+
+
+def test_of_equal_geometry_the_closer_in_time_wins(urban):
+    """Looks a and b; b also nine days, three months, and unknown when: a's first partner is the closest."""
+    a, b = urban.views[0], urban.views[2]
+    views = [named(a, "a", 0), named(b, "summer", 92), named(b, "near", 9), named(b, "same", 0.001),
+             named(b, "undated"), named(b, "winter", 182)]
+    pairs = [pair for pair in choose_pairs(scene_of(views, urban)) if pair.first == "a"]
+    assert np.ptp([pair.angle_deg for pair in pairs]) == 0
+    order = [pair.second for pair in pairs]
+    assert order[:2] == ["same", "near"] and order[-1] == "winter" and order.index("undated") == 2
+
+
+def test_unknown_times_speak_neither_for_nor_against():
+    pair = ViewPair("a", "b", 20.0, 0.35, 1)
+    assert badness(pair) == 0.0 and change_cost(pair) is None and usual_change([pair]) == 0.0
+    dated = [replace(pair, days=days, sun_deg=sun) for days, sun in ((0.001, 0.1), (30.0, 8.0), (183.0, 45.0))]
+    assert usual_change([pair, *dated]) == change_cost(dated[1])
+    assert badness(dated[0], 9.0) < badness(pair, usual_change(dated)) < badness(dated[2], 9.0)
+
+
+def test_what_speaks_against_a_pair():
+    best = ViewPair("a", "b", 20.0, 0.35, 1, days=0.0, sun_deg=0.0)
+    assert badness(best) == 0.0
+    for worse, cost in ((replace(best, angle_deg=40.0), np.log(2)), (replace(best, angle_deg=10.0), np.log(2)),
+                        (replace(best, share=0.5), np.log(2)), (replace(best, sun_deg=30.0), 1.0),
+                        (replace(best, days=365.25), 0.25 * np.log10(366.25)),
+                        (replace(best, days=365.25 / 2), 0.25 * np.log10(1 + 365.25 / 2) + 0.5)):
+        assert badness(worse) == pytest.approx(cost)
+    assert days_off_season(365.25 * 3 + 10) == pytest.approx(10) and days_off_season(355.25) == pytest.approx(10)
+
+
+def test_the_sun_below_the_horizon_leaves_the_date(urban):
+    views = [named(urban.views[0], "day", 0), named(urban.views[2], "later", 10.5)]
+    pair = choose_pairs(scene_of(views, urban))[0]
+    lon = urban.views[0].rpc.lon_off
+    assert abs(lon) < 60 and pair.days == 10.5 and pair.sun_deg is None and pair.shadow is None
