@@ -318,12 +318,17 @@ class CompareDsmOptions(Options):
     """Compare a DSM with a reference, on the reference's grid.
 
     ``align`` removes a vertical offset, or a 3-D shift, first. ``thresholds`` in metres, for the completeness.
+    ``others`` are further DSMs for the same table, each aligned for itself; ``classes`` is a raster whose values errors
+    are told apart by; ``profiles`` is a line layer to cut all surfaces along, None = twice through the middle.
     """
 
     dsm: str
     reference: str
     align: str = "none"
     thresholds: Tuple[float, ...] = (1.0, 2.5, 5.0)
+    others: Tuple[str, ...] = ()
+    classes: Optional[str] = None
+    profiles: Optional[str] = None
     error: Optional[str] = None
     report: Optional[str] = None
 
@@ -331,6 +336,8 @@ class CompareDsmOptions(Options):
         _given("DSM", self.dsm)
         _given("REFERENCE", self.reference)
         _one_of("ALIGN", self.align, ALIGNMENTS)
+        if isinstance(self.others, str) or not all(isinstance(path, str) and path for path in self.others):
+            raise OptionError("OTHERS", self.others, "must be a list of rasters")
         if not self.thresholds:
             raise OptionError("THRESHOLDS", self.thresholds, "must name at least one height in metres")
         for value in self.thresholds:

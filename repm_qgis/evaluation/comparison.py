@@ -13,9 +13,11 @@ from ..errors import EmptyResultError, ImageError
 from ..imagery import raster
 from ..progress import Part, Progress
 from . import coregistration
+from .classes import ErrorsByClass
 from .coregistration import Alignment, Patch
-from .grids import Grid, HeightWarper, metres_per_unit, overlap, read_heights
+from .grids import Grid, HeightWarper, aligned_heights, metres_per_unit, overlap, read_heights
 from .metrics import ErrorCollector, HeightMetrics
+from .profiles import Profile, ProfileLine, cut, through_the_middle
 
 SLOPE_EDGES_DEG = (0.0, 5.0, 15.0, 30.0, 45.0, 90.0)
 HISTOGRAM_BIN_M = 0.001
@@ -36,6 +38,8 @@ class Comparison:
     metrics: HeightMetrics
     exact: bool
     by_slope: List[Tuple[str, HeightMetrics]]
+    by_class: List[Tuple[str, HeightMetrics]]
+    profiles: List[Profile]
     histogram: np.ndarray
     thumbnails: Dict[str, np.ndarray]
     thumbnail_factor: int
@@ -53,18 +57,22 @@ def compare(
     thresholds: Sequence[float],
     progress: Progress,
     error: Optional[raster.RasterWriter] = None,
+    classes: Optional[gdal.Dataset] = None,
+    lines: Sequence[ProfileLine] = (),
 ) -> Comparison:
     """Compare two open rasters; ``error``, where given, takes DSM - reference on the reference's grid.
 
-    ``align`` is one of repm_qgis.options.ALIGNMENTS. Raises OverlapError, ImageError (no CRS, no vertical
-    transformation, unreadable) and EmptyResultError (nothing to compare).
+    ``align`` is one of repm_qgis.options.ALIGNMENTS. ``classes`` is a raster whose values errors are told apart by,
+    ``lines`` those to cut profiles along (none: two through the middle). Raises OverlapError, ImageError (no CRS, no
+    vertical transformation, unreadable, no class raster) and EmptyResultError (nothing to compare).
     """
     grid, source = Grid.of(reference), Grid.of(dsm)
     cell = _cell_metres(grid)
     common = overlap(source, grid)
     warper = HeightWarper(dsm, grid)
     alignment = _align(align, warper, reference, grid, common, cell, Part(progress, 0.0, 0.25, "Alignment"))
-    work = _Blocks(warper, reference, grid, cell, alignment, thresholds)
+    by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
+    work = _Blocks(warper, reference, grid, cell, alignment, thresholds, by_class)
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
     metrics = work.total.metrics()
     if metrics.cells == 0:
@@ -72,6 +80,7 @@ def compare(
             f"No cell has a height in both rasters: the reference '{grid.path}' has heights in "
             f"{metrics.reference_cells} cells, '{source.path}' in none of them; choose a reference that covers the DSM."
         )
+    along = HeightWarper(reference, grid)
     return Comparison(
         source,
         grid,
@@ -80,6 +89,8 @@ def compare(
         metrics,
         work.total.exact,
         [(name, collector.metrics()) for name, collector in zip(slope_names(), work.by_slope)],
+        by_class.metrics() if by_class is not None else [],
+        [cut(line, warper, along, grid, alignment) for line in lines or through_the_middle(common)],
         work.histogram,
         work.thumbnails,
         work.factor,
@@ -109,8 +120,10 @@ class _Blocks:
         cell: Tuple[float, float],
         alignment: Alignment,
         thresholds: Sequence[float],
+        by_class: Optional[ErrorsByClass],
     ) -> None:
         self._warper, self._reference, self._grid, self._cell = warper, reference, grid, cell
+        self._by_class = by_class
         self._alignment = alignment
         self.total = ErrorCollector(thresholds)
         self.by_slope = [ErrorCollector(thresholds, keep=0, bin_m=0.005, range_m=200.0) for _ in slope_names()]
@@ -130,6 +143,8 @@ class _Blocks:
             dsm = aligned_heights(self._warper, cells, self._alignment)
             difference = dsm - reference
             self._collect(difference, reference, slope_degrees(outer, self._cell))
+            if self._by_class is not None:
+                self._by_class.add(cells, difference, np.isfinite(reference))
             self._draw(column, row, dsm=dsm, reference=reference, error=difference)
             if error is not None:
                 error.write(difference, column, row)
@@ -174,14 +189,6 @@ def _flush(error: Optional[raster.RasterWriter], *datasets: gdal.Dataset) -> Non
         error.flush()
     for dataset in datasets:
         dataset.FlushCache()
-
-
-def aligned_heights(warper: HeightWarper, cells: Grid, alignment: Alignment) -> np.ndarray:
-    """The DSM, moved by an alignment, on cells of the reference's grid."""
-    per_unit = metres_per_unit(cells)
-    # A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy).
-    there = cells.moved(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
-    return warper.read(there) + np.float32(alignment.dz)
 
 
 def _align(

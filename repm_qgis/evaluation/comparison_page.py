@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import List, Tuple
+from pathlib import PurePath
+from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures
 from .comparison import Comparison
 from .grids import Grid
+from .metrics import HeightMetrics
 from .report import Report
 
 _METHODS = {
@@ -19,18 +21,61 @@ _METHODS = {
 }
 
 
-def comparison_page(found: Comparison, error_path: str = "") -> Report:
-    """What a comparison found, for the analyst."""
+def comparison_page(found: Comparison, error_path: str = "", others: Sequence[Comparison] = ()) -> Report:
+    """What a comparison found, for the analyst; ``others`` are further DSMs against the same reference."""
     page = Report("DSM against reference", f"{found.dsm.path} against {found.reference.path}")
     _summary(page, found)
+    everyone = dict(zip(_names([found, *others]), [found, *others]))
+    if others:
+        _side_by_side(page, everyone)
     page.section("Inputs").table(["", "DSM", "Reference"], _input_rows(found))
     if error_path:
         page.facts({"Error raster (DSM − reference)": error_path})
     _alignment(page, found)
     _metrics(page, found)
-    _distribution(page, found)
+    _distribution(page, found, everyone)
+    _profiles(page, everyone)
     _pictures(page, found)
     return page
+
+
+def _names(found: Sequence[Comparison]) -> List[str]:
+    """A short name for each DSM: its file's, with as much of the folders as tells them apart."""
+    parts = [PurePath(one.dsm.path).with_suffix("").parts for one in found]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(part[-count:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{i}: {part[-1]}" for i, part in enumerate(parts, start=1)]
+
+
+def _side_by_side(page: Report, everyone: Mapping[str, Comparison]) -> None:
+    """All DSMs in one table: the reason to compare several at once."""
+    first = next(iter(everyone.values()))
+    levels = [threshold for threshold, _ in first.metrics.completeness]
+    rows = []
+    for name, one in everyone.items():
+        m, a = one.metrics, one.alignment
+        row = [name, f"{m.valid:.1f}", *(f"{v:.3f}" for v in (m.rmse, m.me, m.mae, m.nmad)), f"{m.bias:+.3f}",
+               *(f"{share:.1f}" for _, share in m.completeness)]
+        rows.append(row + ([f"{a.dx:+.2f}, {a.dy:+.2f}, {a.dz:+.2f}"] if a.method != "none" else []))
+    page.section("Side by side").table(
+        ["DSM", "valid (%)", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)",
+         *(f"< {level:g} m (%)" for level in levels),
+         *(["dx, dy, dz added (m)"] if first.alignment.method != "none" else [])], rows,
+        "All against the same reference, each aligned for itself. RMSE and MAE know only the cells that a DSM has: "
+        "read them with valid and the completeness, which count all of the reference's.")
+
+
+def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
+    """Every surface along the same lines."""
+    first = next(iter(everyone.values()))
+    page.section("Profiles")
+    for index, profile in enumerate(first.profiles):
+        series = {"reference": (profile.distance, profile.reference)}
+        series.update({name if len(everyone) > 1 else "DSM": (one.profiles[index].distance, one.profiles[index].dsm)
+                       for name, one in everyone.items()})
+        page.svg(charts.curves(series, "distance (m)", "height (m)", profile.name), "Heights after the alignment.")
 
 
 def _summary(page: Report, found: Comparison) -> None:
@@ -88,25 +133,10 @@ def _alignment(page: Report, found: Comparison) -> None:
 
 
 def _metrics(page: Report, found: Comparison) -> None:
-    rows = [("all", found.metrics)] + [(name, m) for name, m in found.by_slope if m.reference_cells]
     page.section("Accuracy and completeness")
-    page.table(
-        ["Reference slope", "Compared cells", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)"],
-        [
-            [name, m.cells] + [f"{v:.3f}" if m.cells else "–" for v in (m.rmse, m.me, m.mae, m.nmad, m.bias)]
-            for name, m in rows
-        ],
-        "Of e = DSM − reference, over the cells that have both heights: ME is the median of |e|, bias the median of "
-        "e. " + ("" if found.exact else "Medians are good to 0.5 mm. ") + "Medians by slope are good to 5 mm.",
-    )
-    page.table(
-        ["Reference slope", "Reference cells", "valid (%)"] + [f"< {t:g} m (%)" for t, _ in found.metrics.completeness],
-        [
-            [name, m.reference_cells, f"{m.valid:.1f}"] + [f"{share:.1f}" for _, share in m.completeness]
-            for name, m in rows
-        ],
-        "Completeness: |e| below each threshold, over all reference cells, so that a hole counts as a miss.",
-    )
+    _accuracy_tables(page, found, "Reference slope", found.by_slope)
+    if found.by_class:
+        _accuracy_tables(page, found, "Class", found.by_class)
     page.paragraph(
         "The DSM is resampled onto the reference's grid bilinearly, from cells that have heights only. Where less "
         "than half of a cell's weight has a height there is no error, so holes neither grow nor shrink; gdalwarp "
@@ -114,7 +144,28 @@ def _metrics(page: Report, found: Comparison) -> None:
     )
 
 
-def _distribution(page: Report, found: Comparison) -> None:
+def _accuracy_tables(page: Report, found: Comparison, by: str, parts: Sequence[Tuple[str, HeightMetrics]]) -> None:
+    rows = [("all", found.metrics)] + [(name, m) for name, m in parts if m.reference_cells]
+    page.table(
+        [by, "Compared cells", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)"],
+        [
+            [name, m.cells] + [f"{v:.3f}" if m.cells else "–" for v in (m.rmse, m.me, m.mae, m.nmad, m.bias)]
+            for name, m in rows
+        ],
+        "Of e = DSM − reference, over the cells that have both heights: ME is the median of |e|, bias the median of "
+        "e. " + ("" if found.exact else "Medians are good to 0.5 mm. ") + "Medians of parts are good to 5 mm.",
+    )
+    page.table(
+        [by, "Reference cells", "valid (%)"] + [f"< {t:g} m (%)" for t, _ in found.metrics.completeness],
+        [
+            [name, m.reference_cells, f"{m.valid:.1f}"] + [f"{share:.1f}" for _, share in m.completeness]
+            for name, m in rows
+        ],
+        "Completeness: |e| below each threshold, over all reference cells, so that a hole counts as a miss.",
+    )
+
+
+def _distribution(page: Report, found: Comparison, everyone: Mapping[str, Comparison]) -> None:
     edges, counts = found.histogram_edges(), found.histogram
     total = np.cumsum(counts)
     low, high = (int(np.searchsorted(total, q * total[-1])) for q in (0.005, 0.995))
@@ -129,21 +180,29 @@ def _distribution(page: Report, found: Comparison) -> None:
         charts.histogram((padded.reshape(count, group).sum(1), grouped_edges), "DSM − reference (m)", "Errors"),
         "The middle 99 % of the errors.",
     )
-    half = counts.size // 2
-    size = counts[half:] + counts[:half][::-1]
-    share = 100.0 * np.cumsum(size) / max(found.metrics.reference_cells, 1)
-    end = int(min(np.searchsorted(share, 0.99 * share[-1]) * 1.2 + 50, size.size))
-    pick = np.unique(np.linspace(0, end - 1, 300).astype(int))
+    series = {name: _cumulative(one) for name, one in everyone.items()}
     page.svg(
         charts.curves(
-            {"cells": ((pick + 1) * (edges[1] - edges[0]), share[pick])},
+            series if len(series) > 1 else {"cells": next(iter(series.values()))},
             "|DSM − reference| (m)",
             "share of all reference cells (%)",
             "Cumulative error",
             ylim=(0.0, 100.0),
         ),
-        f"The curve ends at {found.metrics.valid:.1f} %, the share of reference cells that have a DSM height.",
+        "A curve ends at the share of reference cells that have a DSM height: "
+        + ", ".join(f"{one.metrics.valid:.1f} %" for one in everyone.values()) + ".",
     )
+
+
+def _cumulative(found: Comparison) -> Tuple[np.ndarray, np.ndarray]:
+    """Sizes of errors in metres, and the share of the reference's cells in per cent that are better."""
+    edges, counts = found.histogram_edges(), found.histogram
+    half = counts.size // 2
+    size = counts[half:] + counts[:half][::-1]
+    share = 100.0 * np.cumsum(size) / max(found.metrics.reference_cells, 1)
+    end = int(min(np.searchsorted(share, 0.99 * share[-1]) * 1.2 + 50, size.size))
+    pick = np.unique(np.linspace(0, end - 1, 300).astype(int))
+    return (pick + 1) * (edges[1] - edges[0]), share[pick]
 
 
 def _pictures(page: Report, found: Comparison) -> None:

@@ -14,6 +14,8 @@ from pyproj.exceptions import CRSError, ProjError
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, vertical_operations, vertical_part
 from ..imagery import raster
+from ..imagery.sampling import sample
+from .coregistration import Alignment
 
 Bounds = Tuple[float, float, float, float]
 """xmin, ymin, xmax, ymax."""
@@ -204,6 +206,23 @@ class HeightWarper:
             warped = (warped * scale + offset).astype(np.float32)
         return warped
 
+    def along(self, cells: Grid) -> np.ndarray:
+        """The DSM at the centres of one row of cells in any direction: (columns,) float32, NaN = no height.
+
+        Bilinear; a point beside a hole has none. The warper would take a slanting row for a shrunken picture and blur.
+        """
+        columns = cells.size[0]
+        window = self._source_window(cells)
+        if window is None:
+            return np.full(columns, np.nan, np.float32)
+        x, y = self._to_source.transform(*cells.places(np.arange(columns) + 0.5, np.full(columns, 0.5)))
+        column, row = self._source.window(*window).cells(np.asarray(x), np.asarray(y))
+        heights = sample(read_heights(self.dataset, window), column - 0.5, row - 0.5)
+        if self.vertical is not None and np.isfinite(heights).any():
+            scale, offset = self._vertical_at(cells, float(np.nanmean(heights)))
+            heights = (heights * scale + offset[0]).astype(np.float32)
+        return heights
+
     def _source_window(self, cells: Grid) -> Optional[raster.Window]:
         columns, rows = cells.size
         t = np.linspace(0, 1, 21)
@@ -284,6 +303,22 @@ class HeightWarper:
                 f"'{self._target.path}' everywhere: a PROJ grid does not cover the place."
             )
         return float(np.mean(scale)), _spread_mesh((low - scale * height).reshape(9, 9), columns, rows)
+
+
+def aligned_heights(warper: HeightWarper, cells: Grid, alignment: Alignment) -> np.ndarray:
+    """The DSM, moved by an alignment, on cells of the reference's grid."""
+    return warper.read(_before(cells, alignment)) + np.float32(alignment.dz)
+
+
+def aligned_along(warper: HeightWarper, cells: Grid, alignment: Alignment) -> np.ndarray:
+    """The same along one row of cells in any direction: (columns,)."""
+    return warper.along(_before(cells, alignment)) + np.float32(alignment.dz)
+
+
+def _before(cells: Grid, alignment: Alignment) -> Grid:
+    """A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy)."""
+    per_unit = metres_per_unit(cells)
+    return cells.moved(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
 
 
 def _spread_mesh(mesh: np.ndarray, columns: int, rows: int) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""Compare a DSM with a reference: numbers, an error raster and a report."""
+"""Compare DSMs with a reference: numbers, an error raster and a report."""
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack
 from typing import Any, Dict
 
@@ -11,6 +12,8 @@ from osgeo import gdal
 from ..evaluation.comparison import Comparison, compare
 from ..evaluation.comparison_page import comparison_page
 from ..evaluation.grids import Grid
+from ..evaluation.metrics import HeightMetrics
+from ..evaluation.profiles import read_lines
 from ..evaluation.styles import write_style
 from ..imagery import raster
 from ..options import CompareDsmOptions
@@ -21,31 +24,39 @@ def run(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
     """Compare; see :mod:`repm_qgis.evaluation.metrics` for what the numbers mean, and
     :mod:`repm_qgis.evaluation.coregistration` for the sign of dx, dy, dz (metres to add to the DSM).
 
-    Raises ImageError, OverlapError, EmptyResultError, WorkspaceError.
+    Raises ImageError, InputTableError, OverlapError, EmptyResultError, WorkspaceError.
     """
-    found = _compared(options, Part(progress, 0.0, 0.9))
-    for text in found.warnings:
+    paths = [options.dsm, *options.others]
+    ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
+    found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
+    for text in dict.fromkeys(text for one in found for text in one.warnings):
         progress.warn(text)
     if options.error:
         write_style("dsm_error", options.error)
     if options.report:
         progress.step(0.92, "Report")
-        comparison_page(found, options.error or "").write(options.report)
-    result = _result(options, found)
-    progress.info(
-        "RMSE {rmse:.3f} m, ME {me:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, bias {bias:+.3f} m; {valid:.1f} % "
-        "of the reference's cells have a height.".format(**result)
-    )
+        comparison_page(found[0], options.error or "", found[1:]).write(options.report)
+    for path, one in zip(paths, found):
+        progress.info(
+            "{}RMSE {rmse:.3f} m, ME {me:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, bias {bias:+.3f} m; {valid:.1f} % "
+            "of the reference's cells have a height.".format(f"'{path}': " if options.others else "", **_figures(one))
+        )
     progress.step(1.0, "Done")
-    return result
+    return {"error": options.error, "report": options.report, **_figures(found[0]),
+            "by_class": {name: _accuracy(metrics) for name, metrics in found[0].by_class},
+            "others": [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])]}
 
 
-def _compared(options: CompareDsmOptions, progress: Progress) -> Comparison:
+def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comparison:
+    """One DSM against the reference; the first one's errors go into the error raster."""
     with ExitStack() as stack:
-        dsm = stack.enter_context(raster.opened(options.dsm))
+        dsm = stack.enter_context(raster.opened(path))
         reference = stack.enter_context(raster.opened(options.reference))
-        error = stack.enter_context(_error_raster(options.error, reference)) if options.error else None
-        found = compare(dsm, reference, options.align, options.thresholds, progress, error)
+        classes = stack.enter_context(raster.opened(options.classes)) if options.classes else None
+        lines = read_lines(options.profiles, Grid.of(reference)) if options.profiles else ()
+        wanted = options.error and path == options.dsm
+        error = stack.enter_context(_error_raster(options.error, reference)) if wanted else None
+        found = compare(dsm, reference, options.align, options.thresholds, progress, error, classes, lines)
         if error is not None:
             error.flush()
         return found
@@ -66,21 +77,18 @@ def _error_raster(path: str, reference: gdal.Dataset) -> Any:
     )
 
 
-def _result(options: CompareDsmOptions, found: Comparison) -> Dict[str, Any]:
-    m, a = found.metrics, found.alignment
+def _accuracy(metrics: HeightMetrics) -> Dict[str, Any]:
+    """Figures of one set of cells; None where there is none to compare (JSON knows no NaN)."""
+    values = {name: getattr(metrics, name) for name in ("rmse", "me", "mae", "nmad", "bias")}
     return {
-        "error": options.error,
-        "report": options.report,
-        "rmse": m.rmse,
-        "me": m.me,
-        "mae": m.mae,
-        "nmad": m.nmad,
-        "bias": m.bias,
-        "valid": m.valid,
-        "completeness": m.completeness[0][1],
-        "completeness_by_threshold": {f"{threshold:g}": share for threshold, share in m.completeness},
-        "dx": a.dx,
-        "dy": a.dy,
-        "dz": a.dz,
-        "cells": m.cells,
+        **{name: value if math.isfinite(value) else None for name, value in values.items()},
+        "valid": metrics.valid,
+        "completeness": metrics.completeness[0][1],
+        "completeness_by_threshold": {f"{threshold:g}": share for threshold, share in metrics.completeness},
+        "cells": metrics.cells,
     }
+
+
+def _figures(found: Comparison) -> Dict[str, Any]:
+    a = found.alignment
+    return {**_accuracy(found.metrics), "dx": a.dx, "dy": a.dy, "dz": a.dz}

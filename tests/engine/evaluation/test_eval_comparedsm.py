@@ -299,3 +299,103 @@ def test_blocks_do_not_show(make_raster, tmp_path, monkeypatch, terrain):
     one, many = gdal.Open(str(tmp_path / "one.tif")).ReadAsArray(), gdal.Open(str(tmp_path / "many.tif")).ReadAsArray()
     assert np.array_equal(one == -9999, many == -9999) and np.abs(one - many).max() < 1e-3
     assert parts["rmse"] == pytest.approx(whole["rmse"], abs=1e-5)
+
+
+def test_errors_by_class_equal_an_independent_count(make_raster, terrain):
+    """A class raster on a grid and in a CRS of its own: each reference cell has the class at its centre."""
+    rng = np.random.default_rng(3)
+    reference, cell = terrain(200, 240), 0.5
+    error = rng.normal(0, 0.3, reference.shape).astype(np.float32)
+    row, column = np.mgrid[:200, :240]
+    east = column * cell >= 60  # the class raster's cells are 4 m wide and begin 20 m to the west and north
+    error[east] += 1.0
+    classes = np.ones((40, 40))
+    classes[:, 20:] = 7  # from 20 * 4 - 20 = 60 m on
+    classes[:, 34:] = np.nan
+    names = make_raster("classes.tif", classes, origin=(ORIGIN[0] - 20, ORIGIN[1] + 20), cell=4.0)
+    got = compare(make_raster("dsm.tif", reference + error), make_raster("ref.tif", reference), classes=names)
+    assert set(got["by_class"]) == {"1", "7"}
+    where = {"1": ~east, "7": east & (column * cell < 34 * 4 - 20)}
+    for name, inside in where.items():
+        e = error[inside].astype(float)
+        assert got["by_class"][name]["cells"] == inside.sum()
+        assert got["by_class"][name]["rmse"] == pytest.approx(np.sqrt((e**2).mean()), abs=1e-5)
+        assert got["by_class"][name]["bias"] == pytest.approx(np.median(e), abs=0.005)
+        assert got["by_class"][name]["completeness"] == pytest.approx(100 * (abs(e) < 1).mean(), abs=0.01)
+
+
+def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
+    classes = np.ones((100, 100))
+    classes[:50] = 2
+    path = make_raster("cover.tif", classes)
+    dataset = gdal.Open(path, gdal.GA_Update)
+    dataset.GetRasterBand(1).SetCategoryNames(["", "roofs", "ground"])
+    dataset = None  # noqa: F841
+    a = make_raster("dsm.tif", terrain(100, 100))
+    got = compare(a, a, classes=path, report=str(tmp_path / "r.html"))
+    assert list(got["by_class"]) == ["roofs", "ground"] and got["by_class"]["roofs"]["cells"] == 5000
+    assert "roofs" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    with pytest.raises(ImageError, match=r"noclass.tif.*whole numbers"):
+        compare(a, a, classes=make_raster("noclass.tif", terrain(100, 100)))
+
+
+def test_several_dsms_in_one_table(make_raster, terrain, tmp_path):
+    reference = terrain(100, 100)
+    first = make_raster("first.tif", reference + 0.25)
+    (tmp_path / "peer").mkdir()
+    second = make_raster("peer/first.tif", reference - 0.5)
+    got = compare(first, make_raster("ref.tif", reference), others=[second], error=str(tmp_path / "e.tif"),
+                  report=str(tmp_path / "r.html"))
+    assert got["bias"] == pytest.approx(0.25, abs=1e-5)
+    assert [(one["dsm"], round(one["bias"], 4)) for one in got["others"]] == [(second, -0.5)]
+    error = gdal.Open(str(tmp_path / "e.tif")).ReadAsArray()
+    assert np.median(error) == pytest.approx(0.25, abs=1e-4)  # the first one's errors
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "Side by side" in page and ">peer/first<" in page
+
+
+def line_layer(path, crs, **lines):
+    from osgeo import ogr
+
+    from repm_qgis.vector import write_layer
+
+    def shape(points):
+        line = ogr.Geometry(ogr.wkbLineString)
+        for x, y in points:
+            line.AddPoint_2D(x, y)
+        return line
+
+    return write_layer(path, crs, ogr.wkbLineString, {"name": str}, [(shape(p), [n]) for n, p in lines.items()])
+
+
+def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp_path):
+    """A bent line in longitude and latitude: heights are the surface's own there, at distances from the start."""
+    from repm_qgis.evaluation.comparison import compare as compare_rasters
+    from repm_qgis.evaluation.profiles import read_lines
+
+    corners = [(10.0, -20.0), (70.0, -60.0), (90.0, -15.0)]  # m from the origin
+    to_degrees = Transformer.from_crs("EPSG:32631", 4326, always_xy=True)
+    path = line_layer(str(tmp_path / "cuts.gpkg"), "EPSG:4326",
+                      ridge=[to_degrees.transform(ORIGIN[0] + x, ORIGIN[1] + y) for x, y in corners])
+    a, b = gdal.Open(make_raster("dsm.tif", terrain(200, 240) + 2)), gdal.Open(make_raster("ref.tif", terrain(200, 240)))
+    lines = read_lines(path, Grid.of(b))
+    assert [line.name for line in lines] == ["ridge"]
+    (profile,) = compare_rasters(a, b, "none", (1.0,), Silent(), lines=lines).profiles
+    lengths = np.hypot(*np.diff(corners, axis=0).T)
+    assert profile.distance[0] < 0.5 and profile.distance[-1] == pytest.approx(lengths.sum(), abs=0.5)
+    part = profile.distance < lengths[0]
+    share = profile.distance[part] / lengths[0]
+    x, y = (corners[0][i] + share * (corners[1][i] - corners[0][i]) for i in (0, 1))
+    assert np.abs(profile.reference[part] - surface(x, y)).max() < 0.1
+    assert np.nanmedian(profile.dsm - profile.reference) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_what_is_no_line_layer_is_named(make_raster, terrain, tmp_path):
+    from repm_qgis.errors import InputTableError
+
+    a = make_raster("dsm.tif", terrain(60, 60))
+    with pytest.raises(InputTableError, match="none.gpkg"):
+        compare(a, a, profiles=str(tmp_path / "none.gpkg"))
+    (tmp_path / "empty.geojson").write_text('{"type":"FeatureCollection","features":[]}')
+    with pytest.raises(InputTableError, match="empty.geojson.*no line"):
+        compare(a, a, profiles=str(tmp_path / "empty.geojson"))

@@ -1,0 +1,82 @@
+"""Errors by class: a class raster (land cover, a mask) on the reference's cells."""
+
+from __future__ import annotations
+
+from typing import Dict, List, Sequence, Tuple
+
+import numpy as np
+from osgeo import gdal
+from pyproj import Transformer
+
+from ..errors import ImageError
+from ..geometry.frames import flat_crs
+from ..imagery import raster
+from .grids import Grid
+from .metrics import ErrorCollector, HeightMetrics
+
+_MOST_CLASSES = 64
+
+
+class ErrorsByClass:
+    """Collects errors for each whole number of a class raster, whatever its CRS and grid.
+
+    A cell of the reference takes the class at its centre; cells outside the raster, or where it has no data, belong
+    to no class. Raises ImageError where the raster holds more than 64 classes: it is no class raster then.
+    """
+
+    def __init__(self, dataset: gdal.Dataset, reference: Grid, thresholds: Sequence[float]) -> None:
+        self._dataset, self._grid, self._thresholds = dataset, Grid.of(dataset), tuple(thresholds)
+        self._to_classes = Transformer.from_crs(flat_crs(reference.crs), flat_crs(self._grid.crs), always_xy=True)
+        self._names = _names(dataset)
+        self._collectors: Dict[int, ErrorCollector] = {}
+
+    def add(self, cells: Grid, difference: np.ndarray, known: np.ndarray) -> None:
+        """Errors (rows, columns) of a part of the reference, and which of its cells have a reference height."""
+        classes = self._at(cells)
+        inside = np.isfinite(classes) & known
+        for value in np.unique(classes[inside]):
+            here = inside & (classes == value)
+            self._collector(float(value)).add(difference[here], int(here.sum()))
+
+    def metrics(self) -> List[Tuple[str, HeightMetrics]]:
+        """Name and metrics of each class that the reference has cells of, by rising value."""
+        return [(self._names.get(value, str(value)), self._collectors[value].metrics())
+                for value in sorted(self._collectors)]
+
+    def _collector(self, value: float) -> ErrorCollector:
+        if value != round(value) or (int(value) not in self._collectors and len(self._collectors) >= _MOST_CLASSES):
+            raise ImageError(
+                f"The class raster '{self._grid.path}' has the value {value:g} among more than classes can be: give a "
+                f"raster of at most {_MOST_CLASSES} whole numbers, such as a land cover map or a mask.")
+        return self._collectors.setdefault(
+            int(value), ErrorCollector(self._thresholds, keep=0, bin_m=0.005, range_m=200.0))
+
+    def _at(self, cells: Grid) -> np.ndarray:
+        """(rows, columns) class at each cell's centre, NaN where there is none."""
+        columns, rows = cells.size
+        u, v = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+        x, y = self._to_classes.transform(*cells.places(u, v))
+        column, row = self._grid.cells(np.asarray(x), np.asarray(y))
+        width, height = self._grid.size
+        with np.errstate(invalid="ignore"):
+            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        result = np.full((rows, columns), np.nan)
+        if inside.any():
+            c, r = column[inside].astype(np.intp), row[inside].astype(np.intp)
+            window = (int(c.min()), int(r.min()), int(np.ptp(c)) + 1, int(np.ptp(r)) + 1)
+            result[inside] = raster.read(self._dataset, window)[r - window[1], c - window[0]]
+        return result
+
+
+def _names(dataset: gdal.Dataset) -> Dict[int, str]:
+    """The raster's own names of its values, from its categories or its attribute table."""
+    band = dataset.GetRasterBand(1)
+    names = {index: name for index, name in enumerate(band.GetCategoryNames() or []) if name}
+    table = band.GetDefaultRAT()
+    if table is None:
+        return names
+    usages = {table.GetUsageOfCol(i): i for i in range(table.GetColumnCount())}
+    value, name = usages.get(gdal.GFU_MinMax), usages.get(gdal.GFU_Name)
+    if value is None or name is None:
+        return names
+    return {table.GetValueAsInt(i, value): table.GetValueAsString(i, name) for i in range(table.GetRowCount())}

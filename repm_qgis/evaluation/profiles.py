@@ -1,0 +1,124 @@
+"""Heights along lines: a DSM and its reference in profile."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import List, Optional, Tuple
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+from osgeo import gdal, ogr
+
+from ..errors import InputTableError
+from ..geometry.frames import flat_crs
+from .coregistration import Alignment
+from .grids import Bounds, Grid, HeightWarper, aligned_along, metres_per_unit
+
+FloatArray = NDArray[np.float64]
+
+_MOST_LINES = 8
+_MOST_SAMPLES = 2000
+_MOST_VERTICES = 10_000
+_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class ProfileLine:
+    """A line to cut the surfaces along: a name, and its corners (N, 2) in the reference's CRS."""
+
+    name: str
+    corners: FloatArray
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Heights (N,) in metres at distances (N,) in metres from the line's start; NaN = no height."""
+
+    name: str
+    distance: FloatArray
+    dsm: NDArray[np.float32]
+    reference: NDArray[np.float32]
+
+
+def through_the_middle(common: Bounds) -> List[ProfileLine]:
+    """West to east and south to north through the middle of what both rasters cover."""
+    x0, y0, x1, y1 = common
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return [ProfileLine("west to east through the middle", np.array([[x0, y], [x1, y]])),
+            ProfileLine("south to north through the middle", np.array([[x, y0], [x, y1]]))]
+
+
+def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
+    """The lines of a layer (``file`` or ``file|layername=name``), in the reference's CRS; the first eight.
+
+    A line is named by its field ``name``, else by its number. Raises InputTableError where there is no line.
+    """
+    file, _, name = path.partition("|layername=")
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        source: Optional[gdal.Dataset] = gdal.OpenEx(file, gdal.OF_VECTOR)
+    except RuntimeError:
+        source = None
+    finally:
+        gdal.PopErrorHandler()
+    layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
+    if layer is None:
+        raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
+    lines = [ProfileLine(_name_of(feature, number), corners)
+             for number, feature in zip(range(1, _MOST_LINES + 1), layer)
+             for corners in [_corners(feature.GetGeometryRef(), layer.GetSpatialRef(), reference)] if len(corners) > 1]
+    if not lines:
+        raise InputTableError(f"'{path}' has no line among its first {_MOST_LINES} features: give a line layer, or "
+                              "leave PROFILES empty.")
+    return lines
+
+
+def cut(line: ProfileLine, dsm: HeightWarper, reference: HeightWarper, grid: Grid, alignment: Alignment) -> Profile:
+    """Both surfaces along a line, at the spacing of the reference's cells (wider on lines of over 2000 of them)."""
+    per_unit = np.array(metres_per_unit(grid))
+    lengths = np.hypot(*(np.diff(line.corners, axis=0) * per_unit).T)
+    spacing = max(abs(grid.transform[1]) * per_unit[0], lengths.sum() / _MOST_SAMPLES)
+    parts: Tuple[List, List, List] = ([], [], [])
+    start = 0.0
+    for a, b, length in zip(line.corners, line.corners[1:], lengths):
+        count = math.ceil(length / spacing)
+        for first in range(0, count, _AT_ONCE):  # short pieces: a long slanting line's rectangle is the whole raster
+            last = min(first + _AT_ONCE, count)
+            along = _row_of_cells(grid, a + (b - a) * first / count, a + (b - a) * last / count, last - first)
+            parts[0].append(start + (np.arange(first, last) + 0.5) * length / count)
+            parts[1].append(aligned_along(dsm, along, alignment))
+            parts[2].append(reference.along(along))
+        start += length
+    if not parts[0]:
+        return Profile(line.name, np.empty(0), np.empty(0, np.float32), np.empty(0, np.float32))
+    return Profile(line.name, *(np.concatenate(part) for part in parts))
+
+
+def _row_of_cells(grid: Grid, a: FloatArray, b: FloatArray, count: int) -> Grid:
+    """One row of square cells whose middle line runs from ``a`` to ``b``."""
+    step = (b - a) / count
+    across = np.array([step[1], -step[0]])
+    corner = a - across / 2
+    return Grid(grid.path, (count, 1), (corner[0], step[0], across[0], corner[1], step[1], across[1]), grid.wkt,
+                grid.has_nodata)
+
+
+def _name_of(feature: ogr.Feature, number: int) -> str:
+    index = feature.GetFieldIndex("name")
+    text = feature.GetFieldAsString(index).strip() if index >= 0 else ""
+    return text[:60] or f"line {number}"
+
+
+def _corners(geometry: Optional[ogr.Geometry], crs: Optional[object], reference: Grid) -> FloatArray:
+    """(N, 2) of a line (of several parts the first) in the reference's CRS; empty for what is no line."""
+    if geometry is not None and ogr.GT_Flatten(geometry.GetGeometryType()) == ogr.wkbMultiLineString:
+        geometry = geometry.GetGeometryRef(0)
+    if geometry is None or ogr.GT_Flatten(geometry.GetGeometryType()) != ogr.wkbLineString:
+        return np.empty((0, 2))
+    points = np.array([point[:2] for point in geometry.GetPoints()[:_MOST_VERTICES]], dtype=np.float64).reshape(-1, 2)
+    if crs is not None:
+        to_reference = pyproj.Transformer.from_crs(crs.ExportToWkt(), flat_crs(reference.crs), always_xy=True)
+        points = np.column_stack(to_reference.transform(points[:, 0], points[:, 1]))
+    return points[np.isfinite(points).all(axis=1)]
