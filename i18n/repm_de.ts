@@ -87,6 +87,30 @@
         <translation>Der Anteil der Referenzzellen, deren Höhe bis auf diese Werte stimmt.</translation>
     </message>
     <message>
+        <source>Further DSMs for the same table</source>
+        <translation>Weitere DOM für dieselbe Tabelle</translation>
+    </message>
+    <message>
+        <source>Other DSMs of the same ground, such as another program's: the report puts all side by side, each aligned for itself.</source>
+        <translation>Andere DOM desselben Geländes, etwa eines anderen Programms: Der Bericht stellt alle nebeneinander, jedes für sich ausgerichtet.</translation>
+    </message>
+    <message>
+        <source>Class raster</source>
+        <translation>Klassenraster</translation>
+    </message>
+    <message>
+        <source>Whole numbers such as those of a land cover map or a mask, in any CRS: the report gives the errors of each class.</source>
+        <translation>Ganze Zahlen, etwa einer Landbedeckungskarte oder einer Maske, in beliebigem KBS: Der Bericht nennt die Fehler jeder Klasse.</translation>
+    </message>
+    <message>
+        <source>Profile lines</source>
+        <translation>Profillinien</translation>
+    </message>
+    <message>
+        <source>Lines to show the heights along, named by their field 'name'. Empty: twice through the middle.</source>
+        <translation>Linien, entlang derer die Höhen gezeigt werden, benannt nach ihrem Feld 'name'. Leer: zweimal durch die Mitte.</translation>
+    </message>
+    <message>
         <source>Height error</source>
         <translation>Höhenfehler</translation>
     </message>
@@ -402,8 +426,8 @@
         <translation>{name} „{path}“ ist keine Szene: die scene.json wählen, die die Stufe davor geschrieben hat.</translation>
     </message>
     <message>
-        <source>The layer '{layer}' of {name} holds no points: choose a point layer or a CSV file.</source>
-        <translation>Der Layer '{layer}' von {name} enthält keine Punkte: Wählen Sie einen Punktlayer oder eine CSV-Datei.</translation>
+        <source>The layer '{layer}' of {name} is a raster: choose a vector layer or a table.</source>
+        <translation>Der Layer '{layer}' von {name} ist ein Raster: Wählen Sie einen Vektorlayer oder eine Tabelle.</translation>
     </message>
     <message>
         <source>{name} '{path}' cannot be read as a raster: check that the file is whole.</source>

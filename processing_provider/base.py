@@ -120,15 +120,15 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def checkParameterValues(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
         for definition in self.parameterDefinitions():
             problem = ""
-            if definition.name() in ("RPCS", "GCPS"):
+            if definition.name() in ("RPCS", "GCPS", "PROFILES"):
                 problem = self._check_files(definition.name(), parameters.get(definition.name()), context)
-            elif definition.type() == "multilayer":
+            elif definition.name() == "IMAGES":
                 problem = self._check_images(definition.name(), parameters.get(definition.name()), context)
             elif definition.type() in ("enum", "number"):
                 problem = self._check_choice(definition, parameters.get(definition.name()))
             elif definition.type() == "file":
                 problem = self._check_file(definition, parameters.get(definition.name()))
-            elif definition.type() == "raster" and not is_empty(parameters.get(definition.name())):
+            elif definition.type() in ("raster", "multilayer") and not is_empty(parameters.get(definition.name())):
                 problem = self._check_raster(definition.name(), parameters[definition.name()], context)
             if problem:
                 return False, problem
@@ -190,8 +190,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if isinstance(item, str) and not os.path.exists(item.split("|")[0]):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
             if isinstance(item, QgsMapLayer) and not isinstance(item, QgsVectorLayer):
-                return self.tr("The layer '{layer}' of {name} holds no points: choose a point layer or a CSV "
-                               "file.").format(layer=item.name(), name=name)
+                return self.tr("The layer '{layer}' of {name} is a raster: choose a vector layer or a table.").format(
+                    layer=item.name(), name=name)
         return ""
 
     def _check_raster(self, name: str, value: object, context: QgsProcessingContext) -> str:

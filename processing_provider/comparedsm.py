@@ -6,6 +6,7 @@ import re
 from typing import Any, Mapping
 
 from qgis.core import (
+    QgsProcessing,
     QgsProcessingContext,
     QgsProcessingOutputNumber,
     QgsProcessingParameterRasterDestination,
@@ -51,6 +52,18 @@ class CompareDsm(RepmAlgorithm):
             parameters.helped(QgsProcessingParameterString(
                 "THRESHOLDS", self.tr("Thresholds of the completeness (m)"), "1; 2.5; 5"),
                 self.tr("The part of the reference's cells whose height is right to within each of these.")),
+            parameters.helped(parameters.Rasters(
+                "OTHERS", self.tr("Further DSMs for the same table"), QgsProcessing.SourceType.TypeRaster,
+                optional=True),
+                self.tr("Other DSMs of the same ground, such as another program's: the report puts all side by side, "
+                        "each aligned for itself.")),
+            parameters.helped(parameters.Raster("CLASSES", self.tr("Class raster"), optional=True),
+                              self.tr("Whole numbers such as those of a land cover map or a mask, in any CRS: the "
+                                      "report gives the errors of each class.")),
+            parameters.helped(parameters.Points(
+                "PROFILES", self.tr("Profile lines"), [QgsProcessing.SourceType.TypeVectorLine], optional=True),
+                self.tr("Lines to show the heights along, named by their field 'name'. Empty: twice through the "
+                        "middle.")),
             QgsProcessingParameterRasterDestination("ERROR", self.tr("Height error"), optional=True),
             parameters.report()]
 

@@ -89,6 +89,16 @@ class Raster(QgsProcessingParameterRasterLayer):
         return Raster(self)
 
 
+class Rasters(QgsProcessingParameterMultipleLayers):
+    """Several of :class:`Raster`."""
+
+    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+        return super().checkValueIsAcceptable(input)
+
+    def clone(self) -> Rasters:
+        return Rasters(self)
+
+
 class Points(QgsProcessingParameterVectorLayer):
     """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and names what is
     wrong in them."""

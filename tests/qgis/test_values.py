@@ -151,3 +151,13 @@ def test_thresholds_are_read_with_any_separator(plugin):
     from repm.processing_provider.comparedsm import thresholds
 
     assert thresholds("1;2.5; 5") == thresholds("1, 2.5 5") == [1.0, 2.5, 5.0]
+
+
+def test_further_rasters_are_checked_one_by_one(plugin, context, rasters, tmp_path):
+    gone = str(tmp_path / "gone.tif")
+    given = {"DSM": rasters[0], "REFERENCE": rasters[1], "THRESHOLDS": "1"}
+    assert check("comparedsm", {**given, "OTHERS": [rasters[0]]}, context)[0]  # one is enough: these are no images
+    fine, text = check("comparedsm", {**given, "OTHERS": [rasters[0], gone]}, context)
+    assert not fine and f"OTHERS '{gone}' is not there" in text
+    fine, text = check("comparedsm", {**given, "PROFILES": gone}, context)
+    assert not fine and f"PROFILES '{gone}' is not there" in text

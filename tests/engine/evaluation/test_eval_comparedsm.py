@@ -377,7 +377,8 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
     to_degrees = Transformer.from_crs("EPSG:32631", 4326, always_xy=True)
     path = line_layer(str(tmp_path / "cuts.gpkg"), "EPSG:4326",
                       ridge=[to_degrees.transform(ORIGIN[0] + x, ORIGIN[1] + y) for x, y in corners])
-    a, b = gdal.Open(make_raster("dsm.tif", terrain(200, 240) + 2)), gdal.Open(make_raster("ref.tif", terrain(200, 240)))
+    a = gdal.Open(make_raster("dsm.tif", terrain(200, 240) + 2))
+    b = gdal.Open(make_raster("ref.tif", terrain(200, 240)))
     lines = read_lines(path, Grid.of(b))
     assert [line.name for line in lines] == ["ridge"]
     (profile,) = compare_rasters(a, b, "none", (1.0,), Silent(), lines=lines).profiles
