@@ -513,6 +513,14 @@
         <translation>EGM96, EGM2008 oder irgendein Höhensystem, das PROJ kennt, etwa EPSG:5773. Sein Gitter muss installiert sein: Der Umgebungsbericht nennt, was fehlt.</translation>
     </message>
     <message>
+        <source>Heights refer to (empty: the WGS 84 ellipsoid)</source>
+        <translation>Höhen beziehen sich auf (leer: das Ellipsoid WGS 84)</translation>
+    </message>
+    <message>
+        <source>EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773; it is written into the DSM's CRS. Its grid must be installed: without it the run stops, and names the grid.</source>
+        <translation>EGM96, EGM2008 oder jedes Höhen-KBS, das PROJ kennt, etwa EPSG:5773; es steht dann im KBS des DOM. Sein Gitter muss installiert sein: Ohne es hält der Lauf an und nennt das Gitter.</translation>
+    </message>
+    <message>
         <source>Correction of the images' pointing</source>
         <translation>Korrektur der Ausrichtung der Bilder</translation>
     </message>

@@ -236,7 +236,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         for name, (title, style) in self.LAYERS.items():
             if outputs.get(name):
                 styles.dress(context, feedback, kept_as.get(name, ""), outputs[name],
-                             self._layer_name(title, options), style, vectors)
+                             self._layer_name(title, options, result), style, vectors)
         if isinstance(result.get("seconds"), dict):
             feedback.pushInfo(self.tr("Seconds: {stages}").format(
                 stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())))
@@ -250,10 +250,13 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         run = engine.run_apart if self.HEAVY else engine.run_here
         return run(self.ID, options, feedback)
 
-    def _layer_name(self, title: str, options: Mapping[str, Any]) -> str:
-        """The kind of layer and the scene it is of: the workspace's name, else the first image's."""
+    def _layer_name(self, title: str, options: Mapping[str, Any], result: Mapping[str, Any]) -> str:
+        """The kind of layer, the scene it is of (the workspace's name, else the first image's), and a DSM's datum."""
         folder = options.get("workspace") or os.path.dirname(options.get("scene") or options.get("dsm") or "")
         temporary = os.path.abspath(QgsProcessingUtils.tempFolder())
         names = [] if os.path.abspath(folder or temporary).startswith(temporary) else [os.path.basename(folder)]
         names += [os.path.splitext(os.path.basename(path))[0] for path in options.get("images") or []]
-        return f"{self.tr(title)} {names[0]}" if names else self.tr(title)
+        words = [self.tr(title), *names[:1]]
+        if title == "DSM" and result.get("vertical_datum"):
+            words.append(f"({result['vertical_datum']})")
+        return " ".join(words)

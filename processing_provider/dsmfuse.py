@@ -24,8 +24,8 @@ class DsmFuse(RepmAlgorithm):
         return self.tr("One DSM from the height maps of all pairs, without outliers, with its confidence.")
 
     def parameters(self) -> list:
-        return [parameters.scene(), parameters.resolution(), parameters.crs(), *parameters.fusion(),
-                *parameters.dsm_products()]
+        return [parameters.scene(), parameters.resolution(), parameters.crs(), parameters.vertical_datum(),
+                *parameters.fusion(), *parameters.dsm_products()]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]

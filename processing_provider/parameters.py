@@ -140,6 +140,13 @@ def gcp_datum() -> QgsProcessingParameterDefinition:
            "Environment report names what is missing.")))
 
 
+def vertical_datum() -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterString(
+        "VERTICAL_DATUM", tr("Heights refer to (empty: the WGS 84 ellipsoid)"), "", optional=True),
+        tr("EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773; it is written into the DSM's CRS. "
+           "Its grid must be installed: without it the run stops, and names the grid."))
+
+
 def pointing() -> QgsProcessingParameterDefinition:
     from ..repm_qgis.options import POINTINGS
 

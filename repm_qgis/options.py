@@ -231,7 +231,8 @@ class DsmFuseOptions(Options):
     """Fuse height maps into a DSM.
 
     ``resolution`` in units of the CRS, 0 = twice the ground sampling distance; ``crs`` any projected CRS, None the
-    scene's UTM zone. ``method`` of the cells' heights across pairs. ``fill``: cells that one image
+    scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
+    the cells' heights across pairs. ``fill``: cells that one image
     hides from the other take the background's height, or none. ``outlier_radius`` in metres, None = from the
     data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted.
     """
@@ -247,6 +248,7 @@ class DsmFuseOptions(Options):
     ortho: Optional[str] = None
     cloud: Optional[str] = None
     workers: int = 0
+    vertical_datum: str = ""
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
@@ -296,6 +298,7 @@ class PipelineOptions(Options):
     report: Optional[str] = None
     command: Optional[str] = None
     workers: int = 0
+    vertical_datum: str = ""
 
     def __post_init__(self) -> None:
         # The stages' own options check everything else; building them here makes a wrong value fail at once.

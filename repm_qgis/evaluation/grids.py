@@ -13,6 +13,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, vertical_operations, vertical_part
+from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery import raster
 from ..imagery.sampling import sample
 from .coregistration import Alignment
@@ -41,6 +42,9 @@ class Grid:
     @classmethod
     def of(cls, dataset: gdal.Dataset) -> Grid:
         reference = dataset.GetSpatialRef()
+        if reference is not None and dataset.GetMetadataItem(TAG) == ELLIPSOID and reference.GetAxesCount() == 2:
+            reference = reference.Clone()
+            reference.PromoteTo3D("")  # our own DSMs say it there: GeoTIFF keys cannot
         wkt = reference.ExportToWkt(["FORMAT=WKT2_2018"]) if reference is not None else ""
         return cls(
             dataset.GetDescription(),

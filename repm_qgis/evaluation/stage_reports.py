@@ -123,12 +123,13 @@ def _surface(report: Report, products: Mapping[str, Any]) -> None:
     low, high = pictures.spread(values)
     report.png(pictures.png_bytes(pictures.shaded_relief(values, cell)), "The DSM, shaded from the north-west, north "
                "up. White: no height was matched there.")
-    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, "m above the ellipsoid"))
+    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, f"m above the {products['vertical_datum']}"))
     known = values[np.isfinite(values)]
     report.facts([("Cell size", f"{products['resolution']:g} m"),
                   ("Cells with a height", f"{products['valid']} of {products['cells']} ("
                                           f"{products['valid_percent']:.1f} %)"),
-                  ("Heights", f"{known.min():.1f} to {known.max():.1f} m above the WGS 84 ellipsoid"),
+                  ("Heights", f"{known.min():.1f} to {known.max():.1f} m above the "
+                              f"{products['vertical_datum']}"),
                   ("CRS", products["crs"])])
 
 

@@ -147,12 +147,6 @@ class RasterWriter:
         """
         self._checked(lambda dataset: dataset.FlushCache())
 
-    def build_overviews(self, shape: Tuple[int, int]) -> None:
-        """Reduced copies by 2, 4, 8 ... down to some 256 px, for quick display. Raises WorkspaceError."""
-        factors = [2 ** k for k in range(1, 8) if max(shape) >> k >= 256] or [2]
-        self.flush()
-        self._checked(lambda dataset: dataset.BuildOverviews("AVERAGE", factors))
-
     def close(self) -> None:
         """Let the file go: it can be renamed only then (Windows), and is whole only then. Raises WorkspaceError."""
         dataset, self._dataset = self._dataset, None
@@ -183,14 +177,13 @@ class RasterWriter:
 
 def write(path: str, bands: Sequence[NDArray], geotransform: Optional[Sequence[float]], crs_wkt: str, *,
           nodata: Optional[float] = NODATA, descriptions: Sequence[str] = (), metadata: Optional[dict] = None,
-          unit: str = "", overviews: bool = False, compress: bool = True) -> str:
+          unit: str = "", cog: bool = False, compress: bool = True) -> str:
     """Write bands (each (height, width), NaN = nodata for floats) as a tiled GeoTIFF, whole or not at all.
 
     Raises WorkspaceError where the file cannot be written. Returns ``path``.
     """
     with created(path, bands[0].shape, bands[0].dtype, len(bands), geotransform, crs_wkt, nodata=nodata,
-                 descriptions=descriptions, metadata=metadata, unit=unit, overviews=overviews,
-                 compress=compress) as writer:
+                 descriptions=descriptions, metadata=metadata, unit=unit, cog=cog, compress=compress) as writer:
         for index, values in enumerate(bands, start=1):
             writer.write(values, band=index)
     return path
@@ -199,26 +192,46 @@ def write(path: str, bands: Sequence[NDArray], geotransform: Optional[Sequence[f
 @contextmanager
 def created(path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, geotransform: Optional[Sequence[float]],
             crs_wkt: str, *, nodata: Optional[float] = NODATA, descriptions: Sequence[str] = (),
-            metadata: Optional[dict] = None, unit: str = "", overviews: bool = False,
+            metadata: Optional[dict] = None, unit: str = "", cog: bool = False,
             compress: bool = True) -> Iterator[RasterWriter]:
     """A new GeoTIFF to fill by window: it takes its name only when the block ends without an error.
 
-    ``geotransform`` None: an image in its sensor's geometry.
+    ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews, for
+    what people look at; it is written anew from the filled one, since tiles come in no order that a COG allows.
     """
     temporary = temporary_name(path)
+    whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
     writer = RasterWriter(_create(temporary, path, shape, np.dtype(dtype), bands, compress), path)
     try:
         _describe(writer._dataset, geotransform, crs_wkt, nodata, descriptions, metadata, unit)
         yield writer
-        if overviews and max(shape) > 512:
-            writer.build_overviews(shape)
         writer.flush()
         writer.close()
+        if cog:
+            _to_cog(temporary, whole, path, np.dtype(dtype))
+            os.replace(whole, temporary)
         take_name(temporary, path)
     finally:
         writer.abandon()
-        if os.path.exists(temporary):
-            os.unlink(temporary)
+        for part in (temporary, whole, whole + ".ovr.tmp", whole + ".msk.ovr.tmp"):
+            if os.path.exists(part):
+                os.unlink(part)
+
+
+def _to_cog(source: str, target: str, path: str, dtype: np.dtype) -> None:
+    """The same raster with overviews in the order that the Cloud Optimized GeoTIFF layout wants."""
+    options = ["COMPRESS=DEFLATE", "LEVEL=1", f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}",
+               "OVERVIEWS=IGNORE_EXISTING", "RESAMPLING=AVERAGE", "BLOCKSIZE=256", "BIGTIFF=IF_SAFER"]
+    with opened(source) as dataset, quiet():
+        try:
+            copy = gdal.GetDriverByName("COG").CreateCopy(target, dataset, options=options)
+            reason = _failure() if copy is not None else _reason()
+        except RuntimeError as error:
+            reason = _reason(error)
+        copy = None  # noqa: F841 - closes it
+        reason = reason or _failure()
+    if reason:
+        raise WorkspaceError(f"Cannot write '{path}': {reason}. Is the disk full?")
 
 
 def _create(temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int,

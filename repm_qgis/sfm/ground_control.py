@@ -13,16 +13,15 @@ import pyproj
 from numpy.typing import NDArray
 from osgeo import gdal, ogr
 
-from ..errors import InputTableError, OptionError
+from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, vertical_operations
+from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
 
 FloatArray = NDArray[np.float64]
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
-DATUMS = {"ellipsoid": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
-"""Names of vertical datums that people say, and PROJ's for them; "" is the WGS 84 ellipsoid."""
 
 _MOST_BYTES = 64 << 20
 _MOST_ROWS = 1_000_000
@@ -60,12 +59,12 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     Fields ``id, lon, lat, height, view, col, row, role``: ``view`` is the image's file name (with or without its
     extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
     A layer may have its place in its geometry instead of lon and lat. ``views`` None reads places and heights only.
-    ``datum`` is what heights refer to: a name of :data:`DATUMS`, or any vertical CRS that PROJ knows; None or "" is
-    the WGS 84 ellipsoid.
+    ``datum`` is what heights refer to: a name of :data:`repm_qgis.geometry.vertical.DATUMS`, or any vertical CRS that
+    PROJ knows; None or "" is the WGS 84 ellipsoid.
 
     Raises InputTableError with the file, the row and the value that is wrong, OptionError for an unknown datum.
     """
-    vertical = vertical_datum(datum)
+    vertical = vertical_crs(datum, "GCP_DATUM")
     file, layer = points_file(path)
     rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
     points: Dict[str, Gcp] = {}
@@ -170,31 +169,14 @@ def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]
         yield line, row
 
 
-def vertical_datum(text: Optional[str]) -> Optional[pyproj.CRS]:
-    """What heights refer to, longitude and latitude in WGS 84 included; None for the WGS 84 ellipsoid.
-
-    Raises OptionError where PROJ knows no vertical CRS of that name.
-    """
-    name = DATUMS.get((text or "").strip().lower(), (text or "").strip())
-    if not name:
-        return None
-    try:
-        vertical = pyproj.CRS.from_user_input(name)
-        parts = vertical.sub_crs_list or [vertical]
-        return pyproj.crs.CompoundCRS("points", ["EPSG:4326", next(part for part in parts if part.is_vertical)])
-    except (pyproj.exceptions.ProjError, StopIteration) as error:
-        raise OptionError("GCP_DATUM", text, "is no vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a "
-                          "code such as EPSG:5773") from error
-
-
 def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> List[Gcp]:
     """The points with heights above the ellipsoid; raises InputTableError where PROJ lacks the grid."""
     if vertical is None:
         return gcps
     places = np.array([gcp.lon_lat_h for gcp in gcps])
     bounds = (*(places[:, :2].min(axis=0) - 0.01), *(places[:, :2].max(axis=0) + 0.01))
-    group, missing = vertical_operations(vertical, pyproj.CRS.from_user_input("EPSG:4979"), bounds)
-    name = vertical.sub_crs_list[1].name
+    group, missing = vertical_operations(with_wgs84(vertical), pyproj.CRS.from_user_input("EPSG:4979"), bounds)
+    name = vertical.name
     if not group.transformers:
         grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
         raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {name} to the ellipsoid: {grids}. "

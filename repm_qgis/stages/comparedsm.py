@@ -73,7 +73,7 @@ def _error_raster(path: str, reference: gdal.Dataset) -> Any:
         reference.GetProjection(),
         descriptions=["DSM - reference"],
         unit="m",
-        overviews=True,
+        cog=True,
     )
 
 

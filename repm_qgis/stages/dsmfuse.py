@@ -20,13 +20,16 @@ from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.tiles import enclosing
+from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.raster import created
+from ..imagery.sampling import upsample_grid
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, Tile
 from ..workspace import ensure_folder, temporary_name
 
+_LATTICE = 17   # nodes a side of the undulation over a tile
 _CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score",
                      "filled from the background of an occlusion (1)")
 
@@ -40,10 +43,12 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         raise SceneError(f"The scene '{options.scene}' has no height maps: run 'Reconstruct heights' first.")
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
+    datum = HeightDatum.of(options.vertical_datum)
+    datum.require(scene.frame.lon, scene.frame.lat)
     grid, windows = _layout(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
     radius = automatic_radius(grid.cell) if options.outlier_radius is None else options.outlier_radius
-    progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}; outlier radius "
-                  f"{radius:g} m.")
+    progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}, heights above the "
+                  f"{datum.name}; outlier radius {radius:g} m.")
     views = tuple(nadir_first(scene)) if options.ortho else ()
     tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, options.fill,
                       radius, views, bool(options.cloud)) for tile, window in zip(tiles, windows)]
@@ -52,7 +57,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         ensure_folder(folder)
         stored = run_tasks(fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)], options.workers,
                            progress, lambda work: f"fusing {work[0].records[0]['tile']}")
-        facts = _write(options, scene, grid, crs, windows, stored)
+        facts = _write(options, scene, grid, crs, datum, windows, stored)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     _check(facts, progress)
@@ -60,7 +65,8 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
                   f"{facts['removed']} lonely cells removed.")
     progress.step(1.0, "DSM fused")
     return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
-            "cloud": options.cloud, "seconds": round(time.monotonic() - start, 3), **facts}
+            "cloud": options.cloud, "vertical_datum": datum.name,
+            "seconds": round(time.monotonic() - start, 3), **facts}
 
 
 def _round_cell(cell: float) -> float:
@@ -77,27 +83,27 @@ def _layout(scene: Scene, tiles: List[Tile], crs: str,
     return grid, [grid.window(box) for box in boxes]
 
 
-def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
+def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str, datum: HeightDatum,
            windows: List[Tuple[int, int, int, int]], stored: List[StoredTile]) -> Dict[str, Any]:
     wkt = pyproj.CRS.from_user_input(crs).to_wkt()
     metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method,
-                "VERTICAL_DATUM": "height above the WGS 84 ellipsoid (m)"}
+                TAG: datum.name}
     crop = _valid_part(grid, windows, stored)
     valid, cells = sum(tile.valid for tile in stored), sum(tile.cells for tile in stored)
     if not valid:
         raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     with ExitStack() as stack:
-        def raster(path: Optional[str], bands: Tuple[str, ...], unit: str) -> Any:
+        def raster(path: Optional[str], bands: Tuple[str, ...], unit: str, file_crs: str = wkt) -> Any:
             if not path:
                 return None
             return stack.enter_context(created(
-                path, (crop[3], crop[2]), np.dtype(np.float32), len(bands), grid.part(crop).geotransform, wkt,
-                descriptions=bands, metadata=metadata, unit=unit, overviews=True))
+                path, (crop[3], crop[2]), np.dtype(np.float32), len(bands), grid.part(crop).geotransform, file_crs,
+                descriptions=bands, metadata=metadata, unit=unit, cog=True))
 
-        dsm = raster(options.output, ("height above the WGS 84 ellipsoid (m)",), "m")
+        dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", datum.file_crs(crs))
         confidence = raster(options.confidence, _CONFIDENCE_BANDS, "")
         ortho = raster(options.ortho, ("brightness",), "")
-        cloud = stack.enter_context(created_cloud(options.cloud, crs, (grid.west, grid.north, 0.0))) \
+        cloud = stack.enter_context(created_cloud(options.cloud, datum.file_crs(crs), (grid.west, grid.north, 0.0))) \
             if options.cloud else None
         for window, tile in zip(windows, stored):
             place, cut = _placed(window, crop)
@@ -106,19 +112,29 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str,
             result = tile.load()
             fused = result.fused
             keep = result.own is not None
-            _put(dsm, [fused.height], place, cut, keep)
+            _put(dsm, [fused.height - _undulation(datum, crs, grid.part(window))], place, cut, keep)
             count = np.where(fused.count > 0, fused.count, np.nan)
             filled = np.where(np.isfinite(fused.height), result.filled, np.nan)
             _put(confidence, [count, fused.spread, fused.score, filled], place, cut, keep)
             _put(ortho, [result.ortho], place, cut, keep)
             if cloud is not None:
-                cloud.write(*result.points.T)
+                x, y, height, score = result.points.T
+                cloud.write(x, y, height - datum.undulation(crs, np.column_stack([x, y])), score)
         points = cloud.count if cloud is not None else 0
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
         if path:
             write_style(kind, path)
     return {"cells": cells, "valid": valid, "valid_percent": 100.0 * valid / cells, "points": points,
             "removed": sum(tile.removed for tile in stored), "resolution": grid.cell, "crs": crs}
+
+
+def _undulation(datum: HeightDatum, crs: str, grid: CellGrid) -> np.ndarray:
+    """(rows, columns) to take off ellipsoidal heights; geoids are smooth, and evaluated on a lattice."""
+    xs, ys = grid.centres()
+    if not datum.code or not len(xs) or not len(ys):
+        return np.zeros(grid.shape)
+    nodes = np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE))
+    return upsample_grid(datum.undulation(crs, np.stack(nodes, axis=-1)), grid.shape)
 
 
 def _valid_part(grid: CellGrid, windows: List[Tuple[int, int, int, int]],

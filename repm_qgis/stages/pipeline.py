@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict
 
 from ..evaluation.stage_reports import pipeline_report
+from ..geometry.vertical import HeightDatum
 from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
@@ -26,6 +27,7 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
             ensure_folder(str(Path(path).parent))
     if options.gcps:  # nor at a table's misspelt field
         read_gcps(options.gcps, load_views(options.images, options.rpcs), options.gcp_datum)
+    datum = HeightDatum.of(options.vertical_datum)
     fitted, refined, scene_path = (str(folder / name) for name in ("scene.json", "refined.json", "reconstructed.json"))
     seconds: Dict[str, float] = {}
     begin = 0.0
@@ -40,6 +42,8 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
         return result
 
     first = stage("epmfit", "Pinhole cameras", lambda p: epmfit.run(options.fit_options(), p))
+    middle = Scene.load(fitted).frame
+    datum.require(middle.lon, middle.lat)
     surface = options.dem if options.model == "terrain" else None
     stage("refine", "Refinement", lambda p: refine.run(
         RefineOptions(fitted, refined, options.model, surface, options.order, write_images=False), p))
@@ -50,7 +54,7 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,
-        options.confidence, options.ortho, options.cloud, options.workers), p))
+        options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum), p))
     report_path = options.report or str(folder / "report.html")
     products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
                 "tie_points": heights["tie_points"], "heights": heights["heights"]}

@@ -64,11 +64,12 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     assert found["chosen"] == "repm:pipeline"
     assert found["success"]
     layers = {layer["name"]: layer for layer in found["layers"]}
-    assert {"DSM old town", "Tiles old town", "Tie points old town"} <= set(layers)
-    assert layers["DSM old town"]["renderer"] == "QgsSingleBandPseudoColorRenderer"
+    assert {"DSM old town (WGS 84 ellipsoid)", "Tiles old town", "Tie points old town"} <= set(layers)
+    assert layers["DSM old town (WGS 84 ellipsoid)"]["renderer"] == "QgsSingleBandPseudoColorRenderer"
     assert layers["Tiles old town"]["renderer"] == "QgsGraduatedSymbolRenderer"
     assert layers["Tie points old town"]["renderer"] != "QgsSingleSymbolRenderer"
-    assert [layer["name"] for layer in found["layers"]].index("DSM old town") == len(layers) - 1  # hides nothing
+    names = [layer["name"] for layer in found["layers"]]
+    assert names.index("DSM old town (WGS 84 ellipsoid)") == len(layers) - 1  # hides nothing
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())
 
 

@@ -64,12 +64,13 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
 
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline").create()
     images = ["/data/IMG_1.tif", "/data/IMG_2.tif"]
-    assert algorithm._layer_name("DSM", {"workspace": "/work/giza", "images": images}) == "DSM giza"
+    assert algorithm._layer_name("DSM", {"workspace": "/work/giza", "images": images}, {}) == "DSM giza"
     temporary = QgsProcessingUtils.tempFolder() + "/abc/WORKSPACE"
-    assert algorithm._layer_name("DSM", {"workspace": temporary, "images": images}) == "DSM IMG_1"
+    assert algorithm._layer_name("DSM", {"workspace": temporary, "images": images}, {}) == "DSM IMG_1"
     fuse = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
-    assert fuse._layer_name("DSM", {"scene": "/work/giza/scene.json"}) == "DSM giza"
-    assert fuse._layer_name("DSM", {"scene": temporary + "/scene.json"}) == "DSM"
+    above = {"vertical_datum": "EGM96 height"}
+    assert fuse._layer_name("DSM", {"scene": "/work/giza/scene.json"}, above) == "DSM giza (EGM96 height)"
+    assert fuse._layer_name("DSM", {"scene": temporary + "/scene.json"}, above) == "DSM (EGM96 height)"
 
 
 def test_height_errors_are_styled_about_zero(load, sample, tmp_path):

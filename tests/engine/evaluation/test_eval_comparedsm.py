@@ -223,6 +223,21 @@ def ellipsoidal_utm31():
     return CRS("EPSG:32631").to_3d().to_wkt("WKT2_2019")
 
 
+def test_our_own_dsms_say_that_they_are_ellipsoidal(make_raster, terrain):
+    """Without a vertical CRS, which GeoTIFF keys cannot hold, but in the metadata."""
+    group = TransformerGroup("EPSG:4979", "EPSG:4326+5773", always_xy=True, allow_ballpark=False)
+    if not group.transformers:
+        pytest.skip("PROJ's EGM96 grid is not installed")
+    lon, lat = Transformer.from_crs("EPSG:32631", 4326, always_xy=True).transform(500025.0, 4999975.0)
+    a = make_raster("dsm.tif", terrain(100, 100) - group.transformers[0].transform(lon, lat, 0.0)[2])
+    dataset = gdal.Open(a, gdal.GA_Update)
+    dataset.SetMetadataItem("VERTICAL_DATUM", "WGS 84 ellipsoid")
+    dataset = None  # noqa: F841
+    watch = Watch()
+    got = compare(a, make_raster("ref.tif", terrain(100, 100), crs="EPSG:32631+5773"), watch)
+    assert abs(got["bias"]) < 0.01 and got["nmad"] < 0.01 and not watch.warnings
+
+
 def test_missing_vertical_grid_is_named(make_raster, terrain):
     group = TransformerGroup("EPSG:4979", "EPSG:4326+3855", always_xy=True, allow_ballpark=False)
     if group.transformers:

@@ -47,7 +47,7 @@ def test_what_is_written_is_read(tmp_path):
 
 def test_overviews_leave_nodata_out(tmp_path):
     path, values = str(tmp_path / "a.tif"), heights(1200, 900)
-    write(path, [values], TRANSFORM, WKT, overviews=True)
+    write(path, [values], TRANSFORM, WKT, cog=True)
     dataset = gdal.Open(path)
     first = dataset.GetRasterBand(1).GetOverview(0)
     assert (first.XSize, first.YSize) == (450, 600) and dataset.GetRasterBand(1).GetOverviewCount() >= 2
@@ -56,6 +56,28 @@ def test_overviews_leave_nodata_out(tmp_path):
     expected = values[200:, 200:].reshape(500, 2, 350, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(small[100:, 100:], expected, atol=1e-3)
     assert set(np.unique(small[small < 0])) == {-9999.0}
+
+
+@pytest.mark.parametrize("shape, dtype", (((1200, 900), "float32"), ((300, 300), "float32"), ((1100, 1300), "uint8")))
+def test_products_pass_gdals_own_cog_validation(tmp_path, shape, dtype):
+    from osgeo_utils.samples.validate_cloud_optimized_geotiff import validate
+
+    path, values = str(tmp_path / "a.tif"), heights(*shape)
+    values = values if dtype == "float32" else np.nan_to_num(values, nan=0).astype(np.uint8)
+    with created(path, shape, np.dtype(dtype), 2, TRANSFORM, WKT, nodata=-9999.0 if dtype == "float32" else 0,
+                 descriptions=("first", "second"), unit="m", metadata={"NOTE": 5}, cog=True) as writer:
+        for row in range(0, shape[0], 256):  # by windows, as tiles come
+            for band in (1, 2):
+                writer.write(values[row:row + 256], 0, row, band)
+    warnings, errors, _ = validate(path, full_check=True)
+    assert not errors and not warnings
+    with opened(path) as dataset:
+        np.testing.assert_array_equal(read(dataset, band=2)[250:260], np.where(
+            values == 0, np.nan, values)[250:260] if dtype == "uint8" else values[250:260])
+        band = dataset.GetRasterBand(2)
+        assert (band.GetDescription(), band.GetUnitType()) == ("second", "m")
+        assert dataset.GetMetadataItem("NOTE") == "5" and dataset.GetMetadataItem("COMPRESSION", "IMAGE_STRUCTURE")
+    assert os.listdir(tmp_path) == ["a.tif"]
 
 
 @pytest.mark.parametrize("dtype, nodata", (("uint8", 0), ("uint16", 65535), ("float32", -32768.0),

@@ -9,7 +9,8 @@ from osgeo import ogr, osr
 
 from repm_qgis.errors import InputTableError, OptionError
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.sfm.ground_control import Gcp, intersect, read_gcps, vertical_datum
+from repm_qgis.geometry.vertical import vertical_crs
+from repm_qgis.sfm.ground_control import Gcp, intersect, read_gcps
 
 HEADER = "id,lon,lat,height,view,col,row,role"
 
@@ -169,7 +170,7 @@ def test_a_missing_grid_is_named(table):
 @pytest.mark.parametrize("name", ("geoid", "EPSG:4326", "EPSG:32631", "EPSG:9999999"))
 def test_what_is_no_vertical_datum(name):
     with pytest.raises(OptionError, match=f"GCP_DATUM is '{name}': it is no vertical CRS .* EGM96, EGM2008"):
-        vertical_datum(name)
+        vertical_crs(name, "GCP_DATUM")
 
 
 @pytest.fixture(params=("urban", "mountains"))

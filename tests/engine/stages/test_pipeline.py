@@ -248,3 +248,48 @@ def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_pat
     assert np.nanmedian(np.abs(other - own)) < 0.15
     # Cells within a millimetre of a border belong to both tiles.
     assert fused["valid"] == pytest.approx(np.isfinite(height).sum(), abs=20)
+
+
+def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_run, tmp_path, told):
+    import pyproj
+    from pyproj.transformer import TransformerGroup
+
+    if not TransformerGroup("EPSG:4979", "EPSG:4326+5773", always_xy=True, allow_ballpark=False).transformers:
+        pytest.skip("PROJ's EGM96 grid is not installed")
+    scene, said = Scene.load(urban_run.result["scene"]), told()
+    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"),
+                                  "resolution": 0.5, "cloud": str(tmp_path / "c.laz"), "vertical_datum": "EGM96"}, said)
+    (ellipsoidal,), transform = bands(urban_run.result["output"])
+    (geoid,), same = bands(str(tmp_path / "dsm.tif"))
+    assert same == transform and np.array_equal(np.isnan(ellipsoidal), np.isnan(geoid))
+    rows, cols = np.indices(geoid.shape)
+    x, y = transform[0] + (cols + 0.5) * transform[1], transform[3] + (rows + 0.5) * transform[5]
+    lon, lat = pyproj.Transformer.from_crs(scene.crs, 4326, always_xy=True).transform(x, y)
+    undulation = -pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4326+5773", always_xy=True).transform(
+        lon, lat, np.zeros(lon.shape))[2]
+    known = np.isfinite(geoid)
+    assert np.abs(ellipsoidal - geoid - undulation)[known].max() < 0.01 and np.abs(undulation).min() > 1
+    # Said in the file's CRS, the log and the result; and the cloud lies on the same surface.
+    dataset = gdal.Open(str(tmp_path / "dsm.tif"))
+    crs = pyproj.CRS.from_wkt(dataset.GetSpatialRef().ExportToWkt(["FORMAT=WKT2_2018"]))
+    assert crs.sub_crs_list[1].name == "EGM96 height" and dataset.GetMetadataItem("VERTICAL_DATUM") == "EGM96 height"
+    dataset = None
+    assert any("EGM96 height" in note for note in said.notes) and fused["vertical_datum"] == "EGM96 height"
+    old, new = laspy.read(urban_run.result["cloud"]), laspy.read(str(tmp_path / "c.laz"))
+    assert len(old) == len(new)
+    assert np.abs(old.z - new.z - undulation[known].mean()).max() < 0.02
+    assert "EGM96" in new.header.parse_crs().to_wkt()
+
+
+def test_a_missing_geoid_stops_the_run_before_the_work(urban, tmp_path, told):
+    from pyproj.transformer import TransformerGroup
+
+    from repm_qgis.errors import MissingPackageError
+
+    if TransformerGroup("EPSG:4979", "EPSG:4326+3855", always_xy=True, allow_ballpark=False).transformers:
+        pytest.skip("PROJ's EGM2008 grid is installed here")
+    said = told()
+    with pytest.raises(MissingPackageError, match="us_nga_egm08_25"):
+        run_stage("pipeline", {"images": urban.images, "workspace": str(tmp_path / "ws"), "vertical_datum": "EGM2008",
+                               "output": str(tmp_path / "dsm.tif")}, said)
+    assert max(said.fractions) < 0.2 and not (tmp_path / "dsm.tif").exists()

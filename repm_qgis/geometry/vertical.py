@@ -1,0 +1,121 @@
+"""What heights refer to: the WGS 84 ellipsoid, a geoid, or any other vertical CRS that PROJ knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Optional, Tuple
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from ..errors import MissingPackageError, OptionError
+from .frames import geodetic_from_projected, vertical_operations
+
+FloatArray = NDArray[np.float64]
+
+DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
+"""Names of vertical datums that people say, and PROJ's for them; "" is the WGS 84 ellipsoid."""
+
+ELLIPSOID = "WGS 84 ellipsoid"
+TAG = "VERTICAL_DATUM"
+"""The metadata item of a raster with the name of its heights' datum."""
+
+_ELLIPSOIDAL = "EPSG:4979"
+
+
+def vertical_crs(text: Optional[str], option: str) -> Optional[pyproj.CRS]:
+    """The vertical CRS that a text names; None for the WGS 84 ellipsoid ("" means that too).
+
+    Raises OptionError, with the option's name, where PROJ knows no vertical CRS of that name.
+    """
+    name = DATUMS.get((text or "").strip().lower(), (text or "").strip())
+    if not name:
+        return None
+    try:
+        crs = pyproj.CRS.from_user_input(name)
+        return next(part for part in (crs.sub_crs_list or [crs]) if part.is_vertical)
+    except (pyproj.exceptions.ProjError, StopIteration) as error:
+        raise OptionError(option, text, "is no vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a "
+                          "code such as EPSG:5773") from error
+
+
+def with_wgs84(vertical: pyproj.CRS) -> pyproj.CRS:
+    """Longitude and latitude in WGS 84 with heights of a vertical CRS."""
+    return pyproj.crs.CompoundCRS("points", ["EPSG:4326", vertical])
+
+
+@dataclass(frozen=True)
+class HeightDatum:
+    """What a product's heights refer to; ``code`` is PROJ's name of a vertical CRS, "" the WGS 84 ellipsoid."""
+
+    code: str
+    name: str
+
+    @classmethod
+    def of(cls, text: Optional[str], option: str = "VERTICAL_DATUM") -> HeightDatum:
+        """Raises OptionError where PROJ knows no vertical CRS of that name."""
+        crs = vertical_crs(text, option)
+        if crs is None:
+            return cls("", ELLIPSOID)
+        authority = crs.to_authority()
+        return cls(":".join(authority) if authority else crs.to_wkt("WKT2_2019"), crs.name)
+
+    def file_crs(self, horizontal: str) -> str:
+        """WKT 2 of a horizontal CRS with this vertical part, as it is written into files.
+
+        Ellipsoidal heights leave it horizontal: GDAL (3.6) can keep a projected CRS of three axes only in a side file,
+        without which the raster has no CRS at all, and QGIS 3.22 knows it as no EPSG code. The file says its datum in
+        the metadata item ``VERTICAL_DATUM`` in any case.
+        """
+        flat = pyproj.CRS.from_user_input(horizontal)
+        if not self.code:
+            return flat.to_wkt("WKT2_2019")
+        return pyproj.crs.CompoundCRS(f"{flat.name} + {self.name}", [flat, self.code]).to_wkt("WKT2_2019")
+
+    def require(self, lon: float, lat: float) -> None:
+        """See that heights can be turned at a place, before hours are spent; raises MissingPackageError."""
+        if self.code:
+            self._operation(_bounds(np.array([[lon, lat]])))
+
+    def undulation(self, crs: str, xy: FloatArray) -> FloatArray:
+        """(...) metres to take off ellipsoidal heights at (..., 2) positions in a projected CRS; 0 for the ellipsoid.
+
+        Raises MissingPackageError with the grid's name where PROJ lacks it: heights are never left as they are.
+        """
+        xy = np.asarray(xy, dtype=np.float64)
+        if not self.code:
+            return np.zeros(xy.shape[:-1])
+        lon_lat = geodetic_from_projected(crs, xy)
+        zero = np.zeros(lon_lat.shape[:-1])
+        below = np.asarray(self._operation(_bounds(lon_lat)).transform(lon_lat[..., 0], lon_lat[..., 1], zero)[2])
+        if not np.isfinite(below).all():
+            raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the DSM: choose another "
+                                      "VERTICAL_DATUM, such as ellipsoid.")
+        return -below
+
+    def _operation(self, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
+        """PROJ's best way from ellipsoidal heights that can be gone here."""
+        transformer, missing = _way_down(self.code, bounds)
+        if transformer is None:
+            grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
+            raise MissingPackageError(
+                f"PROJ cannot bring ellipsoidal heights to {self.name}: {grids}. Install it (package proj-data, or "
+                "'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid.")
+        return transformer
+
+
+@lru_cache(maxsize=16)
+def _way_down(code: str, bounds: Tuple[int, int, int, int]) -> Tuple[Optional[pyproj.Transformer], Tuple[str, ...]]:
+    """From ellipsoidal heights to a vertical CRS, None where grids are missing: these too. Searching costs 50 ms."""
+    group, missing = vertical_operations(pyproj.CRS(_ELLIPSOIDAL), with_wgs84(pyproj.CRS(code)), bounds)
+    return (group.transformers[0] if group.transformers else None), tuple(missing)
+
+
+def _bounds(lon_lat: FloatArray) -> Tuple[int, int, int, int]:
+    """West, south, east, north in whole degrees around the points."""
+    places = lon_lat.reshape(-1, 2)
+    west, south = np.floor(places.min(axis=0)).astype(int)
+    east, north = np.floor(places.max(axis=0)).astype(int) + 1
+    return int(west), int(south), int(east), int(north)

@@ -1,0 +1,56 @@
+"""What heights refer to, against PROJ's own answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyproj
+import pytest
+from pyproj.transformer import TransformerGroup
+
+from repm_qgis.errors import MissingPackageError, OptionError
+from repm_qgis.geometry.frames import vertical_part
+from repm_qgis.geometry.vertical import HeightDatum
+
+UTM = "EPSG:32631"
+PLACES = np.array([[[500000.0, 4800000.0], [540000.0, 4810000.0]], [[500000.0, 4850000.0], [512345.6, 4799999.9]]])
+
+
+def installed(code):
+    return bool(TransformerGroup("EPSG:4979", f"EPSG:4326+{code}", always_xy=True, allow_ballpark=False).transformers)
+
+
+@pytest.mark.parametrize("text", ("", None, "ellipsoid", "Ellipsoidal", " "))
+def test_the_ellipsoid_takes_nothing_off(text):
+    datum = HeightDatum.of(text)
+    assert datum.name == "WGS 84 ellipsoid" and not datum.undulation(UTM, PLACES).any()
+    assert pyproj.CRS(datum.file_crs(UTM)) == pyproj.CRS(UTM)
+
+
+def test_egm96_is_projs_undulation():
+    if not installed(5773):
+        pytest.skip("PROJ's EGM96 grid is not installed")
+    datum = HeightDatum.of("egm96")
+    lon, lat = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True).transform(PLACES[..., 0], PLACES[..., 1])
+    expected = -pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4326+5773", always_xy=True).transform(
+        lon, lat, np.zeros(lon.shape))[2]
+    found = datum.undulation(UTM, PLACES)
+    assert found.shape == (2, 2) and np.abs(found - expected).max() < 1e-6 and 45 < found.min() < 55
+    crs = pyproj.CRS(datum.file_crs(UTM))
+    assert crs.is_compound and vertical_part(crs) == "EGM96 height"
+    assert HeightDatum.of("EPSG:5773") == HeightDatum.of("EGM96") == HeightDatum.of("EPSG:4326+5773")
+
+
+def test_a_grid_that_is_not_there_is_named():
+    if installed(3855):
+        pytest.skip("PROJ's EGM2008 grid is installed here")
+    datum = HeightDatum.of("EGM2008")
+    with pytest.raises(MissingPackageError, match=r"EGM2008 height.*us_nga_egm08_25\.tif.*not installed.*Install"):
+        datum.undulation(UTM, PLACES)
+    with pytest.raises(MissingPackageError, match="us_nga_egm08_25"):
+        datum.require(3.0, 43.0)
+
+
+@pytest.mark.parametrize("text", ("geoid", "EPSG:4326", "EPSG:99999999"))
+def test_what_is_no_vertical_crs(text):
+    with pytest.raises(OptionError, match=f"VERTICAL_DATUM is '{text}'.*EGM96, EGM2008"):
+        HeightDatum.of(text)
