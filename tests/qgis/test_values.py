@@ -71,8 +71,8 @@ def test_layers_of_the_project_give_their_files(plugin, context, feedback, raste
 
 def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context, feedback):
     found = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": "", "CRS": "EPSG:32632"}, context, feedback)
-    assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "method": "median",
-                     "fill": "occlusions",
+    assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "vertical_datum": "",
+                     "method": "median", "fill": "occlusions",
                      "outlier_radius": None, "workers": 0}
     zero = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": 0}, context, feedback)
     assert zero["outlier_radius"] == 0.0
