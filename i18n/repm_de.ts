@@ -390,6 +390,14 @@
         <translation>ALTITUDE_MIN ({low:g} m) muss unter ALTITUDE_MAX ({high:g} m) liegen.</translation>
     </message>
     <message>
+        <source>POINTING is 'affine', but ADJUSTMENT 'colmap' moves principal points only: choose auto or shift, or ADJUSTMENT 'rpc'.</source>
+        <translation>POINTING ist 'affine', aber ADJUSTMENT 'colmap' verschiebt nur Bildhauptpunkte: auto oder shift wählen, oder ADJUSTMENT 'rpc'.</translation>
+    </message>
+    <message>
+        <source>ADJUSTMENT is 'colmap', which is relative and takes no GCPS: choose 'rpc', or leave GCPS empty.</source>
+        <translation>ADJUSTMENT ist 'colmap': das gleicht nur relativ aus und nimmt keine GCPS an; 'rpc' wählen oder GCPS leer lassen.</translation>
+    </message>
+    <message>
         <source>The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs.</source>
         <translation>Der Layer „{layer}“ in {name} kommt von „{provider}“: Rasterdateien wählen, nur sie haben RPC.</translation>
     </message>
@@ -527,6 +535,14 @@
     <message>
         <source>shift: one shift an image; affine: also stretched and turned; auto: affine where the tie points show a trend and span the images well enough to carry it.</source>
         <translation>shift: eine Verschiebung je Bild; affine: auch gestreckt und gedreht; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken, um ihn zu tragen.</translation>
+    </message>
+    <message>
+        <source>Adjustment of the pointing</source>
+        <translation>Ausgleichung der Ausrichtung</translation>
+    </message>
+    <message>
+        <source>rpc: against the original RPCs, exact, takes control points and affine corrections; colmap: the paper's way, COLMAP moves the principal points of the pinhole cameras: shifts only, and no control points.</source>
+        <translation>rpc: gegen die ursprünglichen RPCs, exakt, mit Passpunkten und affinen Korrekturen; colmap: der Weg der Veröffentlichung, COLMAP verschiebt die Hauptpunkte der Lochkameras: nur Verschiebungen und keine Passpunkte.</translation>
     </message>
     <message>
         <source>Area (empty: all that two images see)</source>

@@ -138,7 +138,20 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if low >= high:
                 return False, self.tr("ALTITUDE_MIN ({low:g} m) must be below ALTITUDE_MAX ({high:g} m).").format(
                     low=low, high=high)
-        return super().checkParameterValues(parameters, context)
+        problem = self._check_adjustment(parameters)
+        return (False, problem) if problem else super().checkParameterValues(parameters, context)
+
+    def _check_adjustment(self, parameters: Mapping[str, Any]) -> str:
+        """COLMAP moves principal points: what else is asked of it would be passed over."""
+        if parameters.get("ADJUSTMENT") != "colmap":
+            return ""
+        if parameters.get("POINTING") == "affine":
+            return self.tr("POINTING is 'affine', but ADJUSTMENT 'colmap' moves principal points only: choose auto or "
+                           "shift, or ADJUSTMENT 'rpc'.")
+        if not is_empty(parameters.get("GCPS")):
+            return self.tr("ADJUSTMENT is 'colmap', which is relative and takes no GCPS: choose 'rpc', or leave GCPS "
+                           "empty.")
+        return ""
 
     def validateInputCrs(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> bool:
         # Images in sensor geometry have no CRS to match, and QGIS would load each (and write statistics beside it).

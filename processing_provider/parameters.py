@@ -155,6 +155,15 @@ def pointing() -> QgsProcessingParameterDefinition:
                               "tie points show a trend and span the images well enough to carry it.")))
 
 
+def adjustment() -> QgsProcessingParameterDefinition:
+    from ..repm_qgis.options import ADJUSTMENTS
+
+    return advanced(choice("ADJUSTMENT", tr("Adjustment of the pointing"), ADJUSTMENTS, "rpc",
+                           tr("rpc: against the original RPCs, exact, takes control points and affine corrections; "
+                              "colmap: the paper's way, COLMAP moves the principal points of the pinhole cameras: "
+                              "shifts only, and no control points.")))
+
+
 def extent() -> QgsProcessingParameterDefinition:
     return helped(QgsProcessingParameterExtent("EXTENT", tr("Area (empty: all that two images see)"), optional=True),
                   tr("Only this area is computed."))

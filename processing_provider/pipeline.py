@@ -31,7 +31,8 @@ class Pipeline(RepmAlgorithm):
         dsm, *extras = parameters.dsm_products()
         return [parameters.images(), parameters.extent(), parameters.dem(), parameters.gcps(), parameters.resolution(),
                 parameters.crs(), parameters.vertical_datum(), parameters.rpcs(), parameters.gcp_datum(),
-                parameters.pointing(), *parameters.altitudes(), *parameters.tiles_and_budget(),
+                parameters.pointing(), parameters.adjustment(), *parameters.altitudes(),
+                *parameters.tiles_and_budget(),
                 parameters.advanced(parameters.model()), parameters.advanced(parameters.order()),
                 parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),
                 parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]

@@ -27,7 +27,8 @@ class Reconstruct(RepmAlgorithm):
         heights = QgsProcessingParameterFolderDestination(
             "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False)
         return [parameters.scene(), parameters.backend(), parameters.gcps(), parameters.gcp_datum(),
-                parameters.pointing(), parameters.output_scene(), parameters.tie_points(), heights]
+                parameters.pointing(), parameters.adjustment(), parameters.output_scene(), parameters.tie_points(),
+                heights]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputHtml("REPORT", self.tr("Report")),

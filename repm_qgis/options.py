@@ -285,6 +285,7 @@ class PipelineOptions(Options):
     gcps: Optional[str] = None
     gcp_datum: str = ""
     pointing: str = "auto"
+    adjustment: str = "rpc"
     resolution: float = 0.0
     crs: Optional[str] = None
     method: str = "median"
@@ -306,7 +307,8 @@ class PipelineOptions(Options):
         RefineOptions("-", "-", self.model, order=self.order)
         if self.model == "terrain" and not self.dem:
             raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
-        ReconstructOptions("-", "-", self.backend, pointing=self.pointing, workers=self.workers)
+        ReconstructOptions("-", "-", self.backend, self.gcps, self.gcp_datum, self.pointing, workers=self.workers,
+                           adjustment=self.adjustment)
         DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.fill, self.outlier_radius,
                        cloud=self.cloud)
 

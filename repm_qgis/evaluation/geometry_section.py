@@ -159,6 +159,9 @@ def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
                        f"{', '.join(rejected)}.", "check coordinates, the heights' datum, and the measured pixels.")
     if not points:
         return
+    if ties.get("control_noise_px") is not None:
+        report.paragraph(f"The control points fit to {ties['control_noise_px']:.2f} px in each direction (standard "
+                         "deviation, estimated from their own residuals), and have the weight of that.")
     report.table(["points", "count", "component", "ME, m", "RMSE, m", "Max, m"], _summary(points),
                  "From the true place to where the corrected images put it. Control points were fitted; only check "
                  "points tell how good the result is.")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,15 @@ from numpy.typing import NDArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame
 from ..scene import View
+from .control_noise import (
+    LEAST_NOISE_PX,
+    ControlEquations,
+    contradicts,
+    first_noise,
+    robust_weight,
+    suspects,
+    variance_component,
+)
 from .ground_control import Gcp
 from .tie_points import PairMatches
 
@@ -30,13 +39,13 @@ _ROUNDS = 10
 _HUBER_PX = 0.7
 _TUKEY = 4.685      # standard deviations from which on residuals are wrong matches, and count for nothing in the end
 _LEAST_SIGMA_PX = 0.05
-_GCP_SIGMA = 3.0    # a control point is measured some three times worse than a tie point
-_GCP_WRONG_PX = 1.5
 _AFFINE_TIES = 60
 _AFFINE_COVER = 0.4     # of an image's width and height that the ties must span
+_AFFINE_CONTROL = 6     # control points that may ask for it where ties do not
 _AFFINE_GAIN = 0.9      # of the shifts' residual that the affine correction must get below
 _RANK = 1e-6        # of the largest eigenvalue: what lies below, the ties do not tell
 _KNOWN_PX = 0.25    # nor do they tell what they would tell with a larger standard deviation
+_CONTROL_KNOWN_PX = 1.0     # vendors know no better than that what only control points tell
 
 
 @dataclass(frozen=True)
@@ -66,7 +75,9 @@ class Adjustment:
     ``pointing`` (2, 3) for each view, from the vendor's pixel to the real one; ``model`` is shift or affine, and
     ``reason`` says why. ``ground`` (N, 3) longitude, latitude, height; ``residual_px`` and ``before_px`` (N,) root
     mean square distance between measured and projected pixels of a track, after and before the correction (each with
-    its best ground point). ``rejected`` names control points that contradict all others.
+    its best ground point). ``rejected`` names control points that contradict all others, and
+    ``control_noise_px`` is the good ones' standard deviation of a coordinate, as their residuals tell it (None: there
+    are none).
     """
 
     pointing: Dict[str, FloatArray]
@@ -76,6 +87,7 @@ class Adjustment:
     residual_px: FloatArray
     before_px: FloatArray
     rejected: Tuple[str, ...] = ()
+    control_noise_px: Optional[float] = None
     sizes: Dict[str, Tuple[int, int]] = field(default_factory=dict)
 
     @property
@@ -130,7 +142,8 @@ def adjust(views: Sequence[View], tracks: Sequence[Track], altitude: float, mode
     altitude : where ground points start from, metres above the ellipsoid.
     model : ``shift`` or ``affine`` a view, or ``auto``: affine where Schwarz's information criterion (1978) prefers
         it, the residuals fall by a tenth, and the ties span the images well enough to carry it.
-    gcps : ground control; those of the role ``control`` fix the absolute frame, wrong ones are found and left out.
+    gcps : ground control; those of the role ``control`` fix the absolute frame, with the weight that their own
+        residuals give them; wrong ones are found and left out.
 
     Notes
     -----
@@ -158,19 +171,24 @@ def with_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: float,
 
 
 def _compared(shift: "_Solution", affine: "_Solution") -> Tuple["_Solution", str]:
-    """Shift or affine, and why."""
+    """Shift or affine, and why: control points have a say beside the ties, for a tilt of the whole no tie sees."""
     cover = min(shift.cover)
     if len(shift.tracks) < _AFFINE_TIES or cover < _AFFINE_COVER:
         return shift, (f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides carry no affine "
                        "correction")
-    limit = 3.0 * shift.typical_px
-    a, b = shift.criterion(limit), affine.criterion(limit)
-    fall = affine.typical_px / max(shift.typical_px, 1e-9)
-    if b < a and fall < _AFFINE_GAIN:
+    # What either calls wrong, both are spared.
+    good = [gcp for gcp in shift.control if gcp in affine.control]
+    criterion = affine.criterion(3.0 * shift.typical_px, good) - shift.criterion(3.0 * shift.typical_px, good)
+    told = f"(information criterion {criterion:+.0f})"
+    if criterion < 0 and affine.typical_px < _AFFINE_GAIN * max(shift.typical_px, 1e-9):
         return affine, (f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px "
-                        f"with affine corrections (information criterion {b - a:+.0f})")
+                        f"with affine corrections {told}")
+    misses = [solution.control_misses(good) for solution in (shift, affine)]
+    if criterion < 0 and len(good) >= _AFFINE_CONTROL and misses[1] < _AFFINE_GAIN * misses[0]:
+        return affine, (f"control points show a trend: {misses[0]:.3f} px with shifts, {misses[1]:.3f} px with affine "
+                        f"corrections {told}")
     return shift, (f"an affine correction gains nothing: {shift.typical_px:.3f} px with shifts, "
-                   f"{affine.typical_px:.3f} px affine (information criterion {b - a:+.0f})")
+                   f"{affine.typical_px:.3f} px affine {told}")
 
 
 class _Solution:
@@ -182,6 +200,8 @@ class _Solution:
         self.tracks, self.model = tracks, model
         self.control = [gcp for gcp in gcps if gcp.role == "control" and gcp.pixels]
         self.rejected: Tuple[str, ...] = ()
+        self.control_noise_px = _CONTROL_KNOWN_PX
+        self._redundancy = 0.0
         self.parameters = np.zeros((len(views), 2 if model == "shift" else 6))
         self.groups = _groups(self.views, tracks, altitude)
         for group in self.groups:
@@ -190,8 +210,8 @@ class _Solution:
 
     def solved(self) -> "_Solution":
         for weights in (_huber, _tukey):
-            self._solve(weights)
-        self._drop_wrong_control()
+            self._solve(weights, robust=True)
+        self._set_wrong_control_aside()
         return self
 
     def with_shifts(self, shifts: Dict[str, FloatArray]) -> "_Solution":
@@ -201,35 +221,44 @@ class _Solution:
             self._intersect(group)
         return self
 
-    def _solve(self, weights: Weights) -> None:
+    def _solve(self, weights: Weights, robust: bool = False) -> None:
+        """Gauss-Newton; ``robust`` also against wrong control points, else all in use are taken for good."""
         for _ in range(_ROUNDS):
-            step = self._step(weights)
+            step = self._step(weights, robust)
             self.parameters = self.parameters + step
             for group in self.groups:
                 self._intersect(group, passes=1)
             if np.abs(step).max() < 1e-4:
                 break
 
-    def _drop_wrong_control(self) -> None:
-        """Leave out, worst first, control points that the others contradict, and solve again without them."""
-        while len(self.control) > 2:
-            size = np.array([max(np.linalg.norm(r) for r in self.control_residuals(gcp).values())
-                             for gcp in self.control])
-            limit = max(_GCP_WRONG_PX, 4.0 * 1.4826 * float(np.median(size)))
-            if size.max() <= limit:
-                return
-            wrong = self.control.pop(int(size.argmax()))
-            self.rejected += (wrong.id,)
+    def _set_wrong_control_aside(self) -> None:
+        """Solve without the suspects, and readmit all that agree with what the others say; name those that do not."""
+        if not self.control:
+            return
+        everyone = self.control
+        outside = suspects([self._equations(gcp).misclosure for gcp in everyone], self.control_noise_px)
+        while True:
+            self.control = [gcp for k, gcp in enumerate(everyone) if k not in outside]
             self._solve(_tukey)
+            wrong = [k for k in outside if contradicts(self._equations(everyone[k]), self._covariance,
+                                                       self.control_noise_px, self._redundancy, len(everyone))]
+            if len(wrong) == len(outside):
+                break
+            outside = wrong
+        self.rejected = tuple(everyone[k].id for k in outside)
 
-    def control_residuals(self, gcp: Gcp) -> Dict[str, FloatArray]:
-        """(2,) measured minus projected pixel of a control point in each view that sees it."""
-        found = {}
+    def _equations(self, gcp: Gcp) -> ControlEquations:
+        """A control point's observations in the views that see it, linear in all views' corrections."""
+        count, p = self.parameters.shape
+        misclosure, design = [], []
         for i, view in enumerate(self.views):
             if view.name in gcp.pixels:
                 base = view.project(gcp.lon_lat_h)
-                found[view.name] = gcp.pixels[view.name] - base - self._correction(i, base)
-        return found
+                rows = np.zeros((2, count * p))
+                rows[:, i * p:(i + 1) * p] = self._basis(view, base)
+                design.append(rows)
+                misclosure.append(gcp.pixels[view.name] - base - self._correction(i, base))
+        return ControlEquations(np.concatenate(misclosure), np.concatenate(design))
 
     def _basis(self, view: View, pixels: FloatArray) -> FloatArray:
         """(..., 2, p) derivative of the corrected pixel with respect to a view's parameters."""
@@ -268,8 +297,31 @@ class _Solution:
             step = np.einsum("nij,nj->ni", _pseudo_inverse(jacobian), residual)
             group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
 
-    def _step(self, weights: Weights) -> FloatArray:
-        """(views, p) Gauss-Newton step of the parameters, ground points eliminated."""
+    def _step(self, weights: Weights, robust: bool) -> FloatArray:
+        """(views, p) Gauss-Newton step of the parameters, ground points eliminated; notes how well they are known."""
+        count, p = self.parameters.shape
+        normal, right, sigma = self._tie_normals(weights)
+        control = [self._equations(gcp) for gcp in self.control]
+        share = [robust_weight(point.misclosure, self.control_noise_px) if robust else 1.0 for point in control]
+        for point, part in zip(control, share):
+            weight = part * (sigma / self.control_noise_px) ** 2
+            normal += weight * point.design.T @ point.design
+            right += weight * point.design.T @ point.misclosure
+        values, vectors = np.linalg.eigh(normal)
+        # Before the first corrections residuals are no noise, and tell nothing of what the ties can tell.
+        noise = 0.0 if weights is _huber else sigma / (_CONTROL_KNOWN_PX if control else _KNOWN_PX)
+        enough = values > max(_RANK * values[-1], noise ** 2)
+        known = vectors[:, enough]
+        # All of the corrections is solved for, not only the step: they are to be the smallest that do.
+        whole = right + normal @ self.parameters.ravel()
+        step = known @ ((known.T @ whole) / values[enough]) - self.parameters.ravel()
+        self._covariance = sigma ** 2 * (known / values[enough]) @ known.T
+        if control:
+            self._note_control(control, share, step, robust)
+        return step.reshape(count, p)
+
+    def _tie_normals(self, weights: Weights) -> Tuple[FloatArray, FloatArray, float]:
+        """The ties' (n, n) normal matrix and (n,) right side, each tie of weight one at most, and their noise, px."""
         count, p = self.parameters.shape
         normal, right = np.zeros((count * p, count * p)), np.zeros(count * p)
         parts = [self._reduced(group) for group in self.groups]
@@ -282,24 +334,16 @@ class _Solution:
             flat = design.reshape(-1, design.shape[2])
             normal[np.ix_(columns, columns)] += weighted.reshape(flat.shape).T @ flat
             right[columns] += weighted.reshape(flat.shape).T @ reduced.ravel()
-        for gcp in self.control:
-            residuals = self.control_residuals(gcp)
-            size = np.array([max(np.linalg.norm(r) for r in residuals.values())]) / _GCP_SIGMA
-            weight = float(_huber(size, sigma)[0]) / _GCP_SIGMA ** 2
-            for i, view in enumerate(self.views):
-                if view.name in residuals:
-                    basis = self._basis(view, view.project(gcp.lon_lat_h))
-                    columns = np.arange(i * p, (i + 1) * p)
-                    normal[np.ix_(columns, columns)] += weight * basis.T @ basis
-                    right[columns] += weight * basis.T @ residuals[view.name]
-        values, vectors = np.linalg.eigh(normal)
-        # Before the first corrections residuals are no noise, and tell nothing of what the ties can tell.
-        noise = 0.0 if weights is _huber else sigma / _KNOWN_PX
-        known = vectors[:, values > max(_RANK * values[-1], noise ** 2)]
-        # All of the corrections is solved for, not only the step: they are to be the smallest that do.
-        whole = right + normal @ self.parameters.ravel()
-        found = known @ np.linalg.solve(known.T @ normal @ known, known.T @ whole)
-        return found.reshape(count, p) - self.parameters
+        return normal, right, sigma
+
+    def _note_control(self, control: Sequence[ControlEquations], share: Sequence[float], step: FloatArray,
+                      robust: bool) -> None:
+        """Estimate the control points' noise and its redundancy anew."""
+        residuals = [point.after(step) for point in control]
+        self._redundancy = sum(point.redundancy(self._covariance, self.control_noise_px, part)
+                               for point, part in zip(control, share))
+        self.control_noise_px = (first_noise(residuals) if robust
+                                 else variance_component(residuals, self._redundancy))
 
     def _reduced(self, group: _Group) -> Tuple[FloatArray, FloatArray]:
         """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, free of any move of the ground."""
@@ -327,11 +371,23 @@ class _Solution:
         """The median residual of the tracks."""
         return float(np.median(self._residuals()))
 
-    def criterion(self, limit_px: float) -> float:
-        """Schwarz's information criterion of residuals, the largest cut at a limit: smaller is better."""
-        residual = np.minimum(self._residuals(), limit_px)
-        count = len(residual)
-        return count * math.log(max(float(np.mean(residual ** 2)), 1e-12)) + self.parameters.size * math.log(count)
+    def criterion(self, limit_px: float, control: Sequence[Gcp] = ()) -> float:
+        """Schwarz's information criterion: smaller is better.
+
+        Ties (the largest residuals cut at a limit) and control points are each of a noise of their own.
+        """
+        square = np.minimum(self._residuals(), limit_px) ** 2
+        count, fit = len(square), len(square) * _log_mean(square)
+        if control:
+            off = np.concatenate([self._equations(gcp).misclosure for gcp in control])
+            count, fit = count + len(off), fit + len(off) * _log_mean(off ** 2 + LEAST_NOISE_PX ** 2)
+        return fit + self.parameters.size * math.log(count)
+
+    def control_misses(self, control: Sequence[Gcp]) -> float:
+        """The root mean square residual of control points, a coordinate, px; nought where there are none."""
+        if not control:
+            return 0.0
+        return float(np.sqrt(np.mean(np.concatenate([self._equations(gcp).misclosure for gcp in control]) ** 2)))
 
     @property
     def cover(self) -> Tuple[float, ...]:
@@ -349,7 +405,8 @@ class _Solution:
         for group in self.groups:
             ground[group.members] = group.ground
         pointing = {view.name: self._pointing(i) for i, view in enumerate(self.views)}
-        return Adjustment(pointing, self.model, reason, ground, self._residuals(), self.before, self.rejected,
+        noise = self.control_noise_px if self.control else None
+        return Adjustment(pointing, self.model, reason, ground, self._residuals(), self.before, self.rejected, noise,
                           {view.name: view.size for view in self.views})
 
     def _pointing(self, i: int) -> FloatArray:
@@ -382,6 +439,10 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
     # Rays from one place meet nowhere: a trace of a ridge keeps their point where it is.
     ridge = 1e-12 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     return np.linalg.solve(square + ridge, transposed)
+
+
+def _log_mean(square: FloatArray) -> float:
+    return math.log(max(float(np.mean(square)), 1e-12))
 
 
 def _huber(size: FloatArray, sigma: float) -> FloatArray:

@@ -101,7 +101,7 @@ def _absolute(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatAr
                            "east_m": float(offset[0]), "north_m": float(offset[1]), "up_m": float(offset[2])})
     figures: Dict[str, Any] = {"gcps": points, "rejected_gcps": list(adjusted.rejected)} if gcps else {}
     if any(gcp.role == "control" and gcp.pixels for gcp in gcps):
-        return figures
+        return {**figures, "control_noise_px": adjusted.control_noise_px}
     return {**figures, "height_uncertainty_m": _height_uncertainty(scene, pairs, before)}
 
 
@@ -122,6 +122,9 @@ def _tell(figures: Dict[str, Any], progress: Progress) -> None:
     progress.info(f"{figures['count']} tie points; pointing corrected by {shifts} px ({figures['model']}: "
                   f"{figures['reason']}); their median residual fell from {figures['before_px']:.2f} to "
                   f"{figures['after_px']:.2f} px.")
+    if figures.get("control_noise_px") is not None:
+        progress.info(f"The control points fit to {figures['control_noise_px']:.2f} px in each direction: that gives "
+                      "them their weight beside the tie points.")
     for identity in figures.get("rejected_gcps", []):
         progress.warn(f"The control point {identity} contradicts all others and was left out: check its coordinates, "
                       "its height's datum, and its pixels.")

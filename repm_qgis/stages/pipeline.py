@@ -50,7 +50,7 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
         ReconstructOptions(
             refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
-            workers=options.workers), p))
+            workers=options.workers, adjustment=options.adjustment), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,

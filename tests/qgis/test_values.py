@@ -109,6 +109,36 @@ def check(name, parameters, context):
     return algorithm(name).checkParameterValues(parameters, context)
 
 
+def test_what_colmaps_adjustment_cannot_do_is_refused_before_anything_runs(plugin, context, rasters, tmp_path):
+    table = tmp_path / "gcps.csv"
+    table.write_text("id,lon,lat,height\n")
+    scene = tmp_path / "scene.json"
+    scene.write_text("{}")
+    for name, given in (("pipeline", {"IMAGES": rasters, "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
+                        ("reconstruct", {"SCENE": str(scene), "OUTPUT_SCENE": "/w/r.json"})):
+        colmap = {**given, "ADJUSTMENT": "colmap"}
+        fine, text = check(name, {**colmap, "POINTING": "affine"}, context)
+        assert not fine and "POINTING is 'affine'" in text and text.count(".") == 1
+        fine, text = check(name, {**colmap, "GCPS": str(table)}, context)
+        assert not fine and "takes no GCPS" in text and text.count(".") == 1
+        for right in (colmap, {**colmap, "POINTING": "shift"}, {**given, "POINTING": "affine", "GCPS": str(table)}):
+            fine, text = check(name, right, context)
+            assert fine, text
+    fine, text = check("reconstruct", {"SCENE": str(scene), "ADJUSTMENT": "ceres"}, context)
+    assert not fine and "choose one of rpc, colmap" in text
+
+
+def test_the_adjustment_is_an_option_of_the_engine(plugin, context, feedback, rasters):
+    from repm_qgis.options import PipelineOptions
+
+    assert options("reconstruct", {"SCENE": "/s/scene.json"}, context, feedback)["adjustment"] == "rpc"
+    found = options("pipeline", {"IMAGES": rasters, "ADJUSTMENT": "colmap"}, context, feedback)
+    made = PipelineOptions.from_json(json.loads(json.dumps({**found, "workspace": "w", "output": "d.tif"})))
+    assert made.adjustment == "colmap"
+    command = algorithm("pipeline").complete({**found, "workspace": "/w", "output": "/w/d.tif"})["command"]
+    assert "ADJUSTMENT=colmap" in command
+
+
 def test_one_image_has_no_heights(plugin, context, rasters):
     for images in (rasters[:1], rasters[0], [], None):
         fine, text = check("epmfit", {"IMAGES": images, "WORKSPACE": "/w"}, context)

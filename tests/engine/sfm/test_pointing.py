@@ -247,3 +247,86 @@ def test_advice_names_the_pair_the_tile_and_the_remedy(pointed):
                                   ("1 tile of 2: r000c001", "of the overlap", "EXTENT"),
                                   ("6.4 m", "GCPS", "ALIGN=3d"))):
         assert all(word in text for word in words), text
+
+
+def all_errors(scene, found, maps=None):
+    """(views, N, 2) by how much corrected views miss the pixels of ground points that (drifting) images show."""
+    ground = places(scene, 300, 9)
+    corrected = [view.with_pointing(found.pointing[view.name]) for view in scene.views]
+    seen = [true.project(ground) for true in scene.true_views]
+    if maps:
+        seen = [pixels + (pixels - 199.5) @ maps[view.name].T for pixels, view in zip(seen, scene.views)]
+    return np.array([view.project(ground) - pixels for view, pixels in zip(corrected, seen)])
+
+
+def drifting(gcps, maps):
+    return [replace(gcp, pixels={name: pixel + maps[name] @ (pixel - 199.5) for name, pixel in gcp.pixels.items()})
+            for gcp in gcps]
+
+
+@pytest.mark.parametrize("noise", (0.1, 0.3, 1.0))
+def test_the_noise_of_control_points_is_estimated(scene, noise):
+    found = adjust(scene.views, tracks_of(scene, 300, 0.05, 1), 500.0, "shift", control(scene, noise, 1, count=20))
+    assert found.control_noise_px == pytest.approx(noise, rel=0.25) and found.rejected == ()
+
+
+def test_without_control_there_is_no_noise_of_it(urban):
+    assert adjust(urban.views, tracks_of(urban, 100, 0.05, 1), 500.0).control_noise_px is None
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_exact_control_outweighs_ties_in_what_these_hardly_tell(scene, seed):
+    """A tilt of the ground, which ties see through the curvature of the RPCs only: 0.1 px was passed here before."""
+    maps = drifts(seed)
+    ties = tracks_of(scene, 500, 0.1, seed, lambda name, pixel: pixel + maps[name] @ (pixel - 199.5))
+    gcps = drifting(control(scene, 0.0, seed), maps)
+    gcps[0], gcps[1] = moved(gcps[0], (6.0, -8.0)), moved(gcps[1], (9.0, 5.0))
+    found = adjust(scene.views, ties, 500.0, "auto", gcps)
+    assert found.model == "affine" and set(found.rejected) == {"P0", "P1"}
+    assert np.linalg.norm(all_errors(scene, found, maps), axis=2).max() < 0.06
+
+
+def test_one_control_point_is_better_than_none(scene):
+    ties = tracks_of(scene, 300, 0.05, 2)
+    free = np.sqrt(np.mean(all_errors(scene, adjust(scene.views, ties, 500.0)) ** 2))
+    one = np.sqrt(np.mean(all_errors(scene, adjust(scene.views, ties, 500.0, "auto", control(scene, 0.3, 2)[:1])) ** 2))
+    assert one < 0.5 < free
+
+
+def test_a_point_two_pixels_off_among_good_ones_is_named(scene):
+    gcps = control(scene, 0.1, 3)
+    gcps[5] = moved(gcps[5], (1.4, -1.4))
+    found = adjust(scene.views, tracks_of(scene, 300, 0.05, 3), 500.0, "shift", gcps)
+    assert found.rejected == ("P5",)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_four_wrong_points_of_twelve_are_named_though_they_agree(scene, seed):
+    """The same error in all four, as by another datum: no average of all would tell."""
+    gcps = control(scene, 0.3, seed)
+    for k in (1, 4, 8, 9):
+        gcps[k] = moved(gcps[k], (5.0, -6.0))
+    found = adjust(scene.views, tracks_of(scene, 300, 0.05, seed), 500.0, "shift", gcps)
+    assert set(found.rejected) == {"P1", "P4", "P8", "P9"}
+
+
+def tilted(gcps, size=2.0):
+    """Control points of ground that is tilted by up to some px in all views alike: ties hardly see it."""
+    lon, lat = np.array([gcp.lon for gcp in gcps]), np.array([gcp.lat for gcp in gcps])
+    east, north = (2 * (v - v.min()) / np.ptp(v) - 1 for v in (lon, lat))
+    return [replace(gcp, height=gcp.height + size * 2 * e - size * n) for gcp, e, n in zip(gcps, east, north)]
+
+
+def test_control_points_may_ask_for_affine_corrections_where_ties_do_not(scene):
+    ties, gcps = tracks_of(scene, 400, 0.1, 1), tilted(control(scene, 0.2, 1))
+    assert adjust(scene.views, ties, 500.0).model == "shift"
+    found = adjust(scene.views, ties, 500.0, "auto", gcps)
+    assert found.model == "affine" and "control points show a trend" in found.reason and found.rejected == ()
+    # Four cannot ask: they would explain themselves.
+    assert adjust(scene.views, ties, 500.0, "auto", gcps[:4]).model == "shift"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noisy_control_points_do_not_ask_for_affine_corrections(scene, seed):
+    gcps = control(scene, 1.5, seed)
+    assert adjust(scene.views, tracks_of(scene, 300, 0.05, seed), 500.0, "auto", gcps).model == "shift"
