@@ -159,6 +159,7 @@ def arrows(
     scale: Optional[float] = None,
     size: Optional[Pair] = None,
     most: int = 1500,
+    labels: Sequence[str] = (),
 ) -> str:
     """Small vectors at their places in an image, such as residuals of tie points; the row axis points down.
 
@@ -168,19 +169,22 @@ def arrows(
     scale : how much longer than the positions' scale vectors are drawn; None makes the 95 % longest 1/25 of the width.
     size : width, height of the image; None = from the positions.
     most : of more vectors an even selection is drawn.
+    labels : names of few points, written beside them; the vectors are drawn longer then, 1/10 of the width.
     """
     at, by = np.asarray(positions, float).reshape(-1, 2), np.asarray(vectors, float).reshape(-1, 2)
     good = np.isfinite(at).all(1) & np.isfinite(by).all(1)
-    at, by = at[good], by[good]
+    at, by, names = at[good], by[good], [name for name, yes in zip(labels, good) if yes]
     if len(at) == 0:
         return _nothing(title)
     low, high = (np.zeros(2), np.asarray(size, float)) if size else (at.min(0), at.max(0))
+    if names:  # room for what reaches beyond the outermost points
+        low, high = low - 0.12 * (high - low).max(), high + 0.12 * (high - low).max()
     span = np.maximum(high - low, 1.0)
     box_w, box_h = _WIDTH - 40.0, 420.0
     zoom = min(box_w / span[0], box_h / span[1])
     lengths = np.hypot(by[:, 0], by[:, 1])
     typical = float(np.quantile(lengths, 0.95)) or 1.0
-    grow = scale if scale else span.max() / 25.0 / typical
+    grow = scale if scale else span.max() / (10.0 if names else 25.0) / typical
     pick = np.unique(np.linspace(0, len(at) - 1, min(len(at), most)).astype(int))
     start = (at[pick] - low) * zoom + (20.0, _TOP)
     end = start + by[pick] * grow * zoom
@@ -195,6 +199,8 @@ def arrows(
         'stroke="currentColor" stroke-opacity="0.35"/>',
         f'<path d="{shafts}" fill="none" stroke="{COLOURS[3]}" stroke-width="1.2"/>',
         f'<g fill="{COLOURS[0]}">{dots}</g>',
+        *(_text(a + 4, b - 4, html.escape(name)) for name, (a, b) in zip((names[k] for k in pick) if names else (),
+                                                                         start)),
         f'<path d="M20 {height - 22:.1f}h{bar:.1f}" stroke="{COLOURS[3]}" stroke-width="2.4"/>',
         _text(28 + bar, height - 18, f"{key:g} {html.escape(unit)} · {len(pick)} of {len(at)} vectors"),
     ]

@@ -26,7 +26,7 @@ COLUMNS = {"rpc": "RPC localisation", "compensated": "RPC localisation, image-sp
            "scene": "The scene's pointing", "dsm": "The DSM's height"}
 COMPONENTS = ("east", "north", "height")
 
-_WRONG_PX = 1.5         # as the adjustment: from here on a control point may be wrong, ...
+_WRONG_PX = 1.5         # from here on a control point may be wrong (shifts explain less than an adjustment), ...
 _WRONG_TIMES = 4.0      # ... if it is also so many times farther off than the others scatter
 _METRES_A_DEGREE = 111320.0
 _GEOID_M = 10.0

@@ -8,17 +8,19 @@ import numpy as np
 
 from ..geometry.frames import EnuFrame
 from ..options import CheckGcpsOptions
+from ..progress import counted
 from . import charts
 from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from .report import Report
 
 _MOST_ROWS = 300
+_MOST_LABELS = 60
+_SHORT = {"rpc": "RPC", "compensated": "compensated", "scene": "scene", "dsm": "DSM"}
 
 
 def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
     """What the points say of the images' geometry and of the DSM, for the analyst."""
-    used = [f"{sum(gcp.role == role for gcp in found.gcps)} {role}" for role in ("control", "check")]
-    page = Report("Accuracy at ground control points", f"{len(found.gcps)} points: {' and '.join(used)}")
+    page = Report("Accuracy at ground control points", _counts(found))
     for text in found.warnings:
         page.warning(text)
     _heights(page, found)
@@ -30,6 +32,14 @@ def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
         ("Points", options.gcps), ("Their heights", options.gcp_datum or "above the WGS 84 ellipsoid"),
         ("Scene", options.scene), ("DSM", options.dsm)) if value])
     return page
+
+
+def _counts(found: GcpAccuracy) -> str:
+    """How many points of each role; where no image was measured roles mean nothing."""
+    if not any(gcp.pixels for gcp in found.gcps):
+        return counted(len(found.gcps), "point")
+    counts = ((sum(gcp.role == role for gcp in found.gcps), role) for role in ("control", "check"))
+    return f"{counted(len(found.gcps), 'point')}: {' and '.join(f'{n} {role}' for n, role in counts if n)}"
 
 
 def _roles(found: GcpAccuracy) -> List[str]:
@@ -47,9 +57,22 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
             e = found.summary(column, "height", role)
             rows.append([COLUMNS[column], role or "all", e.count, *_metres(e.me, e.rmse, e.max)])
     page.table(["heights by", "points", "count", "ME, m", "RMSE, m", "Max, m"], rows,
-               "ME is the median of the absolute errors, Max the largest of them. With compensation, each control "
-               "point is located with the shifts of the other control points, so that no point vouches for itself. "
-               "Where the scene's pointing or the DSM were made with the control points, only check points judge them.")
+               "ME is the median of the absolute errors, Max the largest of them." + _notes(found))
+
+
+def _notes(found: GcpAccuracy) -> str:
+    """How to read the columns that are there."""
+    said = ""
+    if "compensated" in found.errors:
+        said += (" With compensation, each control point is located with the shifts of the other control points, so "
+                 "that no point vouches for itself.")
+    if any(gcp.pixels and gcp.role == "control" for gcp in found.gcps):
+        said += (" Where the scene's pointing or the DSM were made with the control points, only check points judge "
+                 "them.")
+    if "rpc" in found.errors and "dsm" in found.errors:
+        said += (" What the images say of a point's height carries the noise of its own few measured pixels; the DSM's "
+                 "height does not.")
+    return said
 
 
 def _components(page: Report, found: GcpAccuracy) -> None:
@@ -72,24 +95,26 @@ def _arrows(page: Report, found: GcpAccuracy) -> None:
     for column in [name for name in ("rpc", "compensated", "scene") if name in found.errors]:
         vectors = found.errors[column][:, :2] * (1, -1)
         if np.isfinite(vectors).all(axis=1).sum() >= 2:
-            page.svg(charts.arrows(flat, vectors, COLUMNS[column], "m"),
+            names = [gcp.id for gcp in found.gcps] if len(found.gcps) <= _MOST_LABELS else []
+            page.svg(charts.arrows(flat, vectors, COLUMNS[column], "m", labels=names),
                      "Planimetric errors of the points, north up; from the true place to the one found.")
 
 
 def _points(page: Report, found: GcpAccuracy) -> None:
     page.section("Points")
     columns = list(found.errors)
-    heads = [f"{COLUMNS[column].split(',')[-1].strip()}: {part}, m" for column in columns
-             for part in (("height",) if column == "dsm" else ("E", "N", "H"))]
+    heads = [f"{_SHORT[column]} {part}" for column in columns
+             for part in (("H",) if column == "dsm" else ("E", "N", "H"))]
     rows: List[List[Any]] = []
     for row, gcp in enumerate(found.gcps[:_MOST_ROWS]):
         values = [value for column in columns for value in found.errors[column][row][2 if column == "dsm" else 0:]]
         rows.append([gcp.id, "wrong" if gcp.id in found.wrong else gcp.role, f"{gcp.height:.3f}",
                      *(f"{value:+.3f}" if np.isfinite(value) else "–" for value in values)])
     left = len(found.gcps) - _MOST_ROWS
-    page.table(["point", "role", "height above the ellipsoid, m", *heads], rows,
+    page.table(["point", "role", "height", *heads], rows,
                f"{left} more points are left out here; the layer has them all." if left > 0 else
-               "Points called wrong contradict the other control points and are in no figure above.")
+               "In metres: the true height above the ellipsoid, and errors (found less true). Points called wrong "
+               "contradict the other control points and are in no figure above.")
 
 
 def _residuals(page: Report, found: GcpAccuracy) -> None:
@@ -107,9 +132,9 @@ def _residuals(page: Report, found: GcpAccuracy) -> None:
             pairs = [found.residuals[kind][row].get(view) for kind in kinds]
             rows.append([gcp.id, view, *(text for pair in pairs for text in (
                 (f"{pair[0]:+.2f}", f"{pair[1]:+.2f}") if pair is not None else ("–", "–")))])
-    page.table(["point", "view", *(f"{COLUMNS[kind].split(',')[-1].strip()}: {axis}, px" for kind in kinds
+    page.table(["point", "view", *(f"{_SHORT[kind]} {axis}" for kind in kinds
                                    for axis in ("column", "row"))], rows[:_MOST_ROWS],
-               "Measured less projected pixels.")
+               "Measured less projected, px.")
 
 
 def _metres(*values: float) -> List[str]:

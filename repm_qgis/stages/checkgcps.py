@@ -87,7 +87,15 @@ def _tell(found: GcpAccuracy, progress: Progress) -> None:
         errors = found.summary(column, "height")
         if errors.count:
             progress.info(f"{COLUMNS[column]}: heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max "
-                          f"{errors.max:.3f} m of {counted(errors.count, 'point')}.")
+                          f"{errors.max:.3f} m of {counted(errors.count, 'point')}{_checked(found, column)}.")
+
+
+def _checked(found: GcpAccuracy, column: str) -> str:
+    """What check points alone say, where there are control points too: these may have made what they would judge."""
+    check = found.summary(column, "height", "check")
+    if not check.count or check.count == found.summary(column, "height").count:
+        return ""
+    return f" ({counted(check.count, 'check point')}: ME {check.me:.3f} m, RMSE {check.rmse:.3f} m)"
 
 
 def _shown(found: GcpAccuracy) -> str:

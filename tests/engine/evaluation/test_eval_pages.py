@@ -152,6 +152,22 @@ def test_charts_of_next_to_nothing(draw):
     checked(text)
 
 
+def test_labelled_vectors_are_named_in_place_and_stay_inside():
+    import re
+
+    places = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 80.0], [50.0, 50.0]])
+    vectors = np.array([[-1.0, -1.0], [1.0, 0.5], [np.nan, 0.0], [0.0, 1.0]])
+    text = charts.arrows(places, vectors, "t", "m", labels=["A", "<B>", "C", "D"])
+    checked(text)
+    assert ">A<" in text and "&lt;B&gt;" in text and ">D<" in text
+    assert ">C<" not in text  # it has no vector
+    ends = np.array([[float(v) for v in match] for match in re.findall(r"L([-\d.]+) ([-\d.]+)", text)])
+    box = re.search(r'<rect x="20" y="([\d.]+)" width="([\d.]+)" height="([\d.]+)"', text)
+    top, width, height = map(float, box.groups())
+    assert len(ends) == 3
+    assert (ends >= [20, top]).all() and (ends <= [20 + width, top + height]).all()
+
+
 def test_histogram_bars_add_up():
     import re
 

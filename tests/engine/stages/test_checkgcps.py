@@ -261,6 +261,28 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
     assert json.dumps(result, allow_nan=False)
 
 
+def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, told):
+    bare = written(tmp_path / "bare.csv", urban, points, views=0)
+    run_stage("checkgcps", {"gcps": bare, "dsm": urban.truth, "report": str(tmp_path / "dsm.html")}, told())
+    page = (tmp_path / "dsm.html").read_text(encoding="utf-8")
+    assert "12 points<" in page  # roles mean nothing where no image was measured
+    for words in ("compensation", "own few measured pixels", "In the images"):
+        assert words not in page
+    run_stage("checkgcps", {"gcps": exact, "scene": scene, "dsm": urban.truth, "report": str(tmp_path / "a.html")},
+              told())
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    for words in ("12 points: 6 control and 6 check", "no point vouches for itself", "own few measured pixels",
+                  "compensated E", "DSM H", ">P03</text>"):
+        assert words in page, words
+
+
+def test_the_log_tells_check_points_apart(urban, scene, exact, tmp_path, told):
+    said = told()
+    run_stage("checkgcps", {"gcps": exact, "scene": scene}, said)
+    told_heights = [text for text in said.notes if "heights ME" in text]
+    assert len(told_heights) == 2 and all("of 12 points (6 check points: ME" in text for text in told_heights)
+
+
 def fails(kind, told, *words, **options):
     with pytest.raises(kind) as caught:
         run_stage("checkgcps", options, told())

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
+from repm_qgis.errors import OptionError
 from repm_qgis.geometry.frames import projected_from_geodetic
+from repm_qgis.options import PipelineOptions
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -293,3 +295,31 @@ def test_a_missing_geoid_stops_the_run_before_the_work(urban, tmp_path, told):
         run_stage("pipeline", {"images": urban.images, "workspace": str(tmp_path / "ws"), "vertical_datum": "EGM2008",
                                "output": str(tmp_path / "dsm.tif")}, said)
     assert max(said.fractions) < 0.2 and not (tmp_path / "dsm.tif").exists()
+
+
+@pytest.mark.parametrize("wrong, words", (
+    ({"adjustment": "colmap", "pointing": "affine"}, "POINTING is 'affine': it must be auto or shift"),
+    ({"adjustment": "colmap", "gcps": "points.csv"}, "ADJUSTMENT is 'colmap': it must be rpc where there are GCPS"),
+    ({"adjustment": "ceres"}, "ADJUSTMENT is 'ceres'"), ({"pointing": "bent"}, "POINTING is 'bent'")))
+def test_adjustments_that_cannot_be_fail_at_once(wrong, words):
+    with pytest.raises(OptionError) as caught:
+        PipelineOptions(("a.tif", "b.tif"), "w", "dsm.tif", **wrong)
+    text = str(caught.value)
+    assert words in text and text.endswith(".") and "\n" not in text
+    assert PipelineOptions(("a.tif", "b.tif"), "w", "dsm.tif", adjustment="colmap", pointing="shift").gcps is None
+
+
+def test_the_pipeline_hands_the_adjustment_on(urban, told, tmp_path, monkeypatch):
+    from repm_qgis.stages import pipeline
+
+    class Enough(Exception):
+        pass
+
+    def stopped(options, progress):
+        raise Enough(options.adjustment, options.pointing)
+
+    monkeypatch.setattr(pipeline.reconstruct, "run", stopped)
+    with pytest.raises(Enough) as caught:
+        run_stage("pipeline", {"images": list(urban.images), "workspace": str(tmp_path / "w"), "pointing": "shift",
+                               "output": str(tmp_path / "dsm.tif"), "adjustment": "colmap"}, told())
+    assert caught.value.args == ("colmap", "shift")
