@@ -8,12 +8,13 @@ their redundancy, which is what the corrections cannot adapt themselves to.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import List, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtri
 
 FloatArray = NDArray[np.float64]
 
@@ -76,7 +77,19 @@ def contradicts(point: ControlEquations, covariance: FloatArray, noise_px: float
         return False
     expected = noise_px ** 2 * np.eye(len(off)) + point.design @ covariance @ point.design.T
     statistic = float(off @ np.linalg.solve(expected, off)) / len(off)
-    return statistic > float(fdtri(len(off), max(redundancy, 0.0) + 1.0, 1.0 - _FALSE_ALARM / max(points, 1)))
+    return statistic > f_quantile(1.0 - _FALSE_ALARM / max(points, 1), len(off), max(redundancy, 0.0) + 1.0)
+
+
+def f_quantile(probability: float, first: float, second: float) -> float:
+    """Fisher's F for two degrees of freedom, by Paulson's approximation (1942); infinite where ``second`` is too small
+    to tell anything (some 2)."""
+    z = NormalDist().inv_cdf(probability)
+    a, b = 2.0 / (9.0 * first), 2.0 / (9.0 * second)
+    lead = (1.0 - b) ** 2 - b * z ** 2
+    if lead <= 0.0:
+        return math.inf
+    root = ((1.0 - a) * (1.0 - b) + z * math.sqrt(b * (1.0 - a) ** 2 + a * (1.0 - b) ** 2 - a * b * z ** 2)) / lead
+    return root ** 3
 
 
 def _size(residual: FloatArray) -> float:

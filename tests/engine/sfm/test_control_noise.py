@@ -8,6 +8,7 @@ import pytest
 from repm_qgis.sfm.control_noise import (
     ControlEquations,
     contradicts,
+    f_quantile,
     first_noise,
     robust_weight,
     suspects,
@@ -85,3 +86,15 @@ def test_less_than_half_a_pixel_is_nobodys_mistake():
     point = ControlEquations(np.array([0.3, 0.3, -0.3, 0.3]), np.tile(np.eye(2), (2, 1)))
     assert not contradicts(point, 1e-6 * np.eye(2), 0.02, 40.0, 12)
     assert contradicts(ControlEquations(2 * point.misclosure, point.design), 1e-6 * np.eye(2), 0.02, 40.0, 12)
+
+
+@pytest.mark.parametrize("probability", (0.99, 0.999, 0.9995))
+def test_the_f_distribution_is_that_of_scipy(probability):
+    special = pytest.importorskip("scipy.special")
+    for first in (4, 6, 12, 34):
+        for second in (8.0, 20.5, 60.0, 500.0):
+            exact = float(special.fdtri(first, second, probability))
+            # With little redundancy the approximation is cautious: by a twelfth in distance at most.
+            assert f_quantile(probability, first, second) == pytest.approx(exact, rel=0.03 if second > 8 else 0.17)
+            assert f_quantile(probability, first, second) > 0.99 * exact
+    assert f_quantile(probability, 4, 1.0) == np.inf
