@@ -36,7 +36,7 @@ package: ## dist/repm-VERSION.zip for "Install from ZIP"
 	@/usr/bin/env python3 scripts/package dist
 
 models: setup ## write resources/models again
-	@QT_QPA_PLATFORM=offscreen $(PYTHON) scripts/make_models.py
+	@QT_QPA_PLATFORM=offscreen QT_HASH_SEED=0 $(PYTHON) scripts/make_models.py
 
 i18n: ## bring i18n/*.ts up to date with the source, and compile them (needs Qt's lrelease)
 	@/usr/bin/env python3 scripts/i18n.py
