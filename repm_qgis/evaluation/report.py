@@ -47,7 +47,7 @@ table.facts th{font-weight:400;white-space:nowrap;color:#5b6876;color:var(--soft
 table.facts td,td.w{overflow-wrap:anywhere}
 .scroll{overflow-x:auto;margin:.8rem 0}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;min-width:50%}
-caption{caption-side:bottom;text-align:left;color:#5b6876;color:var(--soft);font-size:.87rem;padding-top:.45rem}
+p.caption{color:#5b6876;color:var(--soft);font-size:.87rem;margin-top:-.35rem}
 th,td{padding:.32rem .8rem;text-align:left;border-bottom:1px solid #d9dfe5;border-bottom-color:var(--line);
 vertical-align:top}
 thead th{font-weight:600;border-bottom-width:2px;white-space:nowrap}
@@ -143,9 +143,10 @@ class Report:
             "<tr>" + "".join(f"<td{m}>{html.escape(number(cell))}</td>" for m, cell in zip(mark, row)) + "</tr>"
             for row in body
         )
-        title = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+        # Beside the table, not in it: a caption is as wide as its table, and a wide one would be cut where it scrolls.
+        title = f'<p class="caption">{html.escape(caption)}</p>' if caption else ""
         self._parts.append(
-            f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table></div>'
+            f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table></div>{title}'
         )
         return self
 
@@ -187,7 +188,7 @@ class Report:
 
     def html(self) -> str:
         """The whole page."""
-        nav = "".join(f'<a href="#s{i}">{html.escape(name)}</a>' for i, name in enumerate(self._sections, 1))
+        nav = " ".join(f'<a href="#s{i}">{html.escape(name)}</a>' for i, name in enumerate(self._sections, 1))
         nav = f"<nav>{nav}</nav>" if len(self._sections) >= 3 else ""
         subtitle = f'<p class="subtitle">{html.escape(self._subtitle)}</p>' if self._subtitle else ""
         made = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()
