@@ -534,10 +534,10 @@ def detectors() -> List[str]:
             rows.append([label, detector, sum(pair["candidates"] for pair in found["pairs"]), found["ties"],
                          float(np.mean([pair["rows_after_px"] for pair in found["pairs"]])), left, found["cpu"],
                          f"{found['own']:.0f}"])
-    return ["**Detectors**: SIFT of OpenCV and of COLMAP (pycolmap, VLFeat's code), both on the CPU with one thread "
-            "each and the same budget of keypoints; ties and adjustment together. Left: where observable, shifts of up "
-            "to 15 px. COLMAP's gives somewhat more ties of the same quality for more time and memory, so OpenCV's is "
-            "the default on the CPU. COLMAP's on a GPU was not measured: there was none.",
+    return ["**Detectors**: SIFT of OpenCV and of COLMAP (pycolmap, VLFeat's code), both on the CPU with the same "
+            "budget of keypoints; ties and adjustment together, CPU seconds of all threads. Left: where observable, "
+            "shifts of up to 15 px. COLMAP's gives somewhat more ties of the same quality for more time and memory, so "
+            "OpenCV's is the default on the CPU. COLMAP's on a GPU was not measured: there was none.",
             table(["scene", "SIFT of", "matches", "ties", "row residual, px (median, mean of pairs)", "left, px",
                    "CPU, s", "memory, MiB"], rows)]
 
