@@ -74,7 +74,8 @@ def _ties(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
     ties = facts["ties"]
     report.facts([("Tie points", ties["count"]),
                   ("Median residual", f"{ties['before_px']:.2f} px before, {ties['after_px']:.2f} px after the "
-                                      "correction"), ("Matcher", facts["backend"])])
+                                      "correction"), ("Keypoints", ties.get("detector", "")),
+                  ("Matcher", facts["backend"])])
     report.table(["first", "second", "candidates", "ties", "rows before, px", "rows after, px", "spread, px"],
                  [[*pair["pair"], pair["candidates"], pair["count"], f"{pair['rows_before_px']:+.2f}",
                    f"{pair['rows_after_px']:.3f}", f"{pair['rows_spread_px']:.3f}"] for pair in ties["pairs"]],

@@ -16,6 +16,7 @@ from ..scene import Scene
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect
+from .keypoints import with_best_detector
 from .row_residuals import row_residuals
 from .sharpening import sharpen
 from .tie_points import PairMatches, find_ties
@@ -46,8 +47,9 @@ def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, St
 
     Raises EmptyResultError with the counts where the ties are too few.
     """
-    matches = find_ties(scene, [(pair.first, pair.second) for pair in pairs], stretches, Part(progress, 0.0, 0.7),
-                        workers)
+    names = [(pair.first, pair.second) for pair in pairs]
+    matches, detector = with_best_detector(
+        lambda best: find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, best), progress)
     tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95), workers)
     if len(tracks) < LEAST_TIES:
         raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
@@ -60,7 +62,7 @@ def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, St
     scene.views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
     after = {(pair.first, pair.second): _rows(scene, pair, tracks, adjusted.ground) for pair in pairs}
     figures = {
-        "count": len(tracks), "before_px": float(np.median(adjusted.before_px)),
+        "count": len(tracks), "detector": detector.name, "before_px": float(np.median(adjusted.before_px)),
         "after_px": float(np.median(adjusted.residual_px)), "model": adjusted.model, "reason": adjusted.reason,
         "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
         "pairs": [_pair_figures(match, before, after) for match in matches],

@@ -36,7 +36,10 @@ _PATCH_PX = 1700        # images are aligned in patches of at most so many px a 
 _FARTHEST_PX = 1.5      # SIFT is never so wrong: what moves farther has found something else
 _RETURN_PX = 0.1        # from the first image to the second and back
 _MOST_ALIKE = 0.7       # of a patch's ties, those whose neighbourhoods differ least
-_ENOUGH = 60            # with fewer ties in a patch, none is dropped for looking less alike
+_ENOUGH = 30            # with fewer ties in a patch, none is dropped for looking less alike
+_EVEN_PX = 5.0          # standard deviation of the neighbourhood in which brightness and contrast are made even
+_EVEN_CONTRAST = 40.0   # standard deviation of grey values afterwards
+_NOISE = 0.012          # contrast of the stretched image, 0..1, that is as likely noise and is not made even
 _LEAST_TEXTURE = 1e-3   # smallest eigenvalue of the gradients' matrix, as OpenCV normalises it
 
 
@@ -164,6 +167,13 @@ def _distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.floa
 
 
 def _grey(view: View, stretch: Stretch, to_original: PixelMap, size: Tuple[int, int]) -> NDArray[np.uint8]:
+    """The view as (rows, columns), its brightness and contrast made locally even.
+
+    Registration takes a ground point for equally bright in both views. Under another sun or in another season it is
+    not, and ties were dropped or pulled aside.
+    """
     with opened(view.image) as dataset:
-        pixels = stretch.apply(warp(dataset, view.band, to_original, size, "cubic"))
-    return (np.nan_to_num(pixels, nan=0.0) * 255).astype(np.uint8)
+        pixels = np.nan_to_num(stretch.apply(warp(dataset, view.band, to_original, size, "cubic")), nan=0.0)
+    away = pixels - cv2.GaussianBlur(pixels, (0, 0), _EVEN_PX)
+    contrast = np.sqrt(cv2.GaussianBlur(away * away, (0, 0), _EVEN_PX))
+    return np.clip(128.0 + _EVEN_CONTRAST * away / (contrast + _NOISE), 0, 255).astype(np.uint8)

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import ogr
+from scipy.spatial import cKDTree
 
 from ..errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
@@ -28,6 +29,7 @@ from ..mvs.rectification import RectifiedPair
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
 from ..scene import Scene, View
+from .keypoints import CPU_DETECTOR, Detector
 
 FloatArray = NDArray[np.float64]
 Bounds = Tuple[float, float, float, float]
@@ -45,7 +47,10 @@ _PLACES = 6                 # a side of a cell, at most, that are looked at for 
 _MARGIN_PX = 24
 _TOLERANCE_PX = 64.0        # vendor RPCs are off by up to tens of px, each view in its own way
 _NEAR_PX = 8.0              # of a patch's row difference, once that is known
+_CLOSE_PX = 2.5             # of a patch's trend of row differences, at last
 _LIKELY_PX = 6.0            # of the scene's row difference: trends over the images are smaller
+_NEIGHBOURS, _SUPPORT = 10, 3
+_STEP_PX, _SLOPE = 6.0, 0.4     # of disparity between neighbours: a house, and a share of their distance
 _RATIO = 0.85
 _MIN_TIES = 12
 _ENOUGH_TIES = 100          # with fewer, more patches are searched
@@ -81,14 +86,15 @@ class _PatchTask:
     bounds: Bounds
     pairs: Tuple[Pair, ...]
     stretches: Dict[str, Stretch]
+    detector: Detector
 
 
 def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch], progress: Progress,
-              workers: int = 0) -> List[PairMatches]:
+              workers: int = 0, detector: Detector = CPU_DETECTOR) -> List[PairMatches]:
     """Match pairs of views on patches spread over the scene; more patches where the first give too few.
 
-    ``workers`` 0 means one a core. Raises EmptyResultError with the counts where a pair gives fewer than a dozen
-    trustworthy ties.
+    ``workers`` 0 means one a core. Raises DetectorError where the detector's device fails, and EmptyResultError with
+    the counts where a pair gives fewer than a dozen trustworthy ties.
     """
     wanted = tuple((first, second) for first, second in pairs)
     names = {name for pair in wanted for name in pair}
@@ -97,11 +103,11 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
     lean = scene.lean()
     for number in range(_ROUNDS):
-        tasks = [_PatchTask(lean, cell[number], wanted, used) for cell in cells if number < len(cell)]
+        tasks = [_PatchTask(lean, cell[number], wanted, used, detector) for cell in cells if number < len(cell)]
         if not tasks:
             break
         part = Part(progress, 1 - 0.5 ** number, 1 - 0.5 ** (number + 1), "tie points")
-        for found in run_tasks(_match_patch, tasks, workers, part, lambda _: "patch"):
+        for found in run_tasks(_match_patch, tasks, detector.workers(workers), part, lambda _: "patch"):
             for pair, matches in found.items():
                 parts[pair].append(matches)
         if all(len(_agreeing(*pair, found)[0]) >= _ENOUGH_TIES for pair, found in parts.items()):
@@ -181,8 +187,8 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
     """Matches of all pairs over one patch; pairs without any are left out."""
     coarsest = max(task.scene.view(name).gsd_m for name in task.stretches)
     features: Dict[str, _Features] = {}
-    for name, stretch in task.stretches.items():
-        found = _features(task.scene, task.scene.view(name), stretch, task.bounds, coarsest)
+    for name in task.stretches:
+        found = _features(task, task.scene.view(name), coarsest)
         if found is not None:
             features[name] = found
     result = {}
@@ -194,9 +200,10 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
     return result
 
 
-def _features(scene: Scene, view: View, stretch: Stretch, bounds: Bounds, coarsest_m: float) -> Optional[_Features]:
-    """SIFT keypoints and RootSIFT descriptors of a view over a patch; None where it shows too little."""
-    camera = refined_view(scene, view, grown(bounds, _MARGIN_PX * scene.gsd_m), scene.altitudes)
+def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Features]:
+    """Keypoints and descriptors of a view over a patch; None where it shows too little."""
+    scene = task.scene
+    camera = refined_view(scene, view, grown(task.bounds, _MARGIN_PX * scene.gsd_m), scene.altitudes)
     if camera is None:
         return None
     # All views at one sampling distance: most keypoints are of the smallest size there is, and must meet their like.
@@ -207,23 +214,16 @@ def _features(scene: Scene, view: View, stretch: Stretch, bounds: Bounds, coarse
         return camera.to_original.original_from_refined((points + 0.5) * factor - 0.5)
 
     with opened(view.image) as dataset:
-        pixels = stretch.apply(warp(dataset, view.band, to_original, size))
+        pixels = task.stretches[view.name].apply(warp(dataset, view.band, to_original, size))
     missing = ~np.isfinite(pixels)
     grey = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
     mask = cv2.erode((~missing).astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
     most = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
-    sift = cv2.SIFT_create(_SPARE_FEATURES * most, contrastThreshold=0.02)
-    points, descriptors = sift.detectAndCompute(grey, mask)
-    if len(points) < 8:
+    found = task.detector.detect(grey, mask, _SPARE_FEATURES * most)
+    if len(found.points) < 8:
         return None
-    places = np.array([p.pt for p in points], dtype=np.float64)
-    # SIFT gives a strong corner once for each of its orientations: one is enough as a tie.
-    _, once = np.unique(places, axis=0, return_index=True)
-    chosen = once[_even(places[once], np.array([points[i].response for i in once]), size, most)]
-    # Arandjelovic and Zisserman, Three things everyone should know to improve object retrieval, 2012.
-    descriptors = descriptors[chosen]
-    roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
-    return _Features(view, camera, (places[chosen] + 0.5) * factor - 0.5, roots)
+    chosen = _even(found.points, found.strength, size, most)
+    return _Features(view, camera, (found.points[chosen] + 0.5) * factor - 0.5, found.descriptors[chosen])
 
 
 def _even(points: FloatArray, strength: FloatArray, size: Tuple[int, int], most: int) -> NDArray[np.intp]:
@@ -258,12 +258,36 @@ def _match(scene: Scene, first: _Features, second: _Features, bounds: Bounds) ->
         middle = _mode(rows, 2.0)
         if (np.abs(rows - middle) < 2.0).sum() >= max(_MIN_TIES, 0.15 * len(rows)):
             index = _guided_matches(distance, np.abs(difference[..., 1] - np.float32(middle)) <= _NEAR_PX)
+            index = _closer(distance, difference, a, index)
+    index = index[_supported(a[index[:, 0]], (a[index[:, 0]] - b[index[:, 1]])[:, 0])]
     if not len(index):
         return None
     i, j = index[:, 0], index[:, 1]
     return PairMatches(first.view.name, second.view.name,
                        first.camera.to_original.original_from_refined(first.points[i]),
                        second.camera.to_original.original_from_refined(second.points[j]), a[i, 1] - b[j, 1])
+
+
+def _closer(distance: NDArray[np.float32], difference: NDArray[np.float32], a: FloatArray,
+            index: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Matches searched once more, within a band as wide as what is left around the trend of the rows found."""
+    rows = difference[index[:, 0], index[:, 1], 1].astype(np.float64)
+    trend = _row_trend(a[index[:, 0]], rows, a)
+    if (np.abs(rows - trend[index[:, 0]]) < _CLOSE_PX).sum() < _MIN_TIES:
+        return index
+    return _guided_matches(distance, np.abs(difference[..., 1] - trend[:, None].astype(np.float32)) <= _CLOSE_PX)
+
+
+def _supported(points: FloatArray, disparity: FloatArray) -> NDArray[np.bool_]:
+    """(N,) which matches lie at a height that neighbours share: a roof taken for the next one's mostly does not.
+
+    Of the ten nearest matches, three must have the disparity, but for what a slope and a house may make between.
+    """
+    if len(points) <= _NEIGHBOURS:
+        return np.ones(len(points), dtype=bool)
+    away, nearest = cKDTree(points).query(points, _NEIGHBOURS + 1)
+    step = np.abs(disparity[nearest] - disparity[:, None])
+    return (step <= _STEP_PX + _SLOPE * away).sum(axis=1) - 1 >= _SUPPORT
 
 
 def disparity_range(pair: RectifiedPair, first: View, second: View, ground: FloatArray) -> Tuple[float, float]:
@@ -309,22 +333,26 @@ def _agreeing(first: str, second: str, parts: Sequence[PairMatches]) -> Tuple[Fl
     return a[kept], b[kept], rows[kept]
 
 
-def _row_trend(pixels: FloatArray, rows: FloatArray) -> FloatArray:
-    """(N,) the row difference that most matches agree on: a constant, or a plane over the image."""
-    constant = np.full(len(rows), _mode(rows))
-    near = np.abs(rows - constant) < _LIKELY_PX
-    if near.sum() < 40:
-        return constant
-    middle = pixels.mean(axis=0)
-    design = np.column_stack([np.ones(len(rows)), (pixels - middle) / np.maximum(np.ptp(pixels, axis=0), 1.0)])
-    trend = constant
+def _row_trend(pixels: FloatArray, rows: FloatArray, at: Optional[FloatArray] = None) -> FloatArray:
+    """(N,) the row difference that most matches agree on, a constant or a plane, at their pixels or at other ones."""
+    at = pixels if at is None else at
+    mode = _mode(rows)
+    if (np.abs(rows - mode) < _LIKELY_PX).sum() < 40:
+        return np.full(len(at), mode)
+    middle, extent = pixels.mean(axis=0), np.maximum(np.ptp(pixels, axis=0), 1.0)
+
+    def design(points: FloatArray) -> FloatArray:
+        return np.column_stack([np.ones(len(points)), (points - middle) / extent])
+
+    own = design(pixels)
+    plane = np.array([mode, 0.0, 0.0])
     for reach in (_LIKELY_PX, 4.0, 3.0, 2.0, 2.0):
         # Tukey's weights, ever stricter: what lies beyond the reach counts for nothing.
-        weight = np.maximum(1.0 - ((rows - trend) / reach) ** 2, 0.0)
-        solution, *_ = np.linalg.lstsq(design * weight[:, None], rows * weight, rcond=1e-6)
-        trend = design @ solution
-    support = (np.abs(rows - trend) < 1.5).sum(), (np.abs(rows - constant) < 1.5).sum()
-    return trend if support[0] >= support[1] else constant
+        weight = np.maximum(1.0 - ((rows - own @ plane) / reach) ** 2, 0.0)
+        plane, *_ = np.linalg.lstsq(own * weight[:, None], rows * weight, rcond=1e-6)
+    if (np.abs(rows - own @ plane) < 1.5).sum() < (np.abs(rows - mode) < 1.5).sum():
+        plane = np.array([mode, 0.0, 0.0])
+    return design(at) @ plane
 
 
 def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMatches:

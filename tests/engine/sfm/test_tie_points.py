@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
-from osgeo import gdal
+from osgeo import gdal, ogr
 
 from repm_qgis.errors import EmptyResultError
+from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.mvs.pairing import rectified_pair
@@ -183,6 +186,62 @@ def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, tol
     assert len(ties.first_px) >= 12
     off = np.linalg.norm(ties.first_px - truth.true_views[0].project(ground), axis=1)
     assert np.quantile(off, 0.9) < 110
+
+
+@pytest.mark.parametrize("shape", ("square", "slanted"))
+def test_a_scene_of_40000_px_is_searched_all_over_and_little_of_it(found, told, monkeypatch, shape):
+    """Geometry alone: texture is drawn by lot. Every part of the overlap has a patch not far away, and all patches of
+    a round are 1 % of it."""
+    truth, scene, _, stretches = found
+    side, gsd = 40000, scene.gsd_m
+    x, y = scene.tiles[0].bounds[:2]
+    tiles = [dataclasses.replace(scene.tiles[0], bounds=(x + i * gsd, y + j * gsd, x + (i + 5000) * gsd,
+                                                         y + (j + 5000) * gsd))
+             for i in range(0, side, 5000) for j in range(0, side, 5000)]
+    corners = {"square": ((0, 0), (1, 0), (1, 1), (0, 1)), "slanted": ((0.3, 0), (1, 0.2), (0.7, 1), (0, 0.8))}[shape]
+    ring = ", ".join(f"{x + u * side * gsd} {y + v * side * gsd}" for u, v in (*corners, corners[0]))
+    large = Scene(**{**vars(scene), "tiles": tiles, "area": f"POLYGON (({ring}))"})
+    asked, numbers = [], np.random.default_rng(7)
+    monkeypatch.setattr(tie_points, "_texture", lambda *_: asked.append(1) or float(numbers.uniform()))
+    cells = tie_points._ranked_patches(large, stretches, told())
+    assert len(cells) == 25 if shape == "square" else 15 <= len(cells) < 25
+    assert len(asked) <= 25 * 36
+    first = np.array([cell[0] for cell in cells])
+    share = ((first[:, 2] - first[:, 0]) * (first[:, 3] - first[:, 1])).sum() / (side * gsd) ** 2
+    assert share < 0.01
+    area = ogr.CreateGeometryFromWkt(large.area)
+    middles = (first[:, :2] + first[:, 2:]) / 2
+    for u, v in np.random.default_rng(8).uniform(0, 1, (300, 2)):
+        place = np.array([x + u * side * gsd, y + v * side * gsd])
+        if area.Contains(ogr.CreateGeometryFromWkt(f"POINT ({place[0]} {place[1]})")):
+            assert np.linalg.norm(middles - place, axis=1).min() < 0.3 * side * gsd  # one cell and a half
+    for cell in cells:
+        assert len(set(cell)) == len(cell) <= 36
+        for place in cell:
+            assert area.Intersects(box(place))
+
+
+def test_matches_that_no_neighbour_shares_are_dropped():
+    """A slope of half a pixel of disparity a pixel at most, houses of 5 px on it; every tenth took the next house."""
+    numbers = np.random.default_rng(4)
+    points = numbers.uniform(0, 800, (600, 2))
+    disparity = 0.1 * points[:, 0] + numbers.choice((0.0, 5.0), 600)
+    wrong = np.zeros(600, dtype=bool)
+    wrong[::10] = True
+    disparity[wrong] += numbers.choice((-36.0, 36.0, 48.0), wrong.sum())
+    kept = tie_points._supported(points, disparity)
+    assert kept[~wrong].mean() > 0.98 and kept[wrong].mean() < 0.1
+    assert tie_points._supported(points[:8], disparity[:8]).all()
+
+
+def test_a_trend_is_known_between_and_beside_its_matches():
+    numbers = np.random.default_rng(5)
+    pixels, elsewhere = numbers.uniform(0, 800, (200, 2)), numbers.uniform(-50, 850, (50, 2))
+    rows = 3.0 + pixels @ [0.004, -0.003] + numbers.normal(0, 0.3, 200)
+    np.testing.assert_allclose(tie_points._row_trend(pixels, rows, elsewhere), 3.0 + elsewhere @ [0.004, -0.003],
+                               atol=0.25)
+    few = tie_points._row_trend(pixels[:20], rows[:20], elsewhere)
+    assert few.shape == (50,) and np.ptp(few) == 0
 
 
 def test_features_are_spread_evenly():
