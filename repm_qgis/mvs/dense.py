@@ -21,6 +21,7 @@ from .backends import matcher_of
 from .matching import Matched
 from .pairing import grown, rectified_pair
 from .rectification import RectifiedPair
+from .reliability import without_unsupported
 from .triangulation import PairGeometry, pair_geometry
 
 FloatImage = NDArray[np.float32]
@@ -104,7 +105,8 @@ def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: 
     shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
     a = _brightness(first, task.stretches[0], pair.first_original, (width, height))
     b = _brightness(second, task.stretches[1], shifted.second_original, (width + high - low, height))
-    return matcher_of(task.backend)(a, b, (low, high), geometry.nearer)
+    matched = matcher_of(task.backend)(a, b, (low, high), geometry.nearer)
+    return without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
 
 
 def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int, int]) -> FloatImage:

@@ -1,0 +1,178 @@
+"""Simulated pairs with water and clouds in them, and where they are: for the benchmark and the tests.
+
+Water has its level and no texture of its own: what a view shows of it is the sensor's noise (``still``), ripples that
+are others a second later (``ripples``), or the sun's glint on them (``glint``). Clouds are textured, half transparent
+at their rims, and far above the ground: each view has them in front of other ground.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from typing import List, Sequence, Tuple
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
+from repm_qgis.imagery.raster import created
+from repm_qgis.progress import Silent
+from repm_qgis.rpc.model import Rpc
+from repm_qgis.simulation.gcps import common_square
+from repm_qgis.simulation.render import render_view
+from repm_qgis.simulation.scene import (
+    SceneSpec,
+    fit_view_rpcs,
+    make_surface,
+    make_views,
+    pointing_errors,
+    rpc_tags,
+    surface_bounds,
+    write_truth,
+)
+from repm_qgis.simulation.sensor import Look, PushbroomView
+from repm_qgis.simulation.surface import Surface, fractal
+
+LAND, RIM = 0, 9
+WATER = {"still": 1, "ripples": 2, "glint": 3}
+CLOUD = 4
+
+_WATER_DN = 150.0           # haze and little more
+_RIPPLES_DN = {"still": 0.0, "ripples": 8.0, "glint": 120.0}
+_CLOUD_DN = 3300.0
+_RIM_ALPHA = (0.02, 0.5)
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """East, north and up of a cloud from the scene's middle, its radius, and the wind's way between the views; m."""
+
+    east: float
+    north: float
+    up: float
+    radius: float
+    drift: float = 0.0
+
+
+@dataclass(frozen=True)
+class Disturbed:
+    """A pair on disk with its true DSM, and (rows, columns) of that DSM's cells what each is: LAND, WATER, ..."""
+
+    images: List[str]
+    truth: str
+    classes: np.ndarray
+
+
+LAKES = {"still": (-0.25, 0.24, 0.1), "ripples": (0.24, 0.24, 0.1), "glint": (0.02, -0.26, 0.1)}
+"""East, north and radius as shares of the scene's side."""
+
+
+def make_pair(folder: str, kind: str = "urban", size: int = 1000, seed: int = 5, water: bool = True,
+              clouds: bool = True) -> Disturbed:
+    """Simulate a pair 20 degrees apart with three lakes and two clouds, or without them."""
+    spec = SceneSpec.default(kind, size, seed)
+    gsd = spec.sensor.looks[0].gsd_m
+    spec = replace(spec, sensor=replace(spec.sensor, looks=(Look(10.0, gsd), Look(-10.0, gsd))))
+    views = make_views(spec)
+    surface = make_surface(spec, surface_bounds(spec, views), Silent())
+    surface, lakes = _with_lakes(surface, size * gsd) if water else (surface, np.zeros(surface.height.shape, np.uint8))
+    fits = fit_view_rpcs(views, surface.height_range())
+    square = common_square(surface, views, spec.surface_step)
+    os.makedirs(folder, exist_ok=True)
+    truth = os.path.join(folder, "truth.tif")
+    write_truth(truth, surface, square, spec.surface_step)
+    images, alphas = [], []
+    for number, (view, fit, bias) in enumerate(zip(views, fits, pointing_errors(2, seed))):
+        lit = _rippled(surface, lakes, seed + number)
+        pixels = np.concatenate([strip for _, strip in render_view(lit, view, seed + number)])
+        alpha = np.zeros(pixels.shape)
+        for index, cloud in enumerate(_clouds(size * gsd) if clouds else ()):
+            pixels, alpha = _clouded(pixels, alpha, view, spec, cloud, number, index)
+        images.append(os.path.join(folder, f"img_{number + 1:02d}.tif"))
+        _write(images[-1], pixels, fit.rpc.shifted(-bias[0], -bias[1]))
+        alphas.append(alpha)
+    return Disturbed(images, truth, _classes(surface, lakes, square, spec.surface_step, [f.rpc for f in fits], alphas))
+
+
+def _clouds(side: float) -> Sequence[Cloud]:
+    return (Cloud(-0.28 * side, -0.1 * side, 250.0, 0.09 * side), Cloud(0.27 * side, -0.02 * side, 120.0, 0.07 * side,
+                                                                        drift=25.0))
+
+
+def _with_lakes(surface: Surface, side: float) -> Tuple[Surface, np.ndarray]:
+    """The surface with level water in it, and each node's lake (0 none)."""
+    rows, columns = surface.height.shape
+    x = (np.arange(columns) - (columns - 1) / 2) * surface.cell
+    y = ((rows - 1) / 2 - np.arange(rows)) * surface.cell
+    lakes = np.zeros(surface.height.shape, np.uint8)
+    height = surface.height.copy()
+    for name, (east, north, radius) in LAKES.items():
+        dx, dy = x[None, :] - east * side, y[:, None] - north * side
+        angle = np.arctan2(dy, dx)
+        shore = radius * side * (1 + 0.15 * np.sin(3 * angle + 1) + 0.08 * np.sin(7 * angle))
+        inside = np.hypot(dx, dy) < shore
+        lakes[inside] = WATER[name]
+        height[inside] = np.percentile(surface.height[inside], 2) - 0.5
+    shade = np.where(lakes > 0, -1e3, surface.shade) if surface.shade.shape == lakes.shape else surface.shade
+    return replace(surface, height=height, shade=shade.astype(np.float32)), lakes
+
+
+def _rippled(surface: Surface, lakes: np.ndarray, seed: int) -> Surface:
+    """The surface as one view finds it: the same land, water as it is at that moment."""
+    rng = np.random.default_rng([seed, 77])
+    radiance = surface.radiance.copy()
+    waves = fractal(rng, lakes.shape, surface.cell, 8.0, 1.0, 0.5)
+    for name, number in WATER.items():
+        strength = _RIPPLES_DN[name]
+        tone = _WATER_DN + strength * (np.maximum(waves, -1.0) + (1.0 if name == "glint" else 0.0))
+        radiance = np.where(lakes == number, np.maximum(tone, 100.0), radiance)
+    return replace(surface, radiance=radiance.astype(np.float32))
+
+
+def _clouded(pixels: np.ndarray, alpha: np.ndarray, view: PushbroomView, spec: SceneSpec, cloud: Cloud, number: int,
+             index: int) -> Tuple[np.ndarray, np.ndarray]:
+    """An image with a cloud before it, and the opacity of all clouds so far."""
+    middle = projected_from_geodetic(spec.crs, np.array([[spec.lon, spec.lat, 0.0]]))[0]
+    rows, columns = pixels.shape
+    nodes = (np.linspace(0, rows - 1, 12), np.linspace(0, columns - 1, 12))
+    grid = np.stack(np.meshgrid(nodes[1], nodes[0]), axis=-1).reshape(-1, 2)
+    ground = projected_from_geodetic(spec.crs, view.localise(grid, spec.base_m + cloud.up)) - middle
+    east, north = (RectBivariateSpline(*nodes, ground[:, axis].reshape(12, 12))(np.arange(rows), np.arange(columns))
+                   for axis in (0, 1))
+    east = east - cloud.east - number * cloud.drift
+    north = north - cloud.north
+    puffs = fractal(np.random.default_rng([99, index]), (512, 512), 1.0, 60.0, 0.0, 0.8)
+    row = np.clip(np.rint(255 - north * 200 / cloud.radius / 1.6), 0, 511).astype(int)
+    column = np.clip(np.rint(255 + east * 200 / cloud.radius / 1.6), 0, 511).astype(int)
+    puff = puffs[row, column]
+    own = np.clip((1.0 + 0.15 * puff - np.hypot(east, north) / cloud.radius) / 0.3, 0.0, 1.0)
+    rng = np.random.default_rng([spec.seed, 31, number, index])
+    bright = _CLOUD_DN + 350.0 * puff
+    mixed = pixels * (1 - own) + own * (bright + np.sqrt(0.05 * bright) * rng.standard_normal(pixels.shape))
+    return np.clip(np.rint(mixed), 1, 4095).astype(np.uint16), 1 - (1 - alpha) * (1 - own)
+
+
+def _write(path: str, pixels: np.ndarray, rpc: Rpc) -> None:
+    with created(path, pixels.shape, np.dtype(np.uint16), 1, None, "", nodata=None, compress=False) as dataset:
+        dataset.set_metadata(rpc_tags(rpc), "RPC")
+        dataset.write(pixels)
+
+
+def _classes(surface: Surface, lakes: np.ndarray, square: Tuple[int, int, int], step: int, rpcs: Sequence[Rpc],
+             alphas: Sequence[np.ndarray]) -> np.ndarray:
+    """What each cell of the true DSM is; under a cloud in either view it is CLOUD, under its thin rim RIM."""
+    row, col, count = square
+    rows, columns = row + step * np.arange(count), col + step * np.arange(count)
+    place = np.stack(np.meshgrid(surface.west + columns * surface.cell, surface.north - rows * surface.cell), axis=-1)
+    height = surface.height[np.ix_(rows, columns)].astype(np.float64)
+    ground = np.concatenate([geodetic_from_projected(surface.crs, place), height[..., None]], axis=-1)
+    opacity = np.zeros((count, count))
+    for rpc, alpha in zip(rpcs, alphas):
+        pixels = np.rint(rpc.project(ground)).astype(int)
+        inside = ((pixels >= 0) & (pixels < alpha.shape[::-1])).all(axis=-1)
+        seen = alpha[np.where(inside, pixels[..., 1], 0), np.where(inside, pixels[..., 0], 0)]
+        opacity = np.maximum(opacity, np.where(inside, seen, 0.0))
+    classes = lakes[np.ix_(rows, columns)].copy()
+    classes[opacity > _RIM_ALPHA[0]] = RIM
+    classes[opacity > _RIM_ALPHA[1]] = CLOUD
+    return classes
