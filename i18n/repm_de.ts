@@ -505,6 +505,14 @@
         <translation>Nur wo die RPC anderswo liegen: eine Datei je Bild, in der Reihenfolge der Bilder.</translation>
     </message>
     <message>
+        <source>Masks of what is not to be used (empty: none)</source>
+        <translation>Masken dessen, was nicht verwendet werden soll (leer: keine)</translation>
+    </message>
+    <message>
+        <source>One raster for each image, in the images' order, of the same size in columns and rows: pixels that are neither zero nor nodata (clouds, water) are left out of everything, tie points too. What an image's own mask or alpha band hides is left out anyway.</source>
+        <translation>Ein Raster je Bild, in der Reihenfolge der Bilder und mit ebenso vielen Spalten und Zeilen: Pixel, die weder null noch NoData sind (Wolken, Wasser), bleiben überall außen vor, auch bei den Verknüpfungspunkten. Was die eigene Maske oder der Alphakanal eines Bildes verdeckt, bleibt ohnehin außen vor.</translation>
+    </message>
+    <message>
         <source>Ground control points</source>
         <translation>Passpunkte</translation>
     </message>
@@ -737,6 +745,10 @@
     <message>
         <source>Worker processes (0: one per core)</source>
         <translation>Arbeitsprozesse (0: einer je Kern)</translation>
+    </message>
+    <message>
+        <source>Memory of all workers together (MiB, 0: three quarters of what is free)</source>
+        <translation>Speicher aller Arbeitsprozesse zusammen (MiB, 0: drei Viertel des freien)</translation>
     </message>
 </context>
 <context>

@@ -120,7 +120,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def checkParameterValues(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
         for definition in self.parameterDefinitions():
             problem = ""
-            if definition.name() in ("RPCS", "GCPS", "PROFILES"):
+            if definition.name() in ("RPCS", "MASKS", "GCPS", "PROFILES"):
                 problem = self._check_files(definition.name(), parameters.get(definition.name()), context)
             elif definition.name() == "IMAGES":
                 problem = self._check_images(definition.name(), parameters.get(definition.name()), context)
@@ -229,7 +229,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if not definition.isDestination():
                 self._inputs.update(input_options(self, definition, parameters, context))
         if self.USES_WORKERS:
-            self._inputs["workers"] = settings.workers()
+            self._inputs.update(workers=settings.workers(), memory=settings.memory())
         return True
 
     def processAlgorithm(self, parameters: Mapping[str, Any], context: QgsProcessingContext,

@@ -24,7 +24,7 @@ class EpmFit(RepmAlgorithm):
         return self.tr("Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.")
 
     def parameters(self) -> list:
-        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.rpcs(),
+        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.rpcs(), parameters.masks(),
                 *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.workspace(), parameters.tiles(),
                 parameters.report()]
 

@@ -125,6 +125,15 @@ def rpcs() -> QgsProcessingParameterDefinition:
         tr("Only where the RPCs lie elsewhere: one file for each image, in the images' order.")))
 
 
+def masks() -> QgsProcessingParameterDefinition:
+    return advanced(helped(QgsProcessingParameterMultipleLayers(
+        "MASKS", tr("Masks of what is not to be used (empty: none)"), QgsProcessing.SourceType.TypeFile,
+        optional=True),
+        tr("One raster for each image, in the images' order, of the same size in columns and rows: pixels that are "
+           "neither zero nor nodata (clouds, water) are left out of everything, tie points too. What an image's own "
+           "mask or alpha band hides is left out anyway.")))
+
+
 def gcps(optional: bool = True) -> QgsProcessingParameterDefinition:
     return helped(Points(
         "GCPS", tr("Ground control points"), [QgsProcessing.SourceType.TypeVector], optional=optional),

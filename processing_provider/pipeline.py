@@ -30,8 +30,8 @@ class Pipeline(RepmAlgorithm):
     def parameters(self) -> list:
         dsm, *extras = parameters.dsm_products()
         return [parameters.images(), parameters.extent(), parameters.dem(), parameters.gcps(), parameters.resolution(),
-                parameters.crs(), parameters.vertical_datum(), parameters.rpcs(), parameters.gcp_datum(),
-                parameters.pointing(), parameters.adjustment(), *parameters.altitudes(),
+                parameters.crs(), parameters.vertical_datum(), parameters.rpcs(), parameters.masks(),
+                parameters.gcp_datum(), parameters.pointing(), parameters.adjustment(), *parameters.altitudes(),
                 *parameters.tiles_and_budget(),
                 parameters.advanced(parameters.model()), parameters.advanced(parameters.order()),
                 parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),

@@ -10,6 +10,7 @@ from qgis.PyQt.QtGui import QIcon
 GROUP = "REPM"
 ENGINE_PYTHON = "REPM_ENGINE_PYTHON"
 WORKERS = "REPM_WORKERS"
+MEMORY = "REPM_MEMORY"
 
 
 def _tr(text: str) -> str:
@@ -29,6 +30,9 @@ def register(icon_path: str) -> None:
         valuetype=Setting.FILE))
     ProcessingConfig.addSetting(Setting(
         GROUP, WORKERS, _tr("Worker processes (0: one per core)"), 0, valuetype=Setting.INT))
+    ProcessingConfig.addSetting(Setting(
+        GROUP, MEMORY, _tr("Memory of all workers together (MiB, 0: three quarters of what is free)"), 0,
+        valuetype=Setting.INT))
     ProcessingConfig.readSettings()
 
 
@@ -39,7 +43,7 @@ def unregister() -> None:
     except ImportError:
         return
 
-    for name in (ENGINE_PYTHON, WORKERS):
+    for name in (ENGINE_PYTHON, WORKERS, MEMORY):
         ProcessingConfig.removeSetting(name)
     ProcessingConfig.settingIcons.pop(GROUP, None)
 
@@ -59,7 +63,16 @@ def engine_python() -> str:
 
 def workers() -> int:
     """How many worker processes the engine may use; 0 means one a core."""
+    return _whole(WORKERS)
+
+
+def memory() -> int:
+    """What all workers may take together, MiB; 0 means a share of what is free."""
+    return _whole(MEMORY)
+
+
+def _whole(name: str) -> int:
     try:
-        return max(0, int(_value(WORKERS) or 0))
+        return max(0, int(_value(name) or 0))
     except (TypeError, ValueError):
         return 0

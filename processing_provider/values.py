@@ -62,11 +62,12 @@ def raster_paths(value: object, context: QgsProcessingContext) -> list[str]:
 
 
 def file_paths(value: object, context: QgsProcessingContext) -> list[str]:
-    """Absolute paths of a list of files, in its order."""
+    """Absolute paths of a list of files, in its order; "" stays where one is left out between others."""
     if isinstance(value, QgsProperty):
         value = value.valueAsString(context.expressionContext())[0]
     values = value if isinstance(value, (list, tuple)) else [value]
-    return [os.path.abspath(str(item)) for item in values if not is_empty(item)]
+    paths = ["" if is_empty(item) else os.path.abspath(str(item)) for item in values]
+    return paths if any(paths) else []
 
 
 def points_path(value: object, context: QgsProcessingContext) -> Optional[str]:
@@ -170,7 +171,7 @@ def command_line(algorithm_id: str, options: Mapping[str, Any]) -> str:
     """The ``qgis_process`` command that repeats a run with these engine options."""
     words = []
     for name, value in options.items():
-        if is_empty(value) or name in ("extent_crs", "workers", "command"):
+        if is_empty(value) or name in ("extent_crs", "workers", "memory", "command"):
             continue
         if name == "extent":
             xmin, ymin, xmax, ymax = value

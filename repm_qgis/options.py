@@ -67,7 +67,8 @@ class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
 
     ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is to be found in or beside the image;
-    empty: all are to be found.
+    empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels that are
+    neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
     ``extent`` is xmin, ymin, xmax, ymax in ``extent_crs`` (any PROJ text); None takes all that two images see.
     ``altitude_min/max`` in metres above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in
     px of the finest image, 0 = the largest that keeps the equivalent error under ``error_budget`` px.
@@ -77,6 +78,7 @@ class EpmFitOptions(Options):
     images: Tuple[str, ...]
     workspace: str
     rpcs: Tuple[str, ...] = ()
+    masks: Tuple[str, ...] = ()
     extent: Optional[Extent] = None
     extent_crs: str = "EPSG:4326"
     dem: Optional[str] = None
@@ -95,11 +97,12 @@ class EpmFitOptions(Options):
             raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
         if len(set(self.images)) != len(self.images):
             raise OptionError("IMAGES", list(self.images), "must not name the same image twice")
-        if isinstance(self.rpcs, str) or not all(isinstance(i, str) for i in self.rpcs):
-            raise OptionError("RPCS", self.rpcs, "must be a list of RPC files")
-        if self.rpcs and len(self.rpcs) != len(self.images):
-            raise OptionError("RPCS", list(self.rpcs), f"must be empty, or name {len(self.images)} files: one for each "
-                              "of IMAGES, in their order")
+        for name, files, kind in (("RPCS", self.rpcs, "RPC files"), ("MASKS", self.masks, "rasters")):
+            if isinstance(files, str) or not all(isinstance(i, str) for i in files):
+                raise OptionError(name, files, f"must be a list of {kind}")
+            if files and len(files) != len(self.images):
+                raise OptionError(name, list(files), f"must be empty, or name {len(self.images)} files: one for each "
+                                  "of IMAGES, in their order")
         _given("WORKSPACE", self.workspace)
         if self.extent is not None:
             if len(self.extent) != 4 or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in self.extent):
@@ -197,7 +200,8 @@ class ReconstructOptions(Options):
     ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them beside the
     scene. ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical
     CRS; "" is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or
-    COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0 means one a core.
+    COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0 means one a core. ``memory``
+    in MiB bounds what the workers take together, 0 means three quarters of what is free.
     """
 
     scene: str
@@ -210,6 +214,7 @@ class ReconstructOptions(Options):
     heights: Optional[str] = None
     workers: int = 0
     adjustment: str = "rpc"
+    memory: int = 0
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
@@ -224,6 +229,7 @@ class ReconstructOptions(Options):
             raise OptionError("ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is "
                               "relative")
         _within("WORKERS", self.workers, 0, 1024)
+        _within("MEMORY", self.memory, 0, 1 << 24, "MiB")
 
 
 @dataclass(frozen=True)
@@ -234,7 +240,8 @@ class DsmFuseOptions(Options):
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
     the cells' heights across pairs. ``fill``: cells that one image
     hides from the other take the background's height, or none. ``outlier_radius`` in metres, None = from the
-    data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted.
+    data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted. ``memory`` as in
+    ``ReconstructOptions``.
     """
 
     scene: str
@@ -249,6 +256,7 @@ class DsmFuseOptions(Options):
     cloud: Optional[str] = None
     workers: int = 0
     vertical_datum: str = ""
+    memory: int = 0
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
@@ -262,6 +270,7 @@ class DsmFuseOptions(Options):
         if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
         _within("WORKERS", self.workers, 0, 1024)
+        _within("MEMORY", self.memory, 0, 1 << 24, "MiB")
 
 
 @dataclass(frozen=True)
@@ -272,6 +281,7 @@ class PipelineOptions(Options):
     workspace: str
     output: str
     rpcs: Tuple[str, ...] = ()
+    masks: Tuple[str, ...] = ()
     extent: Optional[Extent] = None
     extent_crs: str = "EPSG:4326"
     dem: Optional[str] = None
@@ -300,6 +310,7 @@ class PipelineOptions(Options):
     command: Optional[str] = None
     workers: int = 0
     vertical_datum: str = ""
+    memory: int = 0
 
     def __post_init__(self) -> None:
         # The stages' own options check everything else; building them here makes a wrong value fail at once.
@@ -308,7 +319,7 @@ class PipelineOptions(Options):
         if self.model == "terrain" and not self.dem:
             raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
         ReconstructOptions("-", "-", self.backend, self.gcps, self.gcp_datum, self.pointing, workers=self.workers,
-                           adjustment=self.adjustment)
+                           adjustment=self.adjustment, memory=self.memory)
         DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.fill, self.outlier_radius,
                        cloud=self.cloud)
 

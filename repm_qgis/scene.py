@@ -39,7 +39,8 @@ class View:
 
     ``pointing`` (2, 3) is the affine map from the pixel the vendor's RPC gives to the pixel where the ground point
     is really seen; the identity until relative pointing is known. ``acquired`` is when the image was taken, ISO 8601 in
-    UTC, "" where nothing tells.
+    UTC, "" where nothing tells. ``mask`` is a raster of the image's size whose pixels that are neither zero nor nodata
+    are not to be used, "" where there is none.
     """
 
     name: str
@@ -51,6 +52,7 @@ class View:
     gsd_m: float
     pointing: FloatArray = field(default_factory=lambda: _IDENTITY.copy())
     acquired: str = ""
+    mask: str = ""
 
     @property
     def time(self) -> Optional[datetime]:
@@ -76,13 +78,14 @@ class View:
     def to_mapping(self) -> Dict[str, Any]:
         return {"name": self.name, "image": self.image, "band": self.band, "width": self.width,
                 "height": self.height, "gsd_m": self.gsd_m, "pointing": self.pointing.tolist(),
-                "acquired": self.acquired, "rpc": self.rpc.to_mapping()}
+                "acquired": self.acquired, "rpc": self.rpc.to_mapping(), "mask": self.mask}
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> "View":
         return cls(str(values["name"]), str(values["image"]), int(values["band"]), int(values["width"]),
                    int(values["height"]), Rpc.from_mapping(values["rpc"]), float(values["gsd_m"]),
-                   np.array(values["pointing"], dtype=np.float64).reshape(2, 3), str(values.get("acquired") or ""))
+                   np.array(values["pointing"], dtype=np.float64).reshape(2, 3), str(values.get("acquired") or ""),
+                   str(values.get("mask") or ""))
 
 
 @dataclass
@@ -275,23 +278,26 @@ def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
     return scene if last.get("stage") == stage and last.get("fingerprint") == key else None
 
 
-def load_views(images: Sequence[str], rpcs: Sequence[str] = ()) -> List[View]:
+def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[str] = ()) -> List[View]:
     """Open images, read their RPCs, and make views; names are unique, in the order given.
 
     ``rpcs`` names the images' RPC files in the same order; "" is for an image whose RPC is to be found, as all are
-    where the sequence is empty.
+    where the sequence is empty. ``masks`` likewise names rasters of what is not to be used, "" for none.
 
     Raises ImageError or an RpcError with the file's name.
     """
-    from .imagery.raster import grey_band, name_of, opened
+    from .imagery.raster import grey_band, name_of, opened, opened_masked
     from .rpc.readers import rpc_of
 
     views: List[View] = []
-    for path, rpc_file in zip(images, rpcs or [""] * len(images)):
+    none = [""] * len(images)
+    for path, rpc_file, mask in zip(images, rpcs or none, masks or none):
         with opened(path) as dataset:
             rpc = rpc_of(dataset, path, rpc_file)
             width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
             when = acquired(dataset, path)
+        with opened_masked(path, mask):  # a mask that does not fit is told now, not in a worker later
+            mask = os.path.abspath(mask) if os.path.exists(mask) else mask
         if min(width, height) < 64:
             raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")
         taken = {view.name for view in views}
@@ -299,7 +305,7 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = ()) -> List[View]:
         while name in taken:
             name = f"{name}_{len(views) + 1}"
         views.append(View(name, os.path.abspath(path) if os.path.exists(path) else path, band, width, height, rpc,
-                          _gsd(path, rpc, width, height), acquired=when))
+                          _gsd(path, rpc, width, height), acquired=when, mask=mask))
     return views
 
 

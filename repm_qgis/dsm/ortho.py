@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.frames import geodetic_from_projected
-from ..imagery.raster import opened
+from ..imagery.raster import opened_masked
 from ..imagery.sampling import upsample_grid
 from ..imagery.warping import sample_source
 from ..scene import Scene, View
@@ -39,7 +39,7 @@ def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: s
         if not wanted.any():
             break
         seen = wanted & ~_blocked(view, grid, height, crs)
-        with opened(view.image) as dataset:
+        with opened_masked(view.image, view.mask) as dataset:
             values = sample_source(dataset, view.band, _pixels(view, grid, height, crs), "bilinear")
         result = np.where(seen, values, result)
     return result

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ImageError
-from .raster import opened, read
+from .raster import opened_masked, read
 
 _SAMPLE_SIDE = 1024
 _KNEE = 0.9     # the threshold's place in 0..1: a tenth is left for the tail
@@ -35,18 +35,18 @@ class Stretch:
                 np.float32)
 
 
-def view_stretch(path: str, band: int) -> Stretch:
-    """The stretch of a whole image of any bit depth, from its overviews or a decimated reading.
+def view_stretch(path: str, band: int, mask: str = "") -> Stretch:
+    """The stretch of a whole image of any bit depth, from its overviews or a decimated reading; without masked pixels.
 
     Raises ImageError where the image holds only nodata or one value.
     """
-    with opened(path) as dataset:
+    with opened_masked(path, mask) as dataset:
         factor = max(1.0, max(dataset.RasterXSize, dataset.RasterYSize) / _SAMPLE_SIDE)
         size = (max(1, int(dataset.RasterXSize / factor)), max(1, int(dataset.RasterYSize / factor)))
         pixels = read(dataset, None, band, size)
     known = pixels[np.isfinite(pixels)]
     if known.size < 100:
-        raise ImageError(f"'{path}' has only nodata in band {band}: choose another image or band.")
+        raise ImageError(f"'{path}' has only nodata in band {band}: choose another image, " "band or mask.")
     low, high = np.percentile(known, (0.1, 99.5))
     if high <= low:
         raise ImageError(f"'{path}' has the same value ({low:g}) almost everywhere in band {band}: it shows nothing to "

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,34 @@ def _reason(error: Optional[BaseException] = None) -> str:
     return text.strip().rstrip(".").replace("\n", " ")[:300]
 
 
+class MaskedImage:
+    """An image with a mask of its size beside it: :func:`read` gives NaN where the mask is neither zero nor nodata."""
+
+    def __init__(self, image: gdal.Dataset, mask: gdal.Dataset) -> None:
+        self.image, self.mask = image, mask
+        self.RasterXSize, self.RasterYSize = image.RasterXSize, image.RasterYSize
+
+    def GetDescription(self) -> str:  # noqa: N802 - GDAL's name
+        return self.image.GetDescription()
+
+
+@contextmanager
+def opened_masked(path: str, mask: str = "") -> Iterator[Union[gdal.Dataset, MaskedImage]]:
+    """An image opened for reading with its mask, if it has one; raises ImageError as :func:`opened`, and where the
+    mask is of another size."""
+    with opened(path) as image:
+        if not mask:
+            yield image
+            return
+        with opened(mask) as excluded:
+            sizes = [(dataset.RasterXSize, dataset.RasterYSize) for dataset in (image, excluded)]
+            if sizes[0] != sizes[1]:
+                raise ImageError(f"The mask '{mask}' has {sizes[1][0]} x {sizes[1][1]} px, its image '{path}' "
+                                 f"{sizes[0][0]} x {sizes[0][1]} px: give a mask in the image's own geometry, pixel "
+                                 "for pixel.")
+            yield MaskedImage(image, excluded)
+
+
 @contextmanager
 def opened(path: str) -> Iterator[gdal.Dataset]:
     """A raster opened for reading, closed in any case; raises ImageError with GDAL's own words."""
@@ -62,14 +90,19 @@ def opened(path: str) -> Iterator[gdal.Dataset]:
         dataset = None
 
 
-def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
+def read(dataset: Union[gdal.Dataset, MaskedImage], window: Optional[Window] = None, band: int = 1,
          size: Optional[Tuple[int, int]] = None) -> NDArray[np.float32]:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
+
+    So does what the file's own mask or alpha band hides, and what a :class:`MaskedImage` excludes.
 
     ``band`` 0 reads the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is.
     ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
     for a truncated or damaged file.
     """
+    if isinstance(dataset, MaskedImage):
+        excluded = np.nan_to_num(read(dataset.mask, window, 1, size), nan=0.0) != 0
+        return np.where(excluded, np.float32(np.nan), read(dataset.image, window, band, size))
     if band == 0:
         meanings = _meanings(dataset)
         return sum(np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
@@ -91,6 +124,11 @@ def read(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1,
                          f"'{dataset.GetDescription()}': {reason}. The file is damaged or cut short: get it again.")
     nodata = handle.GetNoDataValue()
     result = values.astype(np.float32)
+    if handle.GetMaskFlags() & gdal.GMF_PER_DATASET:  # an alpha or mask band, in the file or beside it
+        with quiet():
+            hidden = handle.GetMaskBand().ReadAsArray(col, row, width, height, *(size or ()))
+        if hidden is not None:
+            result[hidden == 0] = np.nan
     if nodata is not None:
         result[values == nodata] = np.nan
     if values.dtype.kind == "f":

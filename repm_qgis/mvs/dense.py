@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import EmptyResultError, ImageError, SceneError
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import opened, read, write
+from ..imagery.raster import opened, opened_masked, read, write
 from ..imagery.warping import warp
 from ..scene import Scene, View
 from .backends import matcher_of
@@ -82,6 +82,13 @@ def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
     return record
 
 
+def frame_size(task: DenseTask) -> Tuple[int, int]:
+    """Width and height of the rectified frame that a tile is matched in; nothing where the views do not share it."""
+    pair = _rectified(task.scene, task.scene.view(task.first), task.scene.view(task.second), task.bounds,
+                      task.altitudes)
+    return pair.size if pair is not None else (0, 0)
+
+
 def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
     """The record of a height map that is there, whole, and made from the very same things; else None."""
     if not os.path.exists(path):
@@ -110,7 +117,7 @@ def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: 
 
 
 def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int, int]) -> FloatImage:
-    with opened(view.image) as dataset:
+    with opened_masked(view.image, view.mask) as dataset:
         return stretch.apply(warp(dataset, view.band, to_original, size, "cubic"))
 
 

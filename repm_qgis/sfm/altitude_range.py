@@ -19,7 +19,7 @@ from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.tiles import pixel_window
 from ..imagery.dem import dem_range
 from ..imagery.enhancement import view_stretch
-from ..imagery.raster import opened, read
+from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample, upsample_grid
 from ..progress import Progress
 from ..scene import View
@@ -148,7 +148,7 @@ class _Reduced:
                               smallest=8 * _REDUCTION)
         if window is None:
             return None
-        with opened(view.image) as dataset:
+        with opened_masked(view.image, view.mask) as dataset:
             pixels = read(dataset, window, view.band,
                           (max(1, window[2] // _REDUCTION), max(1, window[3] // _REDUCTION)))
         return cls(view, np.sqrt(np.maximum(pixels, 0)), window)
@@ -220,7 +220,7 @@ def altitude_range(views: Sequence[View], crs: str, bounds: Tuple[float, float, 
         swept = sweep_altitudes(views, crs, bounds, search, progress)
         if swept is None:
             for view in views:  # before the altitudes get the blame: does every image show something?
-                view_stretch(view.image, view.band)
+                view_stretch(view.image, view.band, view.mask)
             progress.warn(f"The images do not tell the altitude range: the RPCs' own is taken, {search[0]:.0f} to "
                           f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors.")
             found, source = search, "RPC"

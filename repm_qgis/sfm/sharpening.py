@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import opened
+from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, warp
 from ..mvs.pairing import grown, rectified_pair
 from ..mvs.rectification import RectifiedPair
@@ -172,7 +172,7 @@ def _grey(view: View, stretch: Stretch, to_original: PixelMap, size: Tuple[int, 
     Registration takes a ground point for equally bright in both views. Under another sun or in another season it is
     not, and ties were dropped or pulled aside.
     """
-    with opened(view.image) as dataset:
+    with opened_masked(view.image, view.mask) as dataset:
         pixels = np.nan_to_num(stretch.apply(warp(dataset, view.band, to_original, size, "cubic")), nan=0.0)
     away = pixels - cv2.GaussianBlur(pixels, (0, 0), _EVEN_PX)
     contrast = np.sqrt(cv2.GaussianBlur(away * away, (0, 0), _EVEN_PX))

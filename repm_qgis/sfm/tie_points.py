@@ -22,7 +22,7 @@ from ..geometry.footprints import box
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.refinement import apply_homography
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import opened, read
+from ..imagery.raster import opened_masked, read
 from ..imagery.warping import warp
 from ..mvs.pairing import ground_points, grown, rectify_over, refined_view
 from ..mvs.rectification import RectifiedPair
@@ -176,7 +176,7 @@ def _texture(scene: Scene, stretches: Dict[str, Stretch], place: Bounds) -> floa
             missed += 1
             continue
         window = tuple(int(v) for v in (*low, *size))
-        with opened(view.image) as dataset:
+        with opened_masked(view.image, view.mask) as dataset:
             pixels = read(dataset, window, view.band, (window[2] // 2, window[3] // 2))
         grey = np.nan_to_num(stretch.apply(pixels), nan=0.0)
         values.append(float(np.quantile(np.sqrt(np.maximum(cv2.cornerMinEigenVal(grey, 5), 0)), 0.9)))
@@ -213,7 +213,7 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     def to_original(points: FloatArray) -> FloatArray:
         return camera.to_original.original_from_refined((points + 0.5) * factor - 0.5)
 
-    with opened(view.image) as dataset:
+    with opened_masked(view.image, view.mask) as dataset:
         pixels = task.stretches[view.name].apply(warp(dataset, view.band, to_original, size))
     missing = ~np.isfinite(pixels)
     grey = (np.where(missing, 0, pixels) * 255).astype(np.uint8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from contextlib import ExitStack
@@ -23,6 +24,7 @@ from ..geometry.tiles import enclosing
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.raster import created
 from ..imagery.sampling import upsample_grid
+from ..memory import fusing_mib, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Progress
@@ -52,10 +54,11 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     views = tuple(nadir_first(scene)) if options.ortho else ()
     tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, options.fill,
                       radius, views, bool(options.cloud)) for tile, window in zip(tiles, windows)]
+    workers = _workers(options, scene, tiles, windows, progress)
     folder = temporary_name(str(scene.path.with_name("fusion")))
     try:
         ensure_folder(folder)
-        stored = run_tasks(fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)], options.workers,
+        stored = run_tasks(fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)], workers,
                            progress, lambda work: f"fusing {work[0].records[0]['tile']}")
         facts = _write(options, scene, grid, crs, datum, windows, stored)
     finally:
@@ -67,6 +70,15 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
             "cloud": options.cloud, "vertical_datum": datum.name,
             "seconds": round(time.monotonic() - start, 3), **facts}
+
+
+def _workers(options: DsmFuseOptions, scene: Scene, tiles: List[Tile], windows: List[Tuple[int, int, int, int]],
+             progress: Progress) -> int:
+    """How many workers the memory allows, by the tile that takes most."""
+    each, tile = max(((fusing_mib([r["size"][0] * r["size"][1] for r in tile.heights], window[2] * window[3]), tile)
+                      for tile, window in zip(tiles, windows)), key=lambda pair: pair[0])
+    side = max(tile.bounds[2] - tile.bounds[0], tile.bounds[3] - tile.bounds[1]) / scene.gsd_m
+    return workers_within(options.workers, each, options.memory, math.ceil(side), progress)
 
 
 def _round_cell(cell: float) -> float:

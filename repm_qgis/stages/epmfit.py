@@ -59,12 +59,13 @@ def _key(options: EpmFitOptions) -> str:
     named = options.rpcs or ("",) * len(options.images)
     beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_files_beside(image))]
     beside += [path for image in options.images for path in time_files_beside(image) if path not in beside]
-    files = [file_identity(path) for path in (*options.images, *beside, *([options.dem] if options.dem else []))]
+    files = [file_identity(path) for path in (*options.images, *beside, *([options.dem] if options.dem else []),
+                                              *filter(None, options.masks))]
     return fingerprint("epmfit", wanted, files)
 
 
 def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
-    views = load_views(options.images, options.rpcs)
+    views = load_views(options.images, options.rpcs, options.masks)
     progress.info("; ".join(f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m"
                             + (f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "") for v in views))
     crs = _crs(options, views)

@@ -50,11 +50,11 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
         ReconstructOptions(
             refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
-            workers=options.workers, adjustment=options.adjustment), p))
+            workers=options.workers, adjustment=options.adjustment, memory=options.memory), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,
-        options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum), p))
+        options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum, options.memory), p))
     report_path = options.report or str(folder / "report.html")
     products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
                 "tie_points": heights["tie_points"], "heights": heights["heights"]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
@@ -13,8 +14,9 @@ from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..imagery.enhancement import Stretch, view_stretch
+from ..memory import matching_mib, workers_within
 from ..mvs.backends import resolve
-from ..mvs.dense import DenseTask, match_tile
+from ..mvs.dense import DenseTask, frame_size, match_tile
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
@@ -40,7 +42,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     backend = resolve(options.backend)
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
     key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, options.adjustment, control,
-                      [file_identity(v.image) for v in scene.views])
+                      [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path])
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
     report_path = str(beside.with_name("reconstruction.html"))
@@ -53,9 +55,9 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         notes = Recorder(progress)
         pairs = choose_pairs(scene)
         _tell_pairs(scene, pairs, notes)
-        stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
+        stretches = {view.name: view_stretch(view.image, view.band, view.mask) for view in scene.views}
         ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
-        _match(scene, pairs, stretches, backend, key, str(folder), options.workers, Part(notes, 0.35, 1.0))
+        _match(scene, pairs, stretches, backend, key, str(folder), options, Part(notes, 0.35, 1.0))
         scene.record("reconstruct", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
                      backend=backend, ties=ties, pairs=[vars(pair) for pair in pairs])
         scene.save(options.output_scene)
@@ -132,7 +134,7 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
 
 
 def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], backend: str, key: str,
-           folder: str, workers: int, progress: Progress) -> None:
+           folder: str, options: ReconstructOptions, progress: Progress) -> None:
     """Match all pairs over all tiles, and note the height maps in the scene."""
     lean = scene.lean()
     tasks = [
@@ -141,6 +143,7 @@ def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
                   str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
                   fingerprint(key, tile.id, pair.first, pair.second))
         for tile in scene.tiles for pair in pairs if pair.first in tile.views and pair.second in tile.views]
+    workers = _workers(tasks, pairs, options, progress)
     try:
         records = run_tasks(match_tile, tasks, workers, progress,
                             lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
@@ -154,6 +157,19 @@ def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     for tile in scene.tiles:
         tile.heights = [record for record in records if record and record["tile"] == tile.id and record["valid"]]
     _check(records, len(tasks), progress)
+
+
+def _workers(tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: ReconstructOptions,
+             progress: Progress) -> int:
+    """How many workers the memory allows; tiles are alike, so the one with the widest altitudes speaks for all."""
+    if not tasks:
+        return options.workers
+    task = max(tasks, key=lambda t: t.altitudes[1] - t.altitudes[0])
+    slope = max(pair.base_to_height for pair in pairs)
+    disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.gsd_m
+    side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
+    return workers_within(options.workers, matching_mib(*frame_size(task), disparities), options.memory,
+                          math.ceil(side), progress)
 
 
 def _check(records: List[Any], tasks: int, progress: Progress) -> None:

@@ -11,13 +11,13 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 # Issue 2's table: models and scripts rely on these names.
 PARAMETERS = {
-    "epmfit": "IMAGES EXTENT DEM RPCS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
+    "epmfit": "IMAGES EXTENT DEM RPCS MASKS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
     "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
     "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
     "exportcameras": "SCENE FORMAT TILE CENTRE BITS KERNEL FOLDER",
     "reconstruct": "SCENE BACKEND GCPS GCP_DATUM POINTING ADJUSTMENT OUTPUT_SCENE TIE_POINTS HEIGHTS",
     "dsmfuse": "SCENE RESOLUTION CRS VERTICAL_DATUM METHOD FILL OUTLIER_RADIUS OUTPUT CONFIDENCE ORTHO CLOUD",
-    "pipeline": "IMAGES EXTENT DEM GCPS RESOLUTION CRS VERTICAL_DATUM RPCS GCP_DATUM POINTING ADJUSTMENT "
+    "pipeline": "IMAGES EXTENT DEM GCPS RESOLUTION CRS VERTICAL_DATUM RPCS MASKS GCP_DATUM POINTING ADJUSTMENT "
                 "ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND METHOD FILL OUTLIER_RADIUS "
                 "OUTPUT WORKSPACE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES ERROR REPORT",
@@ -123,9 +123,9 @@ def test_settings_come_and_go_with_the_provider(plugin):
     from processing.core.ProcessingConfig import ProcessingConfig
     from repm.processing_provider import settings
 
-    assert {settings.ENGINE_PYTHON, settings.WORKERS} <= set(ProcessingConfig.settings)
+    assert {settings.ENGINE_PYTHON, settings.WORKERS, settings.MEMORY} <= set(ProcessingConfig.settings)
     settings.unregister()
-    assert not {settings.ENGINE_PYTHON, settings.WORKERS} & set(ProcessingConfig.settings)
+    assert not {settings.ENGINE_PYTHON, settings.WORKERS, settings.MEMORY} & set(ProcessingConfig.settings)
     assert settings.workers() == 0
     settings.register(plugin.provider.svgIconPath())
     assert settings.ENGINE_PYTHON in ProcessingConfig.settings

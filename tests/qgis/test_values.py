@@ -48,7 +48,7 @@ def test_inputs_become_options_of_the_engine(plugin, context, feedback, rasters)
                                "DEM": rasters[0]}, context, feedback)
     assert found == {"images": rasters, "extent": [1.5, 2.5, 3.5, 4.5], "extent_crs": "EPSG:32631",
                      "dem": rasters[0], "altitude_min": -5.5, "altitude_max": None, "tile_size": 512,
-                     "error_budget": 0.1, "rpcs": []}
+                     "error_budget": 0.1, "rpcs": [], "masks": []}
     EpmFitOptions.from_json(json.loads(json.dumps({**found, "workspace": "w"})))
 
 
@@ -73,7 +73,7 @@ def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context
     found = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": "", "CRS": "EPSG:32632"}, context, feedback)
     assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "vertical_datum": "",
                      "method": "median", "fill": "occlusions",
-                     "outlier_radius": None, "workers": 0}
+                     "outlier_radius": None, "workers": 0, "memory": 0}
     zero = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": 0}, context, feedback)
     assert zero["outlier_radius"] == 0.0
     assert zero["crs"] is None
@@ -87,6 +87,25 @@ def test_workers_come_from_the_settings(plugin, context, feedback):
         assert options("reconstruct", {"SCENE": "/s/scene.json"}, context, feedback)["workers"] == 3
     finally:
         ProcessingConfig.settings["REPM_WORKERS"].setValue(0)
+
+
+def test_memory_comes_from_the_settings(plugin, context, feedback):
+    from processing.core.ProcessingConfig import ProcessingConfig
+
+    ProcessingConfig.settings["REPM_MEMORY"].setValue(2000)
+    try:
+        assert options("pipeline", {}, context, feedback)["memory"] == 2000
+    finally:
+        ProcessingConfig.settings["REPM_MEMORY"].setValue(0)
+
+
+def test_masks_keep_their_places(plugin, context, feedback, rasters):
+    """An image without a mask leaves its place in the list empty."""
+    assert options("epmfit", {"IMAGES": rasters, "MASKS": ["", rasters[1]]}, context, feedback)["masks"] == [
+        "", rasters[1]]
+    assert options("epmfit", {"IMAGES": rasters, "MASKS": []}, context, feedback)["masks"] == []
+    fine, text = check("epmfit", {"IMAGES": rasters, "WORKSPACE": "/w", "MASKS": ["/gone.tif", ""]}, context)
+    assert not fine and "MASKS '/gone.tif' is not there" in text
 
 
 def test_the_command_repeats_the_run(plugin, context, feedback, rasters):

@@ -1,0 +1,126 @@
+"""How many workers fit into memory: what is free, what a task takes, and what to do where one alone is too much."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from pathlib import Path
+from typing import Optional, Sequence
+
+from .errors import OptionError
+from .parallel import cores
+from .progress import Progress
+
+_SHARE = 0.75               # of what is free, where no budget is given
+_CGROUP = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")
+_MIB = 1024.0 * 1024.0
+
+
+def free_mib() -> Optional[float]:
+    """Memory that this process and its workers may still take, MiB; None where the system does not say.
+
+    On Linux the kernel's own estimate, or what the container's limit leaves, whichever is less; elsewhere the free
+    (Windows) or a half of all physical memory.
+    """
+    found = [value for value in (_meminfo_mib(), _container_mib()) if value is not None]
+    if found:
+        return min(found)
+    if sys.platform == "win32":
+        return _windows_mib()
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _MIB / 2
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def _meminfo_mib() -> Optional[float]:
+    try:
+        with open("/proc/meminfo", encoding="ascii", errors="replace") as stream:
+            for line in stream:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) / 1024.0
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
+
+
+def _container_mib() -> Optional[float]:
+    """What a container's limit leaves (cgroup 2); None without one."""
+    try:
+        limit, used = (Path(path).read_text(encoding="ascii").strip() for path in _CGROUP)
+        return max(int(limit) - int(used), 0) / _MIB
+    except (OSError, ValueError):  # "max" is no number: no limit
+        return None
+
+
+def _windows_mib() -> Optional[float]:
+    class Status(ctypes.Structure):
+        _fields_ = [("length", ctypes.c_ulong), ("load", ctypes.c_ulong)] + [
+            (name, ctypes.c_ulonglong) for name in ("total", "free", "page", "page_free", "virtual", "virtual_free",
+                                                    "extended")]
+
+    status = Status()
+    status.length = ctypes.sizeof(Status)
+    if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):
+        return None
+    return status.free / _MIB
+
+
+def workers_within(workers: int, each_mib: float, budget_mib: int, tile_px: int, progress: Progress) -> int:
+    """The number of workers whose tasks fit into the budget together, at least one.
+
+    Parameters
+    ----------
+    workers : wanted, 0 means one a core. each_mib : what one worker takes at most, as estimated below.
+    budget_mib : for all workers together, 0 means three quarters of what is free. tile_px : side of the present tiles.
+
+    Raises OptionError where one task alone exceeds a budget that was given; where it exceeds what is free, one worker
+    tries, and a warning says so. What is computed does not depend on the number of workers.
+    """
+    wanted = workers or cores()
+    free = None if budget_mib else free_mib()
+    budget = float(budget_mib) if budget_mib else None if free is None else _SHARE * free
+    if budget is None:
+        return wanted
+    if each_mib > budget:
+        remedy = f"TILE_SIZE of {largest_tile(tile_px, each_mib, budget)} px or less"
+        if budget_mib:
+            raise OptionError("MEMORY", budget_mib, f"is less than the {each_mib:.0f} MiB that one tile of {tile_px} "
+                              f"px takes; allow more, or choose a {remedy}")
+        progress.warn(f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and only {free:.0f} MiB are free: if memory "
+                      f"runs out, choose a {remedy}.")
+        return 1
+    fitting = int(budget // each_mib)
+    if fitting < wanted:
+        progress.info(f"{fitting} instead of {wanted} workers: each takes up to {each_mib:.0f} MiB, and "
+                      f"{budget:.0f} MiB are allowed.")
+    return min(wanted, fitting)
+
+
+_PROCESS_MIB = 125.0        # a worker with its libraries, before it does anything
+_BYTES_PER_PX = 115.0       # of the rectified tile
+_BYTES_PER_STRIP_PX = 16.0  # of the second image's strip that only far disparities reach
+
+
+def matching_mib(width: float, height: float, disparities: float) -> float:
+    """Peak memory of a worker that matches a rectified tile of width x height px over so many disparities, MiB.
+
+    Fitted to measured peaks of 0.2 to 2.1 Mpx; tests/engine/test_memory.py holds it to them within a factor of 1.5.
+    """
+    return _PROCESS_MIB + (_BYTES_PER_PX * width * height + _BYTES_PER_STRIP_PX * disparities * height) / _MIB
+
+
+def fusing_mib(pixels: Sequence[int], cells: int) -> float:
+    """Peak memory of a worker that fuses height maps of so many pixels each into a tile of so many cells, MiB.
+
+    Fitted to measured peaks of one to six maps, as :func:`matching_mib`.
+    """
+    maps = 29.0 * sum(pixels) + 130.0 * max(pixels, default=0)
+    return 105.0 + (maps + 80.0 * len(pixels) * cells) / _MIB
+
+
+def largest_tile(tile_px: int, each_mib: float, budget_mib: float) -> int:
+    """The side of the largest tile that fits, px, in whole tens; not less than the smallest that can be set."""
+    room = max(budget_mib - _PROCESS_MIB, 0.0) / max(each_mib - _PROCESS_MIB, 1.0)
+    return max(256, int(0.95 * tile_px * room ** 0.5) // 10 * 10)

@@ -1,0 +1,134 @@
+"""Estimates against measured peaks, and how many workers a budget leaves."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from repm_qgis import memory
+from repm_qgis.errors import OptionError
+from repm_qgis.memory import free_mib, fusing_mib, largest_tile, matching_mib, workers_within
+
+ROOT = Path(__file__).resolve().parents[2]
+BEGIN = '''
+import json, sys
+from repm_qgis.parallel import _bound_threads
+_bound_threads()
+from repm_qgis.scene import Scene
+path, side, extra, out = sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
+scene = Scene.load(path)
+tile = scene.tiles[0]
+def end(*facts):
+    peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+    print(json.dumps([int(peak.split()[1]) / 1024, *facts]))
+'''
+MATCHING = BEGIN + '''
+from repm_qgis.imagery.enhancement import view_stretch
+from repm_qgis.mvs.dense import DenseTask, frame_size, match_tile
+x, y = (tile.bounds[0] + tile.bounds[2]) / 2, (tile.bounds[1] + tile.bounds[3]) / 2
+half = side * scene.gsd_m / 2
+first, second = scene.views[:2]
+task = DenseTask(scene.lean(), "t", (x - half, y - half, x + half, y + half),
+                 (tile.altitudes[0] - extra, tile.altitudes[1] + extra), first.name, second.name,
+                 tuple(view_stretch(v.image, v.band) for v in (first, second)), "sgm", f"{out}{side}{extra}.tif", "key")
+record = match_tile(task)
+end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record["metres_per_px"])
+'''
+FUSING = BEGIN + '''
+from repm_qgis.dsm.fusion import FuseTask, fuse_to_disk
+from repm_qgis.stages.dsmfuse import _layout
+records = tuple(tile.heights[:1] * int(extra))
+grid, windows = _layout(scene, [tile], scene.crs, side)
+fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, "median", "occlusions", 1.5, (),
+                       False), out + ".npz"))
+end([record["size"][0] * record["size"][1] for record in records], grid.shape[0] * grid.shape[1])
+'''
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak is told by Linux")
+
+
+@pytest.fixture(scope="module")
+def measured(shared_data, pipeline, tmp_path_factory):
+    """measured(code, side, extra): the peak of a process that does one task on truth_urban, MiB, and facts of it."""
+    folder = tmp_path_factory.mktemp("memory")
+    images = [str(shared_data / "truth_urban" / f"img_0{i}.tif") for i in (1, 2)]
+    scene = pipeline(SimpleNamespace(images=images), folder, confidence=None, ortho=None, cloud=None,
+                     workers=1).result["scene"]
+
+    def measure(code, side, extra):
+        done = subprocess.run([sys.executable, "-c", code, scene, str(side), str(extra), str(folder / "made")],
+                              cwd=ROOT, capture_output=True, text=True, check=True)
+        return json.loads(done.stdout)
+
+    return measure
+
+
+@linux
+@pytest.mark.parametrize("side, extra", ((300, 0.0), (1400, 0.0), (1400, 300.0)))
+def test_the_estimate_of_matching_is_right_within_a_half(measured, side, extra):
+    peak, *facts = measured(MATCHING, side, extra)
+    assert peak / 1.5 < matching_mib(*facts) < 1.5 * peak
+
+
+@linux
+@pytest.mark.parametrize("cell, maps", ((1.0, 1), (0.5, 3)))
+def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
+    peak, *facts = measured(FUSING, cell, maps)
+    assert peak / 1.5 < fusing_mib(*facts) < 1.5 * peak
+
+
+def test_a_budget_bounds_the_workers_and_says_so(told):
+    said = told()
+    assert workers_within(8, 300.0, 1000, 1600, said) == 3
+    assert said.notes == ["3 instead of 8 workers: each takes up to 300 MiB, and 1000 MiB are allowed."]
+    assert workers_within(2, 300.0, 1000, 1600, said) == 2
+    assert len(said.notes) == 1 and not said.warnings
+
+
+def test_a_tile_that_is_too_large_names_the_remedy(told):
+    with pytest.raises(OptionError, match="MEMORY is 200: it is less than the 420 MiB that one tile of 1600 px takes; "
+                                          "allow more, or choose a TILE_SIZE of 760 px or less"):
+        workers_within(2, 420.0, 200, 1600, told())
+    side = largest_tile(1600, matching_mib(1600, 1600, 0), 200.0)
+    assert matching_mib(side, side, 0) < 200.0
+
+
+def test_without_a_budget_free_memory_decides(told, monkeypatch):
+    said = told()
+    monkeypatch.setattr(memory, "free_mib", lambda: 1000.0)
+    assert workers_within(8, 300.0, 0, 1600, said) == 2
+    assert workers_within(8, 800.0, 0, 1600, said) == 1
+    assert "only 1000 MiB are free" in said.warnings[0] and "TILE_SIZE" in said.warnings[0]
+    monkeypatch.setattr(memory, "free_mib", lambda: None)
+    assert workers_within(8, 1e9, 0, 1600, said) == 8
+
+
+def test_free_memory_is_what_the_machine_has(monkeypatch, tmp_path):
+    found = free_mib()
+    if found is None:
+        pytest.skip("this system does not say")
+    assert 16 < found < 1 << 24
+    limit, used = tmp_path / "max", tmp_path / "current"
+    limit.write_text(str(300 << 20))
+    used.write_text(str(100 << 20))
+    monkeypatch.setattr(memory, "_CGROUP", (str(limit), str(used)))
+    assert free_mib() == min(200.0, found) or abs(free_mib() - 200.0) < 1
+    limit.write_text("max\n")
+    assert free_mib() > 0
+
+
+def test_a_dsm_does_not_depend_on_the_budget(urban, tmp_path, pipeline):
+    """Enough for one worker and for many: the same bytes; too little: a sentence."""
+    options = {"images": urban.images[:2], "resolution": 0.5, "tile_size": 256, "confidence": None, "ortho": None,
+               "cloud": None, "workers": 2}
+    runs = [pipeline(urban, tmp_path / str(budget), memory=budget, **options) for budget in (200, 4000)]
+    assert any("1 instead of 2 workers" in note for note in runs[0].said.notes)
+    assert not any("instead of" in note for note in runs[1].said.notes)
+    first, second = (Path(run.result["output"]).read_bytes() for run in runs)
+    assert first == second
+    with pytest.raises(OptionError, match="MEMORY is 100"):
+        pipeline(urban, tmp_path / "little", memory=100, **options)
