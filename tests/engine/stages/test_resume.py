@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -153,6 +157,37 @@ def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(urban, whole,
     if workers == 1 and share == 0.6:
         result = run_stage("pipeline", {**options, "workers": 1}, told())
         np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL")
+def test_a_killed_run_goes_on_with_the_tiles_it_has_finished(again, whole, told, tmp_path):
+    """The whole process group killed in the middle of matching, as by the kernel where memory runs out."""
+    folder = again.workspace / "reconstructed_heights"
+    shutil.rmtree(folder)
+    for name in ("reconstructed.json", "report.html"):
+        os.unlink(again.workspace / name)
+    job = tmp_path / "job.json"
+    options = {**whole.options, "workspace": str(again.workspace), "output": again.output, "workers": 1}
+    job.write_text(json.dumps(options))
+
+    def whole_maps():
+        return {name: time for name, time in maps(again.workspace).items() if not name.startswith(".")}
+
+    engine = subprocess.Popen([sys.executable, "-m", "repm_qgis", "pipeline", str(job)], stdout=subprocess.DEVNULL,
+                              stderr=subprocess.DEVNULL, start_new_session=True,
+                              cwd=Path(__file__).resolve().parents[3])
+    end = time.monotonic() + 60
+    while len(whole_maps()) < 2 and engine.poll() is None and time.monotonic() < end:
+        time.sleep(0.005)
+    os.killpg(engine.pid, signal.SIGKILL)
+    engine.wait()
+    done = whole_maps()
+    assert done and not os.path.exists(again.output)
+    result = run_stage("pipeline", options, said := told())
+    assert any(f"Reused {len(done)} of 4 height maps" in note or "Reused 4 height maps" in note for note in said.notes)
+    assert {name: maps(again.workspace)[name] for name in done} == done
+    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    assert parts(tmp_path) == []
 
 
 def test_heights_go_where_they_are_wanted(again, tmp_path, told):
