@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench-epm bench-masks bench-matching bench-pointing bench-real lint package models i18n pictures clean
+.PHONY: help setup demo test bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -20,6 +20,9 @@ test: setup ## the whole test suite (TESTS=tests/engine for a part)
 bench-epm: setup ## the equivalent pinhole model: errors, agreement, cost (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/epm.py
 
+bench-fusion: setup ## what fusing height maps to a DSM costs: time and memory (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/fusion.py
+
 bench-real: setup ## real Pleiades images against S2P's DSMs: agreement, time, memory (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/real_pairs.py
 
@@ -31,6 +34,9 @@ bench-matching: setup ## the matcher with one thing changed at a time (writes do
 
 bench-masks: setup ## water and clouds: what comes out as nodata, what is lost on land (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/masks.py
+
+bench-views: setup ## what a third view adds to the best pair on truth scenes (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/views.py
 
 lint: setup ## ruff over everything
 	@$(PYTHON) -m ruff check .

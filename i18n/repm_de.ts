@@ -657,16 +657,16 @@
         <translation>Fusion der Höhen der Paare</translation>
     </message>
     <message>
-        <source>median: robust, for three images or more; mean: smoother.</source>
-        <translation>median: robust, ab drei Bildern; mean: glatter.</translation>
+        <source>Of the heights that agree: mean has less noise, median is the paper's.</source>
+        <translation>Aus den Höhen, die übereinstimmen: mean rauscht weniger, median entspricht dem Aufsatz.</translation>
     </message>
     <message>
         <source>Fill</source>
         <translation>Auffüllen</translation>
     </message>
     <message>
-        <source>occlusions: cells that one image hides take the height of the ground behind, and are marked in the confidence raster; none: they stay nodata.</source>
-        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter und sind im Vertrauensraster gekennzeichnet; none: sie bleiben ohne Wert.</translation>
+        <source>occlusions: cells that one image hides take the height of the ground behind; all: remaining holes are interpolated too; both are marked in the confidence raster. none: they stay nodata.</source>
+        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter; all: übrige Lücken werden zudem interpoliert; beides ist im Vertrauensraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
         <source>Outlier radius (m, empty: automatic, 0: off)</source>

@@ -246,11 +246,12 @@ def crs() -> QgsProcessingParameterDefinition:
 def fusion() -> list[QgsProcessingParameterDefinition]:
     from ..repm_qgis.options import FILLS, METHODS
 
-    return [advanced(choice("METHOD", tr("Fusion of the pairs' heights"), METHODS, "median",
-                            tr("median: robust, for three images or more; mean: smoother."))),
+    return [advanced(choice("METHOD", tr("Fusion of the pairs' heights"), METHODS, "mean",
+                            tr("Of the heights that agree: mean has less noise, median is the paper's."))),
             advanced(choice("FILL", tr("Fill"), FILLS, "occlusions",
-                            tr("occlusions: cells that one image hides take the height of the ground behind, and are "
-                               "marked in the confidence raster; none: they stay nodata."))),
+                            tr("occlusions: cells that one image hides take the height of the ground behind; all: "
+                               "remaining holes are interpolated too; both are marked in the confidence raster. none: "
+                               "they stay nodata."))),
             advanced(real("OUTLIER_RADIUS", tr("Outlier radius (m, empty: automatic, 0: off)"), None, 0.0, 1000.0,
                           tr("Points with too few neighbours within this distance are dropped.")))]
 

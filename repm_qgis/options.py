@@ -19,7 +19,7 @@ BACKENDS = ("auto", "sgm")
 POINTINGS = ("auto", "shift", "affine")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
-FILLS = ("none", "occlusions")
+FILLS = ("none", "occlusions", "all")
 ALIGNMENTS = ("none", "vertical", "3d")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
@@ -238,17 +238,17 @@ class DsmFuseOptions(Options):
 
     ``resolution`` in units of the CRS, 0 = twice the ground sampling distance; ``crs`` any projected CRS, None the
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
-    the cells' heights across pairs. ``fill``: cells that one image
-    hides from the other take the background's height, or none. ``outlier_radius`` in metres, None = from the
-    data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted. ``memory`` as in
-    ``ReconstructOptions``.
+    the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
+    background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
+    None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted. ``memory``
+    as in ``ReconstructOptions``.
     """
 
     scene: str
     output: str
     resolution: float = 0.0
     crs: Optional[str] = None
-    method: str = "median"
+    method: str = "mean"
     fill: str = "occlusions"
     outlier_radius: Optional[float] = None
     confidence: Optional[str] = None
@@ -298,7 +298,7 @@ class PipelineOptions(Options):
     adjustment: str = "rpc"
     resolution: float = 0.0
     crs: Optional[str] = None
-    method: str = "median"
+    method: str = "mean"
     fill: str = "occlusions"
     outlier_radius: Optional[float] = None
     confidence: Optional[str] = None

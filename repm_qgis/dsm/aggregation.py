@@ -1,70 +1,258 @@
-"""One height a cell from several height maps, and cells that stand alone removed (paper, "DSMs aggregation")."""
+"""One height a cell from several height maps, and cells that stand alone removed (paper, "DSMs aggregation").
+
+Where the maps agree, their mean is the height. Where they do not, heights within each other's noise form groups, and
+one group wins. Matching widens what stands out (a window at a roof's edge holds the roof's texture), so that at true
+steps the lower group is right; but a lower height is also what a failed match leaves. Three things tell the two apart,
+all taken from the tile itself: how its matching score ranks among those of cells where the maps agree, whether the
+agreed surface nearby has that height, and how often backgrounds of occlusions are confirmed where others were matched.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Sequence, Tuple
+from typing import List, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
-_MAD_FACTOR = 3.0
-_SIGMA_PX = 0.25    # what matching leaves, px of disparity: the floor of the outlier test
+REACH_CELLS = 12
+"""How far off the agreed surface is looked for: the margin that a part of a tile needs."""
+
+_SIGMA_PX = 0.25            # what matching leaves, px of disparity
+_TOLERANCE = 2.5            # of these: so far may heights differ that mean the same surface
+_WEIGHT_POWER = 0.5         # weights are metres_per_px ** -0.5: between equal ones and the noise of disparities alone
+_COMPANY = 3                # of the eight cells around, in the same map
+_LEAST_AGREED = 500         # cells: fewer do not tell how scores are distributed
+_RANK_ALONE, _RANK_OUTVOTED, _RANK_ISOLATED = 0.03, 0.05, 0.1
+_CONFIRMED = 0.45           # of backgrounds: fewer, and gaps here are failures rather than occlusions
+_SHARE = 0.2                # of the usual number of neighbours that a cell needs
+_DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A height map on the cells: ``height`` (m, NaN = not matched) with its ``score``, ``background`` (m, NaN = none)
+    where an occlusion hides the cell, and the height that one px of disparity means."""
+
+    height: FloatArray
+    score: FloatArray
+    background: FloatArray
+    metres_per_px: float
 
 
 @dataclass(frozen=True)
 class Aggregate:
     """Fused cells, all of one shape: ``height`` (m, NaN = none), ``count`` of height maps that agree, ``spread`` (m)
-    between them (NaN for one alone), and mean matching ``score``."""
+    between them (NaN for one alone), mean matching ``score``, and which cells are ``filled`` from the background."""
 
     height: FloatArray
     count: NDArray[np.uint8]
     spread: FloatArray
     score: FloatArray
+    filled: NDArray[np.bool_]
 
 
-def aggregate(heights: Sequence[FloatArray], scores: Sequence[FloatArray], metres_per_px: Sequence[float],
-              method: str) -> Aggregate:
-    """Fuse height maps cell by cell: median absolute deviation test, then the median or mean of what is left.
+def aggregate(layers: Sequence[Layer], method: str) -> Aggregate:
+    """Fuse height maps cell by cell.
 
     Parameters
     ----------
-    heights, scores : one (H, W) array a map.
-    metres_per_px : height that one px of disparity means in each map: narrow pairs are noisier, and weigh less.
-    method : ``median`` or ``mean``, weighted by 1 / metres_per_px either way (the square would let the widest pair of
-        three decide alone).
+    method : ``mean`` or ``median`` of the heights that agree, weighted by metres_per_px ** -0.5 either way.
     """
-    stack = np.stack(heights)
-    known = np.isfinite(stack)
-    weight = np.array([1.0 / m for m in metres_per_px])[:, None, None] * known
-    centre = _weighted_median(stack, weight)
-    deviation = np.abs(stack - centre)
-    mad = _median(deviation)
-    floor = _SIGMA_PX * np.array(metres_per_px)[:, None, None]
-    with np.errstate(invalid="ignore"):
-        good = known & (deviation <= _MAD_FACTOR * np.maximum(1.4826 * mad, floor))
-    weight = weight * good
-    total = weight.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.where(good, stack * weight, 0.0).sum(axis=0) / total
-        variance = np.where(good, weight * (stack - mean) ** 2, 0.0).sum(axis=0) / total
-        score = np.where(good, np.nan_to_num(np.stack(scores)) * weight, 0.0).sum(axis=0) / total
-    count = good.sum(axis=0).astype(np.uint8)
-    height = mean if method == "mean" else _weighted_median(stack, weight)
-    return Aggregate(np.where(count > 0, height, np.nan), count, np.where(count > 1, np.sqrt(variance), np.nan),
-                     np.where(count > 0, score, np.nan))
+    heights = np.stack([layer.height for layer in layers]).astype(np.float32)
+    scores = np.stack([layer.score for layer in layers]).astype(np.float32)
+    backgrounds = np.stack([layer.background for layer in layers]).astype(np.float32)
+    backgrounds[np.isfinite(heights)] = np.nan
+    votes = _Votes(heights, scores, backgrounds, np.array([layer.metres_per_px for layer in layers]))
+    return votes.decided(method)
 
 
-def _median(stack: FloatArray) -> FloatArray:
-    """Median along the first axis of what is finite; NaN where nothing is."""
-    ordered = np.sort(stack, axis=0)  # NaN last
-    count = np.isfinite(stack).sum(axis=0)
-    low = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[None], axis=0)[0]
-    high = np.take_along_axis(ordered, np.minimum(count // 2, len(stack) - 1)[None], axis=0)[0]
-    return np.where(count > 0, (low + high) / 2, np.nan)
+class _Votes:
+    """The maps' heights of all cells, (maps, H, W), and what most cells say of the maps."""
+
+    def __init__(self, heights: FloatArray, scores: FloatArray, backgrounds: FloatArray, metres: FloatArray) -> None:
+        self.heights, self.scores, self.backgrounds = heights, np.nan_to_num(scores), backgrounds
+        self.matched, self.sigma = np.isfinite(heights), (_SIGMA_PX * metres).astype(np.float32)
+        self.weights = (metres ** -_WEIGHT_POWER).astype(np.float32)
+        self.mean, self.count = self._mean(self.matched), self.matched.sum(axis=0, dtype=np.uint8)
+        self.agreed = (self.count >= 2) & self._within(self.mean)
+
+    def _mean(self, members: NDArray[np.bool_]) -> FloatArray:
+        total = np.zeros(members.shape[1:], np.float32)
+        value = np.zeros(members.shape[1:], np.float32)
+        for height, member, weight in zip(self.heights, members, self.weights):
+            total += weight * member
+            value += np.where(member, weight * height, np.float32(0))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(total > 0, value / total, np.float32(np.nan))
+
+    def _within(self, centre: FloatArray) -> NDArray[np.bool_]:
+        """Whether all maps' matched heights mean the same surface as the centre."""
+        result = np.ones(centre.shape, dtype=bool)
+        for height, matched, sigma in zip(self.heights, self.matched, self.sigma):
+            with np.errstate(invalid="ignore"):
+                result &= ~matched | (np.abs(height - centre) <= _TOLERANCE * sigma)
+        return result
+
+    def decided(self, method: str) -> Aggregate:
+        """The heights of all cells: agreed ones first, then single ones, then those that groups contend for."""
+        members = self.matched.copy()
+        single = (self.count == 1) & ~np.isfinite(self.backgrounds).any(axis=0)
+        height = np.where(self.agreed | single, self.mean, np.float32(np.nan))
+        contended = np.flatnonzero(~(self.agreed | single) & (
+            (self.count > 0) | np.isfinite(self.backgrounds).any(axis=0)))
+        filled = np.zeros(height.shape, dtype=bool)
+        if contended.size:
+            chosen, values, from_behind = self._contended(contended)
+            members.reshape(len(members), -1)[:, contended] = chosen
+            height.ravel()[contended] = values
+            filled.ravel()[contended] = from_behind
+        if method == "median" and len(self.heights) > 2:
+            several = members.sum(axis=0) > 2
+            height[several] = _weighted_median(self.heights[:, several], self.weights[:, None] * members[:, several])
+        return self._described(height, members, filled)
+
+    def _described(self, height: FloatArray, members: NDArray[np.bool_], filled: NDArray[np.bool_]) -> Aggregate:
+        weight = self.weights[:, None, None] * members
+        total = weight.sum(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            score = (weight * self.scores).sum(axis=0) / total
+        count = members.sum(axis=0, dtype=np.uint8)
+        spread = np.full(height.shape, np.nan, np.float32)
+        if len(self.heights) > 1:
+            mean = self._mean(members)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                variance = np.where(members, weight * (self.heights - mean) ** 2, np.float32(0)).sum(axis=0) / total
+            spread = np.where(count > 1, np.sqrt(variance), spread)
+        return Aggregate(height, count, spread, score, filled)
+
+    def _contended(self, cells: NDArray[np.int64]) -> Tuple[NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
+        """For (N,) cells: (maps, N) which matched heights count, the heights, and whether they are backgrounds."""
+        count = len(self.heights)
+        contradicted, confirmed = self._backgrounds_checked()
+        matched = self.matched.reshape(count, -1)[:, cells] & self._coherent(cells)
+        matched |= ~matched.any(axis=0) & self.matched.reshape(count, -1)[:, cells]
+        values = np.where(matched, self.heights.reshape(count, -1)[:, cells],
+                          self.backgrounds.reshape(count, -1)[:, cells])
+        groups = self._groups(values, matched, self._ranks(cells))
+        neighbours = self._neighbours(cells, np.where(self.agreed & ~contradicted, self.mean, np.float32(np.nan)))
+        winner = _winner(groups, self._supported(groups.height, neighbours), confirmed)
+        everyone = np.arange(len(cells))
+        members = groups.members[winner, :, everyone].T
+        height = groups.height[winner, everyone]
+        return members & matched, height, np.isfinite(height) & ~(members & matched).any(axis=0)
+
+    def _backgrounds_checked(self) -> Tuple[NDArray[np.bool_], bool]:
+        """Cells where a background contradicts two or more maps, and whether backgrounds may be trusted in the tile."""
+        contradicted, said = np.zeros(self.agreed.shape, dtype=bool), 0
+        for background, sigma in zip(self.backgrounds, self.sigma):
+            tolerance = _TOLERANCE * math.hypot(sigma, self.sigma.min())
+            with np.errstate(invalid="ignore"):
+                contradicted |= self.agreed & (np.abs(background - self.mean) > tolerance)
+            said += int((self.agreed & np.isfinite(background)).sum())
+        wrong = int(contradicted.sum())
+        return contradicted, said < _LEAST_AGREED or said - wrong >= _CONFIRMED * said
+
+    def _ranks(self, cells: NDArray[np.int64]) -> FloatArray:
+        """(maps, N) shares of the agreed cells whose score is no higher: comparable between scenes."""
+        ranks = np.ones((len(self.scores), len(cells)), np.float32)
+        for rank, score, matched in zip(ranks, self.scores, self.matched):
+            usual = np.sort(score[self.agreed & matched])
+            if usual.size >= _LEAST_AGREED:
+                rank[:] = np.searchsorted(usual, score.ravel()[cells], side="right") / usual.size
+        return ranks
+
+    def _coherent(self, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(maps, N) whether a height has company of its own map around it: gross errors of single points have not."""
+        width = self.mean.shape[1] + 2
+        row, column = np.divmod(cells, self.mean.shape[1])
+        place = (row + 1) * width + column + 1
+        result = np.zeros((len(self.heights), len(cells)), dtype=bool)
+        for known, heights, sigma in zip(result, self.heights, self.sigma):
+            padded = np.pad(heights, 1, constant_values=np.nan).ravel()
+            company = np.zeros(len(cells), np.int8)
+            for dr, dc in _DIRECTIONS:
+                with np.errstate(invalid="ignore"):
+                    company += np.abs(padded[place + dr * width + dc] - padded[place]) <= _TOLERANCE * 1.5 * sigma
+            known[:] = company >= _COMPANY
+        return result
+
+    def _groups(self, values: FloatArray, matched: NDArray[np.bool_], ranks: FloatArray) -> "_Groups":
+        known = np.isfinite(values)
+        shape = values.shape
+        height, rank = np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32)
+        votes, support = np.zeros(shape, np.int16), np.zeros(shape, np.float32)
+        members = np.zeros((len(values),) + shape, dtype=bool)
+        for i, sigma in enumerate(self.sigma):
+            tolerance = _TOLERANCE * np.hypot(self.sigma, sigma)[:, None]
+            with np.errstate(invalid="ignore"):
+                near = known & known[i] & (np.abs(values - values[i]) <= tolerance)
+            seen = near & matched
+            votes[i] = seen.sum(axis=0)
+            used = np.where(votes[i] > 0, seen, near)
+            weight = used * self.weights[:, None]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                height[i] = np.where(used, values * weight, 0).sum(axis=0) / weight.sum(axis=0)
+            rank[i] = np.where(seen, ranks, 0).max(axis=0)
+            support[i] = seen.sum(axis=0) + 0.5 * (near & ~matched).sum(axis=0)
+            members[i] = used
+        return _Groups(height, votes, support, rank, members)
+
+    def _neighbours(self, cells: NDArray[np.int64], surface: FloatArray) -> List[FloatArray]:
+        """The nearest agreed height in each of eight directions, (N,) each; NaN where none is within reach."""
+        rim = REACH_CELLS
+        width = surface.shape[1] + 2 * rim
+        padded = np.pad(surface, rim, constant_values=np.nan).ravel()
+        row, column = np.divmod(cells, surface.shape[1])
+        place = (row + rim) * width + column + rim
+        result = []
+        for dr, dc in _DIRECTIONS:
+            found = np.full(len(cells), np.nan, np.float32)
+            todo = np.arange(len(cells))
+            for distance in range(1, REACH_CELLS + 1):
+                value = padded[place[todo] + distance * (dr * width + dc)]
+                found[todo] = value
+                todo = todo[np.isnan(value)]
+            result.append(found)
+        return result
+
+    def _supported(self, heights: FloatArray, neighbours: Sequence[FloatArray]) -> NDArray[np.int16]:
+        """In how many directions the agreed surface has a group's height."""
+        tolerance = _TOLERANCE * math.sqrt(2) * float(self.sigma.min())
+        result = np.zeros(heights.shape, np.int16)
+        for near in neighbours:
+            with np.errstate(invalid="ignore"):
+                result += np.abs(heights - near) <= tolerance
+        return result
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """For each map's height in each cell, (maps, N), the group of those that mean the same surface: its ``height``,
+    ``votes`` of maps that were matched, ``support`` (backgrounds count half), best ``rank``, ``members``."""
+
+    height: FloatArray
+    votes: NDArray[np.int16]
+    support: FloatArray
+    rank: FloatArray
+    members: NDArray[np.bool_]
+
+
+def _winner(groups: _Groups, supported: NDArray[np.int16], confirmed: bool) -> NDArray[np.intp]:
+    """(N,) which group a cell takes: the lowest that is credible, else that with most support."""
+    most = groups.votes.max(axis=0)
+    asked = np.where(supported > 0, np.where(most >= 2, _RANK_OUTVOTED, _RANK_ALONE), _RANK_ISOLATED)
+    asked[2 * groups.votes >= np.maximum(most, 4)] = 0.0
+    known = np.isfinite(groups.height)
+    credible = known & (groups.votes > 0) & (3 * groups.votes > most) & (groups.rank >= asked)
+    if confirmed:
+        credible |= known & (groups.votes == 0) & (most <= 1)
+    order = 1000.0 * (groups.votes > 0) + 100.0 * groups.support + 50.0 * groups.rank + supported
+    order = np.where(credible, 1e6 - np.nan_to_num(groups.height), order)
+    return np.where(known, order, -np.inf).argmax(axis=0)
 
 
 def _weighted_median(stack: FloatArray, weight: FloatArray) -> FloatArray:
@@ -72,8 +260,6 @@ def _weighted_median(stack: FloatArray, weight: FloatArray) -> FloatArray:
 
     With two values that is their weighted mean, with equal weights the ordinary median.
     """
-    if len(stack) == 1:
-        return np.where(weight[0] > 0, stack[0], np.nan)
     order = np.argsort(np.where(weight > 0, stack, np.inf), axis=0)
     values = np.take_along_axis(stack, order, axis=0)
     weights = np.take_along_axis(weight, order, axis=0)
@@ -91,25 +277,26 @@ def _weighted_median(stack: FloatArray, weight: FloatArray) -> FloatArray:
     return result
 
 
-def automatic_radius(cell: float) -> float:
+def automatic_radius(cell: float, spacing: float = 0.0) -> float:
     """The radius of the outlier filter in metres where none is given: three cells, at least 1.5 m.
 
-    The paper has no standard parameter. Gridded points are one a cell, so the density is known, and a disc of three
-    cells holds 28 neighbours.
+    The paper has no standard parameter. A grid's density is known: one point a cell, or one in ``spacing`` metres each
+    way where points are sparser than cells; a disc of three of these holds 28 neighbours on a whole surface.
     """
-    return max(3.0 * cell, 1.5)
+    return max(3.0 * max(cell, spacing), 1.5)
 
 
-def lonely(height: FloatArray, cell: float, radius: float, share: float = 0.2) -> Tuple[NDArray[np.bool_], int]:
-    """Cells with too few neighbours within a ball of ``radius`` metres: the radius outlier filter, on the grid.
+def lonely(height: FloatArray, cell: float, radius: float) -> Tuple[NDArray[np.bool_], int]:
+    """Cells with too few neighbours within ``radius`` metres: the radius outlier filter, on the grid.
 
-    Horizontal and vertical distances count alike, as in a point cloud; a neighbour on a steep slope is allowed the
-    slope that cell and radius imply. Returns the cells to remove, and the number of neighbours that was asked for.
+    Neighbours count on a disc of that radius where they differ by no more than the radius in height: in a ball, a
+    steep slope would have fewer neighbours than level ground. How many a cell needs comes from the density: a fifth
+    of what half the cells have, at least two. The corner of a roof keeps a quarter. Returns the cells to remove, and
+    the number of neighbours that was asked for.
     """
     reach = max(1, int(radius / cell))
     offsets = [(dr, dc) for dr in range(-reach, reach + 1) for dc in range(-reach, reach + 1)
                if (dr or dc) and math.hypot(dr, dc) * cell <= radius + 1e-9]
-    needed = max(2, int(round(share * len(offsets))))
     neighbours = np.zeros(height.shape, dtype=np.uint16)
     padded = np.pad(height, reach, constant_values=np.nan)
     rows, columns = height.shape
@@ -117,4 +304,6 @@ def lonely(height: FloatArray, cell: float, radius: float, share: float = 0.2) -
         other = padded[reach + dr:reach + dr + rows, reach + dc:reach + dc + columns]
         with np.errstate(invalid="ignore"):
             neighbours += np.abs(other - height) <= radius
-    return np.isfinite(height) & (neighbours < needed), needed
+    known = np.isfinite(height)
+    needed = max(2, int(round(_SHARE * float(np.median(neighbours[known]))))) if known.any() else 2
+    return known & (neighbours < needed), needed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..imagery.sampling import upsample_grid
-from ..mvs.dense import HeightMap, load_heights
+from ..mvs.dense import HeightMap, HeightSource, height_source
 from ..scene import Scene, View
-from .aggregation import Aggregate, aggregate, lonely
+from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
 from .grid import CellGrid, grid_points
 from .ortho import orthophoto
 
 FloatArray = NDArray[np.float64]
 
 _LATTICE = 17       # nodes a side of the map between two CRSs
-_MARGIN_CELLS = 8   # fused beyond the tile's cells, so that neighbours count in the outlier filter
+_PART_CELLS = 512   # a side that are fused at once
+MARGIN_CELLS = 8
+"""Fused beyond the tile's cells: neighbours count in the outlier filter, and tiles are blended over that width."""
 
 
 @dataclass(frozen=True)
@@ -46,15 +48,17 @@ class FuseTask:
 class FusedTile:
     """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted.
 
-    ``filled`` cells have the background's height: one image hides them. ``own`` tells which of the
-    window's cells belong to the tile; None stands for all.
+    ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin, as far as the
+    whole grid reaches. ``own`` tells which of the window's cells belong to the
+    tile; None stands for all.
     """
 
     fused: Aggregate
-    filled: NDArray[np.bool_]
     ortho: Optional[NDArray[np.float32]]
     points: Optional[FloatArray]
     removed: int
+    needed: int
+    wide: FloatArray
     own: Optional[NDArray[np.bool_]] = None
 
 
@@ -62,14 +66,17 @@ class FusedTile:
 class StoredTile:
     """A fused tile on disk, and what must be known of it before the DSM can be laid out.
 
-    ``valid`` counts the cells with a height, ``cells`` the tile's own; ``columns`` and ``rows`` are the first and last
+    ``valid`` counts the cells with a height, ``filled`` those of them that have the background's, ``cells`` the
+    tile's own; ``columns`` and ``rows`` are the first and last
     of the window that have a height, None where none has.
     """
 
     path: str
     valid: int
+    filled: int
     cells: int
     removed: int
+    needed: int
     columns: Optional[Tuple[int, int]]
     rows: Optional[Tuple[int, int]]
 
@@ -77,8 +84,17 @@ class StoredTile:
         """The tile's cells again, in the precision that products have."""
         with np.load(self.path, allow_pickle=False) as kept:
             part = {name: kept[name] for name in kept.files}
-        return FusedTile(Aggregate(part["height"], part["count"], part["spread"], part["score"]), part["filled"],
-                         part.get("ortho"), part.get("points"), self.removed, part.get("own"))
+        return FusedTile(Aggregate(*(part[field.name] for field in fields(Aggregate))), part.get("ortho"),
+                         part.get("points"), self.removed, self.needed, self.wide(), part.get("own"))
+
+    def wide(self) -> FloatArray:
+        """The heights with the margin; read from the file as they are looked at."""
+        return np.load(wide_file(self.path), mmap_mode="r", allow_pickle=False)
+
+
+def wide_file(path: str) -> str:
+    """The file beside a stored tile's that holds its heights with the margin."""
+    return path + ".wide.npy"
 
 
 def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
@@ -86,43 +102,75 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     task, path = work
     tile = fuse_tile(task)
     fused, known = tile.fused, np.isfinite(tile.fused.height)
-    parts = {"height": fused.height.astype(np.float32), "count": fused.count, "filled": tile.filled,
+    parts = {"height": fused.height.astype(np.float32), "count": fused.count, "filled": fused.filled,
              "spread": fused.spread.astype(np.float32), "score": fused.score.astype(np.float32)}
     parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
     np.savez(path, **parts)
+    np.save(wide_file(path), tile.wide.astype(np.float32))
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
-    return StoredTile(path, int(known.sum()), known.size if tile.own is None else int(tile.own.sum()), tile.removed,
+    cells = known.size if tile.own is None else int(tile.own.sum())
+    return StoredTile(path, int(known.sum()), int(fused.filled.sum()), cells, tile.removed, tile.needed,
                       *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)))
 
 
 def fuse_tile(task: FuseTask) -> FusedTile:
     """Grid each height map, aggregate, remove lonely cells, cut to the tile's own cells."""
     col, row, width, height = task.window
-    wide = (max(col - _MARGIN_CELLS, 0), max(row - _MARGIN_CELLS, 0))
-    ends = (min(col + width + _MARGIN_CELLS, task.grid.shape[1]), min(row + height + _MARGIN_CELLS, task.grid.shape[0]))
+    wide = (max(col - MARGIN_CELLS, 0), max(row - MARGIN_CELLS, 0))
+    ends = (min(col + width + MARGIN_CELLS, task.grid.shape[1]), min(row + height + MARGIN_CELLS, task.grid.shape[0]))
     grid = task.grid.part((wide[0], wide[1], ends[0] - wide[0], ends[1] - wide[1]))
-    maps = [load_heights(task.scene, task.bounds, record, task.crs) for record in task.records]
-    metres = [record["metres_per_px"] for record in task.records]
-    matched = [grid_points(grid, m.x, m.y, np.where(m.filled, np.nan, m.height), m.score) for m in maps]
-    fused = aggregate([g[0] for g in matched], [g[1] for g in matched], metres, task.method)
-    filled = np.zeros(grid.shape, dtype=bool)
-    if task.fill == "occlusions":
-        fused, filled = _with_background(fused, grid, maps, metres, task.method)
-    removed = 0
+    sources = [height_source(task.scene, task.bounds, record, task.crs) for record in task.records]
+    fused = _aggregated(task, grid, sources)
+    if task.fill == "none":
+        fused = _without(fused, fused.filled)
+    removed, needed = 0, 0
     if task.radius > 0:
-        alone, _ = lonely(fused.height, grid.cell, task.radius)
+        alone, needed = lonely(fused.height, grid.cell, task.radius)
         removed = int(alone.sum())
-        fused, filled = _without(fused, alone), filled & ~alone
+        fused = _without(fused, alone)
     ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
     own = (slice(row - wide[1], row - wide[1] + height), slice(col - wide[0], col - wide[0] + width))
-    cut = Aggregate(*(getattr(fused, name)[own] for name in ("height", "count", "spread", "score")))
-    ortho, filled = None if ortho is None else ortho[own], filled[own]
+    cut = Aggregate(*(getattr(fused, field.name)[own] for field in fields(fused)))
+    ortho = None if ortho is None else ortho[own]
     belonging = _belonging(task)
     if belonging is not None:
-        cut, filled = _without(cut, ~belonging), filled & belonging
+        cut = _without(cut, ~belonging)
         ortho = None if ortho is None else np.where(belonging, ortho, np.float32(np.nan))
-    points = _agreeing(task.grid.part(task.window), cut.height, maps, task.records) if task.cloud else None
-    return FusedTile(cut, filled, ortho, points, removed, belonging)
+    points = _agreeing(task.grid.part(task.window), cut.height, sources, task.records) if task.cloud else None
+    return FusedTile(cut, ortho, points, removed, needed, fused.height, belonging)
+
+
+def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> Aggregate:
+    """The fused cells of a grid, in parts of bounded memory that overlap by what neighbours are asked for."""
+    whole: Dict[str, NDArray[Any]] = {}
+    for row in range(0, grid.shape[0], _PART_CELLS):
+        for col in range(0, grid.shape[1], _PART_CELLS):
+            c0, r0 = max(col - REACH_CELLS, 0), max(row - REACH_CELLS, 0)
+            c1, r1 = (min(start + _PART_CELLS + REACH_CELLS, size) for start, size in zip((col, row), grid.shape[::-1]))
+            part = grid.part((c0, r0, c1 - c0, r1 - r0))
+            rim = part.cell
+            box = (part.west - rim, part.north - part.shape[0] * rim - rim,
+                   part.west + part.shape[1] * rim + rim, part.north + rim)
+            fused = aggregate([_layer(part, source.within(box), record, task.scene.gsd_m)
+                               for source, record in zip(sources, task.records)], task.method)
+            own = np.s_[row - r0:row - r0 + _PART_CELLS, col - c0:col - c0 + _PART_CELLS]
+            for field in fields(fused):
+                values = getattr(fused, field.name)[own]
+                target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
+                target[row:row + values.shape[0], col:col + values.shape[1]] = values
+    return Aggregate(**whole)
+
+
+def _layer(grid: CellGrid, heights: HeightMap, record: Dict[str, Any], spacing: float) -> Layer:
+    """A height map on the cells: what was matched, and the background where an occlusion hides it, each by itself."""
+    filled = np.flatnonzero(heights.filled)
+    height, score = grid_points(grid, heights.x, heights.y, np.where(heights.filled, np.nan, heights.height),
+                                heights.score, spacing)
+    background = np.full(grid.shape, np.nan)
+    if filled.size:
+        x, y, z = (part.ravel()[filled] for part in (heights.x, heights.y, heights.height))
+        background = grid_points(grid, x, y, z, np.zeros(len(z)), spacing)[0]
+    return Layer(height, score, background, record["metres_per_px"])
 
 
 def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
@@ -141,25 +189,18 @@ def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
     return (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
 
 
-def _with_background(fused: Aggregate, grid: CellGrid, maps: Sequence[HeightMap], metres: Sequence[float],
-                     method: str) -> Tuple[Aggregate, NDArray[np.bool_]]:
-    """Cells that nothing was matched in take the background's height from the maps that say what hides them."""
-    hidden = [grid_points(grid, m.x, m.y, np.where(m.filled, m.height, np.nan), np.zeros_like(m.score)) for m in maps]
-    background = aggregate([h[0] for h in hidden], [h[1] for h in hidden], metres, method)
-    filled = np.isnan(fused.height) & np.isfinite(background.height)
-    return Aggregate(np.where(filled, background.height, fused.height), fused.count, fused.spread, fused.score), filled
-
-
 def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:
     return Aggregate(np.where(cells, np.nan, fused.height), np.where(cells, 0, fused.count).astype(np.uint8),
-                     np.where(cells, np.nan, fused.spread), np.where(cells, np.nan, fused.score))
+                     np.where(cells, np.nan, fused.spread), np.where(cells, np.nan, fused.score),
+                     fused.filled & ~cells)
 
 
-def _agreeing(grid: CellGrid, height: FloatArray, maps: Sequence[HeightMap],
+def _agreeing(grid: CellGrid, height: FloatArray, sources: Sequence[HeightSource],
               records: Sequence[Dict[str, Any]]) -> FloatArray:
     """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
     parts: List[FloatArray] = []
-    for heights, record in zip(maps, records):
+    for source, record in zip(sources, records):
+        heights = source.within()
         known = np.isfinite(heights.height) & ~heights.filled
         x, y, z, s = heights.x[known], heights.y[known], heights.height[known], heights.score[known]
         column = np.floor((x - grid.west) / grid.cell).astype(np.int64)

@@ -174,6 +174,10 @@ class RasterWriter:
         if reason:
             raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
 
+    def read(self, window: Window, band: int = 1) -> NDArray[np.float32]:
+        """What was written so far, as :func:`read` gives it."""
+        return read(self._dataset, window, band)
+
     def set_metadata(self, tags: dict, domain: str = "") -> None:
         """Metadata of one of GDAL's domains, such as "RPC"."""
         self._dataset.SetMetadata(tags, domain)

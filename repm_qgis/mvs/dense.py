@@ -135,31 +135,79 @@ class HeightMap:
     filled: NDArray[np.bool_]
 
 
-def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
-                 crs: str) -> HeightMap:
-    """Read a height map of the tile with these bounds and place it on the ground, in any projected ``crs``.
+@dataclass(frozen=True)
+class HeightSource:
+    """A height map on disk, of which any part can be placed on the ground."""
+
+    path: str
+    geometry: PairGeometry
+    size: Tuple[int, int]
+    altitudes: Tuple[float, float]
+
+    def within(self, bounds: Optional[Tuple[float, float, float, float]] = None) -> HeightMap:
+        """The rectangle of pixels that holds all points in bounds (xmin, ymin, xmax, ymax); None takes all.
+
+        Raises SceneError where the file is gone or damaged.
+        """
+        col, row, width, height_px = window = (0, 0, *self.size) if bounds is None else self._window(bounds)
+        if not (width and height_px):
+            nothing = np.empty((0, 0))
+            return HeightMap(nothing, nothing, nothing, nothing.astype(np.float32), nothing.astype(bool))
+        try:
+            with opened(self.path) as dataset:
+                height = read(dataset, window, 1).astype(np.float64)
+                score = read(dataset, window, 2)
+                filled = read(dataset, window, 3) > 0
+        except ImageError as error:
+            raise SceneError(f"The height map '{self.path}' is gone or damaged: delete what is left of it, and run "
+                             "'Reconstruct heights' again.") from error
+        columns, rows = np.arange(col, col + width, dtype=np.float64), np.arange(row, row + height_px, dtype=np.float64)
+        x, y = (table.on_grid(columns, rows, height) for table in (self.geometry.x, self.geometry.y))
+        return HeightMap(x, y, height, score, filled)
+
+    def _window(self, bounds: Tuple[float, float, float, float]) -> Tuple[int, int, int, int]:
+        """Of the table's nodes, those whose ray may cross the bounds, and the pixels between them."""
+        columns, rows = self.geometry.x.columns, self.geometry.x.rows
+        ends = [[table.on_grid(columns, rows, np.full((len(rows), len(columns)), z))
+                 for table in (self.geometry.x, self.geometry.y)] for z in self.altitudes]
+        low, high = np.minimum(*ends), np.maximum(*ends)
+        # Between two nodes the ground goes on by at most one step of theirs.
+        step = max(float(np.abs(np.diff(part, axis=axis)).max()) for part in (*ends[0], *ends[1]) for axis in (0, 1))
+        near = ((high[0] >= bounds[0] - step) & (low[0] <= bounds[2] + step)
+                & (high[1] >= bounds[1] - step) & (low[1] <= bounds[3] + step))
+        across, down = np.flatnonzero(near.any(axis=0)), np.flatnonzero(near.any(axis=1))
+        if not across.size:
+            return 0, 0, 0, 0
+        c0, r0 = int(columns[across[0]]), int(rows[down[0]])
+        return c0, r0, int(columns[across[-1]]) + 1 - c0, int(rows[down[-1]]) + 1 - r0
+
+
+def height_source(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
+                  crs: str) -> HeightSource:
+    """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
 
     The rectification is made again from the scene: it is exact, costs a tenth of a second, and leaves nothing to
-    store that could contradict it.
+    store that could contradict it. Raises SceneError where the file is gone, or belongs to another scene.
     """
     first, second = (scene.view(name) for name in record["pair"])
     altitudes = tuple(record["altitudes"])
     pair = _rectified(scene, first, second, bounds, altitudes)
     try:
         with opened(record["file"]) as dataset:
-            height = read(dataset, band=1).astype(np.float64)
-            score = read(dataset, band=2)
-            filled = read(dataset, band=3) > 0
+            size = dataset.RasterXSize, dataset.RasterYSize
     except ImageError as error:
         raise SceneError(f"The height map '{record['file']}' is gone or damaged: delete what is left of it, and run "
                          "'Reconstruct heights' again.") from error
-    if pair is None or pair.size != (height.shape[1], height.shape[0]):
+    if pair is None or pair.size != size:
         raise SceneError(f"The height map '{record['file']}' does not belong to the scene '{scene.path}': run "
                          "'Reconstruct heights' again.")
-    geometry = pair_geometry(pair, first, second, altitudes, crs)
-    rows, columns = (np.arange(n, dtype=np.float64) for n in height.shape)
-    x, y = (table.on_grid(columns, rows, height) for table in (geometry.x, geometry.y))
-    return HeightMap(x, y, height, score, filled)
+    return HeightSource(record["file"], pair_geometry(pair, first, second, altitudes, crs), size, altitudes)
+
+
+def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
+                 crs: str) -> HeightMap:
+    """A whole height map of the tile with these bounds, on the ground; see :func:`height_source`."""
+    return height_source(scene, bounds, record, crs).within()
 
 
 def _rectified(scene: Scene, first: View, second: View, bounds: Tuple[float, float, float, float],

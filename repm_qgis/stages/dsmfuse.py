@@ -15,13 +15,17 @@ from .. import __version__
 from ..dsm.aggregation import automatic_radius
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.grid import CellGrid
+from ..dsm.holes import REACH_CELLS, fill_holes
 from ..dsm.ortho import nadir_first
 from ..dsm.point_cloud import created_cloud
+from ..dsm.seams import blended
 from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import write_style
-from ..geometry.frames import projected_crs_at
+from ..geometry.frames import geodetic_from_projected, projected_crs_at
+from ..geometry.surface import Surface
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import TAG, HeightDatum
+from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import created
 from ..imagery.sampling import upsample_grid
 from ..memory import fusing_mib, workers_within
@@ -31,9 +35,11 @@ from ..progress import Progress
 from ..scene import Scene, Tile
 from ..workspace import ensure_folder, temporary_name
 
-_LATTICE = 17   # nodes a side of the undulation over a tile
+_LATTICE = 17   # nodes a side of what is smooth: the undulation, the map to longitude and latitude
 _CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score",
-                     "filled from the background of an occlusion (1)")
+                     "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM")
+_INTERPOLATED, _SHAPED = 2, 3
+_WINDOW = 1024  # cells a side that are filled at once
 
 
 def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
@@ -48,7 +54,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     datum = HeightDatum.of(options.vertical_datum)
     datum.require(scene.frame.lon, scene.frame.lat)
     grid, windows = _layout(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
-    radius = automatic_radius(grid.cell) if options.outlier_radius is None else options.outlier_radius
+    radius = automatic_radius(grid.cell, scene.gsd_m) if options.outlier_radius is None else options.outlier_radius
     progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}, heights above the "
                   f"{datum.name}; outlier radius {radius:g} m.")
     views = tuple(nadir_first(scene)) if options.ortho else ()
@@ -60,12 +66,10 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         ensure_folder(folder)
         stored = run_tasks(fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)], workers,
                            progress, lambda work: f"fusing {work[0].records[0]['tile']}")
-        facts = _write(options, scene, grid, crs, datum, windows, stored)
+        facts = _write(options, scene, grid, crs, datum, windows, stored, folder)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    _check(facts, progress)
-    progress.info(f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover; "
-                  f"{facts['removed']} lonely cells removed.")
+    _tell(facts, radius, [tile.needed for tile in stored], options, progress)
     progress.step(1.0, "DSM fused")
     return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
             "cloud": options.cloud, "vertical_datum": datum.name,
@@ -96,10 +100,11 @@ def _layout(scene: Scene, tiles: List[Tile], crs: str,
 
 
 def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str, datum: HeightDatum,
-           windows: List[Tuple[int, int, int, int]], stored: List[StoredTile]) -> Dict[str, Any]:
+           windows: List[Tuple[int, int, int, int]], stored: List[StoredTile],
+           folder: str) -> Dict[str, Any]:
     wkt = pyproj.CRS.from_user_input(crs).to_wkt()
     metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method,
-                TAG: datum.name}
+                "REPM_FILL": options.fill, TAG: datum.name}
     crop = _valid_part(grid, windows, stored)
     valid, cells = sum(tile.valid for tile in stored), sum(tile.cells for tile in stored)
     if not valid:
@@ -115,29 +120,83 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str, datu
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", datum.file_crs(crs))
         confidence = raster(options.confidence, _CONFIDENCE_BANDS, "")
         ortho = raster(options.ortho, ("brightness",), "")
+        # What is interpolated needs the heights of neighbouring tiles: they meet in a raster of their own first.
+        whole = stack.enter_context(created(
+            f"{folder}/heights.tif", (crop[3], crop[2]), np.dtype(np.float32), 1, None, "", compress=False)) \
+            if options.fill == "all" else None
         cloud = stack.enter_context(created_cloud(options.cloud, datum.file_crs(crs), (grid.west, grid.north, 0.0))) \
             if options.cloud else None
-        for window, tile in zip(windows, stored):
+        tolerance = float(np.median([record["metres_per_px"] for tile in scene.tiles for record in tile.heights]))
+        for index, (window, tile) in enumerate(zip(windows, stored)):
             place, cut = _placed(window, crop)
             if place is None:
                 continue
             result = tile.load()
             fused = result.fused
             keep = result.own is not None
-            _put(dsm, [fused.height - _undulation(datum, crs, grid.part(window))], place, cut, keep)
+            # Turned tiles overlap in their windows: there each keeps to its own cells.
+            height = fused.height if keep else blended(fused.height, index, windows, stored, grid.shape, tolerance)
+            if whole is None:
+                height = height - _undulation(datum, crs, grid.part(window))
+            _put(dsm if whole is None else whole, [height], place, cut, keep)
             count = np.where(fused.count > 0, fused.count, np.nan)
-            filled = np.where(np.isfinite(fused.height), result.filled, np.nan)
-            _put(confidence, [count, fused.spread, fused.score, filled], place, cut, keep)
+            source = np.where(np.isfinite(fused.height), fused.filled, np.nan)
+            _put(confidence, [count, fused.spread, fused.score, source], place, cut, keep)
             _put(ortho, [result.ortho], place, cut, keep)
             if cloud is not None:
                 x, y, height, score = result.points.T
                 cloud.write(x, y, height - datum.undulation(crs, np.column_stack([x, y])), score)
         points = cloud.count if cloud is not None else 0
+        interpolated = 0 if whole is None else _fill(whole, dsm, confidence, scene, grid.part(crop), crs, datum, folder)
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
         if path:
             write_style(kind, path)
-    return {"cells": cells, "valid": valid, "valid_percent": 100.0 * valid / cells, "points": points,
-            "removed": sum(tile.removed for tile in stored), "resolution": grid.cell, "crs": crs}
+    return {"cells": cells, "valid": valid + interpolated, "valid_percent": 100.0 * (valid + interpolated) / cells,
+            "matched": valid - sum(tile.filled for tile in stored), "background": sum(tile.filled for tile in stored),
+            "interpolated": interpolated, "points": points, "removed": sum(tile.removed for tile in stored),
+            "resolution": grid.cell, "crs": crs}
+
+
+def _fill(whole: Any, dsm: Any, confidence: Any, scene: Scene, grid: CellGrid, crs: str, datum: HeightDatum,
+          folder: str) -> int:
+    """Write the DSM from the raster of all tiles' heights, holes filled window by window; gives how many cells were."""
+    surface = _terrain_of(scene, grid, crs, folder)
+    count = 0
+    for row in range(0, grid.shape[0], _WINDOW):
+        for col in range(0, grid.shape[1], _WINDOW):
+            c0, r0 = max(col - REACH_CELLS, 0), max(row - REACH_CELLS, 0)
+            c1, r1 = (min(start + _WINDOW + REACH_CELLS, size) for start, size in zip((col, row), grid.shape[::-1]))
+            height = whole.read((c0, r0, c1 - c0, r1 - r0))
+            holes = bool(np.isnan(height).any())
+            base = _on_cells(surface, grid.part((c0, r0, c1 - c0, r1 - r0)), crs) if surface and holes else None
+            height, filled = fill_holes(height, base)
+            own = np.s_[row - r0:row - r0 + _WINDOW, col - c0:col - c0 + _WINDOW]
+            cells = grid.part((col, row, *height[own].shape[::-1]))
+            dsm.write((height[own] - _undulation(datum, crs, cells)).astype(np.float32), col, row)
+            if confidence is not None and filled[own].any():
+                source = np.where(filled[own], np.float32(_INTERPOLATED if base is None else _SHAPED), np.nan)
+                confidence.write(source.astype(np.float32), col, row, len(_CONFIDENCE_BANDS), keep=True)
+            count += int(filled[own].sum())
+    return count
+
+
+def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional[Surface]:
+    """The DEM that the scene was made with, over the grid; None where there was none."""
+    dem = scene.facts("epmfit").get("options", {}).get("dem")
+    if not dem:
+        return None
+    xs, ys = grid.centres()
+    lon_lat = geodetic_from_projected(crs, np.array([(x, y) for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])]))
+    bounds = (*lon_lat.min(axis=0), *lon_lat.max(axis=0))
+    return load_surface(make_surface(str(dem), tuple(map(float, bounds)), grid.cell, f"{folder}/dem.tif"))
+
+
+def _on_cells(surface: Surface, grid: CellGrid, crs: str) -> np.ndarray:
+    """Heights of a surface at the cells' centres; the map to longitude and latitude is smooth, a lattice will do."""
+    xs, ys = grid.centres()
+    lattice = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE)), axis=-1)
+    lon_lat = upsample_grid(geodetic_from_projected(crs, lattice), grid.shape)
+    return surface.height(lon_lat[..., 0], lon_lat[..., 1])
 
 
 def _undulation(datum: HeightDatum, crs: str, grid: CellGrid) -> np.ndarray:
@@ -176,7 +235,20 @@ def _put(raster: Any, bands: List[Any], place: Tuple[int, int], cut: Any, keep: 
             raster.write(values[cut].astype(np.float32), *place, index, keep)
 
 
-def _check(facts: Dict[str, Any], progress: Progress) -> None:
+def _tell(facts: Dict[str, Any], radius: float, needed: List[int], options: DsmFuseOptions,
+          progress: Progress) -> None:
+    """What was filtered and filled, in the log."""
+    if radius > 0:
+        asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
+        progress.info(f"{facts['removed']} cells removed that have fewer neighbours within {radius:g} m than a "
+                      f"fifth of what is usual ({asked}).")
+    shares = {name: 100.0 * facts[name] / facts["cells"] for name in ("matched", "background", "interpolated")}
+    progress.info(f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover: "
+                  f"{shares['matched']:.1f} % matched, {shares['background']:.1f} % from the background of occlusions, "
+                  f"{shares['interpolated']:.1f} % interpolated.")
+    if facts["interpolated"] and not options.confidence:
+        progress.warn(f"{facts['interpolated']} cells of '{options.output}' are interpolated, not measured: ask for "
+                      "CONFIDENCE to see which (band 4).")
     if facts["valid_percent"] < 20:
         progress.warn(f"Only {facts['valid_percent']:.0f} % of the cells have a height: look at the confidence and at "
                       "the reconstruction's report before you use this DSM.")

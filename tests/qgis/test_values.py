@@ -72,7 +72,7 @@ def test_layers_of_the_project_give_their_files(plugin, context, feedback, raste
 def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context, feedback):
     found = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": "", "CRS": "EPSG:32632"}, context, feedback)
     assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "vertical_datum": "",
-                     "method": "median", "fill": "occlusions",
+                     "method": "mean", "fill": "occlusions",
                      "outlier_radius": None, "workers": 0, "memory": 0}
     zero = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": 0}, context, feedback)
     assert zero["outlier_radius"] == 0.0
@@ -109,7 +109,7 @@ def test_masks_keep_their_places(plugin, context, feedback, rasters):
 
 
 def test_the_command_repeats_the_run(plugin, context, feedback, rasters):
-    given = {"IMAGES": rasters, "EXTENT": "7.1,8,45,46 [EPSG:4326]", "ALTITUDE_MAX": 1200.5, "METHOD": "mean"}
+    given = {"IMAGES": rasters, "EXTENT": "7.1,8,45,46 [EPSG:4326]", "ALTITUDE_MAX": 1200.5, "METHOD": "median"}
     found = options("pipeline", given, context, feedback)
     products = {"output": "/o/my dsm.tif", "workspace": "/w", "cloud": None}
     command = algorithm("pipeline").complete({**found, **products})["command"]

@@ -72,19 +72,39 @@ def test_gaps_stay_gaps():
     assert np.isfinite(grid_points(GRID, x, y, height, np.ones(len(x)))[0]).all()
 
 
-def test_the_top_surface_wins_at_an_edge():
-    """A roof of 20 m over the western half, points of wall and ground before it: no cell between the two."""
+def edge_points(walls):
+    """A roof of 20 m over the western half, ground before it, and points of the wall between them."""
     x, y = lattice(0.4, 0.05)
-    roof = x < 20.3
     numbers = np.random.default_rng(1)
-    wall = numbers.uniform(0, 20, 400)
-    x, y = np.append(x, np.full(400, 20.35)), np.append(y, numbers.uniform(0, 40, 400))
-    height = np.append(np.where(roof, 20.0, 0.0), wall)
-    found, _ = grid_points(GRID, x, y, height, np.ones(len(x)))
+    wall = numbers.uniform(0, 20, walls)
+    height = np.append(np.where(x < 20.3, 20.0, 0.0), wall)
+    return np.append(x, np.full(walls, 20.35)), np.append(y, numbers.uniform(0, 40, walls)), height
+
+
+@pytest.mark.parametrize("walls", (0, 100, 400))
+def test_no_cell_lies_between_roof_and_ground(walls):
+    x, y, height = edge_points(walls)
+    found, _ = grid_points(GRID, x, y, height, np.ones(len(x)), 0.4)
     np.testing.assert_allclose(found[:, :19], 20.0, atol=1e-9)
     np.testing.assert_allclose(found[:, 21:], 0.0, atol=1e-9)
-    # The cell that roof, wall and ground share shows the roof, but for the wall's uppermost points.
-    assert (found[:, 19:21] > 18.0).all()
+    # The roof's edge at 20.3 m lies in the cell from 20 to 21: most of that is ground.
+    np.testing.assert_allclose(found[:, 19], 20.0, atol=3.0 * GRID.cell)
+    shared = found[:, 20]
+    assert ((shared > 20 - 3) | (shared < 3) | (walls > 100)).mean() > 0.9
+    if not walls:
+        np.testing.assert_allclose(shared, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("spacing", (0.25, 0.5, 1.0))
+def test_footprints_place_an_edge_to_half_a_cell(spacing):
+    """Roofs neither grow nor shrink: over edges at all phases, the mean place of the step is the true one."""
+    shifts = []
+    for phase in np.arange(0, 1, 0.1):
+        x, y = lattice(spacing, 0.03)
+        edge = 20 + phase
+        found, _ = grid_points(GRID, x, y, np.where(x < edge, 30.0, 0.0), np.ones(len(x)), spacing)
+        shifts.append((found[20] > 15).sum() - edge)
+    assert abs(np.mean(shifts)) < 0.5 * spacing and np.abs(shifts).max() <= 0.5 + spacing
 
 
 def test_no_points_no_heights():

@@ -72,6 +72,16 @@ def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
     good = [(np.abs(error[part]) < 1).mean() for part in (near, inside & ~near)]
     assert good[0] > good[1] - 0.1
     assert np.isfinite(error[near]).mean() > np.isfinite(error[inside & ~near]).mean() - 0.05
+    # Nor is there a step: neighbouring cells differ across a border as they do 5 to 15 m beside it.
+    for axis, ends, place in ((1, (0, 2), x - found["dx"]), (0, (1, 3), y - found["dy"])):
+        steps = np.abs(np.diff(height, axis=axis))
+        middle = (place[:, 1:] + place[:, :-1]) / 2 if axis else (place[1:] + place[:-1]) / 2
+        across, beside = np.zeros(steps.shape, bool), np.zeros(steps.shape, bool)
+        shared = set.intersection(*({tile.bounds[end] for tile in scene.tiles} for end in ends))
+        for edge in shared:
+            across |= np.abs(middle - edge) < 0.75 * cell
+            beside |= (np.abs(middle - edge) > 5) & (np.abs(middle - edge) < 15)
+        assert shared and np.nanmedian(steps[across]) < 1.2 * np.nanmedian(steps[beside]), (axis, shared)
 
 
 def test_products_lie_on_each_other(urban_run):
