@@ -26,8 +26,8 @@ from .triangulation import PairGeometry, pair_geometry
 
 FloatImage = NDArray[np.float32]
 
-_MARGIN_PX = 32         # matched beyond the tile's border, so that neighbours agree along it
-_RANGE_MARGIN_PX = 6    # disparities searched beyond the altitude range
+MARGIN_PX = 32         # matched beyond the tile's border, so that neighbours agree along it
+_RANGEMARGIN_PX = 6    # disparities searched beyond the altitude range
 _SMALLEST_PX = 48
 _KEY = "REPM_FINGERPRINT"
 _RECORD = "REPM_RECORD"
@@ -77,8 +77,7 @@ def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
         "metres_per_px": geometry.metres_per_px, "row_px": geometry.row_px, "table_error_m": geometry.error_m,
         "altitudes": list(task.altitudes),
     }
-    write(task.path, [heights, matched.score, matched.filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
-          metadata={_KEY: task.key, _RECORD: json.dumps(record)}, descriptions=_BANDS)
+    store(task.path, task.key, record, heights, matched.score, matched.filled)
     return record
 
 
@@ -87,6 +86,13 @@ def frame_size(task: DenseTask) -> Tuple[int, int]:
     pair = _rectified(task.scene, task.scene.view(task.first), task.scene.view(task.second), task.bounds,
                       task.altitudes)
     return pair.size if pair is not None else (0, 0)
+
+
+def store(path: str, key: str, record: Dict[str, Any], height: FloatImage, score: FloatImage,
+          filled: NDArray[np.bool_]) -> None:
+    """Write a height map with its record, and the key that says what it was made from."""
+    write(path, [height, score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
+          metadata={_KEY: key, _RECORD: json.dumps(record)}, descriptions=_BANDS)
 
 
 def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
@@ -106,8 +112,8 @@ def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
 
 
 def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: View, second: View) -> Matched:
-    low = math.floor(geometry.disparities[0]) - _RANGE_MARGIN_PX
-    high = math.ceil(geometry.disparities[1]) + _RANGE_MARGIN_PX
+    low = math.floor(geometry.disparities[0]) - _RANGEMARGIN_PX
+    high = math.ceil(geometry.disparities[1]) + _RANGEMARGIN_PX
     width, height = pair.size
     shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
     a = _brightness(first, task.stretches[0], pair.first_original, (width, height))
@@ -142,17 +148,14 @@ def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record
     The rectification is made again from the scene: it is exact, costs a tenth of a second, and leaves nothing to
     store that could contradict it.
     """
+    if record.get("backend") == "colmap":
+        from .colmap_backend import load_heights as placed
+
+        return placed(scene, bounds, record, crs)
     first, second = (scene.view(name) for name in record["pair"])
     altitudes = tuple(record["altitudes"])
     pair = _rectified(scene, first, second, bounds, altitudes)
-    try:
-        with opened(record["file"]) as dataset:
-            height = read(dataset, band=1).astype(np.float64)
-            score = read(dataset, band=2)
-            filled = read(dataset, band=3) > 0
-    except ImageError as error:
-        raise SceneError(f"The height map '{record['file']}' is gone or damaged: delete what is left of it, and run "
-                         "'Reconstruct heights' again.") from error
+    height, score, filled = read_heights(record["file"])
     if pair is None or pair.size != (height.shape[1], height.shape[0]):
         raise SceneError(f"The height map '{record['file']}' does not belong to the scene '{scene.path}': run "
                          "'Reconstruct heights' again.")
@@ -162,7 +165,17 @@ def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record
     return HeightMap(x, y, height, score, filled)
 
 
+def read_heights(path: str) -> Tuple[NDArray[np.float64], FloatImage, NDArray[np.bool_]]:
+    """The three bands of a height map; raises SceneError where it cannot be read."""
+    try:
+        with opened(path) as dataset:
+            return read(dataset, band=1).astype(np.float64), read(dataset, band=2), read(dataset, band=3) > 0
+    except ImageError as error:
+        raise SceneError(f"The height map '{path}' is gone or damaged: delete what is left of it, and run 'Reconstruct "
+                         "heights' again.") from error
+
+
 def _rectified(scene: Scene, first: View, second: View, bounds: Tuple[float, float, float, float],
                altitudes: Tuple[float, float]) -> Optional[RectifiedPair]:
     """The rectified pair that a tile is matched in: its ground with the matching margin."""
-    return rectified_pair(scene, first, second, grown(bounds, _MARGIN_PX * scene.gsd_m), altitudes)
+    return rectified_pair(scene, first, second, grown(bounds, MARGIN_PX * scene.gsd_m), altitudes)
