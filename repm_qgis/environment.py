@@ -163,13 +163,13 @@ def cuda() -> dict[str, Any]:
 def cuda_remedy(built: bool, device: bool) -> str:
     """What makes CUDA usable here; "" where it is."""
     numpy = version_of(PACKAGES[0])
-    python = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    install = f"run '{python} -m pip uninstall -y pycolmap' and then '{python} -m pip install \"{CUDA_WHEEL}\"" \
-              + (f" \"numpy=={numpy}\"'" if numpy else "'")
-    if not device:
-        return "no CUDA device answers here: check the NVIDIA driver with nvidia-smi" + ("" if built else
-                                                                                       f", and {install}")
-    return "" if built else f"the installed pycolmap is made without CUDA: {install}"
+    keep = f' "numpy=={numpy}"' if numpy else ""
+    pip = f'"{sys.executable}" -m pip' if " " in sys.executable else f"{sys.executable} -m pip"
+    install = f"run '{pip} uninstall -y pycolmap' and then '{pip} install \"{CUDA_WHEEL}\"{keep}'"
+    if device:
+        return "" if built else f"the installed pycolmap is made without CUDA: {install}"
+    driver = "no CUDA device answers here: check the NVIDIA driver with nvidia-smi"
+    return driver if built else f"{driver}, and {install}"
 
 
 def cuda_usable() -> bool:

@@ -248,12 +248,35 @@ def test_stock_pycolmap_without_cuda_is_a_device_error(urban, tmp_path):
         match_tile(task_of(urban, tmp_path), GPU, threading.Event())
 
 
-def test_a_running_match_is_ended_by_cancel(tmp_path, monkeypatch):
-    (tmp_path / "repm_qgis" / "mvs").mkdir(parents=True)
-    for name in ("repm_qgis/__init__.py", "repm_qgis/mvs/__init__.py"):
-        (tmp_path / name).touch()
-    (tmp_path / "repm_qgis" / "mvs" / "colmap_process.py").write_text("import time\ntime.sleep(60)\n")
-    monkeypatch.setattr(colmap_runner, "_ROOT", tmp_path)
+@pytest.fixture
+def process(tmp_path, monkeypatch):
+    """process(code): what the engine starts runs this in COLMAP's place."""
+    def make(code):
+        (tmp_path / "repm_qgis" / "mvs").mkdir(parents=True)
+        for name in ("repm_qgis/__init__.py", "repm_qgis/mvs/__init__.py"):
+            (tmp_path / name).touch()
+        (tmp_path / "repm_qgis" / "mvs" / "colmap_process.py").write_text(code)
+        monkeypatch.setattr(colmap_runner, "_ROOT", tmp_path)
+
+    return make
+
+
+def test_the_process_gets_its_job(tmp_path, process):
+    process("import shutil, sys\nshutil.copy(sys.argv[1], 'seen.json')\nprint('done')\n")
+    run_patch_match(str(tmp_path), {"gpu_index": "0", "depth_min": 1.0}, {"min_num_pixels": 2}, threading.Event())
+    assert json.loads((tmp_path / "seen.json").read_text()) == {
+        "workspace": str(tmp_path), "options": {"gpu_index": "0", "depth_min": 1.0}, "fusion": {"min_num_pixels": 2}}
+    assert (tmp_path / "patch_match.log").read_text() == "done\n"
+
+
+def test_a_process_that_crashes_is_a_lost_gpu(tmp_path, process):
+    process("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    with pytest.raises(DeviceError, match="GPU 2 was lost or refused the work \\('exit code -11'"):
+        run_patch_match(str(tmp_path), {"gpu_index": "2"}, None, threading.Event())
+
+
+def test_a_running_match_is_ended_by_cancel(tmp_path, process):
+    process("import time\ntime.sleep(60)\n")
     stop = threading.Event()
     threading.Timer(0.5, stop.set).start()
     start = time.monotonic()

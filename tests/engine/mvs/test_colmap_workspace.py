@@ -73,6 +73,22 @@ def test_images_are_the_original_resampled_once(made):
     assert (workspace.images["0001.png"][~known] == 0).all()
 
 
+def test_masked_pixels_are_none(made, tmp_path, write_image):
+    """A mask over the image's left half: no brightness there, and black for COLMAP."""
+    from dataclasses import replace
+
+    _, tile, _, _ = made
+    view = tile.views[1]
+    mask = np.zeros((view.view.height, view.view.width), dtype=np.uint8)
+    mask[:, :mask.shape[1] // 2] = 1
+    masked = replace(view, view=replace(view.view, mask=write_image(tmp_path / "mask.tif", mask)))
+    found = brightness(masked, view_stretch(view.view.image, view.view.band))
+    rows, columns = np.indices(view.size[::-1])
+    original = view.to_original(np.stack([columns, rows], axis=-1).astype(np.float64))[..., 0]
+    assert np.isnan(found[original < mask.shape[1] // 2 - 1]).all()
+    assert np.isfinite(found[(original > mask.shape[1] // 2 + 4) & (original < mask.shape[1] - 8)]).mean() > 0.9
+
+
 def write_maps(folder, index, view, depth, normal=(0.0, 0.0, 1.0)):
     """A view's depths, with one normal of the world where there are any."""
     normals = np.where(depth[..., None] > 0, view.camera.R @ np.array(normal), 0.0)
