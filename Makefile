@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
+.PHONY: help setup demo test bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -37,6 +37,9 @@ bench-masks: setup ## water and clouds: what comes out as nodata, what is lost o
 
 bench-views: setup ## what a third view adds to the best pair on truth scenes (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/views.py
+
+bench-cuda: setup ## COLMAP's PatchMatch on a CUDA GPU beside sgm (writes docs/benchmarks.md; says so where there is none)
+	@$(PYTHON) benchmarks/colmap_cuda.py
 
 lint: setup ## ruff over everything
 	@$(PYTHON) -m ruff check .

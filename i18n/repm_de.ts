@@ -426,6 +426,10 @@
         <translation>{name} ist {value}: der Wert muss zwischen {low:g} und {high:g} liegen.</translation>
     </message>
     <message>
+        <source>BACKEND is 'colmap', which needs CUDA, and {remedy}; or choose sgm.</source>
+        <translation>BACKEND ist 'colmap', das CUDA braucht ({remedy}); oder sgm wählen.</translation>
+    </message>
+    <message>
         <source>{name} '{path}' is not there: check its path.</source>
         <translation>{name} „{path}“ ist nicht da: den Pfad prüfen.</translation>
     </message>
@@ -633,8 +637,40 @@
         <translation>Dichte Zuordnung</translation>
     </message>
     <message>
-        <source>auto: the best that this machine can run; sgm: semi-global matching on the CPU.</source>
-        <translation>auto: das Beste, was auf diesem Rechner läuft; sgm: Semi-Global Matching auf der CPU.</translation>
+        <source>sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: colmap where a CUDA device answers, else sgm.</source>
+        <translation>sgm: Semi-Global Matching auf der CPU; colmap: PatchMatch von COLMAP auf einer CUDA-GPU; auto: colmap, wo ein CUDA-Gerät antwortet, sonst sgm.</translation>
+    </message>
+    <message>
+        <source>COLMAP: geometric consistency</source>
+        <translation>COLMAP: geometrische Konsistenz</translation>
+    </message>
+    <message>
+        <source>On: depths must also agree with those of the other images, in a second pass of the same length. Off: half the time, more outliers.</source>
+        <translation>Ein: Tiefen müssen auch zu denen der anderen Bilder passen, in einem zweiten, gleich langen Durchgang. Aus: halbe Zeit, mehr Ausreißer.</translation>
+    </message>
+    <message>
+        <source>COLMAP: only what its fusion keeps</source>
+        <translation>COLMAP: nur was seine Fusion behält</translation>
+    </message>
+    <message>
+        <source>On: COLMAP's own fusion of the depth maps decides which heights go on to the DSM: two images must agree in place, depth and slope. Fewer heights, fewer outliers.</source>
+        <translation>Ein: COLMAPs eigene Fusion der Tiefenkarten entscheidet, welche Höhen ins DSM eingehen: Zwei Bilder müssen in Ort, Tiefe und Neigung übereinstimmen. Weniger Höhen, weniger Ausreißer.</translation>
+    </message>
+    <message>
+        <source>COLMAP: radius of the window (px)</source>
+        <translation>COLMAP: Radius des Fensters (px)</translation>
+    </message>
+    <message>
+        <source>Smaller: sharper edges, more noise; larger: smoother, fills weak texture. The time grows with its square.</source>
+        <translation>Kleiner: schärfere Kanten, mehr Rauschen; größer: glatter, füllt schwache Textur. Die Zeit wächst mit dem Quadrat.</translation>
+    </message>
+    <message>
+        <source>COLMAP: memory of a GPU (GiB, 0: what is free)</source>
+        <translation>COLMAP: Speicher einer GPU (GiB, 0: was frei ist)</translation>
+    </message>
+    <message>
+        <source>A tile that needs more is matched in parts.</source>
+        <translation>Eine Kachel, die mehr braucht, wird in Teilen zugeordnet.</translation>
     </message>
     <message>
         <source>DSM resolution (m, 0: twice the ground sampling distance)</source>

@@ -130,6 +130,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                 problem = self._check_file(definition, parameters.get(definition.name()))
             elif definition.type() in ("raster", "multilayer") and not is_empty(parameters.get(definition.name())):
                 problem = self._check_raster(definition.name(), parameters[definition.name()], context)
+            if not problem and definition.name() == "BACKEND":
+                problem = self._check_backend(parameters.get(definition.name()))
             if problem:
                 return False, problem
         low, high = (parameters.get(name) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
@@ -187,6 +189,12 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self.tr("{name} is {value}: it must lie between {low:g} and {high:g}.").format(
                 name=definition.name(), value=value, low=definition.minimum(), high=definition.maximum())
         return ""
+
+    def _check_backend(self, value: object) -> str:
+        """COLMAP needs a GPU: the engine's interpreter is asked, as it is the one that needs it."""
+        remedy = engine.cuda_remedy() if value == "colmap" else ""
+        return self.tr("BACKEND is 'colmap', which needs CUDA, and {remedy}; or choose sgm.").format(
+            remedy=remedy) if remedy else ""
 
     def _check_file(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
         if is_empty(value) or not isinstance(value, str):

@@ -29,6 +29,7 @@ WATCH_VARIABLE = "REPM_ENGINE_WATCH_STDIN"
 _MISLEADING = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "PYTHONUSERBASE", "PYTHONPLATLIBDIR",
                "VIRTUAL_ENV", "__PYVENV_LAUNCHER__")
 _POLL_S = 0.1
+_ASK_S = 30
 _GRACE_S = 1.2  # for the engine to remove half-written files; the whole of Cancel must take less than 2 s
 _WINDOWS = os.name == "nt"
 
@@ -113,6 +114,20 @@ def find_python() -> str:
     raise QgsProcessingException(
         f"No Python was found to run the engine (looked for {', '.join(candidates)}): run scripts/setup in "
         f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM.")
+
+
+def cuda_remedy() -> str:
+    """What makes CUDA usable for the engine; "" where it is, or where the engine cannot be asked (it will say itself).
+    """
+    code = "from repm_qgis.environment import cuda; print(cuda()['remedy'])"
+    try:
+        python = find_python()
+        done = subprocess.run([python, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,  # noqa: S603
+                              stderr=subprocess.DEVNULL, cwd=PLUGIN_FOLDER, env=environment(python),
+                              timeout=_ASK_S, check=False)
+    except (OSError, subprocess.TimeoutExpired, QgsProcessingException):
+        return ""
+    return done.stdout.decode("utf-8", "replace").strip() if done.returncode == 0 else ""
 
 
 def _candidates() -> list[str]:

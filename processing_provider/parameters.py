@@ -6,6 +6,7 @@ from typing import Any, Optional, Sequence
 
 from qgis.core import (
     QgsProcessing,
+    QgsProcessingParameterBoolean,
     QgsProcessingParameterCrs,
     QgsProcessingParameterDefinition,
     QgsProcessingParameterEnum,
@@ -230,7 +231,24 @@ def backend() -> QgsProcessingParameterDefinition:
     from ..repm_qgis.options import BACKENDS
 
     return choice("BACKEND", tr("Dense matching"), BACKENDS, "auto",
-                  tr("auto: the best that this machine can run; sgm: semi-global matching on the CPU."))
+                  tr("sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: colmap "
+                     "where a CUDA device answers, else sgm."))
+
+
+def patch_match() -> list[QgsProcessingParameterDefinition]:
+    """What matters of the backend colmap."""
+    return [advanced(helped(QgsProcessingParameterBoolean("GEOMETRIC", tr("COLMAP: geometric consistency"), True),
+                            tr("On: depths must also agree with those of the other images, in a second pass of the "
+                               "same length. Off: half the time, more outliers."))),
+            advanced(helped(QgsProcessingParameterBoolean("COLMAP_FUSION", tr("COLMAP: only what its fusion keeps"),
+                                                          False),
+                            tr("On: COLMAP's own fusion of the depth maps decides which heights go on to the DSM: two "
+                               "images must agree in place, depth and slope. Fewer heights, fewer outliers."))),
+            advanced(whole("WINDOW_RADIUS", tr("COLMAP: radius of the window (px)"), 5, 1, 20,
+                           tr("Smaller: sharper edges, more noise; larger: smoother, fills weak texture. The time "
+                              "grows with its square."))),
+            advanced(real("GPU_MEMORY", tr("COLMAP: memory of a GPU (GiB, 0: what is free)"), 0.0, 0.0, 1024.0,
+                          tr("A tile that needs more is matched in parts.")))]
 
 
 def resolution() -> QgsProcessingParameterDefinition:

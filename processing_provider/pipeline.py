@@ -34,8 +34,8 @@ class Pipeline(RepmAlgorithm):
                 parameters.gcp_datum(), parameters.pointing(), parameters.adjustment(), *parameters.altitudes(),
                 *parameters.tiles_and_budget(),
                 parameters.advanced(parameters.model()), parameters.advanced(parameters.order()),
-                parameters.advanced(parameters.backend()), *parameters.fusion(), dsm, parameters.workspace(),
-                parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
+                parameters.advanced(parameters.backend()), *parameters.patch_match(), *parameters.fusion(), dsm,
+                parameters.workspace(), parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),

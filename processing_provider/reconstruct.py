@@ -13,7 +13,8 @@ class Reconstruct(RepmAlgorithm):
 
     ID = "reconstruct"
     GROUP = "surface"
-    TAGS = "SfM,MVS,tie points,GCP,ground control,bundle adjustment,dense matching,SGM,disparity"
+    TAGS = "SfM,MVS,tie points,GCP,ground control,bundle adjustment,dense matching,SGM,disparity,COLMAP," \
+           "PatchMatch,CUDA,GPU"
     USES_WORKERS = True
     LAYERS = {"TIE_POINTS": ("Tie points", "tie_points")}
 
@@ -27,8 +28,8 @@ class Reconstruct(RepmAlgorithm):
         heights = QgsProcessingParameterFolderDestination(
             "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False)
         return [parameters.scene(), parameters.backend(), parameters.gcps(), parameters.gcp_datum(),
-                parameters.pointing(), parameters.adjustment(), parameters.output_scene(), parameters.tie_points(),
-                heights]
+                parameters.pointing(), parameters.adjustment(), *parameters.patch_match(), parameters.output_scene(),
+                parameters.tie_points(), heights]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputHtml("REPORT", self.tr("Report")),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+import json
 import os
 import platform
 import shutil
@@ -15,6 +16,9 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from typing import Any, Optional
+
+CUDA_WHEEL = "pycolmap-cuda12>=4.2,<5"
+"""COLMAP with CUDA; it takes the place of ``pycolmap``, as both are imported under that name."""
 
 _ASK_SECONDS = 60
 _MEMORY_FIELDS = {"MemTotal": "total_bytes", "MemAvailable": "available_bytes"}
@@ -49,10 +53,11 @@ def version_of(package: Package) -> Optional[str]:
     """The installed version; "unknown" where a package does not say; None where it is missing."""
     if importlib.util.find_spec(package.module) is None:
         return None
-    try:
-        return importlib.metadata.version(package.distribution)
-    except importlib.metadata.PackageNotFoundError:
-        pass
+    for name in (package.distribution, f"{package.distribution}-cuda12"):
+        try:
+            return importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
     if package.module == "osgeo":
         from osgeo import gdal
 
@@ -98,27 +103,78 @@ def _ask(code: str) -> str:
     return done.stdout.decode("utf-8", "replace").strip() if done.returncode == 0 else ""
 
 
-def _nvidia_devices() -> list[str]:
-    """Names and memory of the NVIDIA devices whose driver answers."""
-    program = shutil.which("nvidia-smi")
-    if not program:
-        return []
+@dataclass(frozen=True)
+class Gpu:
+    """A CUDA device that answers: its number for CUDA, its name and memory."""
+
+    index: int
+    name: str
+    total_bytes: int
+    free_bytes: int
+
+    def __str__(self) -> str:
+        return f"{self.name}, {self.total_bytes / 2**30:.0f} GiB"
+
+
+# CUDA's driver is asked by itself: it respects CUDA_VISIBLE_DEVICES, needs no nvidia-smi, and a device whose memory can
+# be told has taken a context, which is what a lost or reserved one refuses.
+_DRIVER = """
+import ctypes, json, sys
+cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+count, found = ctypes.c_int(0), []
+if cuda.cuInit(0) == 0 and cuda.cuDeviceGetCount(ctypes.byref(count)) == 0:
+    for index in range(count.value):
+        device, context, name = ctypes.c_int(0), ctypes.c_void_p(), ctypes.create_string_buffer(128)
+        free, total = ctypes.c_size_t(0), ctypes.c_size_t(0)
+        if (cuda.cuDeviceGet(ctypes.byref(device), index) == 0 and cuda.cuDeviceGetName(name, 128, device) == 0
+                and cuda.cuDevicePrimaryCtxRetain(ctypes.byref(context), device) == 0
+                and cuda.cuCtxSetCurrent(context) == 0
+                and cuda.cuMemGetInfo_v2(ctypes.byref(free), ctypes.byref(total)) == 0):
+            found.append([index, name.value.decode("utf-8", "replace"), total.value, free.value])
+print(json.dumps(found))
+"""
+
+
+def gpus() -> list[Gpu]:
+    """The CUDA devices that answer here; none where there is no driver, whatever the reason."""
     try:
-        done = subprocess.run([program, "--query-gpu=name,memory.total", "--format=csv,noheader"],  # noqa: S603
-                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                              timeout=20, check=False)
-    except (OSError, subprocess.TimeoutExpired):
+        return [Gpu(int(index), str(name), int(total), int(free))
+                for index, name, total, free in json.loads(_ask(_DRIVER) or "[]")]
+    except (ValueError, TypeError):
         return []
-    lines = done.stdout.decode("utf-8", "replace").splitlines() if done.returncode == 0 else []
-    return [line.strip() for line in lines if line.strip()]
 
 
-def cuda(ask_pycolmap: bool = True) -> dict[str, Any]:
-    """Whether CUDA can be used: ``built`` (pycolmap was made with it), ``devices`` that answer, ``usable`` (both)."""
-    built = ask_pycolmap and importlib.util.find_spec("pycolmap") is not None and \
+def _built_with_cuda() -> bool:
+    return importlib.util.find_spec("pycolmap") is not None and \
         _ask("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
-    devices = _nvidia_devices()
-    return {"built": built, "devices": devices, "usable": bool(built and devices)}
+
+
+def cuda() -> dict[str, Any]:
+    """Whether CUDA can be used.
+
+    ``built`` (pycolmap was made with it), ``devices`` that answer, ``usable`` (both), and ``remedy``: what to do where
+    it is not usable, else "".
+    """
+    built, devices = _built_with_cuda(), [str(gpu) for gpu in gpus()]
+    return {"built": built, "devices": devices, "usable": bool(built and devices),
+            "remedy": cuda_remedy(built, bool(devices))}
+
+
+def cuda_remedy(built: bool, device: bool) -> str:
+    """What makes CUDA usable here; "" where it is."""
+    numpy = version_of(PACKAGES[0])
+    keep = f' "numpy=={numpy}"' if numpy else ""
+    pip = f'"{sys.executable}" -m pip' if " " in sys.executable else f"{sys.executable} -m pip"
+    install = f"run '{pip} uninstall -y pycolmap' and then '{pip} install \"{CUDA_WHEEL}\"{keep}'"
+    if device:
+        return "" if built else f"the installed pycolmap is made without CUDA: {install}"
+    driver = "no CUDA device answers here: check the NVIDIA driver with nvidia-smi"
+    return driver if built else f"{driver}, and {install}"
+
+
+def cuda_usable() -> bool:
+    """Whether a CUDA device answers and pycolmap is made for it, which is asked only then."""
+    return bool(gpus()) and _built_with_cuda()
 
 
 def memory() -> dict[str, Optional[int]]:

@@ -65,6 +65,10 @@ class MissingPackageError(RepmError, ImportError):
     """A Python package that a stage needs is not installed."""
 
 
+class DeviceError(RepmError, RuntimeError):
+    """A GPU is missing, lost or full."""
+
+
 class EmptyResultError(RepmError, RuntimeError):
     """A stage ran, but what it made is empty or too little to go on with; the message gives the counts."""
 

@@ -15,7 +15,7 @@ from .errors import OptionError
 
 MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
-BACKENDS = ("auto", "sgm")
+BACKENDS = ("auto", "sgm", "colmap")
 POINTINGS = ("auto", "shift", "affine")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
@@ -32,6 +32,11 @@ T = TypeVar("T", bound="Options")
 def _within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
     if not (isinstance(value, (int, float)) and math.isfinite(value) and low <= value <= high):
         raise OptionError(name, value, f"must lie between {low:g} and {high:g}{' ' + unit if unit else ''}")
+
+
+def _whole(name: str, value: object, low: int, high: int, unit: str = "") -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise OptionError(name, value, f"must be a whole number from {low} to {high}{' ' + unit if unit else ''}")
 
 
 def _one_of(name: str, value: object, choices: Tuple[str, ...]) -> None:
@@ -202,6 +207,8 @@ class ReconstructOptions(Options):
     CRS; "" is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or
     COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0 means one a core. ``memory``
     in MiB bounds what the workers take together, 0 means three quarters of what is free.
+    ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
+    colmap's.
     """
 
     scene: str
@@ -215,11 +222,17 @@ class ReconstructOptions(Options):
     workers: int = 0
     adjustment: str = "rpc"
     memory: int = 0
+    geometric: bool = True
+    colmap_fusion: bool = False
+    window_radius: int = 5
+    gpu_memory: float = 0.0
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
         _given("OUTPUT_SCENE", self.output_scene)
         _one_of("BACKEND", self.backend, BACKENDS)
+        _whole("WINDOW_RADIUS", self.window_radius, 1, 20, "px")
+        _within("GPU_MEMORY", self.gpu_memory, 0, 1024, "GiB")
         _one_of("POINTING", self.pointing, POINTINGS)
         _one_of("ADJUSTMENT", self.adjustment, ADJUSTMENTS)
         if self.adjustment == "colmap" and self.pointing == "affine":
@@ -311,6 +324,10 @@ class PipelineOptions(Options):
     workers: int = 0
     vertical_datum: str = ""
     memory: int = 0
+    geometric: bool = True
+    colmap_fusion: bool = False
+    window_radius: int = 5
+    gpu_memory: float = 0.0
 
     def __post_init__(self) -> None:
         # The stages' own options check everything else; building them here makes a wrong value fail at once.
@@ -319,7 +336,8 @@ class PipelineOptions(Options):
         if self.model == "terrain" and not self.dem:
             raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
         ReconstructOptions("-", "-", self.backend, self.gcps, self.gcp_datum, self.pointing, workers=self.workers,
-                           adjustment=self.adjustment, memory=self.memory)
+                           adjustment=self.adjustment, memory=self.memory, window_radius=self.window_radius,
+                           gpu_memory=self.gpu_memory)
         DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.fill, self.outlier_radius,
                        cloud=self.cloud)
 

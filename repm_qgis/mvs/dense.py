@@ -25,8 +25,9 @@ from .reliability import without_unsupported
 from .triangulation import PairGeometry, pair_geometry
 
 FloatImage = NDArray[np.float32]
+Bounds = Tuple[float, float, float, float]
 
-_MARGIN_PX = 32         # matched beyond the tile's border, so that neighbours agree along it
+MARGIN_PX = 32         # matched beyond the tile's border, so that neighbours agree along it
 _RANGE_MARGIN_PX = 6    # disparities searched beyond the altitude range
 _SMALLEST_PX = 48
 _KEY = "REPM_FINGERPRINT"
@@ -77,8 +78,7 @@ def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
         "metres_per_px": geometry.metres_per_px, "row_px": geometry.row_px, "table_error_m": geometry.error_m,
         "altitudes": list(task.altitudes),
     }
-    write(task.path, [heights, matched.score, matched.filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
-          metadata={_KEY: task.key, _RECORD: json.dumps(record)}, descriptions=_BANDS)
+    store(task.path, task.key, record, heights, matched.score, matched.filled)
     return record
 
 
@@ -87,6 +87,13 @@ def frame_size(task: DenseTask) -> Tuple[int, int]:
     pair = _rectified(task.scene, task.scene.view(task.first), task.scene.view(task.second), task.bounds,
                       task.altitudes)
     return pair.size if pair is not None else (0, 0)
+
+
+def store(path: str, key: str, record: Dict[str, Any], height: FloatImage, score: FloatImage,
+          filled: NDArray[np.bool_]) -> None:
+    """Write a height map with its record, and the key that says what it was made from."""
+    write(path, [height, score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
+          metadata={_KEY: key, _RECORD: json.dumps(record)}, descriptions=_BANDS)
 
 
 def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
@@ -137,12 +144,17 @@ class HeightMap:
 
 @dataclass(frozen=True)
 class HeightSource:
-    """A height map on disk, of which any part can be placed on the ground."""
+    """A height map on disk, of which any part can be placed on the ground.
+
+    ``part`` are the bounds of the tile and of the part of it that the map was made for, where tiles were matched in
+    parts: heights on the rest of the tile are left out, its own maps have them.
+    """
 
     path: str
     geometry: PairGeometry
     size: Tuple[int, int]
     altitudes: Tuple[float, float]
+    part: Optional[Tuple[Bounds, Bounds]] = None
 
     def within(self, bounds: Optional[Tuple[float, float, float, float]] = None) -> HeightMap:
         """The rectangle of pixels that holds all points in bounds (xmin, ymin, xmax, ymax); None takes all.
@@ -163,6 +175,9 @@ class HeightSource:
                              "'Reconstruct heights' again.") from error
         columns, rows = np.arange(col, col + width, dtype=np.float64), np.arange(row, row + height_px, dtype=np.float64)
         x, y = (table.on_grid(columns, rows, height) for table in (self.geometry.x, self.geometry.y))
+        if self.part is not None:
+            tile, own = self.part
+            height = np.where(_inside(tile, x, y) & ~_inside(own, x, y), np.nan, height)
         return HeightMap(x, y, height, score, filled)
 
     def _window(self, bounds: Tuple[float, float, float, float]) -> Tuple[int, int, int, int]:
@@ -182,6 +197,11 @@ class HeightSource:
         return c0, r0, int(columns[across[-1]]) + 1 - c0, int(rows[down[-1]]) + 1 - r0
 
 
+def _inside(bounds: Bounds, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        return (x >= bounds[0]) & (y >= bounds[1]) & (x < bounds[2]) & (y < bounds[3])
+
+
 def height_source(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
                   crs: str) -> HeightSource:
     """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
@@ -189,19 +209,28 @@ def height_source(scene: Scene, bounds: Tuple[float, float, float, float], recor
     The rectification is made again from the scene: it is exact, costs a tenth of a second, and leaves nothing to
     store that could contradict it. Raises SceneError where the file is gone, or belongs to another scene.
     """
+    if record.get("backend") == "colmap":
+        from .colmap_backend import height_source as of_colmap
+
+        return of_colmap(scene, bounds, record, crs)
     first, second = (scene.view(name) for name in record["pair"])
     altitudes = tuple(record["altitudes"])
     pair = _rectified(scene, first, second, bounds, altitudes)
-    try:
-        with opened(record["file"]) as dataset:
-            size = dataset.RasterXSize, dataset.RasterYSize
-    except ImageError as error:
-        raise SceneError(f"The height map '{record['file']}' is gone or damaged: delete what is left of it, and run "
-                         "'Reconstruct heights' again.") from error
+    size = map_size(record["file"])
     if pair is None or pair.size != size:
         raise SceneError(f"The height map '{record['file']}' does not belong to the scene '{scene.path}': run "
                          "'Reconstruct heights' again.")
     return HeightSource(record["file"], pair_geometry(pair, first, second, altitudes, crs), size, altitudes)
+
+
+def map_size(path: str) -> Tuple[int, int]:
+    """Width and height of a height map; raises SceneError where the file is gone or damaged."""
+    try:
+        with opened(path) as dataset:
+            return dataset.RasterXSize, dataset.RasterYSize
+    except ImageError as error:
+        raise SceneError(f"The height map '{path}' is gone or damaged: delete what is left of it, and run 'Reconstruct "
+                         "heights' again.") from error
 
 
 def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
@@ -213,4 +242,4 @@ def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record
 def _rectified(scene: Scene, first: View, second: View, bounds: Tuple[float, float, float, float],
                altitudes: Tuple[float, float]) -> Optional[RectifiedPair]:
     """The rectified pair that a tile is matched in: its ground with the matching margin."""
-    return rectified_pair(scene, first, second, grown(bounds, _MARGIN_PX * scene.gsd_m), altitudes)
+    return rectified_pair(scene, first, second, grown(bounds, MARGIN_PX * scene.gsd_m), altitudes)

@@ -22,7 +22,8 @@ from .rectification import RectifiedPair
 FloatArray = NDArray[np.float64]
 
 _NODE_STEP = 32
-_LEVELS = 5
+LEVELS = 5
+"""Altitudes that tables are made from."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,8 @@ def pair_geometry(pair: RectifiedPair, first: View, second: View, altitudes: Tup
 
     Raises EmptyResultError where the views share no part of the frame.
     """
-    columns, rows = (_nodes(n) for n in pair.size)
-    z, r, c = np.meshgrid(np.linspace(*altitudes, _LEVELS), rows, columns, indexing="ij")
+    columns, rows = (nodes(n) for n in pair.size)
+    z, r, c = np.meshgrid(np.linspace(*altitudes, LEVELS), rows, columns, indexing="ij")
     pixels = np.stack([c, r], axis=-1)
     ground = first.localise(pair.first_original(pixels), z)
     seen = pair.second_rectified(second.project(ground))
@@ -117,6 +118,6 @@ def pair_geometry(pair: RectifiedPair, first: View, second: View, altitudes: Tup
                         float(np.abs(r - seen[..., 1]).max()))
 
 
-def _nodes(size: int) -> FloatArray:
+def nodes(size: int) -> FloatArray:
     """Evenly spaced positions from the first to the last pixel, some 32 px apart, at least two."""
     return np.linspace(0.0, max(size - 1, 1), max(2, -(-(size - 1) // _NODE_STEP) + 1))

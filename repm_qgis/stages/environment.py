@@ -21,6 +21,8 @@ def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
         progress.warn(f"{entry['package']} is missing ({entry['purpose']}). Install it with: {entry['command']}")
     if not found["missing"]:
         progress.info(f"Nothing is missing for {found['interpreter']}.")
+    if not found["cuda"]["usable"]:
+        progress.info(f"BACKEND colmap cannot run: {found['cuda']['remedy']}.")
     if options.report:
         _report(found).write(options.report)
     progress.step(1.0, "reported")
@@ -45,12 +47,15 @@ def _report(found: Dict[str, Any]) -> Report:
     page.facts([("Cores", found["cores"]), ("Memory", _gib(memory["total_bytes"])),
                 ("Memory available", _gib(memory["available_bytes"])),
                 ("Disk free for temporary files", _gib(found["disk_free_bytes"])), ("CUDA", _cuda(found["cuda"]))])
+    if not found["cuda"]["usable"]:
+        page.paragraph(f"Dense matching with COLMAP on a GPU (BACKEND colmap) cannot run: {found['cuda']['remedy']}. "
+                       "Everything else does without.")
     _proj(page, found["proj"])
     return page
 
 
 def _cuda(found: Dict[str, Any]) -> str:
-    devices = "; ".join(found["devices"]) or "no NVIDIA device answers"
+    devices = "; ".join(found["devices"]) or "no CUDA device answers"
     return f"{'usable' if found['usable'] else 'not used'} ({devices}; pycolmap was built " \
            f"{'with' if found['built'] else 'without'} it)"
 

@@ -8,6 +8,7 @@ from typing import Any, Callable, Dict
 
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
+from ..mvs.backends import resolve
 from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
@@ -21,6 +22,8 @@ _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
 
 def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     """Run all stages; gives every product, and the seconds of each stage."""
+    if options.backend == "colmap":  # refused, if at all, before any work
+        resolve(options.backend)
     folder = ensure_folder(options.workspace)
     for path in (options.output, options.confidence, options.ortho, options.cloud, options.report):
         if path:  # hours of matching are not to end at a folder that cannot be written
@@ -50,7 +53,9 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
         ReconstructOptions(
             refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
-            workers=options.workers, adjustment=options.adjustment, memory=options.memory), p))
+            workers=options.workers, adjustment=options.adjustment, memory=options.memory,
+            geometric=options.geometric, colmap_fusion=options.colmap_fusion, window_radius=options.window_radius,
+            gpu_memory=options.gpu_memory), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,

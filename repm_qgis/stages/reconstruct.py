@@ -36,13 +36,15 @@ _LEAST_SHARE = 0.01     # of matched pixels: below that, nothing was reconstruct
 def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
     start = time.monotonic()
+    backend = resolve(options.backend)
     scene = Scene.load(options.scene)
     if not scene.refinement:
         scene.refinement = "polynomial"
-    backend = resolve(options.backend)
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
     key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, options.adjustment, control,
-                      [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path])
+                      [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
+                      *([options.geometric, options.colmap_fusion, options.window_radius] if backend == "colmap"
+                        else []))
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
     report_path = str(beside.with_name("reconstruction.html"))
@@ -137,26 +139,30 @@ def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
            folder: str, options: ReconstructOptions, progress: Progress) -> None:
     """Match all pairs over all tiles, and note the height maps in the scene."""
     lean = scene.lean()
+    records, tiles = [], list(scene.tiles)
+    if backend == "colmap":
+        records, tiles = _match_on_gpus(scene, pairs, stretches, options, key, folder, Part(progress, 0.0, 0.9))
+        backend, progress = "sgm", Part(progress, 0.9, 1.0)
     tasks = [
         DenseTask(lean, tile.id, tile.bounds, tile.altitudes, pair.first, pair.second,
                   (stretches[pair.first], stretches[pair.second]), backend,
                   str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
                   fingerprint(key, tile.id, pair.first, pair.second))
-        for tile in scene.tiles for pair in pairs if pair.first in tile.views and pair.second in tile.views]
+        for tile in tiles for pair in pairs if pair.first in tile.views and pair.second in tile.views]
     workers = _workers(tasks, pairs, options, progress)
     try:
-        records = run_tasks(match_tile, tasks, workers, progress,
-                            lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
+        records += run_tasks(match_tile, tasks, workers, progress,
+                             lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
     except BaseException:
         for task in tasks:  # a worker that is ended while it writes cannot clean up
             drop_temporary(task.path)
         raise
     reused = sum(bool(record and record.pop("reused", False)) for record in records)
     if reused:
-        progress.info(f"Reused {reused} of {len(tasks)} height maps that an earlier run had finished.")
+        progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
     for tile in scene.tiles:
         tile.heights = [record for record in records if record and record["tile"] == tile.id and record["valid"]]
-    _check(records, len(tasks), progress)
+    _check(records, progress)
 
 
 def _workers(tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: ReconstructOptions,
@@ -172,13 +178,34 @@ def _workers(tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: Rec
                           math.ceil(side), progress)
 
 
-def _check(records: List[Any], tasks: int, progress: Progress) -> None:
+def _match_on_gpus(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch],
+                   options: ReconstructOptions, key: str, folder: str,
+                   progress: Progress) -> Tuple[List[Any], List[Tile]]:
+    """Records of the height maps by COLMAP, and the tiles that are left for the CPU: those a GPU failed on, if any.
+
+    A tile that fails is named in a warning; where ``colmap`` was asked for by name it stays without heights. Raises
+    DeviceError where that is so of all.
+    """
+    from ..mvs.colmap_backend import match_tiles
+    from ..mvs.colmap_runner import PatchMatch
+
+    settings = PatchMatch(options.geometric, options.window_radius, options.gpu_memory, options.colmap_fusion)
+    records, failed = match_tiles(scene, pairs, stretches, settings, key, folder, progress)
+    instead = "was matched on the CPU (sgm)" if options.backend == "auto" else "has no heights"
+    for tile, error in failed.items():
+        progress.warn(f"Tile {tile} {instead}: {error}")
+    if failed and not records and options.backend != "auto":
+        raise next(iter(failed.values()))
+    return records, [tile for tile in scene.tiles if tile.id in failed and options.backend == "auto"]
+
+
+def _check(records: List[Any], progress: Progress) -> None:
     made = [record for record in records if record]
     pixels = sum(record["size"][0] * record["size"][1] for record in made)
     valid = sum(record["valid"] for record in made)
     if valid < max(1000, _LEAST_SHARE * pixels):
         raise EmptyResultError(
-            f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {tasks} tile pairs. Are the "
-            "altitudes right, and do the images show the same ground without clouds?")
+            f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs. "
+            "Are the altitudes right, and do the images show the same ground without clouds?")
     progress.info(f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on "
                   f"{counted(len(made), 'tile pair')} (the frames' empty corners count).")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import shutil
 import subprocess
 import sys
 
@@ -63,10 +64,46 @@ def test_memory_and_cores_agree_with_the_kernel(found):
 
 def test_cuda_needs_a_build_and_a_device(monkeypatch):
     for built in (True, False):
-        for devices in ([], ["NVIDIA X, 80 GiB"]):
+        for devices in ([], [environment.Gpu(0, "NVIDIA X", 80 << 30, 79 << 30)]):
             monkeypatch.setattr(environment, "_ask", lambda code, built=built: str(built))
-            monkeypatch.setattr(environment, "_nvidia_devices", lambda devices=devices: devices)
-            assert environment.cuda() == {"built": built, "devices": devices, "usable": built and bool(devices)}
+            monkeypatch.setattr(environment, "gpus", lambda devices=devices: devices)
+            usable, found = built and bool(devices), environment.cuda()
+            assert (found["built"], found["usable"]) == (built, usable) and environment.cuda_usable() == usable
+            assert found["devices"] == ["NVIDIA X, 80 GiB"] * len(devices)
+            assert ("pycolmap-cuda12" in found["remedy"]) == (not built)
+            assert ("no CUDA device answers" in found["remedy"]) == (not devices)
+            assert bool(found["remedy"]) == (not usable) and "\n" not in found["remedy"]
+
+
+_DRIVER = """
+#include <stddef.h>
+#include <string.h>
+int cuInit(unsigned flags) { return 0; }
+int cuDeviceGetCount(int *count) { *count = 3; return 0; }
+int cuDeviceGet(int *device, int index) { *device = index; return 0; }
+int cuDeviceGetName(char *name, int size, int device) { strncpy(name, device ? "Card B" : "Card A", size); return 0; }
+int cuDevicePrimaryCtxRetain(void **context, int device) { return device == 1 ? 46 : 0; }
+int cuCtxSetCurrent(void *context) { return 0; }
+int cuMemGetInfo_v2(size_t *free, size_t *total) { *free = 7ul << 30; *total = 8ul << 30; return 0; }
+"""
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no C compiler to make a driver with")
+def test_devices_are_those_that_give_a_context(tmp_path, monkeypatch):
+    """A driver of our own with three cards, of which the second is taken by somebody else."""
+    (tmp_path / "driver.c").write_text(_DRIVER)
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", str(tmp_path / "libcuda.so.1"), str(tmp_path / "driver.c")],
+                   check=True, timeout=60)
+    monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
+    assert environment.gpus() == [environment.Gpu(0, "Card A", 8 << 30, 7 << 30),
+                                  environment.Gpu(2, "Card B", 8 << 30, 7 << 30)]
+    assert [str(gpu) for gpu in environment.gpus()] == ["Card A, 8 GiB", "Card B, 8 GiB"]
+
+
+@pytest.mark.parametrize("answer", ("", "nonsense", "[[1, 2]]", "{}", '[["a", "b", "c", "d"]]'))
+def test_a_driver_that_answers_nonsense_is_none(monkeypatch, answer):
+    monkeypatch.setattr(environment, "_ask", lambda code: answer)
+    assert environment.gpus() == []
 
 
 def test_a_package_that_crashes_when_imported_does_not_end_the_survey():

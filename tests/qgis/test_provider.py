@@ -15,11 +15,13 @@ PARAMETERS = {
     "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
     "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
     "exportcameras": "SCENE FORMAT TILE CENTRE BITS KERNEL FOLDER",
-    "reconstruct": "SCENE BACKEND GCPS GCP_DATUM POINTING ADJUSTMENT OUTPUT_SCENE TIE_POINTS HEIGHTS",
+    "reconstruct": "SCENE BACKEND GCPS GCP_DATUM POINTING ADJUSTMENT GEOMETRIC COLMAP_FUSION WINDOW_RADIUS "
+                   "GPU_MEMORY OUTPUT_SCENE TIE_POINTS HEIGHTS",
     "dsmfuse": "SCENE RESOLUTION CRS VERTICAL_DATUM METHOD FILL OUTLIER_RADIUS OUTPUT CONFIDENCE ORTHO CLOUD",
     "pipeline": "IMAGES EXTENT DEM GCPS RESOLUTION CRS VERTICAL_DATUM RPCS MASKS GCP_DATUM POINTING ADJUSTMENT "
-                "ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND METHOD FILL OUTLIER_RADIUS "
-                "OUTPUT WORKSPACE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD",
+                "ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND GEOMETRIC COLMAP_FUSION "
+                "WINDOW_RADIUS GPU_MEMORY METHOD FILL OUTLIER_RADIUS OUTPUT WORKSPACE REPORT TILES TIE_POINTS "
+                "CONFIDENCE ORTHO CLOUD",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES ERROR REPORT",
     "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "sampledata": "KIND SIZE SEED FOLDER",
@@ -104,7 +106,7 @@ def test_a_dialog_stays_readable(plugin, name):
 
 def test_what_is_not_built_is_not_offered(plugin):
     assert algorithm("refine").parameterDefinition("MODEL").options() == ["none", "homography", "polynomial", "terrain"]
-    assert algorithm("reconstruct").parameterDefinition("BACKEND").options() == ["auto", "sgm"]
+    assert algorithm("reconstruct").parameterDefinition("BACKEND").options() == ["auto", "sgm", "colmap"]
     assert algorithm("pipeline").parameterDefinition("MODEL").defaultValue() == "polynomial"
 
 

@@ -158,6 +158,29 @@ def test_the_adjustment_is_an_option_of_the_engine(plugin, context, feedback, ra
     assert "ADJUSTMENT=colmap" in command
 
 
+def test_colmap_without_cuda_is_refused_in_the_dialog(plugin, context, tmp_path, monkeypatch):
+    from repm.processing_provider import engine
+
+    scene = tmp_path / "scene.json"
+    scene.write_text("{}")
+    given = {"SCENE": str(scene), "OUTPUT_SCENE": str(tmp_path / "out.json"), "BACKEND": "colmap"}
+    if engine.cuda_remedy():
+        fine, text = check("reconstruct", given, context)
+        assert not fine and "BACKEND is 'colmap'" in text and "pycolmap-cuda12" in text and "\n" not in text
+    monkeypatch.setattr(engine, "cuda_remedy", lambda: "")
+    assert check("reconstruct", given, context)[0]
+    monkeypatch.setattr(engine, "cuda_remedy", lambda: "none here")
+    assert check("reconstruct", {**given, "BACKEND": "auto"}, context)[0]
+    assert "none here; or choose sgm" in check("reconstruct", given, context)[1]
+
+
+def test_options_of_colmap_reach_the_engine(plugin, context, feedback):
+    given = {"SCENE": "/s/scene.json", "GEOMETRIC": False, "WINDOW_RADIUS": 7}
+    found = options("reconstruct", given, context, feedback)
+    assert (found["geometric"], found["window_radius"], found["gpu_memory"]) == (False, 7, 0.0)
+    assert found["colmap_fusion"] is False
+
+
 def test_one_image_has_no_heights(plugin, context, rasters):
     for images in (rasters[:1], rasters[0], [], None):
         fine, text = check("epmfit", {"IMAGES": images, "WORKSPACE": "/w"}, context)

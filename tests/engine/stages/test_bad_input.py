@@ -226,7 +226,8 @@ def test_absurd_crss(bench, crs, words):
     ({"tile_size": 10}, "TILE_SIZE"), ({"model": "spline"}, "MODEL"), ({"backend": "magic"}, "BACKEND"),
     ({"method": "mode"}, "METHOD"), ({"outlier_radius": float("nan")}, "OUTLIER_RADIUS"), ({"workers": -1}, "WORKERS"),
     ({"colour": "red"}, "not an option of this stage"), ({"workspace": ""}, "WORKSPACE"), ({"output": ""}, "OUTPUT"),
-    ({"error_budget": 0}, "ERROR_BUDGET")))
+    ({"error_budget": 0}, "ERROR_BUDGET"), ({"window_radius": 0}, "WINDOW_RADIUS"),
+    ({"window_radius": 2.5}, "WINDOW_RADIUS"), ({"gpu_memory": -1}, "GPU_MEMORY")))
 def test_options_out_of_bounds(bench, options, words):
     assert words in bench.fails(OptionError, **options)
     assert not os.path.exists(bench.workspace)

@@ -30,6 +30,18 @@ def test_what_is_missing_is_warned_of_with_its_command(tmp_path, monkeypatch):
     assert result["missing"] == found["missing"]
 
 
+def test_what_cuda_needs_is_told_with_its_command(tmp_path, monkeypatch):
+    found = {**environment.survey(), "cuda": {"built": False, "devices": ["NVIDIA X, 8 GiB"], "usable": False,
+                                              "remedy": "run 'pip install pycolmap-cuda12'"}}
+    monkeypatch.setattr(environment, "survey", lambda folder: found)
+    run_stage("environment", {"report": str(tmp_path / "r.html")}, Silent())
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "NVIDIA X, 8 GiB; pycolmap was built without it" in page and "pip install pycolmap-cuda12" in page
+    found["cuda"].update(built=True, usable=True, remedy="")
+    run_stage("environment", {"report": str(tmp_path / "r.html")}, Silent())
+    assert "cannot run" not in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
 def test_without_a_report_it_only_tells():
     result = run_stage("environment", {}, Silent())
     assert result["report"] is None and result["cores"] >= 1
