@@ -70,13 +70,19 @@ def _surfaces(surface: FloatImage) -> Tuple[FloatImage, FloatImage, NDArray[np.b
     """The upper and the lower surface around each pixel, its own value being one of them; and where there are two."""
     window = np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8)
     top, bottom = cv2.dilate(surface, window), cv2.erode(surface, window)
+    beside = top - bottom > _JUMP_PX
     on_top = surface > (top + bottom) / 2
-    share = _mean(on_top.astype(np.float32), _NEIGHBOURHOOD)
-    two = np.minimum(share, 1 - share) > 0.5 / _NEIGHBOURHOOD ** 2
-    above = _mean(np.where(on_top, surface, np.float32(0)), _NEIGHBOURHOOD) / np.maximum(share, np.float32(1e-3))
-    below = _mean(np.where(on_top, np.float32(0), surface), _NEIGHBOURHOOD) / np.maximum(1 - share, np.float32(1e-3))
+    above, some_above = _mean_where(surface, beside & on_top)
+    below, some_below = _mean_where(surface, beside & ~on_top)
     upper, lower = np.where(on_top, surface, above), np.where(on_top, below, surface)
-    return upper, lower, two & (top - bottom > _JUMP_PX) & (upper - lower > _JUMP_PX)
+    return upper, lower, beside & some_above & some_below & (upper - lower > _JUMP_PX)
+
+
+def _mean_where(surface: FloatImage, chosen: NDArray[np.bool_]) -> Tuple[FloatImage, NDArray[np.bool_]]:
+    """The mean of the chosen pixels around each pixel, and whether there are any."""
+    share = _mean(chosen.astype(np.float32), _NEIGHBOURHOOD)
+    total = _mean(np.where(chosen, surface, np.float32(0)), _NEIGHBOURHOOD)
+    return total / np.maximum(share, np.float32(1e-3)), share > 0.5 / _NEIGHBOURHOOD ** 2
 
 
 class _Cost:
