@@ -29,7 +29,7 @@ from repm_qgis.geometry.refinement import translation  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.imagery.warping import warp  # noqa: E402
-from repm_qgis.mvs import sgm  # noqa: E402
+from repm_qgis.mvs import edges, occlusions, sgm, subpixel  # noqa: E402
 from repm_qgis.mvs.pairing import grown, rectified_pair  # noqa: E402
 from repm_qgis.mvs.rectification import RectifiedPair  # noqa: E402
 from repm_qgis.mvs.triangulation import pair_geometry  # noqa: E402
@@ -39,6 +39,7 @@ from repm_qgis.stages import run_stage  # noqa: E402
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CELL = 0.5
+MODULES = {"sgm": sgm, "edges": edges, "subpixel": subpixel, "occlusions": occlusions}
 
 
 class Case:
@@ -102,65 +103,118 @@ def _sampled(view: Any, to_original: Any, size: Tuple[int, int]) -> np.ndarray:
 
 
 @contextmanager
-def changed(**members: Any) -> Iterator[None]:
-    """The sgm module with other members for a while."""
-    kept = {name: getattr(sgm, name) for name in members}
+def changed(members: Dict[str, Any]) -> Iterator[None]:
+    """Other members, named ``module.name``, in the matcher's modules for a while."""
+    places = {name: (MODULES[name.split(".")[0]], name.split(".")[1]) for name in members}
+    kept = {name: getattr(*place) for name, place in places.items()}
     try:
         for name, value in members.items():
-            setattr(sgm, name, value)
+            setattr(*places[name], value)
         yield
     finally:
         for name, value in kept.items():
-            setattr(sgm, name, value)
+            setattr(*places[name], value)
 
 
-def _with_mode(mode: int, block: int = 3, p1: int = 16, p2: int = 64) -> Callable[[int], Any]:
+def _with_mode(mode: int, block: int = 1, p1: int = 12, p2: int = 48) -> Callable[[int], Any]:
     def matcher(count: int) -> Any:
         return cv2.StereoSGBM_create(0, -(-count // 16) * 16, block, p1 * block * block, p2 * block * block, -1, 31, 0,
                                      0, 0, mode)
     return matcher
 
 
+def _ranks(image: np.ndarray) -> np.ndarray:
+    """How many of 7 x 7 neighbours are darker (Zabih and Woodfill 1994), spread over eight bits."""
+    grey = np.nan_to_num(image).astype(np.float32)
+    padded = cv2.copyMakeBorder(grey, 3, 3, 3, 3, cv2.BORDER_REFLECT)
+    rank = np.zeros(grey.shape, np.uint8)
+    for row in range(7):
+        for column in range(7):
+            rank += padded[row:row + grey.shape[0], column:column + grey.shape[1]] < grey
+    return rank * np.uint8(5)
+
+
+def _twice(disparity: Any, *others: Any) -> Any:
+    return edges.at_edges(edges.at_edges(disparity, *others), *others)
+
+
+def _large_pieces(disparity: Any, first: Any, second: Any, low: int, high: int) -> Any:
+    return sgm._pieces(disparity, low, 80)
+
+
+def _lowest_along_rows(disparity: Any, nearer: float) -> Any:
+    """Filling as it was first: the lower of a gap's two ends in its row."""
+    known = np.isfinite(disparity)
+    left, right, long = occlusions._ends(np.float32(nearer) * disparity, known)
+    with np.errstate(invalid="ignore"):
+        gap = ~known & (long <= np.abs(left - right) * 1.6 + 6)
+    return np.where(gap, np.float32(nearer) * np.fmin(left, right), disparity)
+
+
+AS_MATCHED = {"sgm.at_edges": lambda disparity, *others: disparity}
+THREE, FIVE, EIGHT = cv2.STEREO_SGBM_MODE_SGBM_3WAY, cv2.STEREO_SGBM_MODE_SGBM, cv2.STEREO_SGBM_MODE_HH
 VARIANTS: Dict[str, Dict[str, Any]] = {
     "as it is": {},
-    "eight-way aggregation": {"_matcher": _with_mode(cv2.STEREO_SGBM_MODE_HH)},
-    "five-way aggregation": {"_matcher": _with_mode(cv2.STEREO_SGBM_MODE_SGBM)},
-    "blocks of 1 px": {"_matcher": _with_mode(cv2.STEREO_SGBM_MODE_SGBM_3WAY, 1, 24, 96)},
-    "blocks of 5 px": {"_matcher": _with_mode(cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5, 8, 32)},
-    "penalties halved": {"_matcher": _with_mode(cv2.STEREO_SGBM_MODE_SGBM_3WAY, 3, 8, 32)},
-    "penalties doubled": {"_matcher": _with_mode(cv2.STEREO_SGBM_MODE_SGBM_3WAY, 3, 32, 128)},
-    "matched one way only": {"_agree": lambda forth, back, high: np.isfinite(forth)},
-    "ways may differ by 2 px": {"_AGREE_PX": 2.0},
-    "islands kept": {"_without_islands": lambda disparity, low: disparity},
-    "not sharpened": {"_sharpened": lambda disparity, first, second, high: disparity},
-    "sharpened without noise floor": {"_SHARPEN_NOISE": 1e-4},
-    "no median": {"_median": lambda disparity: disparity},
-    "occlusions left empty": {"_with_background": lambda disparity, nearer: disparity.copy()},
+    "OpenCV's eight ways, checked both ways, nothing else": {
+        "sgm._matcher": _with_mode(EIGHT, 3, 8, 32), **AS_MATCHED, "sgm._without_islands": _large_pieces,
+        "sgm.sharpened": lambda disparity, *others: disparity, "sgm.denoised": lambda disparity: disparity,
+        "sgm.with_background": lambda disparity, nearer: disparity.copy()},
+    "eight-way aggregation": {"sgm._matcher": _with_mode(EIGHT)},
+    "eight ways, penalties 12 and 36": {"sgm._matcher": _with_mode(EIGHT, 1, 12, 36)},
+    "five-way aggregation": {"sgm._matcher": _with_mode(FIVE)},
+    "blocks of 3 px": {"sgm._matcher": _with_mode(THREE, 3, 16, 64)},
+    "blocks of 5 px": {"sgm._matcher": _with_mode(THREE, 5, 8, 32)},
+    "penalties halved": {"sgm._matcher": _with_mode(THREE, 1, 6, 24)},
+    "penalties doubled": {"sgm._matcher": _with_mode(THREE, 1, 24, 96)},
+    "ranks of 7 x 7 for brightness": {"sgm._grey": _ranks},
+    "matched one way only": {"sgm._agree": lambda forth, back, high: np.isfinite(forth)},
+    "ways may differ by 2 px": {"sgm._AGREE_PX": 2.0},
+    "edges left as matched": AS_MATCHED,
+    "edges: window does not follow the image": {
+        "edges._guided": lambda guide, values: edges._mean(values, edges._SUPPORT)},
+    "edges: window of 5 px": {"edges._SUPPORT": 5},
+    "edges: window of 9 px": {"edges._SUPPORT": 9},
+    "edges: 7 px to each side": {"edges._REACH": 7, "edges._NEIGHBOURHOOD": 13},
+    "edges: twice": {"sgm.at_edges": _twice},
+    "all islands kept": {"sgm._without_islands": lambda disparity, *others: disparity},
+    "islands below 80 px dropped": {"sgm._without_islands": _large_pieces},
+    "not sharpened": {"sgm.sharpened": lambda disparity, *others: disparity},
+    "sharpened without noise floor": {"subpixel._NOISE": 1e-4},
+    "noise left": {"sgm.denoised": lambda disparity: disparity},
+    "median only, over steps too": {"sgm.denoised": subpixel.median},
+    "median only, not over steps": {"subpixel._ALIKE_PX": 1e-3},
+    "occlusions left empty": {"sgm.with_background": lambda disparity, nearer: disparity.copy()},
+    "occlusions: along rows only": {"sgm.with_background": _lowest_along_rows},
 }
+
+
+def _cases(folder: str) -> Iterator[Case]:
+    for name, kind, size, seed, views in (("town 1", "urban", 800, 1, (0, 1)), ("town 4", "urban", 700, 4, (1, 2)),
+                                          ("mountains", "mountains", 700, 3, (0, 1))):
+        made = run_stage("sampledata", {"folder": f"{folder}/made {name}", "kind": kind, "size": size, "seed": seed},
+                         Silent())
+        yield Case(f"simulated {name}", [made["images"][view] for view in views], made["truth"], True, folder)
+    for name, reference, align in (("truth_urban", "truth.tif", True), ("pleiades_pair", "s2p_dsm.tif", False)):
+        data = SHARED / name
+        if data.exists():
+            yield Case(name, [str(data / "img_01.tif"), str(data / "img_02.tif")], str(data / reference), align, folder)
 
 
 def main() -> None:
     gdal.SetCacheMax(64 << 20)
+    parts = []
     with tempfile.TemporaryDirectory() as folder:
-        town = run_stage("sampledata", {"folder": f"{folder}/town", "kind": "urban", "size": 800, "seed": 1}, Silent())
-        cases = [Case("simulated town", town["images"], town["truth"], True, folder)]
-        for name, reference, align in (("truth_urban", "truth.tif", True), ("pleiades_pair", "s2p_dsm.tif", False)):
-            data = SHARED / name
-            if data.exists():
-                cases.append(Case(name, [str(data / "img_01.tif"), str(data / "img_02.tif")], str(data / reference),
-                                  align, folder))
-        parts = []
-        for case in cases:
+        for case in _cases(folder):
             rows = []
             for label, members in VARIANTS.items():
-                with changed(**members):
+                with changed(members):
                     rows.append([label, *(round(value, 3) for value in case.score(sgm.match))])
             parts.append(f"{case.name}, {case.first.shape[1]} x {case.first.shape[0]} px, "
                          f"{case.disparities[1] - case.disparities[0]} disparities" + (
                              "" if case.align else " (reference: S2P's DSM)") + ":")
             parts.append(table(["matcher", "CPU s", "valid %", "ME m", "MAE m", "RMSE m", "C1 %", "C2.5 %"], rows))
-        absent = "" if len(cases) == 3 else f"Parts not measured: '{SHARED}' is absent."
-        publish("matching", "The matcher's choices", "make bench-matching", [*parts, absent])
+    absent = "" if SHARED.exists() else f"Parts not measured: '{SHARED}' is absent."
+    publish("matching", "The matcher's choices", "make bench-matching", [*parts, absent])
 
 
 if __name__ == "__main__":

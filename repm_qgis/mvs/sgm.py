@@ -1,9 +1,10 @@
 """Backend ``sgm``: semi-global matching on the CPU (Hirschmueller 2008, in OpenCV's implementation).
 
-Both images are matched against each other; what the two disagree on by more than a pixel is dropped, small islands
-too. Then every disparity is sharpened on the brightness itself, and what one image hides is filled from the
-background and marked. Each choice was measured on ``truth_urban``, a simulated town and a real pair
-(docs/benchmarks.md).
+Both images are matched against each other, and in both results pixels near steps in height are given to the surface
+that the images support (``edges``); what the two then disagree on by more than a pixel is dropped, small islands too
+unless they match well. Every disparity is sharpened on the brightness itself and its noise taken out (``subpixel``),
+and what one image hides is filled from the background and marked (``occlusions``). Each choice was measured on
+``truth_urban``, simulated towns and mountains and real pairs (docs/benchmarks.md).
 """
 
 from __future__ import annotations
@@ -14,20 +15,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .edges import at_edges
 from .matching import Matched
+from .occlusions import with_background
+from .subpixel import denoised, median, positions, sharpened
 
 FloatImage = NDArray[np.float32]
 
-_BLOCK = 3
-_P1, _P2 = 16 * _BLOCK * _BLOCK, 64 * _BLOCK * _BLOCK
+# Blocks of one pixel keep steps sharp; the noise that they let through is taken out afterwards.
+_BLOCK, _P1, _P2 = 1, 12, 48
 _AGREE_PX = 1.0             # between the two directions
-_SPECKLE_PIXELS, _SPECKLE_PX = 80, 1.0
-_MEDIAN = 5
-_SHARPEN_PASSES = 3
-_SHARPEN_SIGMA_PX = 2.0
-_SHARPEN_REACH_PX = 0.5     # semi-global matching is never farther off where it is right
-_SHARPEN_NOISE = 1e-3       # variance of gradients that sensor noise makes, of a brightness of 0..1
-_SHADOW_SLACK_PX, _SHADOW_FACTOR = 6, 1.6
+_ISLAND_PIXELS, _ISLAND_PX = 80, 1.0
+_TOWER_PIXELS, _TOWER_SCORE = 12, 0.8   # islands as small as that stay if they match as well as that
 _SCORE_WINDOW = 7
 _RIM = 9                    # px: block, pre-filter and median together reach 4 px to each side
 
@@ -44,18 +43,20 @@ def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], n
     """
     low, high = disparities
     a, b = _grey(first), _grey(second)
-    forth, back = _forth(a, b, low, high), _back(a, b, low, high)
+    forth = at_edges(_forth(a, b, low, high), first, second, (-1.0, high), nearer)
+    back = at_edges(_back(a, b, low, high), second, first, (1.0, -high), nearer)
     first, second = _without_rim(first), _without_rim(second)
     forth[~np.isfinite(first)] = np.nan
-    disparity = _without_islands(np.where(_agree(forth, back, high), forth, np.float32(np.nan)), low)
-    disparity = _median(_sharpened(disparity, first, second, high))
+    disparity = np.where(_agree(forth, back, high), forth, np.float32(np.nan))
+    disparity = _without_islands(disparity, first, second, low, high)
+    disparity = denoised(sharpened(disparity, first, second, high))
     score = _score(first, second, disparity, high)
     # Where the second image has nothing, the matcher has only made something up.
     disparity[~np.isfinite(score)] = np.nan
-    whole = _with_background(disparity, nearer)
+    whole = with_background(disparity, nearer)
     whole[~np.isfinite(first)] = np.nan
     filled = np.isfinite(whole) & ~np.isfinite(disparity)
-    whole = np.where(filled, _median(whole), whole)
+    whole = np.where(filled, median(whole), whole)
     return Matched(whole, np.where(np.isfinite(disparity), np.clip(score, 0, 1), np.float32(np.nan)), filled)
 
 
@@ -109,86 +110,25 @@ def _agree(forth: FloatImage, back: FloatImage, high: int) -> NDArray[np.bool_]:
         return inside & (np.abs(back[rows, np.where(inside, target, 0)] - forth) <= _AGREE_PX)
 
 
-def _without_islands(disparity: FloatImage, low: int) -> FloatImage:
-    """Connected pieces of fewer than 80 px dropped; a chimney on a roof is connected to it by its wall's slope."""
-    steps = np.where(np.isfinite(disparity), (disparity - (low - 1)) * 16, 0).astype(np.int16)
-    cv2.filterSpeckles(steps, 0, _SPECKLE_PIXELS, int(16 * _SPECKLE_PX))
-    return np.where(steps > 0, disparity, np.float32(np.nan)).astype(np.float32)
-
-
-def _median(disparity: FloatImage) -> FloatImage:
-    """Median of known neighbours' disparities; what is unknown stays so."""
-    known = np.isfinite(disparity)
-    low = np.float32(-1e6)
-    filtered = cv2.medianBlur(np.where(known, disparity, low), _MEDIAN)
-    return np.where(known & (filtered > low / 2), filtered, disparity)
-
-
-def _smooth(image: FloatImage) -> FloatImage:
-    return cv2.GaussianBlur(image, (0, 0), _SHARPEN_SIGMA_PX)
-
-
-def _positions(disparity: FloatImage, high: int) -> Tuple[FloatImage, FloatImage]:
-    """Columns and rows of the second image that the first image's pixels are matched to; -9 where unknown."""
-    columns = np.arange(disparity.shape[1], dtype=np.float32)[None, :] - disparity + np.float32(high)
-    rows = np.repeat(np.arange(disparity.shape[0], dtype=np.float32)[:, None], disparity.shape[1], axis=1)
-    return np.nan_to_num(columns, nan=-9.0), rows
-
-
-def _sharpened(disparity: FloatImage, first: FloatImage, second: FloatImage, high: int) -> FloatImage:
-    """Disparities moved, by up to half a pixel, to where the brightness of the two neighbourhoods agrees best.
-
-    Gauss-Newton on the difference of brightness in a Gaussian window, with the mean taken out (Lucas and Kanade
-    1981): free of the integer bias that parabolas through costs have. Each pixel of the window is shifted by its own
-    disparity, so slopes and roofs do not blur; without texture the step dies out.
-    """
-    known = np.isfinite(disparity)
-    weight = known.astype(np.float32)
-    share = _smooth(weight) + np.float32(1e-6)
-
-    def mean(image: FloatImage) -> FloatImage:
-        return _smooth(image * weight) / share
-
-    a, b = np.nan_to_num(first), np.nan_to_num(second)
-    slope = cv2.Sobel(b, cv2.CV_32F, 1, 0, ksize=1) * np.float32(0.5)
-    start = np.where(known, disparity, np.float32(0))
-    current = start
-    mean_a = mean(a)
-    for _ in range(_SHARPEN_PASSES):
-        columns, rows = _positions(current, high)
-        matched = cv2.remap(b, columns, rows, cv2.INTER_CUBIC)
-        g = cv2.remap(slope, columns, rows, cv2.INTER_LINEAR)
-        mean_g = mean(g)
-        against = mean((a - matched) * g) - (mean_a - mean(matched)) * mean_g
-        power = mean(g * g) - mean_g * mean_g
-        step = np.clip(against / (power + np.float32(_SHARPEN_NOISE)), -0.3, 0.3)
-        current = np.clip(current - step, start - np.float32(_SHARPEN_REACH_PX), start + np.float32(_SHARPEN_REACH_PX))
-    return np.where(known, current, np.float32(np.nan)).astype(np.float32)
-
-
-def _with_background(disparity: FloatImage, nearer: float) -> FloatImage:
-    """Gaps that an occlusion explains, filled with the lower of the surfaces at their two ends.
-
-    A step in height hides about as many pixels of the ground behind it as the disparity jumps; gaps much longer than
-    that are no occlusions and stay.
-    """
-    width = disparity.shape[1]
-    known = np.isfinite(disparity)
-    columns = np.arange(width)[None, :]
-    before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    rows = np.arange(disparity.shape[0])[:, None]
-    ends = (np.where(before >= 0, disparity[rows, np.maximum(before, 0)], np.float32(np.nan)),
-            np.where(after < width, disparity[rows, np.minimum(after, width - 1)], np.float32(np.nan)))
-    lower = np.where(nearer * ends[0] < nearer * ends[1], ends[0], ends[1])
+def _without_islands(disparity: FloatImage, first: FloatImage, second: FloatImage, low: int, high: int) -> FloatImage:
+    """Connected pieces of fewer than 80 px dropped; towers and chimneys of 12 px and more stay if they match well."""
+    pieces = _pieces(disparity, low, _TOWER_PIXELS)
     with np.errstate(invalid="ignore"):
-        explained = after - before - 1 <= np.abs(ends[0] - ends[1]) * _SHADOW_FACTOR + _SHADOW_SLACK_PX
-    return np.where(~known & explained, lower, disparity)
+        well = _score(first, second, pieces, high) > _TOWER_SCORE
+    kept = np.isfinite(_pieces(pieces, low, _ISLAND_PIXELS)) | well
+    return _pieces(np.where(kept, pieces, np.float32(np.nan)), low, _TOWER_PIXELS)
+
+
+def _pieces(disparity: FloatImage, low: int, pixels: int) -> FloatImage:
+    """Only the connected pieces of at least so many pixels; a step between neighbours of over 1 px parts pieces."""
+    steps = np.where(np.isfinite(disparity), (disparity - (low - 1)) * 16, 0).astype(np.int16)
+    cv2.filterSpeckles(steps, 0, pixels, int(16 * _ISLAND_PX))
+    return np.where(steps > 0, disparity, np.float32(np.nan)).astype(np.float32)
 
 
 def _score(first: FloatImage, second: FloatImage, disparity: FloatImage, high: int) -> FloatImage:
     """Normalised cross-correlation of each pixel's neighbourhood with the one it was matched to; NaN without data."""
-    columns, rows = _positions(disparity, high)
+    columns, rows = positions(disparity, high)
     matched = cv2.remap(second, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
                         borderValue=float("nan"))
     known = np.isfinite(matched) & np.isfinite(first) & np.isfinite(disparity)
