@@ -15,7 +15,7 @@ from .raster import read
 FloatArray = NDArray[np.float64]
 PixelMap = Callable[[FloatArray], FloatArray]
 
-_GRID_STEP = 16     # px between exact points of the map; what lies between is interpolated
+GRID_STEP = 16     # px between exact points of the map; what lies between is interpolated
 _STRIP = 512        # rows a pass
 _BLOCK = 1024       # columns a pass, whole grid steps
 _MAX_SIDE = 32000   # OpenCV's remap counts source pixels in 16 bits
@@ -33,19 +33,19 @@ def source_positions(to_source: PixelMap, size: Tuple[int, int], first_row: int 
     """
     rows = size[1] - first_row if rows is None else rows
     nodes = _nodes(to_source, size[0], first_row, rows)
-    return np.stack([_between(nodes[..., axis], rows, size[0]) for axis in (0, 1)], axis=-1)
+    return np.stack([between(nodes[..., axis], rows, size[0]) for axis in (0, 1)], axis=-1)
 
 
 def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatArray:
     """(m, n, 2) exact source positions every 16 px, the last nodes at or beyond the last pixel."""
-    x = np.arange(0, width + _GRID_STEP, _GRID_STEP, dtype=np.float64)
-    y = np.arange(first_row, first_row + rows + _GRID_STEP, _GRID_STEP, dtype=np.float64)
+    x = np.arange(0, width + GRID_STEP, GRID_STEP, dtype=np.float64)
+    y = np.arange(first_row, first_row + rows + GRID_STEP, GRID_STEP, dtype=np.float64)
     return to_source(np.stack(np.meshgrid(x, y), axis=-1))
 
 
-def _between(nodes: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
-    """(rows, columns) bilinear interpolation of (m, n) nodes that lie 16 px apart."""
-    share = np.arange(_GRID_STEP, dtype=nodes.dtype) / nodes.dtype.type(_GRID_STEP)
+def between(nodes: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
+    """(rows, columns) bilinear interpolation of (m, n) nodes that lie ``GRID_STEP`` px apart."""
+    share = np.arange(GRID_STEP, dtype=nodes.dtype) / nodes.dtype.type(GRID_STEP)
     down = (nodes[:-1, None, :] + np.diff(nodes, axis=0)[:, None, :] * share[None, :, None])
     down = down.reshape(-1, nodes.shape[1])[:rows]
     across = down[:, :-1, None] + np.diff(down, axis=1)[:, :, None] * share
@@ -81,13 +81,13 @@ def _warp_strip(dataset: gdal.Dataset, band: int, nodes: FloatArray, shape: Tupl
     result = np.full(shape, np.nan, dtype=np.float32)
     for col in range(0, shape[1], _BLOCK):
         columns = min(_BLOCK, shape[1] - col)
-        own = nodes[:, col // _GRID_STEP:-(-(col + columns) // _GRID_STEP) + 1]
+        own = nodes[:, col // GRID_STEP:-(-(col + columns) // GRID_STEP) + 1]
         window = _window(dataset, own, kernel)
         if window is None:
             continue
         # In the window's own pixels float32 is good to 1e-4 px, and half the work.
         local = (own - window[:2]).astype(np.float32)
-        u, v = (_between(local[..., axis], shape[0], columns) for axis in (0, 1))
+        u, v = (between(local[..., axis], shape[0], columns) for axis in (0, 1))
         result[:, col:col + columns] = _remapped(read(dataset, window, band), u, v, kernel)
     return result
 

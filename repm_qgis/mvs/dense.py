@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Dict, Optional, Tuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..imagery.raster import opened, opened_masked, read, write
 from ..imagery.warping import warp
 from ..scene import Scene, View
 from .backends import matcher_of
+from .coarse import FACTOR, guide_of, sampled_on
 from .matching import Matched
 from .pairing import grown, rectified_pair
 from .rectification import RectifiedPair
@@ -113,14 +114,28 @@ def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
 
 
 def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: View, second: View) -> Matched:
-    low = math.floor(geometry.disparities[0]) - _RANGE_MARGIN_PX
-    high = math.ceil(geometry.disparities[1]) + _RANGE_MARGIN_PX
+    """Disparities of the pair, coarse to fine where that narrows the search."""
+    low, high = _whole_range(geometry)
     width, height = pair.size
     shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
     a = _brightness(first, task.stretches[0], pair.first_original, (width, height))
     b = _brightness(second, task.stretches[1], shifted.second_original, (width + high - low, height))
-    matched = matcher_of(task.backend)(a, b, (low, high), geometry.nearer)
-    return without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
+    match = matcher_of(task.backend)
+    guide = guide_of(a, b, (low, high), geometry, match)
+    if guide is not None:
+        low, high = guide.low, guide.high
+        b = _brightness(second, task.stretches[1], sampled_on(guide.second_original(pair, geometry)),
+                        (width + high - low, height))
+    matched = match(a, b, (low, high), geometry.nearer)
+    matched = without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
+    return matched if guide is None else replace(matched, disparity=guide.whole(matched.disparity))
+
+
+def _whole_range(geometry: PairGeometry) -> Tuple[int, int]:
+    """Disparities of all altitudes with their margin, in whole coarse pixels."""
+    low = math.floor((geometry.disparities[0] - _RANGE_MARGIN_PX) / FACTOR) * FACTOR
+    high = math.ceil((geometry.disparities[1] + _RANGE_MARGIN_PX) / FACTOR) * FACTOR
+    return low, high
 
 
 def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int, int]) -> FloatImage:

@@ -73,7 +73,8 @@ class PairGeometry:
     """Heights and ground positions of the pixels of a rectified first image.
 
     ``height`` takes column, row, disparity (first minus second column, px) to metres above the ellipsoid, ``x`` and
-    ``y`` take column, row, height to coordinates of ``crs``. ``disparities`` is the range over the altitudes,
+    ``y`` take column, row, height to coordinates of ``crs``, ``row`` to what the second image's row differs by (second
+    minus first, px: what the pinhole model leaves). ``disparities`` is the range over the altitudes,
     ``metres_per_px`` the height that one px of disparity means, ``error_m`` the largest error of the three tables at
     their levels, ``row_px`` the largest row difference that the pinhole model leaves.
     """
@@ -81,6 +82,7 @@ class PairGeometry:
     height: NodeTable
     x: NodeTable
     y: NodeTable
+    row: NodeTable
     crs: str
     disparities: Tuple[float, float]
     metres_per_px: float
@@ -112,8 +114,9 @@ def pair_geometry(pair: RectifiedPair, first: View, second: View, altitudes: Tup
     height, error_h = NodeTable.fit(columns, rows, disparity, z)
     x, error_x = NodeTable.fit(columns, rows, z, xy[..., 0])
     y, error_y = NodeTable.fit(columns, rows, z, xy[..., 1])
+    row, _ = NodeTable.fit(columns, rows, z, seen[..., 1] - r)
     slope = abs(float(np.mean(disparity[-1] - disparity[0]))) / (altitudes[1] - altitudes[0])
-    return PairGeometry(height, x, y, crs, (float(disparity.min()), float(disparity.max())),
+    return PairGeometry(height, x, y, row, crs, (float(disparity.min()), float(disparity.max())),
                         1.0 / max(slope, 1e-9), max(error_h, error_x, error_y),
                         float(np.abs(r - seen[..., 1]).max()))
 
