@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-large bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from typing import Any
 
-from qgis.core import QgsProcessingContext, QgsProcessingOutputFile, QgsProcessingOutputNumber
+from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
 
 from . import parameters
 from .base import RepmAlgorithm
-from .values import command_line, is_empty
+from .values import command_line
 
 
 class Pipeline(RepmAlgorithm):
@@ -41,11 +41,6 @@ class Pipeline(RepmAlgorithm):
         return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),
                 QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
                 QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]
-
-    def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
-        if self.parameterAsEnumString(values, "MODEL", context) == "terrain" and is_empty(values.get("DEM")):
-            return False, self.tr("MODEL is 'terrain', which needs a surface: give a DEM, or choose polynomial.")
-        return super().checkParameterValues(values, context)
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         return {**options, "command": command_line(self.id(), options)}

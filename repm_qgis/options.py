@@ -25,6 +25,9 @@ CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
 
+TERRAIN_TILE_PX = 1600
+"""Side of automatic tiles under MODEL=terrain: its error does not grow with the tile, only memory does."""
+
 Extent = Tuple[float, float, float, float]
 T = TypeVar("T", bound="Options")
 
@@ -209,6 +212,7 @@ class ReconstructOptions(Options):
     in MiB bounds what the workers take together, 0 means three quarters of what is free.
     ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
     colmap's.
+    ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
     """
 
     scene: str
@@ -226,6 +230,7 @@ class ReconstructOptions(Options):
     colmap_fusion: bool = False
     window_radius: int = 5
     gpu_memory: float = 0.0
+    own_surface: bool = False
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
@@ -333,8 +338,6 @@ class PipelineOptions(Options):
         # The stages' own options check everything else; building them here makes a wrong value fail at once.
         self.fit_options()
         RefineOptions("-", "-", self.model, order=self.order)
-        if self.model == "terrain" and not self.dem:
-            raise OptionError("MODEL", self.model, "needs a surface: give a DEM, or choose polynomial")
         ReconstructOptions("-", "-", self.backend, self.gcps, self.gcp_datum, self.pointing, workers=self.workers,
                            adjustment=self.adjustment, memory=self.memory, window_radius=self.window_radius,
                            gpu_memory=self.gpu_memory)
@@ -344,7 +347,10 @@ class PipelineOptions(Options):
     def fit_options(self) -> EpmFitOptions:
         """This run's first stage; its CRS is that of the DSM."""
         names = {field.name for field in dataclasses.fields(EpmFitOptions)} - {"report"}
-        return EpmFitOptions(**{name: getattr(self, name) for name in names})
+        values = {name: getattr(self, name) for name in names}
+        if self.model == "terrain" and not self.tile_size:
+            values["tile_size"] = TERRAIN_TILE_PX
+        return EpmFitOptions(**values)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ _MEDIAN_CELLS = 5           # a side: houses are smaller, hills are not
 _SLOPE = 0.7                # px of disparity a px, at most: at 1 the second image would fold
 _TAIL = 0.05                # percent of the coarse residuals on either side that may be blunders
 _MARGIN_PX = 8              # beyond what the coarse level saw,
-_MARGIN_ABOVE_M = 30.0      # and above it, as masts and narrow towers are lost in it
+_MARGIN_ABOVE_M = 40.0      # and above it, as masts and narrow towers are lost in it
 
 
 @dataclass(frozen=True)

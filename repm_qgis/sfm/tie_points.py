@@ -21,6 +21,7 @@ from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.footprints import box
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.refinement import apply_homography
+from ..geometry.tiles import enclosing
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read
 from ..imagery.warping import warp
@@ -115,11 +116,17 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
     return [_consistent(first, second, found) for (first, second), found in parts.items()]
 
 
+def covered_by_ties(scene: Scene) -> bool:
+    """Whether a scene is so small that all of it is searched for ties."""
+    xmin, ymin, xmax, ymax = enclosing([tile.bounds for tile in scene.tiles])
+    return max(xmax - xmin, ymax - ymin) <= _WHOLE_PX * scene.gsd_m
+
+
 def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progress) -> List[List[Bounds]]:
     """For each cell of the scene, ground rectangles to search, the most promising first."""
     bounds = np.array([tile.bounds for tile in scene.tiles])
     low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
-    if ((high - low) <= _WHOLE_PX * scene.gsd_m).all():
+    if covered_by_ties(scene):
         return [[(*map(float, low), *map(float, high))]]
     area = ogr.CreateGeometryFromWkt(scene.area)
     side = _PATCH_PX * scene.gsd_m

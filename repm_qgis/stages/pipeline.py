@@ -48,14 +48,16 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     middle = Scene.load(fitted).frame
     datum.require(middle.lon, middle.lat)
     surface = options.dem if options.model == "terrain" else None
-    stage("refine", "Refinement", lambda p: refine.run(
-        RefineOptions(fitted, refined, options.model, surface, options.order, write_images=False), p))
+    # Without a DEM the surface is that of the coarse level, which needs the pointing: the next stage refines on it.
+    own = options.model == "terrain" and not surface
+    stage("refine", "Refinement", lambda p: refine.run(RefineOptions(
+        fitted, refined, "polynomial" if own else options.model, surface, options.order, write_images=False), p))
     heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
         ReconstructOptions(
             refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
             workers=options.workers, adjustment=options.adjustment, memory=options.memory,
             geometric=options.geometric, colmap_fusion=options.colmap_fusion, window_radius=options.window_radius,
-            gpu_memory=options.gpu_memory), p))
+            gpu_memory=options.gpu_memory, own_surface=own), p))
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,

@@ -10,6 +10,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
+from ..dsm.coarse_surface import coarse_surface
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
@@ -26,9 +27,11 @@ from ..sfm.advice import advice, ties_by_part, ties_by_tile
 from ..sfm.ground_control import points_file, read_gcps
 from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.row_residuals import worst_rows
+from ..sfm.tie_points import covered_by_ties
 from ..sfm.view_pairs import ViewPair, choose_pairs
 from ..vector import write_layer
 from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
+from .refine import refine_tiles, use_surface
 
 _LEAST_SHARE = 0.01     # of matched pixels: below that, nothing was reconstructed
 
@@ -41,7 +44,8 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     if not scene.refinement:
         scene.refinement = "polynomial"
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
-    key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, options.adjustment, control,
+    key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, options.adjustment,
+                      options.own_surface, control,
                       [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
                       *([options.geometric, options.colmap_fusion, options.window_radius] if backend == "colmap"
                         else []))
@@ -59,7 +63,8 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         _tell_pairs(scene, pairs, notes)
         stretches = {view.name: view_stretch(view.image, view.band, view.mask) for view in scene.views}
         ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
-        _match(scene, pairs, stretches, backend, key, str(folder), options, Part(notes, 0.35, 1.0))
+        _lay_surface(scene, pairs, stretches, backend, options, Part(notes, 0.35, 0.4))
+        _match(scene, pairs, stretches, backend, key, str(folder), options, Part(notes, 0.4, 1.0))
         scene.record("reconstruct", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
                      backend=backend, ties=ties, pairs=[vars(pair) for pair in pairs])
         scene.save(options.output_scene)
@@ -103,6 +108,23 @@ def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     return figures
 
 
+def _lay_surface(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], backend: str,
+                 options: ReconstructOptions, progress: Progress) -> None:
+    """The scene's coarse surface, where tie points do not tell every tile's altitudes or the refinement needs it."""
+    if covered_by_ties(scene) and not options.own_surface:
+        return
+    surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches, backend,
+                             options.workers, progress)
+    for tile in scene.tiles:
+        found = surface.altitudes(tile.bounds)
+        tile.altitudes = scene.altitudes if found is None else _with_room(*found)
+    if options.own_surface:
+        scene.path = Path(options.output_scene)
+        source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
+        use_surface(scene, source, progress)
+        refine_tiles(scene, progress)
+
+
 def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustment) -> Tuple[float, float]:
     """The altitudes of the ties in and around a tile, with room for what they miss."""
     xmin, ymin, xmax, ymax = tile.bounds
@@ -112,9 +134,12 @@ def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustme
     heights = adjusted.ground[near, 2]
     if len(heights) < LEAST_TIES:
         return scene.altitudes
-    low, high = np.percentile(heights, (0.5, 99.5))
+    return _with_room(*np.percentile(heights, (0.5, 99.5)))
+
+
+def _with_room(low: float, high: float) -> Tuple[float, float]:
+    """An altitude range with room for what it was not told of: towers are few, and SIFT likes the ground."""
     margin = max(15.0, 0.1 * (high - low))
-    # Towers are few, and SIFT likes the ground: leave room above.
     return float(low - margin), float(high + margin + 30.0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, Dict
+from typing import Any, Dict, Optional
 
 import numpy as np
 
@@ -51,37 +51,44 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> None:
-    if options.model == "terrain":
-        scene.surface = _surface(scene, options, progress)
     scene.refinement, scene.order = options.model, options.order
+    if options.model == "terrain":
+        use_surface(scene, _source(scene, options), progress)
+    refine_tiles(scene, progress, options.kernel if options.write_images else None)
+
+
+def use_surface(scene: Scene, source: str, progress: Progress) -> None:
+    """Make the terrain model's surface from heights in a raster, and let the scene refine with it."""
+    scene.refinement = "terrain"
+    scene.surface = make_surface(source, lon_lat_bounds(scene), _SURFACE_PX * scene.gsd_m,
+                                 str(scene.folder("surface") / "surface.tif"))
+    heights = load_surface(scene.surface).heights
+    progress.info(f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
+                  f"{heights.max():.0f} m, from '{source}'.")
+
+
+def refine_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None) -> None:
+    """Find M for every tile and view by the scene's model; with a ``kernel``, write the refined images too."""
     for index, tile in enumerate(scene.tiles):
         progress.step(index / len(scene.tiles), f"tile {index + 1} of {len(scene.tiles)}")
         for name, tile_view in tile.views.items():
             progress.check_cancelled()
             rpc = scene.view(name).rpc
             grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, TILE_GRID)
-            tile_view.refined = refine_pinhole(options.model, tile_view.camera, grid, tile_view.window, options.order,
+            tile_view.refined = refine_pinhole(scene.refinement, tile_view.camera, grid, tile_view.window, scene.order,
                                                scene.terrain(rpc))
-            if options.write_images:
-                tile_view.image = _write_image(scene, tile.id, name, tile_view, options.kernel)
+            if kernel:
+                tile_view.image = _write_image(scene, tile.id, name, tile_view, kernel)
 
 
-def _surface(scene: Scene, options: RefineOptions, progress: Progress) -> str:
-    """The coarse surface's file: from the DEM that is given, else from the scene's own heights."""
-    bounds = lon_lat_bounds(scene)
-    cell = _SURFACE_PX * scene.gsd_m
+def _source(scene: Scene, options: RefineOptions) -> str:
+    """The raster that the coarse surface comes from: the DEM that is given, else the scene's own heights."""
     if options.dem:
-        source = options.dem
-    elif any(tile.heights for tile in scene.tiles):
-        source = own_surface(scene, cell, str(scene.folder("surface") / "own_heights.tif"))
-    else:
-        raise OptionError("MODEL", options.model, "needs a surface: give a DEM, or a scene that has heights already "
-                          "('Reconstruct heights' with another MODEL first)")
-    path = make_surface(source, bounds, cell, str(scene.folder("surface") / "surface.tif"))
-    heights = load_surface(path).heights
-    progress.info(f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
-                  f"{heights.max():.0f} m, from '{source}'.")
-    return path
+        return options.dem
+    if any(tile.heights for tile in scene.tiles):
+        return own_surface(scene, _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif"))
+    raise OptionError("MODEL", options.model, "needs a surface: give a DEM, or a scene that has heights already "
+                      "('Reconstruct heights' with another MODEL first); 'Make a DSM' finds the surface by itself")
 
 
 def _write_image(scene: Scene, tile: str, name: str, tile_view: TileView, kernel: str) -> str:
