@@ -17,6 +17,12 @@ demo: setup ## simulated tri-stereo images to a DSM, its accuracy against the kn
 test: setup ## the whole test suite (TESTS=tests/engine for a part)
 	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(TESTS)
 
+bench: setup ## DSMs of truth scenes and real images, beside S2P's and CARS's where these are on PATH (docs/benchmarks.md)
+	@$(PYTHON) benchmarks/dsm.py
+
+bench-large: setup ## 3 x 5120 x 5120 px over 1500 m of relief, and cost from 4 to 100 Mpx (an hour; docs/benchmarks.md)
+	@$(PYTHON) benchmarks/large.py
+
 bench-epm: setup ## the equivalent pinhole model: errors, agreement, cost (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/epm.py
 

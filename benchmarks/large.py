@@ -242,17 +242,15 @@ def off_the_hills(dsm: str) -> float:
     return float(1.4826 * np.median(np.abs(error - np.median(error))))
 
 
-PARTS: Dict[str, Callable[[], List[str]]] = {"whole": whole, "models": models, "scale": scale}
+PARTS: Dict[str, Tuple[str, Callable[[], List[str]]]] = {
+    "whole": ("A large scene", whole), "models": ("What refinement gains", models), "scale": ("Cost and size", scale)}
 
 
 def main() -> int:
     gdal.UseExceptions()
-    chosen = sys.argv[1:]
-    parts = [text for name, part in PARTS.items() if not chosen or name in chosen for text in part()]
-    if chosen:
-        print("\n\n".join(parts))
-    else:
-        publish("large", "Large scenes", "make bench-large", parts)
+    for name, (title, part) in PARTS.items():
+        if name in (sys.argv[1:] or PARTS):
+            publish(f"large_{name}", title, "make bench-large", part())
     return 0
 
 

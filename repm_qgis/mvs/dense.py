@@ -18,7 +18,7 @@ from ..imagery.raster import opened, opened_masked, read, write
 from ..imagery.warping import warp
 from ..scene import Scene, View
 from .backends import matcher_of
-from .coarse import FACTOR, guide_of, sampled_on
+from .coarse import FACTOR, guide_of, sampled_on, with_weak_texture
 from .matching import Matched
 from .pairing import grown, rectified_pair
 from .rectification import RectifiedPair
@@ -127,7 +127,9 @@ def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: 
         b = _brightness(second, task.stretches[1], sampled_on(guide.second_original(pair, geometry)),
                         (width + high - low, height))
     matched = match(a, b, (low, high), geometry.nearer)
+    gaps = ~np.isfinite(matched.disparity)
     matched = without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
+    matched = with_weak_texture(matched, gaps, a, b, (low, high), geometry.nearer, match)
     return matched if guide is None else replace(matched, disparity=guide.whole(matched.disparity))
 
 
