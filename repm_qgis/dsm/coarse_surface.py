@@ -38,6 +38,7 @@ _MORE = 0.15                # of the scene's altitude range searched beyond eith
 _LEAST_SCORE = 0.6
 _LEAST_SHARE = 0.25         # of a tile's cells must be known for its altitudes to be taken from there
 _TAIL = 0.2                 # percent of cells on either side that may be blunders
+_ROOM_CELLS = 1.25          # m of height a m of cell: what narrow valleys and ridges may lose, a px of disparity or so
 
 
 @dataclass(frozen=True)
@@ -61,14 +62,15 @@ class CoarseSurface:
     height: FloatArray
 
     def altitudes(self, bounds: Bounds) -> Optional[Tuple[float, float]]:
-        """Lowest and highest ground of a rectangle, but for blunders; None where too little of it is known."""
+        """Between what heights the ground of a rectangle lies; None where too little of it is known."""
         col, row, width, height = self.grid.window(bounds, 1)
         cells = self.height[row:row + height, col:col + width]
         known = cells[np.isfinite(cells)]
         if known.size < max(4, _LEAST_SHARE * cells.size):
             return None
         low, high = np.percentile(known, (_TAIL, 100 - _TAIL))
-        return float(low), float(high)
+        room = _ROOM_CELLS * self.grid.cell
+        return float(low - room), float(high + room)
 
     def write(self, path: str, crs: str) -> str:
         """As a GeoTIFF."""

@@ -108,7 +108,6 @@ def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample
     ({"CRS": "EPSG:4326"}, ("CRS is 'EPSG:4326'", "must be a projected CRS")),
     ({"CRS": "EPSG:2263"}, ("CRS is 'EPSG:2263'", "foot", "choose one in metres")),
     ({"MODEL": "quadratic"}, ("MODEL is 'quadratic'", "choose one of none, homography, polynomial, terrain")),
-    ({"MODEL": "terrain"}, ("MODEL is 'terrain'", "give a DEM")),
     ({"ORDER": 9}, ("ORDER is 9", "between 2 and 5")),
     ({"ORDER": "2.5"}, ("ORDER is '2.5'", "a whole number")),
     ({"RESOLUTION": "fine"}, ("RESOLUTION is 'fine'", "give a number")),
