@@ -316,10 +316,6 @@
         <source>Cells with a height (%)</source>
         <translation>Zellen mit Höhe (%)</translation>
     </message>
-    <message>
-        <source>MODEL is 'terrain', which needs a surface: give a DEM, or choose polynomial.</source>
-        <translation>MODEL ist „terrain“ und braucht eine Oberfläche: ein DEM angeben oder polynomial wählen.</translation>
-    </message>
 </context>
 <context>
     <name>Reconstruct</name>
@@ -613,8 +609,8 @@
         <translation>Modell der Verfeinerung</translation>
     </message>
     <message>
-        <source>none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures the curvature of the image; terrain: cures the parallax of altitude too, and needs a DEM.</source>
-        <translation>none: Lochkameras auf den Bildern, wie sie sind; homography: Ebene auf Ebene; polynomial: behebt die Krümmung des Bildes; terrain: behebt auch die Höhenparallaxe und braucht ein DEM.</translation>
+        <source>none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures the curvature of the image; terrain: cures the parallax of altitude too, on a coarse surface.</source>
+        <translation>none: Lochkameras auf den Bildern, wie sie sind; homography: Ebene auf Ebene; polynomial: behebt die Krümmung des Bildes; terrain: behebt auch die Höhenparallaxe, auf einer groben Oberfläche.</translation>
     </message>
     <message>
         <source>Order of the polynomial</source>

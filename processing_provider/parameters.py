@@ -210,7 +210,7 @@ def model() -> QgsProcessingParameterDefinition:
 
     return choice("MODEL", tr("Refinement model"), MODELS, "polynomial",
                   tr("none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures "
-                     "the curvature of the image; terrain: cures the parallax of altitude too, and needs a DEM."))
+                     "the curvature of the image; terrain: cures the parallax of altitude too, on a coarse surface."))
 
 
 def order() -> QgsProcessingParameterDefinition:
