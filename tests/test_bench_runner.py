@@ -1,0 +1,99 @@
+"""The benchmarks' runner: other programs that are there, absent or broken, process trees, and scores."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.runner import Failed, measured, peer, scores  # noqa: E402
+
+_COPIES = """#!{python}
+import json, os, shutil, sys
+config = json.load(open(sys.argv[1]))
+images = [entry["img"] for entry in config["images"]]
+os.makedirs(config["out_dir"])
+shutil.copy(images[0], os.path.join(config["out_dir"], "dsm.tif"))
+"""
+
+
+def raster(path, values, west=0.0):
+    dataset = gdal.GetDriverByName("GTiff").Create(str(path), values.shape[1], values.shape[0], 1, gdal.GDT_Float32)
+    dataset.SetGeoTransform((west, 0.5, 0, 100, 0, -0.5))
+    reference = gdal.osr.SpatialReference()
+    reference.ImportFromEPSG(32631)
+    dataset.SetProjection(reference.ExportToWkt())
+    dataset.GetRasterBand(1).WriteArray(values)
+    dataset.GetRasterBand(1).SetNoDataValue(-9999)
+    dataset = None
+    return str(path)
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """program(name, text): an executable on a PATH of its own."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", str(folder))
+
+    def make(name, text):
+        path = folder / name
+        path.write_text(text.format(python=sys.executable))
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+
+    return make
+
+
+def test_a_program_that_is_not_there_is_said_to_be(program, tmp_path):
+    with pytest.raises(Failed, match="not on PATH"):
+        peer("s2p", ["a.tif"], 0.5, tmp_path / "work")
+
+
+def test_a_program_that_is_there_is_run_on_the_same_images(program, tmp_path):
+    program("s2p", _COPIES)
+    image = raster(tmp_path / "a.tif", np.ones((20, 20), np.float32))
+    dsm, cost = peer("s2p", [image, image], 0.5, tmp_path / "work")
+    assert gdal.Open(dsm).ReadAsArray().mean() == 1.0 and cost.wall_s > 0 and cost.cpu_s > 0
+
+
+def test_a_program_that_fails_or_leaves_nothing_is_no_end(program, tmp_path):
+    program("cars", "#!{python}\nimport sys\nsys.exit('no licence')\n")
+    with pytest.raises(Failed, match="ended with code 1: no licence"):
+        peer("cars", ["a.tif", "b.tif"], 0.5, tmp_path / "one")
+    program("cars", "#!{python}\n")
+    with pytest.raises(Failed, match="left no out/dsm/dsm.tif"):
+        peer("cars", ["a.tif", "b.tif"], 0.5, tmp_path / "two")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="no /proc here")
+def test_the_whole_process_tree_counts(tmp_path):
+    child = "import time; block = bytearray(b'x') * (120 << 20); time.sleep(1.0)"
+    script = ("import subprocess, sys; "
+              f"children = [subprocess.Popen([sys.executable, '-c', {child!r}]) for _ in range(2)]; "
+              "[c.wait() for c in children]; print('done')")
+    said, cost = measured([sys.executable, "-c", script])
+    assert said == "done\n" and 0.23 < cost.peak_gib < 0.4 and cost.wall_s > 1 and cost.cpu_s < cost.wall_s + 5
+
+
+def test_scores_are_those_of_the_cells(tmp_path):
+    rng = np.random.default_rng(0)
+    ground = rng.normal(0, 20, (120, 130)).astype(np.float32)
+    truth = raster(tmp_path / "truth.tif", ground)
+    moved = np.roll(ground, (3, -2), (0, 1)) + np.float32(7.0)
+    moved[50:56, 60:70] += 3.0
+    moved[80:90, 20:30] = -9999
+    found = scores(raster(tmp_path / "dsm.tif", moved), truth, True)
+    cells = (120 - 16) * (130 - 16)
+    assert found["valid"] == pytest.approx(100 * (1 - 100 / cells), abs=1e-6)
+    assert found["C1"] == pytest.approx(100 * (1 - 160 / cells), abs=1e-6)
+    assert found["C5"] == pytest.approx(found["valid"], abs=1e-6)
+    assert found["RMSE"] == pytest.approx(np.sqrt(60 * 9 / (cells - 100)), abs=1e-4) and found["ME"] < 1e-4
+    raw = scores(raster(tmp_path / "same.tif", ground + np.float32(0.25)), truth, False)
+    assert raw["ME"] == pytest.approx(0.25, abs=1e-4) and raw["NMAD"] < 1e-4 and raw["valid"] == 100.0
