@@ -30,7 +30,7 @@ from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: 
 from repm_qgis.simulation.sensor import PLEIADES  # noqa: E402
 
 SIDES = (2000, 4000, 7000, 10000)
-TILE = 2560
+TILE = 4200
 _STRIP = 500
 
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..imagery.warping import GRID_STEP, between
 from .backends import Matcher
-from .matching import Matched
 from .rectification import RectifiedPair
 from .triangulation import PairGeometry
 
@@ -35,11 +34,6 @@ _TAIL = 0.05                # percent of the coarse residuals on either side tha
 _MARGIN_PX = 8              # beyond what the coarse level saw,
 _MARGIN_ABOVE_M = 40.0      # and above it, as masts and narrow towers are lost in it
 
-_LEAST_WEAK = 0.003         # of all pixels must be gaps without texture to be worth half a matching's eighth
-_WEAK_WINDOW = 15           # px
-_WEAK_CONTRAST = 0.03       # standard deviation of brightness (0..1), some times a sensor's noise
-_WEAK_SCORE = 0.6
-
 
 @dataclass(frozen=True)
 class Guide:
@@ -47,13 +41,11 @@ class Guide:
 
     ``nodes`` (m, n) lie ``GRID_STEP`` px apart in the frame of the resampled second image, whose column c stands for
     the rectified column c - ``high``; bilinear between them. ``low`` and ``high`` are the least and greatest residual.
-    ``coarse`` is the coarse level's disparity, (H, W) in fine px at a quarter of the resolution, NaN where unknown.
     """
 
     nodes: FloatArray
     low: int
     high: int
-    coarse: FloatImage
 
     def second_original(self, pair: RectifiedPair, geometry: PairGeometry) -> FloatArray:
         """(m, n, 2) original pixels of the second image that the nodes are sampled from.
@@ -97,47 +89,13 @@ def guide_of(first: FloatImage, second: FloatImage, disparities: Tuple[int, int]
     ends = _ends(residual, geometry)
     if ends[1] - ends[0] > _WORTH * (high - low):
         return None
-    return Guide(_nodes(ground, first.shape, ends), *ends, coarse)
+    return Guide(_nodes(ground, first.shape, ends), *ends)
 
 
-def with_weak_texture(matched: Matched, gaps: NDArray[np.bool_], first: FloatImage, second: FloatImage,
-                      disparities: Tuple[int, int], nearer: float, match: Matcher) -> Matched:
-    """Those of the ``gaps`` (H, W) that have no texture take what half the resolution sees there, marked as filled: noise falls, texture stays.
-
-    ``disparities`` must be even. Only what correlates well is taken, and only where the first image is so flat that
-    noise explains the gap: elsewhere gaps are occlusions and change, which half the resolution sees no better.
-    """
-    gaps = gaps & _weak(first)
-    if gaps.mean() < _LEAST_WEAK:
-        return matched
-    low, high = disparities
-    half = match(reduced(first, 2), reduced(second, 2), (low // 2, high // 2), nearer)
-    good = ~half.filled & (half.score >= _WEAK_SCORE)
-    seen = _doubled(np.where(good, 2 * half.disparity, np.float32(np.nan)), matched.disparity.shape)
-    taken = gaps & np.isfinite(seen)
-    return Matched(np.where(taken, seen, matched.disparity), matched.score, matched.filled | taken)
-
-
-def _weak(image: FloatImage) -> NDArray[np.bool_]:
-    """Pixels whose neighbourhood of 15 x 15 is known and has no contrast to speak of."""
-    known = np.nan_to_num(image)
-    mean, square = (cv2.blur(values, (_WEAK_WINDOW, _WEAK_WINDOW)) for values in (known, known * known))
-    gap = cv2.blur((~np.isfinite(image)).astype(np.float32), (_WEAK_WINDOW, _WEAK_WINDOW))
-    return (square - mean * mean < _WEAK_CONTRAST ** 2) & (gap < 1e-6)
-
-
-def _doubled(values: FloatImage, shape: Tuple[int, int]) -> FloatImage:
-    """Each value for 2 x 2 px; NaN beyond the last."""
-    result = np.full(shape, np.nan, dtype=np.float32)
-    twice = values.repeat(2, axis=0).repeat(2, axis=1)
-    result[:twice.shape[0], :twice.shape[1]] = twice[:shape[0], :shape[1]]
-    return result
-
-
-def reduced(image: FloatImage, factor: int = FACTOR) -> FloatImage:
-    """Means over ``factor`` x ``factor`` px; NaN where one of them is, and what is left over at the ends dropped."""
-    height, width = (n // factor for n in image.shape)
-    return cv2.resize(image[:height * factor, :width * factor], (width, height), interpolation=cv2.INTER_AREA)
+def reduced(image: FloatImage) -> FloatImage:
+    """Means over ``FACTOR`` x ``FACTOR`` px; NaN where one of them is, and what is left over at the ends dropped."""
+    height, width = (n // FACTOR for n in image.shape)
+    return cv2.resize(image[:height * FACTOR, :width * FACTOR], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _ground(coarse: FloatImage) -> Optional[FloatArray]:
@@ -215,11 +173,11 @@ def _residual(coarse: FloatImage, ground: FloatArray) -> FloatArray:
 
 
 def _ends(residual: FloatArray, geometry: PairGeometry) -> Tuple[int, int]:
-    """Least and greatest residual to search, whole px at half the resolution too."""
+    """Least and greatest residual to search."""
     low, high = np.percentile(residual, (_TAIL, 100 - _TAIL))
     above = _MARGIN_ABOVE_M / geometry.metres_per_px
     more = (_MARGIN_PX, _MARGIN_PX + above) if geometry.nearer > 0 else (_MARGIN_PX + above, _MARGIN_PX)
-    return 2 * int(np.floor((low - more[0]) / 2)), 2 * int(np.ceil((high + more[1]) / 2))
+    return int(np.floor(low - more[0])), int(np.ceil(high + more[1]))
 
 
 def _nodes(ground: FloatArray, shape: Tuple[int, int], ends: Tuple[int, int]) -> FloatArray:

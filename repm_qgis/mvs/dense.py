@@ -18,7 +18,7 @@ from ..imagery.raster import opened, opened_masked, read, write
 from ..imagery.warping import warp
 from ..scene import Scene, View
 from .backends import matcher_of
-from .coarse import FACTOR, guide_of, sampled_on, with_weak_texture
+from .coarse import FACTOR, guide_of, sampled_on
 from .matching import Matched
 from .pairing import grown, rectified_pair
 from .rectification import RectifiedPair
@@ -122,15 +122,15 @@ def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: 
     b = _brightness(second, task.stretches[1], shifted.second_original, (width + high - low, height))
     match = matcher_of(task.backend)
     guide = guide_of(a, b, (low, high), geometry, match)
-    if guide is not None:
-        low, high = guide.low, guide.high
-        b = _brightness(second, task.stretches[1], sampled_on(guide.second_original(pair, geometry)),
-                        (width + high - low, height))
-    matched = match(a, b, (low, high), geometry.nearer)
-    gaps = ~np.isfinite(matched.disparity)
-    matched = without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
-    matched = with_weak_texture(matched, gaps, a, b, (low, high), geometry.nearer, match)
-    return matched if guide is None else replace(matched, disparity=guide.whole(matched.disparity))
+    if guide is None:
+        matched = match(a, b, (low, high), geometry.nearer)
+    else:
+        guided = _brightness(second, task.stretches[1], sampled_on(guide.second_original(pair, geometry)),
+                             (width + guide.high - guide.low, height))
+        matched = match(a, guided, (guide.low, guide.high), geometry.nearer)
+        matched = replace(matched, disparity=guide.whole(matched.disparity))
+    # On whole disparities: a guide that lies on a cloud would hide how high it stands.
+    return without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
 
 
 def _whole_range(geometry: PairGeometry) -> Tuple[int, int]:

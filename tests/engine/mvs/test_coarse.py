@@ -67,7 +67,7 @@ def test_a_guide_leaves_a_small_search_and_gives_the_whole_disparity():
 def test_whole_disparities_count_the_guide_where_the_match_lies():
     rng = np.random.default_rng(1)
     nodes = np.cumsum(rng.uniform(-8, 8, (5, 9)), axis=1)
-    guide = Guide(nodes, -20, 30, np.zeros((1, 1), np.float32))
+    guide = Guide(nodes, -20, 30)
     residual = rng.uniform(-19, 29, (60, 70)).astype(np.float32)
     residual[3, 5] = np.nan
     whole = guide.whole(residual)
@@ -128,7 +128,7 @@ def test_rows_are_those_that_the_rpcs_say(case, gdal_pixels):
     columns, rows = (np.arange(0, size, GRID_STEP, dtype=np.float64) for size in pair.size)
     guide = np.add.outer(0.1 * rows, 0.2 * columns)
     guide = np.clip(guide - guide.mean(), *geometry.disparities)
-    sampled = Guide(guide, 0, 0, np.zeros((1, 1), np.float32)).second_original(pair, geometry)
+    sampled = Guide(guide, 0, 0).second_original(pair, geometry)
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
     height = geometry.height.on_grid(columns, rows, guide)
     x, y = (table.on_grid(columns, rows, height) for table in (geometry.x, geometry.y))
