@@ -64,7 +64,7 @@ class Guide:
         guide = between(self.nodes.astype(np.float32), height, width + self.high - self.low + 1)
         columns = np.arange(width, dtype=np.float32) + np.float32(self.high) - np.nan_to_num(residual)
         left = np.clip(columns.astype(np.int32), 0, guide.shape[1] - 2)
-        share = columns - left
+        share = columns - left.astype(np.float32)
         flat = left + (np.arange(height, dtype=np.int32) * guide.shape[1])[:, None]
         at, beside = guide.ravel()[flat], guide.ravel()[flat + 1]
         return residual + at + (beside - at) * share
