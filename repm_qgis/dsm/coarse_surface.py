@@ -50,7 +50,6 @@ class _Task:
     first: str
     second: str
     stretches: Tuple[Stretch, Stretch]
-    backend: str
     grid: CellGrid
 
 
@@ -78,13 +77,16 @@ class CoarseSurface:
                      pyproj.CRS.from_user_input(crs).to_wkt(), unit="m")
 
 
-def coarse_surface(scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[str, Stretch], backend: str,
-                   workers: int, progress: Progress) -> CoarseSurface:
-    """Match all pairs over all of the scene at an eighth of the resolution, cell by cell the median of the pairs."""
+def coarse_surface(scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[str, Stretch], workers: int,
+                   progress: Progress) -> CoarseSurface:
+    """Match all pairs over all of the scene at an eighth of the resolution, cell by cell the median of the pairs.
+
+    By ``sgm``, whatever backend works on the fine level.
+    """
     cell = CELL_PX * scene.gsd_m
     grid = CellGrid.covering(enclosing([tile.bounds for tile in scene.tiles]), cell)
     blocks = lay_tiles(ogr.CreateGeometryFromWkt(scene.area), _BLOCK_PX * scene.gsd_m)
-    tasks = [_Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), backend, grid)
+    tasks = [_Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), grid)
              for block in blocks for first, second in pairs]
     parts = run_tasks(_match_block, tasks, workers, progress, lambda task: f"coarse surface, {task.first} and "
                       f"{task.second}")
@@ -122,7 +124,7 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     positions = source_positions(lambda p: pair.second_original(p - (high, 0)), (width + high - low, height))
     a = _reduced(first, task.stretches[0], source_positions(pair.first_original, pair.size))
     b = _reduced(second, task.stretches[1], positions)
-    found = matcher_of(task.backend)(a, b, (low, high), geometry.nearer)
+    found = matcher_of("sgm")(a, b, (low, high), geometry.nearer)
     good = ~found.filled & (found.score >= _LEAST_SCORE)
     disparity = np.where(good, found.disparity, np.nan).astype(np.float64)
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)

@@ -63,7 +63,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         _tell_pairs(scene, pairs, notes)
         stretches = {view.name: view_stretch(view.image, view.band, view.mask) for view in scene.views}
         ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
-        _lay_surface(scene, pairs, stretches, backend, options, Part(notes, 0.35, 0.4))
+        _lay_surface(scene, pairs, stretches, options, Part(notes, 0.35, 0.4))
         _match(scene, pairs, stretches, backend, key, str(folder), options, Part(notes, 0.4, 1.0))
         scene.record("reconstruct", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
                      backend=backend, ties=ties, pairs=[vars(pair) for pair in pairs])
@@ -108,12 +108,12 @@ def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     return figures
 
 
-def _lay_surface(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], backend: str,
+def _lay_surface(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch],
                  options: ReconstructOptions, progress: Progress) -> None:
     """The scene's coarse surface, where tie points do not tell every tile's altitudes or the refinement needs it."""
     if covered_by_ties(scene) and not options.own_surface:
         return
-    surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches, backend,
+    surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches,
                              options.workers, progress)
     for tile in scene.tiles:
         found = surface.altitudes(tile.bounds)
