@@ -113,8 +113,8 @@ def main() -> None:
                 rows.append([what, count, *apart("mesh", folder, vertices), megabytes(f"{folder}/m.ply")])
                 rows.append([f"QGIS draws the {what}", count, *apart("draw", folder, 1), ""])
     publish("clouds", "Point clouds for display, and meshes", "make bench-clouds", [
-        "Simulated hills with blocks, a point a cell of 0.5 m. CPU seconds and the largest memory are those of a process "
-        "that does this alone, its start included.",
+        "Simulated hills with blocks, a point a cell of 0.5 m. CPU seconds and the largest memory are those of a "
+        "process that does this alone, its start included.",
         table(["what", "Mpoints or Mcells", "CPU, s", "memory, MiB", "MB on disk"], rows)])
 
 
