@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-large bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-large bench-clouds bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -46,6 +46,9 @@ bench-views: setup ## what a third view adds to the best pair on truth scenes (w
 
 bench-cuda: setup ## COLMAP's PatchMatch on a CUDA GPU beside sgm (writes docs/benchmarks.md; says so where there is none)
 	@$(PYTHON) benchmarks/colmap_cuda.py
+
+bench-clouds: setup ## point clouds for display and meshes: CPU, memory, size (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/clouds.py
 
 lint: setup ## ruff over everything
 	@$(PYTHON) -m ruff check .

@@ -470,6 +470,14 @@
         <translation>Orthophoto</translation>
     </message>
     <message>
+        <source>Point cloud</source>
+        <translation>Punktwolke</translation>
+    </message>
+    <message>
+        <source>Mesh</source>
+        <translation>Netz</translation>
+    </message>
+    <message>
         <source>Tiles</source>
         <translation>Kacheln</translation>
     </message>
@@ -709,6 +717,14 @@
         <translation>Punkte mit zu wenigen Nachbarn innerhalb dieser Entfernung fallen weg.</translation>
     </message>
     <message>
+        <source>Most vertices of the mesh (0: one a cell)</source>
+        <translation>Höchstens so viele Netzknoten (0: einer je Zelle)</translation>
+    </message>
+    <message>
+        <source>Where the DSM has more cells, the mesh takes every second (third, ...) row and column.</source>
+        <translation>Hat das DOM mehr Zellen, nimmt das Netz jede zweite (dritte, ...) Zeile und Spalte.</translation>
+    </message>
+    <message>
         <source>Scene</source>
         <translation>Szene</translation>
     </message>
@@ -759,6 +775,18 @@
     <message>
         <source>Point cloud</source>
         <translation>Punktwolke</translation>
+    </message>
+    <message>
+        <source>Point cloud for display (EPT)</source>
+        <translation>Punktwolke zum Ansehen (EPT)</translation>
+    </message>
+    <message>
+        <source>A folder of its own with the points as Entwine point tiles, which every QGIS shows.</source>
+        <translation>Ein eigener Ordner mit den Punkten als Entwine-Punktkacheln, die jedes QGIS zeigt.</translation>
+    </message>
+    <message>
+        <source>Mesh</source>
+        <translation>Netz</translation>
     </message>
 </context>
 <context>

@@ -253,11 +253,11 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         made = {**folders, **result}
         outputs = {output.name(): made[output.name().lower()] for output in self.outputDefinitions()
                    if made.get(output.name().lower()) is not None}
-        vectors: list[str] = []
+        scene = self._scene_name(options)
         for name, (title, style) in self.LAYERS.items():
             if outputs.get(name):
                 styles.dress(context, feedback, kept_as.get(name, ""), outputs[name],
-                             self._layer_name(title, options, result), style, vectors)
+                             self._layer_name(title, scene, result), style, scene)
         if isinstance(result.get("seconds"), dict):
             feedback.pushInfo(self.tr("Seconds: {stages}").format(
                 stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())))
@@ -271,13 +271,25 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         run = engine.run_apart if self.HEAVY else engine.run_here
         return run(self.ID, options, feedback)
 
-    def _layer_name(self, title: str, options: Mapping[str, Any], result: Mapping[str, Any]) -> str:
-        """The kind of layer, the scene it is of (the workspace's name, else the first image's), and a DSM's datum."""
-        folder = options.get("workspace") or os.path.dirname(options.get("scene") or options.get("dsm") or "")
+    def _scene_name(self, options: Mapping[str, Any]) -> str:
+        """The scene that a run is of: the workspace's name, else that in which the scene began, else the first image's.
+
+        "" where only temporary folders are known of it.
+        """
+        from ..repm_qgis.scene import origin
+
+        scene = options.get("scene") or ""
+        folder = options.get("workspace") or os.path.dirname(scene or options.get("dsm") or "")
         temporary = os.path.abspath(QgsProcessingUtils.tempFolder())
-        names = [] if os.path.abspath(folder or temporary).startswith(temporary) else [os.path.basename(folder)]
-        names += [os.path.splitext(os.path.basename(path))[0] for path in options.get("images") or []]
-        words = [self.tr(title), *names[:1]]
+        began, first = "", (options.get("images") or [""])[0]
+        if scene and os.path.abspath(folder).startswith(temporary):  # in a model, between its stages
+            began, first = origin(scene)
+        lasting = [path for path in (folder, began) if path and not os.path.abspath(path).startswith(temporary)]
+        return os.path.basename(lasting[0]) if lasting else os.path.splitext(os.path.basename(first))[0]
+
+    def _layer_name(self, title: str, scene: str, result: Mapping[str, Any]) -> str:
+        """The kind of layer, the scene it is of, and a DSM's datum."""
+        words = [self.tr(title), *([scene] if scene else [])]
         if title == "DSM" and result.get("vertical_datum"):
             words.append(f"({result['vertical_datum']})")
         return " ".join(words)

@@ -9,7 +9,8 @@ from typing import Any, Iterator, Mapping
 
 _FOLDERS = ("workspace", "folder", "heights")
 _FILES_WITH_COMPANY = ("output_scene", "scene")  # products, and what fusion keeps, lie in the scene's folder
-_FILES = ("output", "confidence", "ortho", "cloud", "tiles", "tie_points", "error", "report")
+_FILES = ("output", "confidence", "ortho", "cloud", "tiles", "tie_points", "error", "report", "mesh")
+_NEW_FOLDERS = ("ept",)  # built under another name
 _MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
 
 
@@ -22,8 +23,13 @@ def _patterns(options: Mapping[str, Any]) -> Iterator[str]:
         elif name in _FILES_WITH_COMPANY:
             yield os.path.join(glob.escape(os.path.dirname(value)), "**", _MARK)
         elif name in _FILES:
-            stem = os.path.splitext(os.path.basename(value))[0]
-            yield os.path.join(glob.escape(os.path.dirname(value)), f".{glob.escape(stem)}.part*")
+            yield _beside(value, os.path.splitext(os.path.basename(value))[0])
+        elif name in _NEW_FOLDERS:
+            yield _beside(value, os.path.basename(value))
+
+
+def _beside(path: str, stem: str) -> str:
+    return os.path.join(glob.escape(os.path.dirname(path)), f".{glob.escape(stem)}.part*")
 
 
 def remove_half_written(options: Mapping[str, Any], since: float) -> list[str]:

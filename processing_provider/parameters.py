@@ -262,7 +262,7 @@ def crs() -> QgsProcessingParameterDefinition:
 
 
 def fusion() -> list[QgsProcessingParameterDefinition]:
-    from ..repm_qgis.options import FILLS, METHODS
+    from ..repm_qgis.options import FILLS, MAX_VERTICES, METHODS
 
     return [advanced(choice("METHOD", tr("Fusion of the pairs' heights"), METHODS, "mean",
                             tr("Of the heights that agree: mean has less noise, median is the paper's."))),
@@ -271,7 +271,10 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                                "remaining holes are interpolated too; both are marked in the confidence raster. none: "
                                "they stay nodata."))),
             advanced(real("OUTLIER_RADIUS", tr("Outlier radius (m, empty: automatic, 0: off)"), None, 0.0, 1000.0,
-                          tr("Points with too few neighbours within this distance are dropped.")))]
+                          tr("Points with too few neighbours within this distance are dropped."))),
+            advanced(whole("MESH_VERTICES", tr("Most vertices of the mesh (0: one a cell)"), 500_000, 0, MAX_VERTICES,
+                           tr("Where the DSM has more cells, the mesh takes every second (third, ...) row and "
+                              "column.")))]
 
 
 def scene(label: Optional[str] = None) -> QgsProcessingParameterDefinition:
@@ -311,4 +314,7 @@ def dsm_products() -> list[QgsProcessingParameterDefinition]:
             QgsProcessingParameterRasterDestination("CONFIDENCE", tr("Confidence"), **extra),
             QgsProcessingParameterRasterDestination("ORTHO", tr("Orthophoto"), **extra),
             QgsProcessingParameterFileDestination(
-                "CLOUD", tr("Point cloud"), "LAZ (*.laz);;LAS (*.las)", **extra)]
+                "CLOUD", tr("Point cloud"), "LAZ (*.laz);;LAS (*.las)", **extra),
+            helped(QgsProcessingParameterFolderDestination("EPT", tr("Point cloud for display (EPT)"), **extra),
+                   tr("A folder of its own with the points as Entwine point tiles, which every QGIS shows.")),
+            QgsProcessingParameterFileDestination("MESH", tr("Mesh"), "PLY (*.ply)", **extra)]

@@ -19,6 +19,7 @@ class Pipeline(RepmAlgorithm):
     TAGS = "SfM,MVS,GCP,ground control,surface model,point cloud,orthophoto,REPM,tri-stereo"
     USES_WORKERS = True
     LAYERS = {"OUTPUT": ("DSM", "dsm"), "CONFIDENCE": ("Confidence", "confidence"), "ORTHO": ("Orthophoto", "ortho"),
+              "EPT": ("Point cloud", "ept"), "MESH": ("Mesh", "mesh"),
               "TILES": ("Tiles", "tiles"), "TIE_POINTS": ("Tie points", "tie_points")}
 
     def displayName(self) -> str:

@@ -1,32 +1,43 @@
-"""How results look on the map: the style that the engine wrote beside each of them."""
+"""How results look on the map: the style that the engine wrote beside each of them, grouped by scene, in order."""
 
 from __future__ import annotations
 
 import os
 
 from qgis.core import (
-    QgsLayerTree,
+    QgsLayerTreeGroup,
+    QgsLayerTreeLayer,
+    QgsLayerTreeNode,
     QgsMapLayer,
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingLayerPostProcessorInterface,
-    QgsVectorLayer,
+    QgsProcessingUtils,
+    QgsProviderRegistry,
 )
+
+FROM_TOP = ("gcps", "tie_points", "tiles", "error", "dsm_error", "ept", "ortho", "confidence", "mesh", "dsm")
+"""Kinds of layers of a scene from top to bottom: nothing hides what is to be looked at first."""
+_LOOKED_AT_LATER = ("ept", "ortho", "confidence", "mesh")  # above the DSM, and switched off: switched on, they show
+_ORDER = "repm/order"
 
 
 class Dresser(QgsProcessingLayerPostProcessorInterface):
-    """Styles a result once QGIS has put it on the map: Processing does not look for styles beside its results."""
+    """Styles a result once QGIS has put it on the map, and puts it in its place among those of its scene.
+
+    Processing does not look for styles beside its results, and loads them in no order of ours.
+    """
 
     _alive: list[Dresser] = []  # QGIS does not own post-processors: without a reference Python would drop them
 
-    def __init__(self, style: str, vectors: list[str]) -> None:
+    def __init__(self, style: str, kind: str, group: str) -> None:
         super().__init__()
-        self._style, self._vectors = style, vectors
+        self._style, self._kind, self._group = style, kind, group
 
     @classmethod
-    def make(cls, style: str, vectors: list[str]) -> Dresser:
-        """``vectors`` is one list for all results of a run: ids of the vector layers that are on the map already."""
-        dresser = cls(style, vectors)
+    def make(cls, style: str, kind: str, group: str) -> Dresser:
+        """``group`` is the scene's name; "" where it has none."""
+        dresser = cls(style, kind, group)
         cls._alive.append(dresser)
         del cls._alive[:-256]
         return dresser
@@ -38,19 +49,45 @@ class Dresser(QgsProcessingLayerPostProcessorInterface):
         if os.path.exists(self._style):
             layer.loadNamedStyle(self._style)
             layer.triggerRepaint()
-        if isinstance(layer, QgsVectorLayer):
-            self._vectors.append(layer.id())
-        elif context.project() is not None:
-            for identity in self._vectors:  # QGIS loads in no order of ours: a raster must not hide them
-                _move_to_top(context.project().layerTreeRoot(), identity)
+        node = context.project().layerTreeRoot().findLayer(layer.id()) if context.project() is not None else None
+        if node is not None and node.parent() is not None:
+            _place(node, self._kind, self._group)
 
 
-def _move_to_top(root: QgsLayerTree, identity: str) -> None:
-    node = root.findLayer(identity)
-    if node is not None and node.parent() is not None:
-        parent = node.parent()
-        parent.insertChildNode(0, node.clone())
-        parent.removeChildNode(node)
+def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> None:
+    """Move a layer into its scene's group (QGIS before 3.32 knows none), to its place from the top."""
+    parent = node.parent()
+    group = _group(parent, name) if name else parent
+    order = FROM_TOP.index(kind)
+    copy = node.clone()
+    copy.setCustomProperty(_ORDER, order)
+    copy.setItemVisibilityChecked(kind not in _LOOKED_AT_LATER)
+    copy.setExpanded(node.isExpanded() and kind not in _LOOKED_AT_LATER)
+    group.insertChildNode(_index(group, node, order), copy)
+    parent.removeChildNode(node)
+
+
+def _group(parent: QgsLayerTreeGroup, name: str) -> QgsLayerTreeGroup:
+    """The group of that name: the layer's own, or one beside it, which is made where there is none."""
+    if parent.parent() is not None and parent.name() == name:
+        return parent
+    for child in parent.children():
+        if isinstance(child, QgsLayerTreeGroup) and child.name() == name:
+            return child
+    return parent.insertGroup(0, name)
+
+
+def _index(group: QgsLayerTreeGroup, node: QgsLayerTreeNode, order: int) -> int:
+    """Where a layer goes: before the first of ours that belongs below it or is an earlier one of its kind, else after
+    the last; where there is none, it stays where QGIS put it, or comes first."""
+    orders = [int(child.customProperty(_ORDER, -1)) for child in group.children()]
+    below = [i for i, other in enumerate(orders) if other >= order]
+    if below:
+        return below[0]
+    above = [i for i, other in enumerate(orders) if other >= 0]
+    if above:
+        return above[-1] + 1
+    return group.children().index(node) if node.parent() == group else 0
 
 
 def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
@@ -70,13 +107,36 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
 
 
 def dress(context: QgsProcessingContext, feedback: QgsProcessingFeedback, kept_as: str, path: str, name: str,
-          kind: str, vectors: list[str]) -> None:
-    """Style one result, and name its layer where QGIS will load it.
+          kind: str, group: str) -> None:
+    """Style one result, name its layer, and have it put into its scene's group, where QGIS will load it.
 
-    ``kept_as`` is QGIS's word for the file; ``vectors`` one list for all results of a run.
+    ``kept_as`` is QGIS's word for the file. QGIS loads rasters and vectors by itself, as the user chose; a cloud and a
+    mesh are loaded where they were asked for, as it has no destination for them.
     """
-    style = sidecar(kind, path, feedback)
+    if kind in ("ept", "mesh"):
+        style = os.path.join(path, "ept.qml") if kind == "ept" else os.path.splitext(path)[0] + ".qml"
+        kept_as = _load_too(context, path, kind)
+    else:
+        style = sidecar(kind, path, feedback)
     if kept_as and context.willLoadLayerOnCompletion(kept_as):
         details = context.layerToLoadOnCompletionDetails(kept_as)
         details.name = name
-        details.setPostProcessor(Dresser.make(style, vectors))
+        if kind == "ept":
+            details.forceName = True  # its file's name is always the same
+        if group and hasattr(details, "groupName"):  # QGIS 3.32
+            details.groupName = group
+        if hasattr(details, "layerSortKey"):
+            details.layerSortKey = -FROM_TOP.index(kind)
+        details.setPostProcessor(Dresser.make(style, kind, group))
+
+
+def _load_too(context: QgsProcessingContext, path: str, kind: str) -> str:
+    """Have a cloud or a mesh loaded; gives QGIS's word for it, "" without a project or where QGIS cannot show it."""
+    provider = {"ept": "ept", "mesh": "mdal"}[kind]
+    if context.project() is None or provider not in QgsProviderRegistry.instance().providerList():
+        return ""
+    hints = QgsProcessingUtils.LayerHint
+    # With its provider's name: QGIS 3.22 takes all point clouds to be PDAL's.
+    source, hint = (f"ept://{path}/ept.json", hints.PointCloud) if kind == "ept" else (path, hints.Mesh)
+    context.addLayerToLoadOnCompletion(source, QgsProcessingContext.LayerDetails("", context.project(), "", hint))
+    return source

@@ -19,6 +19,7 @@ BACKENDS = ("auto", "sgm", "colmap")
 POINTINGS = ("auto", "shift", "affine")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
+MAX_VERTICES = 2**31 - 1  # a PLY's indices
 FILLS = ("none", "occlusions", "all")
 ALIGNMENTS = ("none", "vertical", "3d")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
@@ -258,8 +259,9 @@ class DsmFuseOptions(Options):
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
-    None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``: files to write, None = not wanted. ``memory``
-    as in ``ReconstructOptions``.
+    None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``: files to write, None = not wanted;
+    ``ept`` is a folder. ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``memory`` as in
+    ``ReconstructOptions``.
     """
 
     scene: str
@@ -275,6 +277,9 @@ class DsmFuseOptions(Options):
     workers: int = 0
     vertical_datum: str = ""
     memory: int = 0
+    ept: Optional[str] = None
+    mesh: Optional[str] = None
+    mesh_vertices: int = 500_000
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
@@ -287,6 +292,9 @@ class DsmFuseOptions(Options):
             _within("OUTLIER_RADIUS", self.outlier_radius, 0, 1000, "m")
         if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
+        if self.mesh and not self.mesh.lower().endswith(".ply"):
+            raise OptionError("MESH", self.mesh, "must end with .ply")
+        _within("MESH_VERTICES", self.mesh_vertices, 0, MAX_VERTICES)
         _within("WORKERS", self.workers, 0, 1024)
         _within("MEMORY", self.memory, 0, 1 << 24, "MiB")
 
@@ -333,6 +341,9 @@ class PipelineOptions(Options):
     colmap_fusion: bool = False
     window_radius: int = 5
     gpu_memory: float = 0.0
+    ept: Optional[str] = None
+    mesh: Optional[str] = None
+    mesh_vertices: int = 500_000
 
     def __post_init__(self) -> None:
         # The stages' own options check everything else; building them here makes a wrong value fail at once.
@@ -342,7 +353,7 @@ class PipelineOptions(Options):
                            adjustment=self.adjustment, memory=self.memory, window_radius=self.window_radius,
                            gpu_memory=self.gpu_memory)
         DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.fill, self.outlier_radius,
-                       cloud=self.cloud)
+                       cloud=self.cloud, mesh=self.mesh, mesh_vertices=self.mesh_vertices)
 
     def fit_options(self) -> EpmFitOptions:
         """This run's first stage; its CRS is that of the DSM."""

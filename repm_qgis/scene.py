@@ -264,6 +264,16 @@ def _document(path: str) -> Dict[str, Any]:
     return document
 
 
+def origin(path: str) -> Tuple[str, str]:
+    """The workspace in which a scene began, and its first image; "" for what its file does not tell."""
+    try:
+        document = _document(path)
+        first = next((entry["options"] for entry in document["history"] if entry["stage"] == "epmfit"), {})
+        return str(first.get("workspace", "")), str(document["views"][0]["image"])
+    except (SceneError, KeyError, TypeError, AttributeError, IndexError):
+        return "", ""
+
+
 def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
     """The scene at ``path`` if its last stage was this one, made from the very same things; else None."""
     if not os.path.exists(path):

@@ -24,9 +24,10 @@ from .report import Report
 
 _MOST_ROWS = 300
 _PRODUCTS = (("output", "DSM"), ("confidence", "Confidence"), ("ortho", "Orthophoto"), ("cloud", "Point cloud"),
+             ("ept", "Point cloud for display (EPT)"), ("mesh", "Mesh"),
              ("tiles", "Tiles with their errors"), ("tie_points", "Tie points"), ("scene", "Scene, for the next stage"))
 _WHERE_IT_RUNS = frozenset(("workspace", "scene", "output_scene", "output", "report", "tiles", "tie_points", "heights",
-                            "confidence", "ortho", "cloud"))
+                            "confidence", "ortho", "cloud", "ept", "mesh"))
 
 
 def fit_report(scene: Scene) -> Report:

@@ -9,6 +9,7 @@ filled in here. Each is valid for QGIS 3.22 and later.
 | hillshade | QGIS's own hillshade, to lay over or under ``dsm`` | none |
 | error | equivalent error in px, from dark (none) to bright | 0..98 % |
 | dsm_error | DSM - reference, blue (too low), white, red (too high) | symmetric about 0 |
+| ept, mesh | elevation colours of the DSM that comes with them | given |
 | confidence | height maps that agree, or the matching score where there is only one; dark (low) to bright | 2..98 % |
 | ortho | grey | 2..98 % |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
@@ -31,8 +32,9 @@ from ..workspace import write_text
 from .pictures import RAMPS, preview, rgb, spread
 
 STYLES = Path(__file__).resolve().parents[2] / "resources" / "styles"
-_RAMP_OF = {"dsm": "elevation", "error": "viridis", "dsm_error": "diverging", "confidence": "viridis", "ortho": "grey"}
-KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles", "tie_points", "gcps")
+_RAMP_OF = {"dsm": "elevation", "error": "viridis", "dsm_error": "diverging", "confidence": "viridis", "ortho": "grey",
+            "ept": "elevation", "mesh": "elevation"}
+KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles", "tie_points", "gcps", "ept", "mesh")
 _SAMPLE_PX = 1200
 
 
@@ -41,6 +43,8 @@ def write_style(kind: str, path: Union[str, os.PathLike], limits: Optional[Tuple
 
     ``limits`` set a raster's range by hand, so that maps that belong together can be compared by their colours; of
     ``gcps`` the second one is the error in metres that an arrow of 10 mm shows.
+
+    A cloud (``ept``) and a ``mesh`` need them: see :func:`height_limits`.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read, WorkspaceError where the
     style cannot be written.
@@ -55,12 +59,20 @@ def write_style(kind: str, path: Union[str, os.PathLike], limits: Optional[Tuple
             f"The style '{template}' cannot be read ({error.strerror or error}): install the plugin again."
         ) from error
     if kind in _RAMP_OF:
-        values, band = _shown(kind, path)
+        if limits and kind in ("ept", "mesh"):
+            values, band = np.empty(0), 1
+        else:
+            values, band = _shown(kind, path)
         text = _filled(text, kind, *(limits or _value_range(kind, values))).replace("@band@", str(band))
     if kind == "gcps":
         length = limits[1] if limits else 1.0
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
     return write_text(str(Path(path).with_suffix(".qml")), text)
+
+
+def height_limits(dsm: str) -> Tuple[float, float]:
+    """The range of heights over which a DSM's style spreads its colours."""
+    return _value_range("dsm", _shown("dsm", dsm)[0])
 
 
 def _shown(kind: str, path: Union[str, os.PathLike]) -> Tuple[np.ndarray, int]:

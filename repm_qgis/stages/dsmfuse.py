@@ -13,14 +13,16 @@ import pyproj
 
 from .. import __version__
 from ..dsm.aggregation import automatic_radius
+from ..dsm.ept import require_ept_place, write_ept
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.grid import CellGrid
 from ..dsm.holes import REACH_CELLS, fill_holes
+from ..dsm.mesh import write_mesh
 from ..dsm.ortho import nadir_first
 from ..dsm.point_cloud import created_cloud
 from ..dsm.seams import blended
 from ..errors import EmptyResultError, SceneError
-from ..evaluation.styles import write_style
+from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import geodetic_from_projected, projected_crs_at
 from ..geometry.surface import Surface
 from ..geometry.tiles import enclosing
@@ -53,13 +55,15 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
     datum = HeightDatum.of(options.vertical_datum)
     datum.require(scene.frame.lon, scene.frame.lat)
+    if options.ept:
+        require_ept_place(options.ept)
     grid, windows = _layout(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
     radius = automatic_radius(grid.cell, scene.gsd_m) if options.outlier_radius is None else options.outlier_radius
     progress.info(f"DSM of {grid.shape[1]} x {grid.shape[0]} cells of {grid.cell:g} m in {crs}, heights above the "
                   f"{datum.name}; outlier radius {radius:g} m.")
     views = tuple(nadir_first(scene)) if options.ortho else ()
     tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), grid, window, crs, options.method, options.fill,
-                      radius, views, bool(options.cloud)) for tile, window in zip(tiles, windows)]
+                      radius, views, bool(options.cloud or options.ept)) for tile, window in zip(tiles, windows)]
     workers = _workers(options, scene, tiles, windows, progress)
     folder = temporary_name(str(scene.path.with_name("fusion")))
     try:
@@ -67,12 +71,14 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         stored = run_tasks(fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)], workers,
                            progress, lambda work: f"fusing {work[0].records[0]['tile']}")
         facts = _write(options, scene, grid, crs, datum, windows, stored, folder)
+        cloud = _cloud_path(options, folder) if facts["points"] else None
+        shown = _write_for_display(options, cloud, datum.file_crs(crs), progress)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     _tell(facts, radius, [tile.needed for tile in stored], options, progress)
     progress.step(1.0, "DSM fused")
     return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
-            "cloud": options.cloud, "vertical_datum": datum.name,
+            "cloud": options.cloud, **shown, "vertical_datum": datum.name,
             "seconds": round(time.monotonic() - start, 3), **facts}
 
 
@@ -124,8 +130,9 @@ def _write(options: DsmFuseOptions, scene: Scene, grid: CellGrid, crs: str, datu
         whole = stack.enter_context(created(
             f"{folder}/heights.tif", (crop[3], crop[2]), np.dtype(np.float32), 1, None, "", compress=False)) \
             if options.fill == "all" else None
-        cloud = stack.enter_context(created_cloud(options.cloud, datum.file_crs(crs), (grid.west, grid.north, 0.0))) \
-            if options.cloud else None
+        cloud_path = _cloud_path(options, folder)
+        cloud = stack.enter_context(created_cloud(cloud_path, datum.file_crs(crs), (grid.west, grid.north, 0.0))) \
+            if cloud_path else None
         tolerance = float(np.median([record["metres_per_px"] for tile in scene.tiles for record in tile.heights]))
         for index, (window, tile) in enumerate(zip(windows, stored)):
             place, cut = _placed(window, crop)
@@ -197,6 +204,30 @@ def _on_cells(surface: Surface, grid: CellGrid, crs: str) -> np.ndarray:
     lattice = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE)), axis=-1)
     lon_lat = upsample_grid(geodetic_from_projected(crs, lattice), grid.shape)
     return surface.height(lon_lat[..., 0], lon_lat[..., 1])
+
+
+def _cloud_path(options: DsmFuseOptions, folder: str) -> Optional[str]:
+    """Where the cloud is written: an EPT is made of one that nobody asked to keep, too."""
+    return options.cloud or (f"{folder}/cloud.laz" if options.ept else None)
+
+
+def _write_for_display(options: DsmFuseOptions, cloud: Optional[str], crs: str, progress: Progress) -> Dict[str, Any]:
+    """What is made of the finished cloud and DSM, in the DSM's colours."""
+    made: Dict[str, Any] = {"ept": None, "mesh": None}
+    if options.ept and cloud:
+        facts = write_ept(cloud, options.ept, crs, progress)
+        write_style("ept", f"{options.ept}/ept.json", height_limits(options.output))
+        progress.info(f"EPT of {facts['points']} points in {facts['nodes']} nodes.")
+        made["ept"] = options.ept
+    elif options.ept:
+        progress.warn("No matched point lies on the DSM: the EPT is not written.")
+    if options.mesh:
+        facts = write_mesh(options.output, options.mesh, options.mesh_vertices, progress)
+        write_style("mesh", options.mesh, height_limits(options.output))
+        thinned = f", one of {facts['step']} rows and columns (MESH_VERTICES)" if facts["step"] > 1 else ""
+        progress.info(f"Mesh of {facts['vertices']} vertices and {facts['faces']} triangles{thinned}.")
+        made["mesh"] = options.mesh
+    return made
 
 
 def _undulation(datum: HeightDatum, crs: str, grid: CellGrid) -> np.ndarray:

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any, Callable, Dict
 
+from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
 from ..mvs.backends import resolve
@@ -25,9 +26,12 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     if options.backend == "colmap":  # refused, if at all, before any work
         resolve(options.backend)
     folder = ensure_folder(options.workspace)
-    for path in (options.output, options.confidence, options.ortho, options.cloud, options.report):
+    for path in (options.output, options.confidence, options.ortho, options.cloud, options.ept, options.mesh,
+                 options.report):
         if path:  # hours of matching are not to end at a folder that cannot be written
             ensure_folder(str(Path(path).parent))
+    if options.ept:
+        require_ept_place(options.ept)
     if options.gcps:  # nor at a table's misspelt field
         read_gcps(options.gcps, load_views(options.images, options.rpcs), options.gcp_datum)
     datum = HeightDatum.of(options.vertical_datum)
@@ -61,7 +65,8 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,
-        options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum, options.memory), p))
+        options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum, options.memory,
+        options.ept, options.mesh, options.mesh_vertices), p))
     report_path = options.report or str(folder / "report.html")
     products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
                 "tie_points": heights["tie_points"], "heights": heights["heights"]}

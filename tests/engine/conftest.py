@@ -70,7 +70,8 @@ class Pipeline:
         self.scene, self.workspace, self.said = scene, folder / "ws", Told()
         self.options = {"images": scene.images, "workspace": str(self.workspace), "output": str(folder / "dsm.tif"),
                         "confidence": str(folder / "confidence.tif"), "ortho": str(folder / "ortho.tif"),
-                        "cloud": str(folder / "cloud.laz"), **options}
+                        "cloud": str(folder / "cloud.laz"), "ept": str(folder / "ept"),
+                        "mesh": str(folder / "mesh.ply"), **options}
         self.result = run_stage("pipeline", self.options, self.said)
 
 

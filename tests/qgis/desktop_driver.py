@@ -91,7 +91,8 @@ def look(dialog, success):
         layer = node.layer()
         renderer = layer.renderer() if hasattr(layer, "renderer") else None
         FOUND["layers"].append({"name": layer.name(), "valid": layer.isValid(), "crs": layer.crs().authid(),
-                                "source": layer.source(), "renderer": type(renderer).__name__})
+                                "source": layer.source(), "renderer": type(renderer).__name__,
+                                "group": node.parent().name(), "shown": node.isVisible()})
     if QgsProject.instance().mapLayers():
         iface.mapCanvas().zoomToFullExtent()
     plugins["processing"].toolbox.setUserVisible(False)

@@ -9,7 +9,13 @@ import time
 import numpy as np
 import pytest
 from osgeo import gdal
-from qgis.core import QgsApplication, QgsProcessingContext
+from qgis.core import (
+    QgsApplication,
+    QgsProcessingContext,
+    QgsProcessingOutputLayerDefinition,
+    QgsProject,
+    QgsSingleBandPseudoColorRenderer,
+)
 
 
 def heights(path):
@@ -41,14 +47,16 @@ def whole(run, town, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     given = {"IMAGES": town["images"], "WORKSPACE": str(folder / "w"), "OUTPUT": str(folder / "dsm.tif"),
              "CONFIDENCE": str(folder / "confidence.tif"), "ORTHO": str(folder / "ortho.tif"),
-             "CLOUD": str(folder / "cloud.laz"), "TILES": str(folder / "tiles.gpkg"),
+             "CLOUD": str(folder / "cloud.laz"), "EPT": str(folder / "ept"), "MESH": str(folder / "mesh.ply"),
+             "TILES": str(folder / "tiles.gpkg"),
              "TIE_POINTS": str(folder / "ties.gpkg"), "REPORT": str(folder / "report.html"), "RESOLUTION": 1.0}
     return given, *run("pipeline", **given)
 
 
 def test_the_pipeline_makes_all_that_it_names(whole):
     given, results, heard = whole
-    for name in ("OUTPUT", "CONFIDENCE", "ORTHO", "CLOUD", "TILES", "TIE_POINTS", "REPORT", "WORKSPACE"):
+    for name in ("OUTPUT", "CONFIDENCE", "ORTHO", "CLOUD", "EPT", "MESH", "TILES", "TIE_POINTS", "REPORT",
+                 "WORKSPACE"):
         assert results[name] == given[name]
         assert os.path.exists(results[name])
     assert os.path.exists(results["SCENE"])
@@ -90,15 +98,31 @@ def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
     np.testing.assert_array_equal(got[0], want[0])
 
 
-def test_the_shipped_model_gives_the_pipelines_dsm(whole, run, town, tmp_path):
-    results, _ = run("dsm_by_stages", IMAGES=town["images"], RESOLUTION=1.0, **{
-        "dsmfuse:DSM": str(tmp_path / "dsm.tif"), "epmfit:WORKSPACE": str(tmp_path / "w"),
-        "epmfit:TILES": str(tmp_path / "t.gpkg"), "epmfit:REPORT": str(tmp_path / "r.html"),
-        "errormap:ERROR_MAP": str(tmp_path / "e.tif"), "reconstruct:TIE_POINTS": str(tmp_path / "p.gpkg")})
+def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town, tmp_path):
+    from processing.gui.Postprocessing import handleAlgorithmResults
+
+    project, context, feedback = QgsProject(), QgsProcessingContext(), ears()
+    context.setProject(project)
+    layers = {"dsmfuse:DSM": "dsm.tif", "epmfit:TILES": "t.gpkg", "errormap:ERROR_MAP": "e.tif",
+              "reconstruct:TIE_POINTS": "p.gpkg"}
+    given = {"IMAGES": town["images"], "RESOLUTION": 1.0, "epmfit:WORKSPACE": str(tmp_path / "old town"),
+             "epmfit:REPORT": str(tmp_path / "r.html"),
+             **{key: QgsProcessingOutputLayerDefinition(str(tmp_path / name), project) for key, name in layers.items()}}
+    model = QgsApplication.processingRegistry().algorithmById("repm:dsm_by_stages")
+    results, fine = model.run(given, context, feedback)
+    assert fine, feedback.heard["error"]
     got, want = heights(results["dsmfuse:DSM"]), heights(whole[1]["OUTPUT"])
     assert got[1] == want[1]
     np.testing.assert_array_equal(got[0], want[0])
-    assert os.path.exists(tmp_path / "e.tif")
+    # On the map as the pipeline's are: one group, though the later stages know only temporary folders.
+    assert handleAlgorithmResults(model, context, feedback, parameters=given)
+    group, = project.layerTreeRoot().children()
+    assert group.name() == "old town"
+    sources = [pathlib.Path(node.layer().source().split("|")[0]).name for node in group.findLayers()]
+    assert sources == ["p.gpkg", "t.gpkg", "e.tif", "dsm.tif"]
+    assert all(node.itemVisibilityChecked() for node in group.findLayers())
+    assert isinstance(group.findLayers()[-1].layer().renderer(), QgsSingleBandPseudoColorRenderer)
+    project.clear()
 
 
 def test_cancel_in_the_middle_leaves_a_workspace_that_goes_on(plugin, ears, run, whole, town, tmp_path):

@@ -60,7 +60,9 @@ def desktop(tmp_path):
 
 
 def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_path):
-    found = desktop("Make a DSM from satellite", {"IMAGES": town["images"], "WORKSPACE": str(tmp_path / "old town")})
+    found = desktop("Make a DSM from satellite", {
+        "IMAGES": town["images"], "WORKSPACE": str(tmp_path / "old town"), "CONFIDENCE": "TEMPORARY_OUTPUT",
+        "ORTHO": "TEMPORARY_OUTPUT", "EPT": str(tmp_path / "points"), "MESH": str(tmp_path / "mesh.ply")})
     assert found["chosen"] == "repm:pipeline"
     assert found["success"]
     layers = {layer["name"]: layer for layer in found["layers"]}
@@ -68,8 +70,12 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     assert layers["DSM old town (WGS 84 ellipsoid)"]["renderer"] == "QgsSingleBandPseudoColorRenderer"
     assert layers["Tiles old town"]["renderer"] == "QgsGraduatedSymbolRenderer"
     assert layers["Tie points old town"]["renderer"] != "QgsSingleSymbolRenderer"
-    names = [layer["name"] for layer in found["layers"]]
-    assert names.index("DSM old town (WGS 84 ellipsoid)") == len(layers) - 1  # hides nothing
+    # In one group, in an order in which nothing hides what matters.
+    assert [(layer["name"].replace(" old town", ""), layer["shown"]) for layer in found["layers"]] == [
+        ("Tie points", True), ("Tiles", True), ("Point cloud", False), ("Orthophoto", False), ("Confidence", False),
+        ("Mesh", False), ("DSM (WGS 84 ellipsoid)", True)]
+    assert {layer["group"] for layer in found["layers"]} == {"old town"}
+    assert layers["Point cloud old town"]["renderer"] == "QgsPointCloudAttributeByRampRenderer"
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())
 
 

@@ -73,7 +73,7 @@ def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context
     found = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": "", "CRS": "EPSG:32632"}, context, feedback)
     assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "vertical_datum": "",
                      "method": "mean", "fill": "occlusions",
-                     "outlier_radius": None, "workers": 0, "memory": 0}
+                     "outlier_radius": None, "mesh_vertices": 500000, "workers": 0, "memory": 0}
     zero = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": 0}, context, feedback)
     assert zero["outlier_radius"] == 0.0
     assert zero["crs"] is None

@@ -208,6 +208,17 @@ def test_a_cloud_of_another_format_is_refused_before_the_work(bench, tmp_path, c
     assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
 
 
+def test_a_mesh_of_another_format_and_a_folder_in_use_are_refused_before_the_work(bench, tmp_path):
+    text = bench.fails(OptionError, mesh=str(tmp_path / "mesh.obj"))
+    assert "MESH" in text and "mesh.obj" in text and "must end with .ply" in text
+    assert "MESH_VERTICES is -1" in bench.fails(OptionError, mesh_vertices=-1)
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").touch()
+    text = bench.fails(WorkspaceError, ept=str(tmp_path / "photos"))
+    assert "photos" in text and "cat.jpg" in text
+    assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
+
+
 @pytest.mark.parametrize("crs, words", (
     ("EPSG:nonsense", "not a coordinate reference system that PROJ knows"), ("EPSG:4326", "projected"),
     ("EPSG:2263", "metres"), ("EPSG:32631+5773", "vertical"), ("EPSG:3031", "such as EPSG:32631"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -125,6 +126,38 @@ def test_the_cloud_lies_on_the_dsm(urban_run):
     assert abs(np.nanmedian(difference)) < 0.1 and np.nanpercentile(np.abs(difference), 99) < 5
 
 
+def test_the_ept_has_the_clouds_points_and_the_mesh_the_dsms_heights(urban_run):
+    def points(paths):
+        rows = np.vstack([np.column_stack([part.x, part.y, part.z]) for part in map(laspy.read, paths)])
+        return rows[np.lexsort(rows.T)]
+
+    folder = Path(urban_run.result["ept"])
+    ours, theirs = points(sorted(folder.glob("ept-data/*.laz"))), points([urban_run.result["cloud"]])
+    assert ours.shape == theirs.shape and np.abs(ours - theirs).max() < 1e-6
+    assert json.loads((folder / "ept.json").read_text())["points"] == urban_run.result["points"]
+    assert (folder / "ept.qml").exists() and Path(urban_run.result["mesh"]).with_suffix(".qml").exists()
+
+    (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
+    rows, cols = np.nonzero(np.isfinite(height))
+    head, body = Path(urban_run.result["mesh"]).read_bytes().split(b"end_header\n", 1)
+    assert b"element vertex %d\n" % len(rows) in head
+    np.testing.assert_array_equal(
+        np.frombuffer(body, "<f8", 3 * len(rows)).reshape(-1, 3),
+        np.column_stack([west + (cols + 0.5) * cell, north - (rows + 0.5) * cell, height[rows, cols]]))
+
+
+def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
+    said = told()
+    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"),
+                                  "resolution": 1.0, "ept": str(tmp_path / "ept"), "mesh": str(tmp_path / "m.ply"),
+                                  "mesh_vertices": 2000, "vertical_datum": "", "workers": 1}, said)
+    assert fused["cloud"] is None and fused["ept"] == str(tmp_path / "ept")
+    assert json.loads((tmp_path / "ept" / "ept.json").read_text())["points"] == fused["points"] > 10000
+    assert any("rows and columns (MESH_VERTICES)" in note for note in said.notes)
+    assert not list(tmp_path.rglob("*.laz.*")) and not list(urban_run.workspace.glob(".fusion*"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.qml", "dsm.tif", "ept", "m.ply", "m.qml"]
+
+
 def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban):
     """Each cell's brightness is that of the nearest pixel of one of the views that see it there."""
     (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
@@ -211,13 +244,16 @@ def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
     result = run_stage("pipeline", {**urban_run.options, "workspace": str(tmp_path / "ws"), "workers": 2,
                                     **{name: str(tmp_path / f"{name}{end}") for name, end in (
                                         ("output", ".tif"), ("confidence", ".tif"), ("ortho", "_o.tif"),
-                                        ("cloud", ".laz"))}}, told())
+                                        ("cloud", ".laz"), ("ept", ""), ("mesh", ".ply"))}}, told())
     for name in ("output", "confidence", "ortho"):
         ours, theirs = bands(result[name]), bands(urban_run.result[name])
         assert ours[1] == theirs[1]
         np.testing.assert_array_equal(ours[0], theirs[0])
     a, b = (laspy.read(r["cloud"]) for r in (result, urban_run.result))
     np.testing.assert_array_equal(a.xyz, b.xyz)
+    assert Path(result["mesh"]).read_bytes() == Path(urban_run.result["mesh"]).read_bytes()
+    for path in Path(urban_run.result["ept"]).rglob("*.*"):
+        assert path.read_bytes() == (Path(result["ept"]) / path.relative_to(urban_run.result["ept"])).read_bytes()
 
 
 def test_an_extent_cuts_the_dsm(urban, tmp_path, told):

@@ -47,7 +47,7 @@ def reused(said):
 def whole(urban, tmp_path_factory, pipeline):
     """A pair's DSM in four tiles, from an undisturbed run."""
     return pipeline(urban, tmp_path_factory.mktemp("whole"), images=urban.images[:2], resolution=0.5, tile_size=256,
-                    confidence=None, ortho=None, cloud=None, workers=1)
+                    confidence=None, ortho=None, cloud=None, ept=None, mesh=None, workers=1)
 
 
 @pytest.fixture

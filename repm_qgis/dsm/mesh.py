@@ -1,0 +1,150 @@
+"""The DSM as a triangle mesh in a PLY file, which QGIS shows as a mesh layer and every 3-D program opens."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, Iterator, Optional, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+from osgeo import gdal
+
+from ..errors import EmptyResultError, OptionError, WorkspaceError
+from ..geometry.vertical import ELLIPSOID, TAG
+from ..imagery.raster import opened, read
+from ..progress import Progress, Silent
+from ..workspace import take_name, temporary_name
+
+_BLOCK_CELLS = 1 << 18
+_FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
+# Corners of the square between four cells, as (row, column): triangles counter-clockwise, seen from above.
+_A, _B, _C, _D = (0, 0), (0, 1), (1, 0), (1, 1)
+_TRIANGLES = np.array([[_A, _C, _D], [_A, _D, _B], [_A, _C, _B], [_B, _C, _D]])
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Every ``step``-th cell of a DSM."""
+
+    dataset: gdal.Dataset
+    step: int
+    progress: Progress
+
+    def rows(self) -> Iterator[Tuple[int, NDArray[np.float32]]]:
+        """Blocks of rows with the number of their first; memory does not grow with the DSM."""
+        width, height = self.dataset.RasterXSize, self.dataset.RasterYSize
+        lines = max(_BLOCK_CELLS // width // self.step, 1) * self.step
+        for row in range(0, height, lines):
+            self.progress.check_cancelled()
+            block = read(self.dataset, (0, row, width, min(lines, height - row)))
+            yield row // self.step, block[::self.step, ::self.step]
+
+    def squares(self) -> Iterator[Tuple[NDArray[np.float32], NDArray[np.int64]]]:
+        """Heights and numbers of vertices, each block with the last row of the one before."""
+        above: Optional[Tuple[NDArray, NDArray]] = None
+        count = 0
+        for _, block in self.rows():
+            known = np.isfinite(block)
+            numbers = count + np.cumsum(known.ravel()).reshape(known.shape) - 1
+            count += int(known.sum())
+            pair = (block, numbers) if above is None else (np.vstack([above[0], block]), np.vstack([above[1], numbers]))
+            above = block[-1:], numbers[-1:]
+            yield pair
+
+    def places(self, first: int, block: NDArray[np.float32]) -> NDArray[np.float64]:
+        """(N, 3) x, y, height at the centres of the cells that have one."""
+        row, column = np.nonzero(np.isfinite(block))
+        x0, cell_x, _, y0, _, cell_y = self.dataset.GetGeoTransform()
+        return np.column_stack([x0 + (column * self.step + 0.5) * cell_x,
+                                y0 + ((row + first) * self.step + 0.5) * cell_y, block[row, column]])
+
+    def vertices(self) -> int:
+        return sum(int(np.isfinite(block).sum()) for _, block in self.rows())
+
+
+def write_mesh(dsm: str, path: str, max_vertices: int = 0, progress: Optional[Progress] = None) -> Dict[str, Any]:
+    """Write a DSM's surface as a binary PLY, whole or not at all; gives ``vertices``, ``faces`` and ``step``.
+
+    Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where more than
+    ``max_vertices`` (0: no limit) would come, only those of every second, third, ... row and column. Triangles join
+    three neighbours that have a height, and so leave holes open; of a square's two diagonals the flatter one is taken,
+    which keeps edges of roofs straight.
+
+    Raises OptionError for another extension, EmptyResultError for a DSM without heights, WorkspaceError where the file
+    cannot be written.
+    """
+    if Path(path).suffix.lower() != ".ply":
+        raise OptionError("MESH", path, "must end with .ply")
+    progress = progress or Silent()
+    temporary = temporary_name(path)
+    with opened(dsm) as dataset:
+        lattice, vertices = _thinned(dataset, max_vertices, progress)
+        if not vertices:
+            raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
+        faces = sum(len(_cells(heights)[0]) for heights, _ in lattice.squares())
+        try:
+            _write(temporary, lattice, vertices, faces)
+            take_name(temporary, path)
+        except OSError as error:
+            if isinstance(error, WorkspaceError):
+                raise
+            raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another "
+                                 "place.") from error
+        finally:
+            if os.path.exists(temporary):
+                os.unlink(temporary)
+    return {"vertices": vertices, "faces": faces, "step": lattice.step}
+
+
+def _thinned(dataset: gdal.Dataset, max_vertices: int, progress: Progress) -> Tuple[_Lattice, int]:
+    """The finest lattice that stays within the limit, and its vertices."""
+    limit = min(max_vertices or np.inf, np.iinfo(np.int32).max)  # PLY's indices
+    lattice = _Lattice(dataset, 1, progress)
+    vertices = lattice.vertices()
+    while vertices > limit:
+        lattice = _Lattice(dataset, max(math.isqrt(int(vertices // limit)) * lattice.step, lattice.step + 1), progress)
+        vertices = lattice.vertices()
+    return lattice, vertices
+
+
+def _write(path: str, lattice: _Lattice, vertices: int, faces: int) -> None:
+    with open(path, "wb") as stream:
+        stream.write(_header(lattice.dataset, vertices, faces))
+        for first, block in lattice.rows():
+            stream.write(lattice.places(first, block).astype("<f8").tobytes())
+        for heights, numbers in lattice.squares():
+            stream.write(_faces(heights, numbers).tobytes())
+
+
+def _header(dataset: gdal.Dataset, vertices: int, faces: int) -> bytes:
+    """MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT"."""
+    heights = dataset.GetMetadataItem(TAG) or ELLIPSOID
+    lines = ["ply", "format binary_little_endian 1.0", f"comment crs: {dataset.GetProjection()}",
+             f"comment heights: metres above the {heights}", f"element vertex {vertices}",
+             *(f"property double {axis}" for axis in "xyz"), f"element face {faces}",
+             "property list uchar int vertex_indices", "end_header", ""]
+    return "\n".join(lines).encode("utf-8")
+
+
+def _cells(heights: NDArray[np.float32]) -> Tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Row, column and kind (of ``_TRIANGLES``) of all triangles between the rows of a block."""
+    a, b, c, d = heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]
+    has = [np.isfinite(corner) for corner in (a, b, c, d)]
+    whole = has[0] & has[1] & has[2] & has[3]
+    down = np.zeros(whole.shape, dtype=bool)
+    down[whole] = np.abs(a[whole] - d[whole]) <= np.abs(b[whole] - c[whole])
+    three = [np.logical_and.reduce([has[i] for i in range(4) if i != gone]) & ~has[gone] for gone in range(4)]
+    falling, rising = whole & down, whole & ~down
+    return np.nonzero(np.stack([falling | three[1], falling | three[2], rising | three[3], rising | three[0]], axis=-1))
+
+
+def _faces(heights: NDArray[np.float32], numbers: NDArray[np.int64]) -> NDArray:
+    row, column, kind = _cells(heights)
+    corners = _TRIANGLES[kind]
+    faces = np.empty(len(kind), _FACE)
+    faces["corners"] = 3
+    faces["vertices"] = numbers[row[:, None] + corners[..., 0], column[:, None] + corners[..., 1]]
+    return faces
