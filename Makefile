@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-large bench-clouds bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-large bench-clouds bench-confidence bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,6 +40,9 @@ bench-matching: setup ## the matcher with one thing changed at a time (writes do
 
 bench-masks: setup ## water and clouds: what comes out as nodata, what is lost on land (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/masks.py
+
+bench-confidence: setup ## whether two thirds of heights are within their expected error (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/confidence.py
 
 bench-views: setup ## what a third view adds to the best pair on truth scenes (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/views.py

@@ -788,6 +788,14 @@
         <source>Mesh</source>
         <translation>Netz</translation>
     </message>
+    <message>
+        <source>DSM of each pair alone</source>
+        <translation>DOM jedes Paares für sich</translation>
+    </message>
+    <message>
+        <source>A folder for the surface that each pair of images sees by itself, with its confidence: to see which pair an error comes from.</source>
+        <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich sieht, mit ihrer Güte: um zu sehen, von welchem Paar ein Fehler kommt.</translation>
+    </message>
 </context>
 <context>
     <name>RepmProvider</name>

@@ -7,7 +7,7 @@ import os
 import shutil
 from typing import Any, Iterator, Mapping
 
-_FOLDERS = ("workspace", "folder", "heights")
+_FOLDERS = ("workspace", "folder", "heights", "view_heights")
 _FILES_WITH_COMPANY = ("output_scene", "scene")  # products, and what fusion keeps, lie in the scene's folder
 _FILES = ("output", "confidence", "ortho", "cloud", "tiles", "tie_points", "error", "report", "mesh")
 _NEW_FOLDERS = ("ept",)  # built under another name

@@ -317,4 +317,7 @@ def dsm_products() -> list[QgsProcessingParameterDefinition]:
                 "CLOUD", tr("Point cloud"), "LAZ (*.laz);;LAS (*.las)", **extra),
             helped(QgsProcessingParameterFolderDestination("EPT", tr("Point cloud for display (EPT)"), **extra),
                    tr("A folder of its own with the points as Entwine point tiles, which every QGIS shows.")),
-            QgsProcessingParameterFileDestination("MESH", tr("Mesh"), "PLY (*.ply)", **extra)]
+            QgsProcessingParameterFileDestination("MESH", tr("Mesh"), "PLY (*.ply)", **extra),
+            helped(QgsProcessingParameterFolderDestination("VIEW_HEIGHTS", tr("DSM of each pair alone"), **extra),
+                   tr("A folder for the surface that each pair of images sees by itself, with its confidence: to see "
+                      "which pair an error comes from."))]

@@ -260,8 +260,8 @@ class DsmFuseOptions(Options):
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
     None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``: files to write, None = not wanted;
-    ``ept`` is a folder. ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``memory`` as in
-    ``ReconstructOptions``.
+    ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone. ``mesh_vertices``: at most so many in
+    the mesh, 0 = one a cell. ``memory`` as in ``ReconstructOptions``.
     """
 
     scene: str
@@ -280,6 +280,7 @@ class DsmFuseOptions(Options):
     ept: Optional[str] = None
     mesh: Optional[str] = None
     mesh_vertices: int = 500_000
+    view_heights: Optional[str] = None
 
     def __post_init__(self) -> None:
         _given("SCENE", self.scene)
@@ -344,6 +345,7 @@ class PipelineOptions(Options):
     ept: Optional[str] = None
     mesh: Optional[str] = None
     mesh_vertices: int = 500_000
+    view_heights: Optional[str] = None
 
     def __post_init__(self) -> None:
         # The stages' own options check everything else; building them here makes a wrong value fail at once.

@@ -66,8 +66,8 @@ class FusedTile:
 class StoredTile:
     """A fused tile on disk, and what must be known of it before the DSM can be laid out.
 
-    ``valid`` counts the cells with a height, ``filled`` those of them that have the background's, ``cells`` the
-    tile's own; ``columns`` and ``rows`` are the first and last
+    ``metres_per_px`` of its height maps. ``valid`` counts the cells with a height, ``filled`` those of them that have
+    the background's, ``cells`` the tile's own; ``columns`` and ``rows`` are the first and last
     of the window that have a height, None where none has.
     """
 
@@ -79,6 +79,7 @@ class StoredTile:
     needed: int
     columns: Optional[Tuple[int, int]]
     rows: Optional[Tuple[int, int]]
+    metres_per_px: Tuple[float, ...]
 
     def load(self) -> FusedTile:
         """The tile's cells again, in the precision that products have."""
@@ -110,7 +111,8 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     cells = known.size if tile.own is None else int(tile.own.sum())
     return StoredTile(path, int(known.sum()), int(fused.filled.sum()), cells, tile.removed, tile.needed,
-                      *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)))
+                      *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)),
+                      tuple(record["metres_per_px"] for record in task.records))
 
 
 def fuse_tile(task: FuseTask) -> FusedTile:

@@ -66,7 +66,7 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
         scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
         options.outlier_radius,
         options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum, options.memory,
-        options.ept, options.mesh, options.mesh_vertices), p))
+        options.ept, options.mesh, options.mesh_vertices, options.view_heights), p))
     report_path = options.report or str(folder / "report.html")
     products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
                 "tie_points": heights["tie_points"], "heights": heights["heights"]}

@@ -41,9 +41,10 @@ end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record["metres_
 '''
 FUSING = BEGIN + '''
 from repm_qgis.dsm.fusion import FuseTask, fuse_to_disk
-from repm_qgis.stages.dsmfuse import _layout
+from repm_qgis.dsm.products import Layout
 records = tuple(tile.heights[:1] * int(extra))
-grid, windows = _layout(scene, [tile], scene.crs, side)
+layout = Layout.of(scene, [tile], scene.crs, side)
+grid, windows = layout.grid, layout.windows
 fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, "median", "occlusions", 1.5, (),
                        False), out + ".npz"))
 end([record["size"][0] * record["size"][1] for record in records], grid.shape[0] * grid.shape[1])
