@@ -2,7 +2,8 @@
 """Make docs/pictures again ('make pictures'): nothing there is drawn by hand.
 
 Takes the demo's results ('make demo' makes them first), the report as Chromium shows it, screenshots of the desktop
-tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair. What cannot be made here is
+tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair and the report of a real
+triplet. What cannot be made here is
 said and left as it is.
 """
 
@@ -19,7 +20,7 @@ from osgeo import gdal
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 FOLDER = os.path.join(ROOT, "docs", "pictures")
 DEMO = os.path.join(ROOT, "demo")
-PAIR = os.path.join(os.path.dirname(ROOT), "shared", "data", "pleiades_pair")
+SHARED = os.path.join(os.path.dirname(ROOT), "shared", "data")
 SHOWN = {"pipeline_toolbox.png": "toolbox.png", "pipeline_dialog.png": "dialog.png", "pipeline_log.png": "log.png",
          "pipeline_map.png": "map.png", "errormap_map.png": "error_map.png"}
 MAX_BYTES = 390_000
@@ -62,30 +63,37 @@ def shaded(dsm: str, name: str, size: int, folder: str) -> None:
     keep(path, name)
 
 
-def real_pair(folder: str) -> None:
-    if not os.path.isdir(PAIR):
-        say(f"  pleiades_dsm.png is left as it is: no {PAIR}")
-        return
-    dsm = os.path.join(folder, "dsm.tif")
+def real(data: str, folder: str) -> str:
+    """Run the pipeline on real images of the shared data; gives the folder of the results, "" without the data."""
+    images = os.path.join(SHARED, data)
+    if not os.path.isdir(images):
+        say(f"  pictures of {data} are left as they are: no {images}")
+        return ""
+    made = os.path.join(folder, data)
+    os.makedirs(made)
+    names = sorted(name for name in os.listdir(images) if name.startswith("img_") and name.endswith(".tif"))
     subprocess.run([os.path.join(ROOT, "scripts", "qgis-headless"), "run", "repm:pipeline", "--",
-                    f"IMAGES={PAIR}/img_01.tif", f"IMAGES={PAIR}/img_02.tif", "RESOLUTION=0.5", f"OUTPUT={dsm}",
-                    f"WORKSPACE={folder}/w"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    shaded(dsm, "pleiades_dsm.png", 640, folder)
+                    *(f"IMAGES={images}/{name}" for name in names), "RESOLUTION=0.5", f"OUTPUT={made}/dsm.tif",
+                    f"CONFIDENCE={made}/confidence.tif", f"WORKSPACE={made}", f"REPORT={made}/report.html"], check=True,
+                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return made
 
 
-def report(folder: str) -> None:
+def report(source: str, name: str, height: int, folder: str) -> None:
+    """A run's report as Chromium shows it, from the top."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if not browser:
-        say("  report.png is left as it is: no Chromium here")
+        say(f"  {name} is left as it is: no Chromium here")
         return
-    path, page = os.path.join(folder, "report.png"), os.path.join(folder, "report.html")
-    with open(os.path.join(DEMO, "report.html"), encoding="utf-8") as source, open(page, "w", encoding="utf-8") as copy:
-        copy.write(source.read().replace(DEMO + os.sep, ""))  # the picture is to show no folder of this machine
+    path, page = os.path.join(folder, name), os.path.join(folder, "report.html")
+    with open(os.path.join(source, "report.html"), encoding="utf-8") as text, open(page, "w", encoding="utf-8") as copy:
+        # The picture is to show no folder of this machine.
+        copy.write(text.read().replace(source + os.sep, "").replace(SHARED + os.sep, ""))
     subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
                     "--disable-component-update", "--disable-sync", "--no-first-run", "--hide-scrollbars",
-                    f"--user-data-dir={folder}/browser", "--window-size=1000,1500", f"--screenshot={path}",
+                    f"--user-data-dir={folder}/browser", f"--window-size=1000,{height}", f"--screenshot={path}",
                     f"file://{page}"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    keep(path, "report.png")
+    keep(path, name)
 
 
 def desktop(folder: str) -> None:
@@ -104,9 +112,14 @@ def main() -> int:
     os.makedirs(FOLDER, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         shaded(os.path.join(DEMO, "dsm.tif"), "demo_dsm.png", 640, folder)
-        report(folder)
+        report(DEMO, "report.png", 1500, folder)
         desktop(folder)
-        real_pair(folder)
+        pair = real("pleiades_pair", folder)
+        if pair:
+            shaded(os.path.join(pair, "dsm.tif"), "pleiades_dsm.png", 640, folder)
+        triplet = real("pleiades_triplet", folder)
+        if triplet:
+            report(triplet, "report_triplet.png", 3600, folder)
     return 0
 
 

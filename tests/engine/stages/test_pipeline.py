@@ -370,3 +370,21 @@ def test_the_pipeline_hands_the_adjustment_on(urban, told, tmp_path, monkeypatch
         run_stage("pipeline", {"images": list(urban.images), "workspace": str(tmp_path / "w"), "pointing": "shift",
                                "output": str(tmp_path / "dsm.tif"), "adjustment": "colmap"}, told())
     assert caught.value.args == ("colmap", "shift")
+
+
+def test_holes_are_filled_on_the_scenes_dem_and_said(urban, tmp_path, pipeline):
+    """FILL=all with a DEM: no hole is left inside, the fourth band tells them, and they lie on the DEM's surface."""
+    dem = str(tmp_path / "dem.tif")
+    gdal.Warp(dem, urban.truth, xRes=20, yRes=20, resampleAlg="average")
+    run = pipeline(urban, tmp_path, images=urban.images[:2], dem=dem, fill="all", resolution=0.5, workers=1)
+    (height,), transform = bands(run.result["output"])
+    source = bands(run.result["confidence"])[0][3]
+    on_dem = source == 3
+    assert on_dem.sum() > 50 and run.result["interpolated"] == (source >= 2).sum()
+    assert np.isfinite(height[on_dem]).all() and np.isnan(source[np.isnan(height)]).all()
+    west, cell, _, north, _, _ = transform
+    rows, columns = height.shape
+    coarse = gdal.Warp("", dem, format="MEM", outputBounds=(west, north - rows * cell, west + columns * cell, north),
+                       width=columns, height=rows, resampleAlg="bilinear").ReadAsArray()
+    covered = on_dem & (coarse > -9000)
+    assert covered.sum() > 50 and np.median(np.abs(height - coarse)[covered]) < 6  # a DEM of 20 m cells has no walls
