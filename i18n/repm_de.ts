@@ -820,6 +820,13 @@
     </message>
 </context>
 <context>
+    <name>RepmStyles</name>
+    <message>
+        <source>Hillshade</source>
+        <translation>Schummerung</translation>
+    </message>
+</context>
+<context>
     <name>SampleData</name>
     <message>
         <source>Make sample images</source>

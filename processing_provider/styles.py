@@ -13,13 +13,23 @@ from qgis.core import (
     QgsProcessingFeedback,
     QgsProcessingLayerPostProcessorInterface,
     QgsProcessingUtils,
+    QgsProject,
     QgsProviderRegistry,
+    QgsRasterLayer,
 )
+from qgis.PyQt.QtCore import QCoreApplication
 
-FROM_TOP = ("gcps", "tie_points", "tiles", "error", "dsm_error", "ept", "ortho", "confidence", "mesh", "dsm")
+from .engine import PLUGIN_FOLDER
+
+FROM_TOP = ("gcps", "tie_points", "tiles", "error", "dsm_error", "ept", "ortho", "confidence", "mesh", "hillshade",
+            "dsm")
 """Kinds of layers of a scene from top to bottom: nothing hides what is to be looked at first."""
 _LOOKED_AT_LATER = ("ept", "ortho", "confidence", "mesh")  # above the DSM, and switched off: switched on, they show
 _ORDER = "repm/order"
+
+
+def _tr(text: str) -> str:
+    return QCoreApplication.translate("RepmStyles", text)
 
 
 class Dresser(QgsProcessingLayerPostProcessorInterface):
@@ -50,12 +60,28 @@ class Dresser(QgsProcessingLayerPostProcessorInterface):
             layer.loadNamedStyle(self._style)
             layer.triggerRepaint()
         node = context.project().layerTreeRoot().findLayer(layer.id()) if context.project() is not None else None
-        if node is not None and node.parent() is not None:
-            _place(node, self._kind, self._group)
+        if node is None or node.parent() is None:
+            return
+        placed = _place(node, self._kind, self._group)
+        if self._kind == "dsm":
+            _shade(layer, placed, context.project(), self._group)
 
 
-def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> None:
-    """Move a layer into its scene's group (QGIS before 3.32 knows none), to its place from the top."""
+def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, group: str) -> None:
+    """Lay the DSM's own hillshade over its colours: one raster layer can have only one of the two."""
+    hillshade = QgsRasterLayer(layer.source(), f"{_tr('Hillshade')} {group}".strip(), layer.providerType())
+    if not hillshade.isValid():
+        return
+    hillshade.loadNamedStyle(os.path.join(PLUGIN_FOLDER, "resources", "styles", "hillshade.qml"))
+    hillshade.setCrs(layer.crs())
+    project.addMapLayer(hillshade, False)
+    above = node.parent().insertLayer(node.parent().children().index(node), hillshade)
+    above.setCustomProperty(_ORDER, FROM_TOP.index("hillshade"))
+    above.setExpanded(False)
+
+
+def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> QgsLayerTreeLayer:
+    """Move a layer into its scene's group (QGIS before 3.32 knows none), to its place from the top; gives its node."""
     parent = node.parent()
     group = _group(parent, name) if name else parent
     order = FROM_TOP.index(kind)
@@ -65,6 +91,7 @@ def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> None:
     copy.setExpanded(node.isExpanded() and kind not in _LOOKED_AT_LATER)
     group.insertChildNode(_index(group, node, order), copy)
     parent.removeChildNode(node)
+    return copy
 
 
 def _group(parent: QgsLayerTreeGroup, name: str) -> QgsLayerTreeGroup:

@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "processing_provider"
 BASE = "RepmAlgorithm"  # the context of what all algorithms share; base.py looks there second
-MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings"}
+MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings", "styles.py": "RepmStyles"}
 
 
 def texts_of(path: pathlib.Path) -> dict[str, list[str]]:

@@ -6,7 +6,7 @@ filled in here. Each is valid for QGIS 3.22 and later.
 | kind | what | range |
 |---|---|---|
 | dsm | elevation colours | 2..98 % of the heights |
-| hillshade | QGIS's own hillshade, to lay over or under ``dsm`` | none |
+| hillshade | QGIS's own hillshade, multiplied with the ``dsm`` that it lies over | none |
 | error | equivalent error in px, from dark (none) to bright | 0..98 % |
 | dsm_error | DSM - reference, blue (too low), white, red (too high) | symmetric about 0 |
 | ept, mesh | elevation colours of the DSM that comes with them | given |

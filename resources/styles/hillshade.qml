@@ -4,13 +4,13 @@
     <provider>
       <resampling enabled="false" maxOversampling="2" zoomedInResamplingMethod="nearestNeighbour" zoomedOutResamplingMethod="nearestNeighbour"/>
     </provider>
-    <rasterrenderer type="hillshade" band="1" opacity="1" alphaBand="-1" nodataColor="" angle="45" azimuth="315" zfactor="1" multidirection="1">
+    <rasterrenderer type="hillshade" band="1" opacity="0.6" alphaBand="-1" nodataColor="" angle="45" azimuth="315" zfactor="1" multidirection="1">
       <rasterTransparency/>
     </rasterrenderer>
-    <brightnesscontrast brightness="0" contrast="0" gamma="1"/>
+    <brightnesscontrast brightness="30" contrast="0" gamma="1"/>
     <huesaturation colorizeOn="0" grayscaleMode="0" saturation="0"/>
     <rasterresampler maxOversampling="2" zoomedOutResampler="bilinear"/>
     <resamplingStage>resamplingFilter</resamplingStage>
   </pipe>
-  <blendMode>0</blendMode>
+  <blendMode>6</blendMode>
 </qgis>

@@ -119,7 +119,7 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
     group, = project.layerTreeRoot().children()
     assert group.name() == "old town"
     sources = [pathlib.Path(node.layer().source().split("|")[0]).name for node in group.findLayers()]
-    assert sources == ["p.gpkg", "t.gpkg", "e.tif", "dsm.tif"]
+    assert sources == ["p.gpkg", "t.gpkg", "e.tif", "dsm.tif", "dsm.tif"]  # the DSM under its own hillshade
     assert all(node.itemVisibilityChecked() for node in group.findLayers())
     assert isinstance(group.findLayers()[-1].layer().renderer(), QgsSingleBandPseudoColorRenderer)
     project.clear()

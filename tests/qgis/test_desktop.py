@@ -73,7 +73,7 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     # In one group, in an order in which nothing hides what matters.
     assert [(layer["name"].replace(" old town", ""), layer["shown"]) for layer in found["layers"]] == [
         ("Tie points", True), ("Tiles", True), ("Point cloud", False), ("Orthophoto", False), ("Confidence", False),
-        ("Mesh", False), ("DSM (WGS 84 ellipsoid)", True)]
+        ("Mesh", False), ("Hillshade", True), ("DSM (WGS 84 ellipsoid)", True)]
     assert {layer["group"] for layer in found["layers"]} == {"old town"}
     assert layers["Point cloud old town"]["renderer"] == "QgsPointCloudAttributeByRampRenderer"
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())

@@ -111,7 +111,7 @@ def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedbac
     root = load.project.layerTreeRoot()
     assert tree(root) == [("old town", True), [
         ("Point cloud old town", False), ("Orthophoto old town", False), ("Confidence old town", False),
-        ("Mesh old town", False), (f"DSM old town {datum}", True)]]
+        ("Mesh old town", False), ("Hillshade old town", True), (f"DSM old town {datum}", True)]]
 
     cloud, = load.project.mapLayersByName("Point cloud old town")
     with laspy.open(results["CLOUD"]) as reader:
