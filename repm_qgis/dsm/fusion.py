@@ -15,6 +15,7 @@ from ..scene import Scene, View
 from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
 from .grid import CellGrid, grid_points
 from .ortho import orthophoto
+from .outliers import without_lone_points
 
 FloatArray = NDArray[np.float64]
 
@@ -166,8 +167,8 @@ def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource])
 def _layer(grid: CellGrid, heights: HeightMap, record: Dict[str, Any], spacing: float) -> Layer:
     """A height map on the cells: what was matched, and the background where an occlusion hides it, each by itself."""
     filled = np.flatnonzero(heights.filled)
-    height, score = grid_points(grid, heights.x, heights.y, np.where(heights.filled, np.nan, heights.height),
-                                heights.score, spacing)
+    matched = without_lone_points(np.where(heights.filled, np.nan, heights.height), record["metres_per_px"])
+    height, score = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing)
     background = np.full(grid.shape, np.nan)
     if filled.size:
         x, y, z = (part.ravel()[filled] for part in (heights.x, heights.y, heights.height))

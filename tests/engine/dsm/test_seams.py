@@ -28,7 +28,7 @@ def stored(folder, offsets, spoil=None):
         wide = whole[r0:row + height + MARGIN_CELLS, c0:col + width + MARGIN_CELLS]
         path = str(folder / f"{number}.npz")
         np.save(wide_file(path), wide.astype(np.float32))
-        tiles.append(StoredTile(path, 0, 0, 0, 0, 6, None, None))
+        tiles.append(StoredTile(path, 0, 0, 0, 0, 6, None, None, (1.0,)))
         own.append(whole[row:row + height, col:col + width])
     result = np.full(SHAPE, np.nan)
     for index, (col, row, width, height) in enumerate(WINDOWS):
