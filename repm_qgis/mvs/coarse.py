@@ -29,7 +29,7 @@ _LEAST_SPAN = 48            # px of disparity below which there is nothing to ga
 _WORTH = 0.8                # of the whole span: a guide that leaves more is not used
 _LEAST_CELLS = 0.05         # of all cells must be matched, or there is no guide
 _MEDIAN_CELLS = 5           # a side: houses are smaller, hills are not
-_SLOPE = 0.7                # px of disparity a px, at most: at 1 the second image would fold
+_RISE, _FALL = 0.7, 1.75    # px of disparity a px, at most: rising by 1 the second image would fold, falling never
 _TAIL = 0.05                # percent of the coarse residuals on either side that may be blunders
 _MARGIN_PX = 8              # beyond what the coarse level saw,
 _MARGIN_ABOVE_M = 40.0      # and above it, as masts and narrow towers are lost in it
@@ -84,7 +84,7 @@ def guide_of(first: FloatImage, second: FloatImage, disparities: Tuple[int, int]
     ground = _ground(coarse)
     if ground is None:
         return None
-    ground = _bounded_slope(ground, _SLOPE * FACTOR * _CELL)
+    ground = _bounded_slope(ground, _RISE * FACTOR * _CELL, _FALL * FACTOR * _CELL)
     residual = _residual(coarse, ground)
     ends = _ends(residual, geometry)
     if ends[1] - ends[0] > _WORTH * (high - low):
@@ -137,16 +137,16 @@ def _without_gaps(cells: FloatImage) -> FloatImage:
     return result
 
 
-def _bounded_slope(ground: FloatArray, most: float) -> FloatArray:
-    """The mean of the lowest surface above and the highest below whose steps along rows are at most ``most``."""
+def _bounded_slope(ground: FloatArray, rise: float, fall: float) -> FloatArray:
+    """The mean of the lowest surface above and the highest below that rise and fall along rows by so much a step."""
     above, below = ground.copy(), ground.copy()
     columns = range(1, ground.shape[1])
     for j in columns:
-        above[:, j] = np.maximum(above[:, j], above[:, j - 1] - most)
-        below[:, j] = np.minimum(below[:, j], below[:, j - 1] + most)
+        above[:, j] = np.maximum(above[:, j], above[:, j - 1] - fall)
+        below[:, j] = np.minimum(below[:, j], below[:, j - 1] + rise)
     for j in reversed(columns):
-        above[:, j - 1] = np.maximum(above[:, j - 1], above[:, j] - most)
-        below[:, j - 1] = np.minimum(below[:, j - 1], below[:, j] + most)
+        above[:, j - 1] = np.maximum(above[:, j - 1], above[:, j] - rise)
+        below[:, j - 1] = np.minimum(below[:, j - 1], below[:, j] + fall)
     return (above + below) / 2
 
 

@@ -90,12 +90,23 @@ def test_where_the_search_cannot_be_narrowed_there_is_no_guide():
 def test_slopes_are_bounded_and_gentle_ones_kept():
     rng = np.random.default_rng(2)
     gentle = np.cumsum(rng.uniform(-0.9, 0.9, (20, 50)), axis=1)
-    assert coarse._bounded_slope(gentle, 1.0) == pytest.approx(gentle)
+    assert coarse._bounded_slope(gentle, 1.0, 1.0) == pytest.approx(gentle)
     steep = gentle.copy()
     steep[:, 25:] += 12
-    bounded = coarse._bounded_slope(steep, 1.0)
+    bounded = coarse._bounded_slope(steep, 1.0, 1.0)
     assert np.abs(np.diff(bounded, axis=1)).max() <= 1 + 1e-9
     assert np.abs(bounded[:, :8] - steep[:, :8]).max() < 1e-9 and np.abs(bounded[:, -5:] - steep[:, -5:]).max() < 1e-9
+
+
+def test_the_ground_may_fall_more_steeply_than_it_rises():
+    """Slopes that lean away from the first image of a wide pair fall by more than a px a px: only rises could fold."""
+    wall = np.zeros((3, 60))
+    wall[:, 20:] -= 24
+    bounded = coarse._bounded_slope(wall, 0.5, 2.0)
+    assert np.diff(bounded, axis=1).min() == pytest.approx(-2.0)
+    assert np.diff(bounded, axis=1).max() <= 1e-9
+    steps = np.diff(coarse._bounded_slope(-wall, 0.5, 2.0), axis=1)
+    assert steps.max() == pytest.approx(0.5) and steps.min() >= -1e-9
 
 
 def test_gaps_of_the_ground_are_filled_from_around_them():
