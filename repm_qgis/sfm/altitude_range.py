@@ -176,16 +176,20 @@ def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatA
     """Normalised cross-correlation of windows around each cell; -1 where either has gaps or no contrast."""
     b = np.roll(b, shift, axis=(0, 1))
     known = np.isfinite(a) & np.isfinite(b)
-    a, b = np.where(known, a, 0.0), np.where(known, b, 0.0)
-    count = box_mean(known.astype(np.float64), _WINDOW)
-    safe = np.maximum(count, 1e-6)
-    mean_a, mean_b = box_mean(a, _WINDOW) / safe, box_mean(b, _WINDOW) / safe
-    var_a = box_mean(a * a, _WINDOW) / safe - mean_a ** 2
-    var_b = box_mean(b * b, _WINDOW) / safe - mean_b ** 2
-    covariance = box_mean(a * b, _WINDOW) / safe - mean_a * mean_b
+    if not known.any():
+        return np.full(a.shape, np.float32(-1))
+    # About their means, so that the squares' sums do not lose what single precision has not.
+    middle_a, middle_b = a[known].mean(), b[known].mean()
+    a, b = np.where(known, a - middle_a, np.float32(0)), np.where(known, b - middle_b, np.float32(0))
+    count, mean_a, mean_b, var_a, var_b, covariance = (
+        box_mean(part, _WINDOW) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b))
+    safe = np.maximum(count, np.float32(1e-6))
+    mean_a, mean_b = mean_a / safe, mean_b / safe
+    var_a, var_b = var_a / safe - mean_a ** 2, var_b / safe - mean_b ** 2
+    covariance = covariance / safe - mean_a * mean_b
     # Contrast below a hundredth of the brightness's root is noise.
-    flat = (var_a < 1e-4 * mean_a ** 2) | (var_b < 1e-4 * mean_b ** 2) | (count < 0.8)
-    return np.where(flat, -1.0, covariance / np.sqrt(np.maximum(var_a * var_b, 1e-12)))
+    flat = ((var_a < 1e-4 * (mean_a + middle_a) ** 2) | (var_b < 1e-4 * (mean_b + middle_b) ** 2) | (count < 0.8))
+    return np.where(flat, np.float32(-1), covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12))))
 
 
 def _cross_shift(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],
