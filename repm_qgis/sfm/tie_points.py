@@ -43,7 +43,8 @@ _SPARE_FEATURES = 3         # times as many to choose an even spread from
 _BUCKETS = 12               # a side of a patch, for an even spread of features
 _WHOLE_PX = 1600            # a scene up to this side is one patch
 _CELLS = 5                  # a side of a larger scene, at most; each cell gives one patch at a time
-_CELL_PATCHES = 2           # patches a side of a cell, at least: ties of a quarter of a scene are enough
+_LEAST_CELLS = 3
+_CELL_PATCHES = 3           # patches a side of a cell, at least: ties of a ninth of a scene are enough
 _PATCH_PX = 500
 _PLACES = 6                 # a side of a cell, at most, that are looked at for the best patch
 _MARGIN_PX = 24
@@ -131,7 +132,8 @@ def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progr
         return [[(*map(float, low), *map(float, high))]]
     area = ogr.CreateGeometryFromWkt(scene.area)
     side = _PATCH_PX * scene.gsd_m
-    cells = np.maximum(np.minimum(np.ceil((high - low) / (_CELL_PATCHES * side)), _CELLS), 1).astype(int)
+    cells = np.clip(np.ceil((high - low) / (_CELL_PATCHES * side)), _LEAST_CELLS, _CELLS)
+    cells = np.maximum(np.minimum(cells, np.ceil((high - low) / side)), 1).astype(int)
     step = (high - low) / cells
     result = []
     for i, j in np.ndindex(*cells):
