@@ -24,7 +24,7 @@ PEERS = ("s2p", "cars")
 
 @dataclass(frozen=True)
 class Cost:
-    """Seconds by the clock and of all cores, and the largest resident memory of the whole process tree, GiB."""
+    """Seconds by the clock and of all cores, and the largest memory of the whole process tree, GiB."""
 
     wall_s: float
     cpu_s: float
@@ -51,7 +51,7 @@ def measured(command: Sequence[str], folder: Optional[str] = None) -> tuple[str,
     peak = 0.0
     while process.poll() is None:
         peak = max(peak, tree_gib(process.pid))
-        time.sleep(0.05)
+        time.sleep(0.1)
     for reader in readers:
         reader.join()
     after = os.times()
@@ -64,7 +64,7 @@ def measured(command: Sequence[str], folder: Optional[str] = None) -> tuple[str,
 
 
 def tree_gib(root: int) -> float:
-    """Resident memory of a process and all below it, shared pages counted once a process (so rather too much)."""
+    """Memory of a process and all below it, GiB: what they share is divided among them (PSS) where the kernel says."""
     parents, sizes = {}, {}
     for name in os.listdir("/proc"):
         if name.isdigit():
@@ -80,7 +80,17 @@ def tree_gib(root: int) -> float:
             pid = parents.get(pid, 0)
         return pid == root
 
-    return sum(size for pid, size in sizes.items() if below(pid)) * os.sysconf("SC_PAGE_SIZE") / 2**30
+    return sum(_proportional_bytes(pid) or size * os.sysconf("SC_PAGE_SIZE")
+               for pid, size in sizes.items() if below(pid)) / 2**30
+
+
+def _proportional_bytes(pid: int) -> int:
+    """Proportional set size; 0 where it is not told."""
+    try:
+        with open(f"/proc/{pid}/smaps_rollup", encoding="utf-8") as stream:
+            return next((1024 * int(line.split()[1]) for line in stream if line.startswith("Pss:")), 0)
+    except (OSError, ValueError, IndexError):
+        return 0
 
 
 # Programs --------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ import time
 import traceback
 
 from .errors import Cancelled, MissingPackageError, OptionError, RepmError
-from .parallel import one_thread_for_sums
+from .parallel import keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
 
 _MAX_JOB_BYTES = 64 << 20
@@ -80,6 +80,7 @@ def main(arguments: list[str]) -> int:
         _end_with_parent()
     try:
         one_thread_for_sums()
+        keep_freed_memory()
         _cancel_on_sigterm()
         if len(arguments) != 2:
             raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")

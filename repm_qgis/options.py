@@ -26,7 +26,7 @@ CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
 
-TERRAIN_TILE_PX = 1600
+TERRAIN_TILE_PX = 1300
 """Side of automatic tiles under MODEL=terrain: its error does not grow with the tile, only memory does."""
 
 Extent = Tuple[float, float, float, float]

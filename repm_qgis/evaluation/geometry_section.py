@@ -126,10 +126,11 @@ def _read_ties(path: str) -> np.ndarray:
         layer = source.GetLayer(0)
         definition = layer.GetLayerDefn()
         names = ("before", "residual", "row", "direction")
-        if min(definition.GetFieldIndex(name) for name in names) < 0:
+        indices = [definition.GetFieldIndex(name) for name in names]
+        if min(indices) < 0:
             layer = source = None
             return np.empty((0, 6))
-        values = [(*(feature.GetField(name) for name in names), feature.geometry().GetX(), feature.geometry().GetY())
+        values = [(*(feature.GetField(index) for index in indices), *feature.GetGeometryRef().GetPoint_2D())
                   for feature, _ in zip(layer, range(_MOST_TIES))]
         layer = source = None
     return np.array([value for value in values if None not in value], dtype=float).reshape(-1, 6)

@@ -32,14 +32,37 @@ def sample(image: FloatArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def box_mean(values: FloatArray, radius: int) -> FloatArray:
-    """Means over (2 radius + 1) squares of a (height, width) array without NaN; borders take what there is."""
-    height, width = values.shape
-    padded = np.zeros((height + 1, width + 1))
-    padded[1:, 1:] = values.cumsum(axis=0, dtype=np.float64).cumsum(axis=1)
-    r0, r1 = np.clip(np.arange(height) - radius, 0, height), np.clip(np.arange(height) + radius + 1, 0, height)
-    c0, c1 = np.clip(np.arange(width) - radius, 0, width), np.clip(np.arange(width) + radius + 1, 0, width)
-    total = padded[r1][:, c1] - padded[r0][:, c1] - padded[r1][:, c0] + padded[r0][:, c0]
-    return total / ((r1 - r0)[:, None] * (c1 - c0)[None, :])
+    """Means over (2 radius + 1) squares of (..., height, width) arrays without NaN; borders take what there is.
+
+    In the arrays' own precision.
+    """
+    height, width = values.shape[-2:]
+    padded = np.zeros(values.shape[:-2] + (height + 2 * radius, width + 2 * radius), values.dtype)
+    padded[..., radius:radius + height, radius:radius + width] = values
+    total = _window_sums(_window_sums(padded, radius, columns=False), radius, columns=True)
+    rows, columns = (np.minimum(place + radius + 1, len(place)) - np.maximum(place - radius, 0)
+                     for place in (np.arange(height), np.arange(width)))
+    return total / (rows[:, None] * columns).astype(values.dtype)
+
+
+def _window_sums(part: FloatArray, radius: int, columns: bool) -> FloatArray:
+    """Sums of 2 radius + 1 neighbours along columns or rows, made of sums of 1, 2, 4, ... of them."""
+    def cut(array: FloatArray, begin: int, length: int) -> FloatArray:
+        return array[..., begin:begin + length] if columns else array[..., begin:begin + length, :]
+
+    axis, width = -1 if columns else -2, 2 * radius + 1
+    size = part.shape[axis] - 2 * radius
+    result, begin, length = None, 0, 1
+    while True:
+        if width & length:
+            own = cut(part, begin, size)
+            result = own if result is None else result + own
+            begin += length
+        if 2 * length > width:
+            return result
+        rest = part.shape[axis] - length
+        part = cut(part, 0, rest) + cut(part, length, rest)
+        length *= 2
 
 
 def upsample_grid(grid: FloatArray, shape: tuple[int, int]) -> FloatArray:

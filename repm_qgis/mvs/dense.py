@@ -94,7 +94,7 @@ def store(path: str, key: str, record: Dict[str, Any], height: FloatImage, score
           filled: NDArray[np.bool_]) -> None:
     """Write a height map with its record, and the key that says what it was made from."""
     write(path, [height, score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
-          metadata={_KEY: key, _RECORD: json.dumps(record)}, descriptions=_BANDS)
+          metadata={_KEY: key, _RECORD: json.dumps(record)}, descriptions=_BANDS, own=True)
 
 
 def finished(path: str, key: str) -> Optional[Dict[str, Any]]:

@@ -60,9 +60,9 @@ def sweep_altitudes(views: Sequence[View], crs: str, bounds: Tuple[float, float,
     found: List[FloatArray] = []
     cells = 0
     patches = _patches(bounds, gsd)
-    # The pointing error is the same all over the images: three patches tell it as well as nine.
+    # The pointing error is the same all over the images: the middles of three patches tell it as well as nine do.
     samples = sorted({0, len(patches) // 2, len(patches) - 1})
-    shift = max(_cross_shift(first, second, crs, patches[index], planes) for index in samples)[2]
+    shift = max(_cross_shift(first, second, crs, _middle(patches[index]), planes) for index in samples)[2]
     for index, patch in enumerate(patches):
         progress.check_cancelled()
         progress.step(index / len(patches), "altitude range from the images")
@@ -112,6 +112,12 @@ def _patches(bounds: Tuple[float, float, float, float], gsd: float) -> List[Tupl
         width = min(1.5 * side, high - low)
         axes.append([(s, s + width) for s in np.linspace(low, high - width, count)])
     return [(x0, y0, x1, y1) for y0, y1 in axes[1] for x0, x1 in axes[0]]
+
+
+def _middle(patch: Tuple[float, float, float, float]) -> Tuple[float, float, float, float]:
+    """The inner quarter of a patch."""
+    xmin, ymin, xmax, ymax = patch
+    return 0.75 * xmin + 0.25 * xmax, 0.75 * ymin + 0.25 * ymax, 0.25 * xmin + 0.75 * xmax, 0.25 * ymin + 0.75 * ymax
 
 
 def _sweep_patch(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],
@@ -176,16 +182,20 @@ def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatA
     """Normalised cross-correlation of windows around each cell; -1 where either has gaps or no contrast."""
     b = np.roll(b, shift, axis=(0, 1))
     known = np.isfinite(a) & np.isfinite(b)
-    a, b = np.where(known, a, 0.0), np.where(known, b, 0.0)
-    count = box_mean(known.astype(np.float64), _WINDOW)
-    safe = np.maximum(count, 1e-6)
-    mean_a, mean_b = box_mean(a, _WINDOW) / safe, box_mean(b, _WINDOW) / safe
-    var_a = box_mean(a * a, _WINDOW) / safe - mean_a ** 2
-    var_b = box_mean(b * b, _WINDOW) / safe - mean_b ** 2
-    covariance = box_mean(a * b, _WINDOW) / safe - mean_a * mean_b
+    if not known.any():
+        return np.full(a.shape, np.float32(-1))
+    # About their means, so that the squares' sums do not lose what single precision has not.
+    middle_a, middle_b = a[known].mean(), b[known].mean()
+    a, b = np.where(known, a - middle_a, np.float32(0)), np.where(known, b - middle_b, np.float32(0))
+    count, mean_a, mean_b, var_a, var_b, covariance = (
+        box_mean(part, _WINDOW) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b))
+    safe = np.maximum(count, np.float32(1e-6))
+    mean_a, mean_b = mean_a / safe, mean_b / safe
+    var_a, var_b = var_a / safe - mean_a ** 2, var_b / safe - mean_b ** 2
+    covariance = covariance / safe - mean_a * mean_b
     # Contrast below a hundredth of the brightness's root is noise.
-    flat = (var_a < 1e-4 * mean_a ** 2) | (var_b < 1e-4 * mean_b ** 2) | (count < 0.8)
-    return np.where(flat, -1.0, covariance / np.sqrt(np.maximum(var_a * var_b, 1e-12)))
+    flat = ((var_a < 1e-4 * (mean_a + middle_a) ** 2) | (var_b < 1e-4 * (mean_b + middle_b) ** 2) | (count < 0.8))
+    return np.where(flat, np.float32(-1), covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12))))
 
 
 def _cross_shift(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],

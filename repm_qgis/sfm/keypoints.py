@@ -47,6 +47,15 @@ class Keypoints:
     descriptors: NDArray[np.float32]
 
 
+Choice = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.intp]]
+"""Which keypoints are wanted, by their (N, 2) places and (N,) strengths."""
+
+
+def everything(points: NDArray[np.float64], strength: NDArray[np.float64]) -> NDArray[np.intp]:
+    """All keypoints."""
+    return np.arange(len(points))
+
+
 class Detector(Protocol):
     """What finds keypoints; picklable, as workers get it with their task. ``name`` is what reports say."""
 
@@ -57,10 +66,10 @@ class Detector(Protocol):
         """How many processes may use it at once, of as many as asked for (0: one a core)."""
         ...
 
-    def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int) -> Keypoints:
+    def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int, choose: Choice = everything) -> Keypoints:
         """Keypoints of an image (rows, columns) where the mask is not 0, each place once: about ``most``, or more.
 
-        Raises DetectorError where the device fails.
+        Of these ``choose`` takes those that are wanted. Raises DetectorError where the device fails.
         """
         ...
 
@@ -78,18 +87,21 @@ class OpenCvSift:
     def workers(self, asked: int) -> int:
         return asked
 
-    def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int) -> Keypoints:
+    def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int, choose: Choice = everything) -> Keypoints:
         """See Detector; the strongest ``most``, by contrast."""
         # Without the precise doubling of the image all keypoints lie a quarter of a pixel right and below.
         sift = cv2.SIFT_create(most, nOctaveLayers=_LAYERS, contrastThreshold=_CONTRAST,
                                enable_precise_upscale=True)
-        points, descriptors = sift.detectAndCompute(grey, mask)
+        points = sift.detect(grey, mask)
         if not points:
             return Keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32))
-        places = np.array([p.pt for p in points], dtype=np.float64)
         # SIFT gives a strong corner once for each of its orientations: one is enough as a tie.
-        _, once = np.unique(places, axis=0, return_index=True)
-        return Keypoints(places[once], np.array([points[i].response for i in once]), _roots(descriptors[once]))
+        places, once = np.unique(np.array([p.pt for p in points], dtype=np.float64), axis=0, return_index=True)
+        strength = np.array([points[i].response for i in once])
+        chosen = choose(places, strength)
+        # Descriptors take most of the time: those of what is not wanted are not computed.
+        _, descriptors = sift.compute(grey, [points[i] for i in once[chosen]])
+        return Keypoints(places[chosen], strength[chosen], _roots(descriptors))
 
 
 @dataclass(frozen=True)
@@ -105,7 +117,7 @@ class ColmapSift:
     def workers(self, asked: int) -> int:
         return min(asked or environment.cores(), _GPU_WORKERS) if self.device == "cuda" else asked
 
-    def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int) -> Keypoints:
+    def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int, choose: Choice = everything) -> Keypoints:
         """See Detector; all there are, in order of their places: a GPU gives them in any."""
         try:
             found, descriptors = _extractor(self.device).extract_from_uint8_array(grey)
@@ -117,8 +129,9 @@ class ColmapSift:
         chosen = allowed[np.unique(places[allowed], axis=0, return_index=True)[1]]
         # COLMAP does not say how strong a keypoint is.
         corners = cv2.cornerMinEigenVal(grey, _STRENGTH_WINDOW)
-        return Keypoints(places[chosen], corners[nearest[chosen, 1], nearest[chosen, 0]].astype(np.float64),
-                         _unit(descriptors.data[chosen]))
+        strength = corners[nearest[chosen, 1], nearest[chosen, 0]].astype(np.float64)
+        wanted = choose(places[chosen], strength)
+        return Keypoints(places[chosen][wanted], strength[wanted], _unit(descriptors.data[chosen[wanted]]))
 
 
 @lru_cache(maxsize=2)

@@ -42,7 +42,9 @@ _FEATURES = (600, 4000)     # of a patch, at least and at most
 _SPARE_FEATURES = 3         # times as many to choose an even spread from
 _BUCKETS = 12               # a side of a patch, for an even spread of features
 _WHOLE_PX = 1600            # a scene up to this side is one patch
-_CELLS = 5                  # a side of a larger scene; each cell gives one patch at a time
+_CELLS = 5                  # a side of a larger scene, at most; each cell gives one patch at a time
+_LEAST_CELLS = 3
+_CELL_PATCHES = 3           # patches a side of a cell, at least: ties of a ninth of a scene are enough
 _PATCH_PX = 500
 _PLACES = 6                 # a side of a cell, at most, that are looked at for the best patch
 _MARGIN_PX = 24
@@ -130,7 +132,8 @@ def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progr
         return [[(*map(float, low), *map(float, high))]]
     area = ogr.CreateGeometryFromWkt(scene.area)
     side = _PATCH_PX * scene.gsd_m
-    cells = np.maximum(np.minimum(np.ceil((high - low) / side), _CELLS), 1).astype(int)
+    cells = np.clip(np.ceil((high - low) / (_CELL_PATCHES * side)), _LEAST_CELLS, _CELLS)
+    cells = np.maximum(np.minimum(cells, np.ceil((high - low) / side)), 1).astype(int)
     step = (high - low) / cells
     result = []
     for i, j in np.ndindex(*cells):
@@ -226,11 +229,11 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     grey = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
     mask = cv2.erode((~missing).astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
     most = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
-    found = task.detector.detect(grey, mask, _SPARE_FEATURES * most)
+    found = task.detector.detect(grey, mask, _SPARE_FEATURES * most,
+                                 lambda points, strength: _even(points, strength, size, most))
     if len(found.points) < 8:
         return None
-    chosen = _even(found.points, found.strength, size, most)
-    return _Features(view, camera, (found.points[chosen] + 0.5) * factor - 0.5, found.descriptors[chosen])
+    return _Features(view, camera, (found.points + 0.5) * factor - 0.5, found.descriptors)
 
 
 def _even(points: FloatArray, strength: FloatArray, size: Tuple[int, int], most: int) -> NDArray[np.intp]:

@@ -11,6 +11,7 @@ from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
 from ..mvs.backends import resolve
 from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
+from ..parallel import kept_workers
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
 from ..sfm.ground_control import read_gcps
@@ -23,6 +24,11 @@ _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
 
 def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     """Run all stages; gives every product, and the seconds of each stage."""
+    with kept_workers():
+        return _run(options, progress)
+
+
+def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     if options.backend == "colmap":  # refused, if at all, before any work
         resolve(options.backend)
     folder = ensure_folder(options.workspace)

@@ -26,7 +26,7 @@ BOTH = (OpenCvSift(), ColmapSift("cpu"))
 class BrokenGpu(ColmapSift):
     """COLMAP's detector on a device that answers at first and fails then."""
 
-    def detect(self, grey, mask, most):
+    def detect(self, grey, mask, most, choose=None):
         raise DetectorError("out of memory on device 0")
 
 
