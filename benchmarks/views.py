@@ -12,10 +12,13 @@ import tempfile
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.tables import publish, table  # noqa: E402
+from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene  # noqa: E402
@@ -41,7 +44,17 @@ def scored(scene_path: str, pairs: List[Tuple[str, ...]], truth: str, folder: st
         tile.heights = [record for record in tile.heights if tuple(record["pair"]) in pairs]
     path = scene.save(f"{folder}/chosen.json")
     run_stage("dsmfuse", {"scene": path, "output": f"{folder}/dsm.tif"}, Silent())
-    return run_stage("comparedsm", {"dsm": f"{folder}/dsm.tif", "reference": truth, "align": "3d"}, Silent())
+    error = f"{folder}/error.tif"
+    found = run_stage("comparedsm", {"dsm": f"{folder}/dsm.tif", "reference": truth, "align": "3d", "error": error},
+                      Silent())
+    with opened(error) as dataset:
+        return {**found, "errors": read(dataset)}
+
+
+def where_both(whole: np.ndarray, part: np.ndarray) -> float:
+    """RMSE of one DSM's errors on the cells that another has, too."""
+    errors = whole[np.isfinite(whole) & np.isfinite(part)].astype(np.float64)
+    return float(np.sqrt((errors ** 2).mean()))
 
 
 def rows_of(name: str, spec: SceneSpec, folder: str) -> List[List[Any]]:
@@ -51,10 +64,12 @@ def rows_of(name: str, spec: SceneSpec, folder: str) -> List[List[Any]]:
                                  "output": f"{folder}/dsm.tif"}, Silent())
     pairs = sorted({tuple(record["pair"]) for tile in Scene.load(run["scene"]).tiles for record in tile.heights})
     rows = []
+    whole = scored(run["scene"], pairs, made["truth"], folder + "/w")
     for label, chosen in [*((" and ".join(pair), [pair]) for pair in pairs), ("**all three**", pairs)]:
-        found = scored(run["scene"], chosen, made["truth"], folder + "/w")
+        found = scored(run["scene"], chosen, made["truth"], folder + "/w") if len(chosen) == 1 else whole
         share = found["completeness_by_threshold"]
-        rows.append([name, label, found["valid"], found["nmad"], found["mae"], found["rmse"], share["1"], share["2.5"]])
+        rows.append([name, label, found["valid"], found["nmad"], found["mae"], found["rmse"],
+                     where_both(whole["errors"], found["errors"]), share["1"], share["2.5"]])
         print(rows[-1], flush=True)
     return rows
 
