@@ -81,8 +81,11 @@ import numpy as np
 from osgeo import gdal
 gdal.UseExceptions()
 from repm_qgis.imagery.warping import GRID_STEP
+from repm_qgis.imagery.raster import read
 from repm_qgis.mvs import coarse
+from repm_qgis.mvs.dense import height_source
 from repm_qgis.progress import Silent
+from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
 def left_as_they_are(self, pair, geometry):
@@ -93,7 +96,16 @@ def left_as_they_are(self, pair, geometry):
 job = json.loads(sys.argv[1])
 if job.pop("rows_left"):
     coarse.Guide.second_original = left_as_they_are
-print(json.dumps(run_stage("pipeline", job, Silent())["rmse"]))
+scene = Scene.load(run_stage("pipeline", job, Silent())["scene"])
+square, count, most = 0.0, 0, 0.0
+for tile in scene.tiles:
+    for record in tile.heights:
+        source = height_source(scene, tile.bounds, record, scene.crs)
+        heights = read(gdal.Open(record["file"]))
+        rows = source.geometry.row.on_grid(*(np.arange(n, dtype=float) for n in heights.shape[::-1]), heights)
+        rows = np.abs(rows[np.isfinite(rows)])
+        square, count, most = square + float((rows ** 2).sum()), count + rows.size, max(most, float(rows.max()))
+print(json.dumps([len(scene.tiles), (square / count) ** 0.5, most]))
 """
 
 
