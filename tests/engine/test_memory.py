@@ -76,7 +76,7 @@ def test_the_estimate_of_matching_is_right_within_a_half(measured, side, extra):
 
 
 @linux
-@pytest.mark.parametrize("cell, maps", ((1.0, 1), (0.5, 3)))
+@pytest.mark.parametrize("cell, maps", ((1.0, 1), (0.5, 6), (0.25, 3)))
 def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
     peak, *facts = measured(FUSING, cell, maps)
     assert peak / 1.5 < fusing_mib(*facts) < 1.5 * peak

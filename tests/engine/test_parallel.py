@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from repm_qgis.errors import Cancelled, EmptyResultError, OptionError
-from repm_qgis.parallel import cores, run_tasks
+from repm_qgis.parallel import cores, kept_workers, run_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
@@ -35,6 +35,10 @@ def deadly(x):
 
 def slow(x):
     time.sleep(30)
+
+def who(x):
+    time.sleep(0.05)
+    return os.getpid()
 '''
 
 
@@ -70,6 +74,21 @@ def test_exceptions_of_tasks_are_raised_here(work, told, workers):
 def test_a_worker_that_dies_is_said(work, told):
     with pytest.raises(EmptyResultError, match="of 8 tasks: most likely memory ran out"):
         run_tasks(work.deadly, list(range(8)), 2, told(), str)
+
+
+def test_workers_live_on_within_a_block_only(work, told):
+    def who(workers=2):
+        return set(run_tasks(work.who, list(range(8)), workers, told(), str))
+
+    with kept_workers():
+        first = who()
+        assert who() == first and len(first) <= 2
+        with pytest.raises(OptionError):
+            run_tasks(work.picky, list(range(8)), 2, told(), str)
+        later = who()
+        assert not later & first
+        assert not who(3) & later
+    assert not who() & later
 
 
 def test_cancel_is_quick_and_leaves_no_process(work, told):

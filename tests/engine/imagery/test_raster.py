@@ -45,6 +45,14 @@ def test_what_is_written_is_read(tmp_path):
     assert os.listdir(tmp_path) == ["a.tif"]
 
 
+@pytest.mark.parametrize("own", (False, True))
+def test_both_compressions_keep_every_bit(tmp_path, own):
+    values = np.random.default_rng(1).normal(size=(70, 300)).astype(np.float32)
+    path = write(str(tmp_path / "a.tif"), [values], None, "", own=own)
+    with opened(path) as dataset:
+        np.testing.assert_array_equal(read(dataset), values)
+
+
 def test_overviews_leave_nodata_out(tmp_path):
     path, values = str(tmp_path / "a.tif"), heights(1200, 900)
     write(path, [values], TRANSFORM, WKT, cog=True)

@@ -109,6 +109,15 @@ def test_processes_that_share_a_gpu_are_few():
     assert ColmapSift("cpu").workers(16) == OpenCvSift().workers(16) == 16
 
 
+def test_only_what_is_chosen_gets_the_descriptors_it_has_among_all(grey):
+    mask = np.ones(grey.shape, np.uint8)
+    for detector in BOTH:
+        whole = detector.detect(grey, mask, 2000)
+        part = detector.detect(grey, mask, 2000, lambda points, strength: np.flatnonzero(strength > 0)[::3])
+        np.testing.assert_array_equal(part.points, whole.points[::3])
+        np.testing.assert_array_equal(part.descriptors, whole.descriptors[::3])
+
+
 def test_a_build_without_cuda_is_an_error_of_the_detector(grey):
     import pycolmap
 
