@@ -56,11 +56,12 @@ def relief() -> Scene:
 
 
 def whole() -> List[str]:
-    """Accuracy and cost of the whole scene with default options, and with the terrain model."""
+    """Accuracy and cost of the whole scene, with each refinement model and else default options."""
     scene = relief()
     scene.make()
     rows = []
-    for label, options in (("polynomial (the default)", {}), ("terrain, no DEM given", {"MODEL": "terrain"})):
+    for label, options in (("none", {"MODEL": "none"}), ("polynomial (the default)", {}),
+                           ("terrain, no DEM given", {"MODEL": "terrain"})):
         say(f"{scene.name}: {label} ...")
         with tempfile.TemporaryDirectory() as work:
             try:
