@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import multiprocessing
+import multiprocessing.context
+import multiprocessing.forkserver
 import os
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -14,6 +16,7 @@ from .errors import EmptyResultError
 from .progress import Progress
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+_PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3   # of glibc's mallopt (malloc.h)
 _FEW = 3
 """Up to so many tasks a pool costs more than it gives: the task's own threads use the cores instead."""
@@ -58,9 +61,7 @@ class _Pool:
         if self._workers != workers:
             self.close()
         if self._executor is None:
-            # Spawned, not forked: native libraries' threads do not survive a fork.
-            self._executor = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"),
-                                                 initializer=_bound_threads)
+            self._executor = ProcessPoolExecutor(workers, mp_context=_context(), initializer=_bound_threads)
             self._workers = workers
         return self._executor
 
@@ -78,12 +79,38 @@ class _Pool:
         self._executor, self._workers = None, 0
 
 
+def _context() -> multiprocessing.context.BaseContext:
+    """How workers begin: as copies of a server process that has imported what all need, or each by itself on Windows.
+
+    Never as copies of this process: native libraries' threads do not survive that. The server has none.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(_PRELOADED))
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    one_thread_for_sums()  # the server imports numpy, and for its copies it is then too late
+    try:
+        multiprocessing.forkserver.ensure_running()
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+    return context
+
+
+def _stop_server() -> None:
+    """End the server and wait for it, so that what its copies used is counted as used by this process."""
+    stop = getattr(getattr(multiprocessing.forkserver, "_forkserver", None), "_stop", None)
+    if stop is not None:  # no public name has it; without it the server ends by itself, soon after this process
+        stop()
+
+
 _kept: Optional[_Pool] = None
 
 
 @contextmanager
 def kept_workers() -> Iterator[_Pool]:
-    """Within the block workers live on from one :func:`run_tasks` to the next: each start costs 0.3 s of imports."""
+    """Within the block workers live on from one :func:`run_tasks` to the next: to start them costs 0.4 s of imports."""
     global _kept
     outer, _kept = _kept, _Pool()
     try:
@@ -91,6 +118,8 @@ def kept_workers() -> Iterator[_Pool]:
     finally:
         _kept.close()
         _kept = outer
+        if outer is None:
+            _stop_server()
 
 
 def _in_pool(pool: _Pool, function: Callable[[Any], Any], tasks: Sequence[Any], workers: int, progress: Progress,

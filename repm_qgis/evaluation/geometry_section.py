@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import lru_cache
 from typing import Any, Dict, List, Mapping, Optional
 
 import numpy as np
@@ -116,24 +117,31 @@ def _curves(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
 
 def _read_ties(path: str) -> np.ndarray:
     """(N, 6) residuals before and after, row, its azimuth, x, y of the ties' layer; empty where it cannot be read."""
+    try:
+        return _ties_of(path, os.stat(path).st_mtime_ns)
+    except OSError:
+        return np.empty((0, 6))
+
+
+@lru_cache(maxsize=1)  # of one run, two pages show them
+def _ties_of(path: str, changed_ns: int) -> np.ndarray:
     with quiet():
         try:
-            source = ogr.Open(path) if os.path.exists(path) else None
+            source = ogr.Open(path)
         except RuntimeError:
             source = None
         if source is None:
             return np.empty((0, 6))
         layer = source.GetLayer(0)
         definition = layer.GetLayerDefn()
-        names = ("before", "residual", "row", "direction")
-        indices = [definition.GetFieldIndex(name) for name in names]
-        if min(indices) < 0:
-            layer = source = None
-            return np.empty((0, 6))
-        values = [(*(feature.GetField(index) for index in indices), *feature.GetGeometryRef().GetPoint_2D())
-                  for feature, _ in zip(layer, range(_MOST_TIES))]
+        indices = [definition.GetFieldIndex(name) for name in ("before", "residual", "row", "direction")]
+        values = []
+        for feature, _ in zip(layer if min(indices) >= 0 else (), range(_MOST_TIES)):
+            if all(feature.IsFieldSetAndNotNull(index) for index in indices):
+                point = feature.GetGeometryRef()
+                values.append((*map(feature.GetFieldAsDouble, indices), point.GetX(), point.GetY()))
         layer = source = None
-    return np.array([value for value in values if None not in value], dtype=float).reshape(-1, 6)
+    return np.array(values, dtype=float).reshape(-1, 6)
 
 
 def _pointing(report: Report, ties: Mapping[str, Any]) -> None:

@@ -20,6 +20,8 @@ from .grids import Grid, metres_per_unit
 
 PathLike = Union[str, os.PathLike]
 
+_PNG_LEVEL = "ZLEVEL=4"     # of a shaded surface 6 % more bytes than level 7, in a fifth of the time
+
 # Anchor colours, evenly spaced from low to high and interpolated linearly. "viridis" and "magma" are sampled from the
 # public-domain (CC0) tables of N. Smith and S. van der Walt; "elevation" and "diverging" are our own, their lightness
 # rising steadily (elevation) or falling evenly to both sides of white (diverging).
@@ -105,21 +107,31 @@ def hillshade(
     Horn's 3 x 3 gradient; where a neighbour is missing the cell's own height stands in for it, so that shading goes
     up to the edge of the data. ``cell`` in the unit of the heights (m); azimuth clockwise from north, degrees.
     """
-    z = np.asarray(heights, float)
+    return _light(*_slopes(np.asarray(heights, np.float32), cell), azimuth, altitude, exaggeration)
+
+
+def _slopes(z: np.ndarray, cell: float) -> Tuple[np.ndarray, np.ndarray]:
+    """How much a surface rises to the east and to the north, m a m, NaN where a height is missing."""
     good = np.isfinite(z)
     padded = np.pad(z, 1, mode="edge")
     rows, columns = z.shape
 
     def near(dr: int, dc: int) -> np.ndarray:
         other = padded[1 + dr : 1 + dr + rows, 1 + dc : 1 + dc + columns]
-        return np.where(np.isfinite(other), other, z)
+        return np.where(np.isfinite(other), other - z, np.float32(0))
 
-    east = near(-1, 1) + 2 * near(0, 1) + near(1, 1) - near(-1, -1) - 2 * near(0, -1) - near(1, -1)
-    north = near(-1, -1) + 2 * near(-1, 0) + near(-1, 1) - near(1, -1) - 2 * near(1, 0) - near(1, 1)
-    east, north = (g * exaggeration / (8.0 * cell) for g in (east, north))
-    sun_azimuth, sun_altitude = np.radians(azimuth), np.radians(altitude)
-    light = np.sin(sun_altitude) - np.cos(sun_altitude) * (east * np.sin(sun_azimuth) + north * np.cos(sun_azimuth))
-    return np.where(good, np.clip(light / np.sqrt(1 + east**2 + north**2), 0, 1), np.nan)
+    corners = [near(*corner) for corner in ((-1, 1), (1, -1), (1, 1), (-1, -1))]
+    east = 2 * (near(0, 1) - near(0, -1)) + corners[0] - corners[1] + corners[2] - corners[3]
+    north = 2 * (near(-1, 0) - near(1, 0)) + corners[0] - corners[1] - corners[2] + corners[3]
+    unit = np.float32(8.0 * cell)
+    return np.where(good, east / unit, np.float32(np.nan)), np.where(good, north / unit, np.float32(np.nan))
+
+
+def _light(east: np.ndarray, north: np.ndarray, azimuth: float, altitude: float, exaggeration: float) -> np.ndarray:
+    azimuth, altitude = np.radians(azimuth), np.radians(altitude)
+    along = east * np.float32(exaggeration * np.sin(azimuth)) + north * np.float32(exaggeration * np.cos(azimuth))
+    steep = np.sqrt(1 + np.float32(exaggeration**2) * (east**2 + north**2))
+    return np.clip((np.float32(np.sin(altitude)) - np.float32(np.cos(altitude)) * along) / steep, 0, 1)
 
 
 def shaded_relief(
@@ -134,16 +146,17 @@ def shaded_relief(
 
     ``cell`` in metres. ``exaggeration`` None raises flat terrain until its slopes can be seen (at most 5 times).
     """
-    z = np.asarray(array, float)
+    z = np.asarray(array, np.float32)
     if exaggeration is None:
         slope = np.abs(np.diff(z, axis=1)) / cell
         steep = float(np.nanpercentile(slope, 75)) if np.isfinite(slope).any() else 1.0
         exaggeration = float(np.clip(0.25 / max(steep, 1e-6), 1.0, 5.0))
-    light = 0.7 * hillshade(z, cell, 315, 45, exaggeration) + 0.3 * hillshade(z, cell, 270, 60, exaggeration)
+    slopes = _slopes(z, cell)
+    light = 0.7 * _light(*slopes, 315, 45, exaggeration) + 0.3 * _light(*slopes, 270, 60, exaggeration)
     out = colour_map(z, vmin, vmax, ramp)
     # Flat ground (light about 0.76) keeps its colour; slopes to the sun brighten towards white, away darken.
     light = np.nan_to_num(light, nan=0.76)[..., None]
-    colour = out[..., :3].astype(float)
+    colour = out[..., :3].astype(np.float32)
     dark = colour * (0.25 + 0.75 * np.clip(light / 0.76, 0, 1))
     bright = colour + (255 - colour) * np.clip((light - 0.76) / 0.24, 0, 1) * 0.55
     out[..., :3] = np.where(light < 0.76, dark, bright).round().astype(np.uint8)
@@ -167,7 +180,7 @@ def png_bytes(picture: np.ndarray) -> bytes:
         memory.GetRasterBand(index + 1).WriteArray(planes[..., index])
     name = f"/vsimem/repm_{uuid.uuid4().hex}.png"
     try:
-        copy = gdal.GetDriverByName("PNG").CreateCopy(name, memory, options=["ZLEVEL=7"])
+        copy = gdal.GetDriverByName("PNG").CreateCopy(name, memory, options=[_PNG_LEVEL])
         if copy is None:
             raise ImageError(
                 "GDAL could not make a PNG in memory: check that its PNG driver is there (gdalinfo --formats)."

@@ -16,8 +16,8 @@ def sample(image: FloatArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
     height, width = image.shape
     with np.errstate(invalid="ignore"):
         inside = (cols >= 0) & (cols <= width - 1) & (rows >= 0) & (rows <= height - 1)
-    c = np.where(inside, cols, 0.0)
-    r = np.where(inside, rows, 0.0)
+    c = np.where(inside, cols, cols.dtype.type(0))
+    r = np.where(inside, rows, rows.dtype.type(0))
     c0 = np.minimum(c.astype(np.intp), max(width - 2, 0))
     r0 = np.minimum(r.astype(np.intp), max(height - 2, 0))
     fc, fr = (c - c0).astype(image.dtype), (r - r0).astype(image.dtype)
@@ -76,8 +76,8 @@ def interpolate_grid(grid: FloatArray, rows: FloatArray, columns: FloatArray) ->
     m, n = grid.shape[:2]
     i = np.clip(rows.astype(int), 0, m - 2)
     j = np.clip(columns.astype(int), 0, n - 2)
-    extra = (1,) * (grid.ndim - 2)
-    fi, fj = (rows - i).reshape(-1, 1, *extra), (columns - j).reshape(1, -1, *extra)
+    extra, dtype = (1,) * (grid.ndim - 2), np.result_type(grid, np.float32)
+    fi, fj = ((rows - i).astype(dtype).reshape(-1, 1, *extra), (columns - j).astype(dtype).reshape(1, -1, *extra))
     # Rows first: they are few, and the wide passes that follow run along memory.
     tall = grid[i] * (1 - fi) + grid[i + 1] * fi
     return tall[:, j] * (1 - fj) + tall[:, j + 1] * fj

@@ -60,9 +60,7 @@ def sweep_altitudes(views: Sequence[View], crs: str, bounds: Tuple[float, float,
     found: List[FloatArray] = []
     cells = 0
     patches = _patches(bounds, gsd)
-    # The pointing error is the same all over the images: the middles of three patches tell it as well as nine do.
-    samples = sorted({0, len(patches) // 2, len(patches) - 1})
-    shift = max(_cross_shift(first, second, crs, _middle(patches[index]), planes) for index in samples)[2]
+    shift = _pointing_shift(first, second, crs, patches, planes)
     for index, patch in enumerate(patches):
         progress.check_cancelled()
         progress.step(index / len(patches), "altitude range from the images")
@@ -107,9 +105,9 @@ def _patches(bounds: Tuple[float, float, float, float], gsd: float) -> List[Tupl
     side = _CELLS * _REDUCTION * gsd
     axes = []
     for low, high in ((bounds[0], bounds[2]), (bounds[1], bounds[3])):
-        # One patch takes up to half as much again, rather than two that overlap almost wholly.
+        # Patches take up to half as much again, rather than another one that overlaps them almost wholly.
         count = int(np.clip(np.round((high - low) / side), 1, _PATCHES))
-        width = min(1.5 * side, high - low)
+        width = min(1.5 * side, (high - low) / count)
         axes.append([(s, s + width) for s in np.linspace(low, high - width, count)])
     return [(x0, y0, x1, y1) for y0, y1 in axes[1] for x0, x1 in axes[0]]
 
@@ -171,11 +169,9 @@ class _Reduced:
 def _on_plane(image: _Reduced, lon_lat: FloatArray, altitude: float, shape: Tuple[int, int]) -> FloatArray:
     """The image as it lies on a plane of one altitude, on the patch's cells."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1)
-    pixels = upsample_grid(image.view.project(ground), shape)
-    height, width = image.pixels.shape
-    col, row, full_width, full_height = image.window
-    return sample(image.pixels, (pixels[..., 0] - col + 0.5) * width / full_width - 0.5,
-                  (pixels[..., 1] - row + 0.5) * height / full_height - 0.5)
+    reduced = np.array(image.pixels.shape[::-1]) / image.window[2:]
+    nodes = (image.view.project(ground) - image.window[:2] + 0.5) * reduced - 0.5
+    return sample(image.pixels, *(upsample_grid(nodes[..., i].astype(np.float32), shape) for i in (0, 1)))
 
 
 def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatArray:
@@ -196,6 +192,21 @@ def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatA
     # Contrast below a hundredth of the brightness's root is noise.
     flat = ((var_a < 1e-4 * (mean_a + middle_a) ** 2) | (var_b < 1e-4 * (mean_b + middle_b) ** 2) | (count < 0.8))
     return np.where(flat, np.float32(-1), covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12))))
+
+
+def _pointing_shift(first: View, second: View, crs: str, patches: Sequence[Tuple[float, float, float, float]],
+                    planes: FloatArray) -> Tuple[int, int]:
+    """The whole-cell shift across the parallax that the pointing errors make.
+
+    It is the same all over the images: the first patch that agrees well tells it, from the middle on, else the best
+    of three.
+    """
+    found = []
+    for index in dict.fromkeys((len(patches) // 2, 0, len(patches) - 1)):
+        found.append(_cross_shift(first, second, crs, _middle(patches[index]), planes))
+        if found[-1][0] > _MIN_CORRELATION:
+            break
+    return max(found)[2]
 
 
 def _cross_shift(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],

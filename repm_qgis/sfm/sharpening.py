@@ -33,6 +33,7 @@ Indices = NDArray[np.intp]
 _WINDOW = 11
 _MARGIN_PX = 24
 _PATCH_PX = 1700        # images are aligned in patches of at most so many px a side
+_GAP = 0.1              # of that side: nothing is aligned between ties that are farther apart
 _FARTHEST_PX = 1.5      # SIFT is never so wrong: what moves farther has found something else
 _RETURN_PX = 0.1        # from the first image to the second and back
 _MOST_ALIKE = 0.7       # of a patch's ties, those whose neighbourhoods differ least
@@ -99,18 +100,20 @@ def _places(scene: Scene, tracks: Sequence[Track], seen: Sequence[List[str]]) ->
 
 
 def clusters(xy: FloatArray, members: Indices, side: float) -> List[Indices]:
-    """Split points until no part is larger than a side: at the widest gap, where there is one, else in the middle."""
-    extent = np.ptp(xy[members], axis=0)
-    axis = int(extent.argmax())
-    if extent[axis] <= side:
-        return [members]
-    order = members[np.argsort(xy[members, axis], kind="stable")]
-    values = xy[order, axis]
-    gaps = np.diff(values)
-    at = int(gaps.argmax()) + 1
-    if gaps[at - 1] < 0.05 * side:
-        at = int(np.clip(np.searchsorted(values, (values[0] + values[-1]) / 2), 1, len(order) - 1))
-    return clusters(xy, order[:at], side) + clusters(xy, order[at:], side)
+    """Split points at gaps wider than a tenth of a side, where nothing need be aligned, and down to a side's extent."""
+    orders = [members[np.argsort(xy[members, axis], kind="stable")] for axis in (0, 1)]
+    gaps = [np.diff(xy[order, axis]) for axis, order in enumerate(orders)]
+    axis = int(np.argmax([gap.max(initial=0.0) for gap in gaps]))
+    if gaps[axis].max(initial=0.0) > _GAP * side:
+        at = int(gaps[axis].argmax()) + 1
+    else:
+        extent = np.ptp(xy[members], axis=0)
+        axis = int(extent.argmax())
+        if extent[axis] <= side:
+            return [members]
+        values = xy[orders[axis], axis]
+        at = int(np.clip(np.searchsorted(values, (values[0] + values[-1]) / 2), 1, len(values) - 1))
+    return clusters(xy, orders[axis][:at], side) + clusters(xy, orders[axis][at:], side)
 
 
 def _sharpen_patch(task: _Task) -> Dict[Tuple[int, str], FloatArray]:

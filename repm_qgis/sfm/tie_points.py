@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import ogr
-from scipy.spatial import cKDTree
 
 from ..errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
@@ -37,6 +36,7 @@ Bounds = Tuple[float, float, float, float]
 Pair = Tuple[str, str]
 
 _REDUCTION = 2.0            # SIFT on half-size images: a sixth of the time, ties enough
+_SMALL_PX = 500             # a scene below this side needs all its pixels for ties
 _FEATURES_PER_MPX = 2500
 _FEATURES = (600, 4000)     # of a patch, at least and at most
 _SPARE_FEATURES = 3         # times as many to choose an even spread from
@@ -45,7 +45,7 @@ _WHOLE_PX = 1600            # a scene up to this side is one patch
 _CELLS = 5                  # a side of a larger scene, at most; each cell gives one patch at a time
 _LEAST_CELLS = 3
 _CELL_PATCHES = 3           # patches a side of a cell, at least: ties of a ninth of a scene are enough
-_PATCH_PX = 500
+_PATCH_PX = (300, 500)      # a side of a patch: a sixth of the scene, within these
 _PLACES = 6                 # a side of a cell, at most, that are looked at for the best patch
 _MARGIN_PX = 24
 _TOLERANCE_PX = 64.0        # vendor RPCs are off by up to tens of px, each view in its own way
@@ -53,6 +53,7 @@ _NEAR_PX = 8.0              # of a patch's row difference, once that is known
 _CLOSE_PX = 2.5             # of a patch's trend of row differences, at last
 _LIKELY_PX = 6.0            # of the scene's row difference: trends over the images are smaller
 _NEIGHBOURS, _SUPPORT = 10, 3
+_KD_TREE, _ALL = 4, -1      # FLANN's single tree, which finds the nearest ones exactly where it may look at all
 _STEP_PX, _SLOPE = 6.0, 0.4     # of disparity between neighbours: a house, and a share of their distance
 _RATIO = 0.85
 _MIN_TIES = 12
@@ -90,6 +91,7 @@ class _PatchTask:
     pairs: Tuple[Pair, ...]
     stretches: Dict[str, Stretch]
     detector: Detector
+    reduction: float
 
 
 def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch], progress: Progress,
@@ -104,9 +106,10 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
     used = {name: stretch for name, stretch in stretches.items() if name in names}
     cells = _ranked_patches(scene, used, progress)
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
-    lean = scene.lean()
+    lean, reduction = scene.lean(), _REDUCTION if _side(scene) >= _SMALL_PX * scene.gsd_m else 1.0
     for number in range(_ROUNDS):
-        tasks = [_PatchTask(lean, cell[number], wanted, used, detector) for cell in cells if number < len(cell)]
+        tasks = [_PatchTask(lean, cell[number], wanted, used, detector, reduction)
+                 for cell in cells if number < len(cell)]
         if not tasks:
             break
         part = Part(progress, 1 - 0.5 ** number, 1 - 0.5 ** (number + 1), "tie points")
@@ -120,8 +123,18 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
 
 def covered_by_ties(scene: Scene) -> bool:
     """Whether a scene is so small that all of it is searched for ties."""
+    return _side(scene) <= _WHOLE_PX * scene.gsd_m
+
+
+def _side(scene: Scene) -> float:
+    """The scene's longer side, m."""
     xmin, ymin, xmax, ymax = enclosing([tile.bounds for tile in scene.tiles])
-    return max(xmax - xmin, ymax - ymin) <= _WHOLE_PX * scene.gsd_m
+    return max(xmax - xmin, ymax - ymin)
+
+
+def _patch_side(scene: Scene) -> float:
+    """A patch's side, m: nine patches search a quarter of a small scene, which gives ties enough."""
+    return float(np.clip(_side(scene) / 6, *(px * scene.gsd_m for px in _PATCH_PX)))
 
 
 def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progress) -> List[List[Bounds]]:
@@ -131,7 +144,7 @@ def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progr
     if covered_by_ties(scene):
         return [[(*map(float, low), *map(float, high))]]
     area = ogr.CreateGeometryFromWkt(scene.area)
-    side = _PATCH_PX * scene.gsd_m
+    side = _patch_side(scene)
     cells = np.clip(np.ceil((high - low) / (_CELL_PATCHES * side)), _LEAST_CELLS, _CELLS)
     cells = np.maximum(np.minimum(cells, np.ceil((high - low) / side)), 1).astype(int)
     step = (high - low) / cells
@@ -178,7 +191,7 @@ def _texture(scene: Scene, stretches: Dict[str, Stretch], place: Bounds) -> floa
     values, missed = [], 0
     for name, stretch in stretches.items():
         view = scene.view(name)
-        side = int(0.5 * _PATCH_PX * scene.gsd_m / view.gsd_m)
+        side = int(0.5 * (place[2] - place[0]) / view.gsd_m)
         corner = np.round(view.project(ground) - side / 2)
         low = np.maximum(corner, 0)
         size = np.minimum(corner + side, view.size) - low
@@ -217,7 +230,7 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     if camera is None:
         return None
     # All views at one sampling distance: most keypoints are of the smallest size there is, and must meet their like.
-    factor = (_REDUCTION if min(camera.size) >= 500 else 1.0) * coarsest_m / view.gsd_m
+    factor = task.reduction * coarsest_m / view.gsd_m
     size = (max(1, int(camera.size[0] / factor)), max(1, int(camera.size[1] / factor)))
 
     def to_original(points: FloatArray) -> FloatArray:
@@ -295,7 +308,10 @@ def _supported(points: FloatArray, disparity: FloatArray) -> NDArray[np.bool_]:
     """
     if len(points) <= _NEIGHBOURS:
         return np.ones(len(points), dtype=bool)
-    away, nearest = cKDTree(points).query(points, _NEIGHBOURS + 1)
+    places = points.astype(np.float32)
+    nearest, squares = cv2.flann_Index(places, {"algorithm": _KD_TREE}).knnSearch(
+        places, _NEIGHBOURS + 1, params={"checks": _ALL})
+    away = np.sqrt(squares)
     step = np.abs(disparity[nearest] - disparity[:, None])
     return (step <= _STEP_PX + _SLOPE * away).sum(axis=1) - 1 >= _SUPPORT
 

@@ -36,6 +36,11 @@ def deadly(x):
 def slow(x):
     time.sleep(30)
 
+def busy(seconds):
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+
 def who(x):
     time.sleep(0.05)
     return os.getpid()
@@ -99,7 +104,15 @@ def test_cancel_is_quick_and_leaves_no_process(work, told):
     listed = subprocess.run(["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True,
                             stdout=subprocess.PIPE,
                             check=False).stdout
-    assert "spawn_main" not in "".join(line for line in listed.splitlines(True) if " Z" not in line)
+    running = "".join(line for line in listed.splitlines(True) if " Z" not in line)
+    assert "spawn_main" not in running and "forkserver" not in running
+
+
+def test_what_workers_use_is_counted_as_used_by_this_process(work, told):
+    before = os.times()
+    run_tasks(work.busy, [0.2] * 6, 2, told(), str)
+    after = os.times()
+    assert after.children_user + after.children_system - before.children_user - before.children_system > 1.2
 
 
 def test_cores():

@@ -143,7 +143,7 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
 def in_cells(scene, monkeypatch, whole=150, patch=130):
     """Make the search treat the small scene like a large one."""
     monkeypatch.setattr(tie_points, "_WHOLE_PX", whole)
-    monkeypatch.setattr(tie_points, "_PATCH_PX", patch)
+    monkeypatch.setattr(tie_points, "_PATCH_PX", (patch, patch))
     return Scene(**vars(scene))
 
 

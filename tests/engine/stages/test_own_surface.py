@@ -56,7 +56,7 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
 def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mountains, mountains_run, told, tmp_path,
                                                                            monkeypatch):
     monkeypatch.setattr(tie_points, "_WHOLE_PX", 100)
-    monkeypatch.setattr(tie_points, "_PATCH_PX", 150)
+    monkeypatch.setattr(tie_points, "_PATCH_PX", (150, 150))
     fitted = run_stage("epmfit", {"images": mountains.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     made = run_stage("reconstruct", {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1},
                      told())
