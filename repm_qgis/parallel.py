@@ -10,7 +10,7 @@ import os
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from .errors import EmptyResultError
 from .progress import Progress
@@ -18,6 +18,7 @@ from .progress import Progress
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3   # of glibc's mallopt (malloc.h)
+_POLL_S = 0.3
 _FEW = 3
 """Up to so many tasks a pool costs more than it gives: the task's own threads use the cores instead."""
 
@@ -127,15 +128,11 @@ def _in_pool(pool: _Pool, function: Callable[[Any], Any], tasks: Sequence[Any], 
     results: Dict[int, Any] = {}
     try:
         executor = pool.of(workers)
-        pending: Dict[Future, int] = {executor.submit(function, task): i for i, task in enumerate(tasks)}
+        pending = {executor.submit(function, task): i for i, task in enumerate(tasks)}
         progress.step(0.0, f"{len(tasks)} tasks on {workers} cores")
-        while pending:
-            done, _ = wait(pending, timeout=0.3, return_when=FIRST_COMPLETED)
-            progress.check_cancelled()
-            for future in done:
-                index = pending.pop(future)
-                results[index] = future.result()
-                progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
+        for index, future in as_they_end(pending, progress):
+            results[index] = future.result()
+            progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
     except BrokenProcessPool as error:
         pool.close()
         raise EmptyResultError(f"A worker process ended without an answer after {len(results)} of {len(tasks)} tasks: "
@@ -144,6 +141,15 @@ def _in_pool(pool: _Pool, function: Callable[[Any], Any], tasks: Sequence[Any], 
         pool.end()
         raise
     return [results[i] for i in range(len(tasks))]
+
+
+def as_they_end(pending: Dict["Future[Any]", int], progress: Progress) -> Iterator[Tuple[int, "Future[Any]"]]:
+    """Futures with their numbers as they end, taken out of ``pending``; Cancel is heard while waiting."""
+    while pending:
+        done, _ = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+        progress.check_cancelled()
+        for future in done:
+            yield pending.pop(future), future
 
 
 def one_thread_for_sums() -> None:

@@ -55,20 +55,29 @@ def take_name(temporary: str, path: str) -> None:
         raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
 
 
-def write_text(path: str, text: str) -> str:
-    """Write a UTF-8 text file, whole or not at all; raises WorkspaceError."""
+@contextmanager
+def whole_file(path: str) -> Iterator[str]:
+    """A temporary name to write to: the file takes its own only when the block ends without an error.
+
+    Raises WorkspaceError where it cannot be written.
+    """
     temporary = temporary_name(path)
     try:
-        with open(temporary, "w", encoding="utf-8") as stream:
-            stream.write(text)
+        yield temporary
         take_name(temporary, path)
-    except WorkspaceError:
-        raise
     except OSError as error:
+        if isinstance(error, RepmError):
+            raise
         raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
     finally:
         if os.path.exists(temporary):
             os.unlink(temporary)
+
+
+def write_text(path: str, text: str) -> str:
+    """Write a UTF-8 text file, whole or not at all; raises WorkspaceError."""
+    with whole_file(path) as temporary, open(temporary, "w", encoding="utf-8") as stream:
+        stream.write(text)
     return path
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, Iterator, Optional, Tuple
@@ -12,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..errors import EmptyResultError, OptionError, WorkspaceError
+from ..errors import EmptyResultError, OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery.raster import opened, read
 from ..progress import Progress, Silent
-from ..workspace import take_name, temporary_name
+from ..workspace import whole_file
 
 _BLOCK_CELLS = 1 << 18
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
@@ -79,23 +78,13 @@ def write_mesh(dsm: str, path: str, max_vertices: int = 0, progress: Optional[Pr
     if Path(path).suffix.lower() != ".ply":
         raise OptionError("MESH", path, "must end with .ply")
     progress = progress or Silent()
-    temporary = temporary_name(path)
     with opened(dsm) as dataset:
         lattice, vertices = _thinned(dataset, max_vertices, progress)
         if not vertices:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
         faces = sum(len(_cells(heights)[0]) for heights, _ in lattice.squares())
-        try:
+        with whole_file(path) as temporary:
             _write(temporary, lattice, vertices, faces)
-            take_name(temporary, path)
-        except OSError as error:
-            if isinstance(error, WorkspaceError):
-                raise
-            raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another "
-                                 "place.") from error
-        finally:
-            if os.path.exists(temporary):
-                os.unlink(temporary)
     return {"vertices": vertices, "faces": faces, "step": lattice.step}
 
 

@@ -13,9 +13,9 @@ from typing import Optional, Tuple, Union
 import numpy as np
 from osgeo import gdal
 
-from ..errors import ImageError, WorkspaceError
+from ..errors import ImageError
 from ..imagery import raster
-from ..workspace import temporary_name
+from ..workspace import whole_file
 from .grids import Grid, metres_per_unit
 
 PathLike = Union[str, os.PathLike]
@@ -231,16 +231,5 @@ def shaded_relief_png(dsm_path: PathLike, png_path: PathLike, max_px: int = 1600
 
 def write_png(picture: np.ndarray, path: PathLike) -> None:
     """Write a uint8 picture as PNG, whole or not at all. Raises WorkspaceError where it cannot be written."""
-    temporary = temporary_name(os.fspath(path))
-    try:
-        with open(temporary, "wb") as stream:
-            stream.write(png_bytes(picture))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkspaceError(
-            f"The picture '{path}' cannot be written ({error.strerror or error}): "
-            "choose a folder that exists and that you may write to."
-        ) from error
-    finally:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
+    with whole_file(os.fspath(path)) as temporary, open(temporary, "wb") as stream:
+        stream.write(png_bytes(picture))

@@ -13,8 +13,7 @@ from typing import Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ImageError, WorkspaceError
-from ..workspace import take_name, temporary_name
+from ..errors import ImageError
 
 FloatImage = NDArray[np.float32]
 
@@ -49,17 +48,3 @@ def read_map(path: str, size: Tuple[int, int], channels: int = 1) -> FloatImage:
         raise ImageError(f"Cannot read the map '{path}' ({error.strerror or error}): reconstruct again.") from error
     layers = values.astype(np.float32).reshape(channels, height, width)
     return layers[0] if channels == 1 else np.moveaxis(layers, 0, -1)
-
-
-def write_map(path: str, values: NDArray[np.floating]) -> None:
-    """Write a (height, width) or (height, width, channels) array as COLMAP does; raises WorkspaceError."""
-    layers = np.moveaxis(np.atleast_3d(values), -1, 0)
-    channels, height, width = layers.shape
-    temporary = temporary_name(path)
-    try:
-        with open(temporary, "wb") as stream:
-            stream.write(f"{width}&{height}&{channels}&".encode("ascii"))
-            stream.write(np.ascontiguousarray(layers, dtype="<f4").tobytes())
-    except OSError as error:
-        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): is the disk full?") from error
-    take_name(temporary, path)

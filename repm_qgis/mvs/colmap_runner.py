@@ -12,13 +12,14 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar, Union
 
 from ..environment import Gpu
 from ..errors import Cancelled, DeviceError
+from ..parallel import as_they_end
 from ..progress import Progress
 from ..workspace import write_text
 
@@ -144,13 +145,9 @@ def on_gpus(function: Callable[[T, Gpu, threading.Event], R], tasks: Sequence[T]
         pending: Dict["Future[Any]", int] = {pool.submit(work, task): i for i, task in enumerate(tasks)}
         try:
             progress.step(0.0, f"{len(tasks)} tiles on {len(gpus)} GPU(s)")
-            while pending:
-                done, _ = wait(pending, timeout=0.2, return_when=FIRST_COMPLETED)
-                progress.check_cancelled()
-                for future in done:
-                    index = pending.pop(future)
-                    results[index] = future.result()
-                    progress.step(len(results) / len(tasks), describe(tasks[index]))
+            for index, future in as_they_end(pending, progress):
+                results[index] = future.result()
+                progress.step(len(results) / len(tasks), describe(tasks[index]))
         except BaseException:
             stop.set()
             for future in pending:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Dict, Optional, Tuple
+from typing import Any, Dict, Iterator, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
+from osgeo import gdal
 
 from ..errors import EmptyResultError, ImageError, SceneError
 from ..geometry.refinement import translation
@@ -182,14 +184,10 @@ class HeightSource:
         if not (width and height_px):
             nothing = np.empty((0, 0))
             return HeightMap(nothing, nothing, nothing, nothing.astype(np.float32), nothing.astype(bool))
-        try:
-            with opened(self.path) as dataset:
-                height = read(dataset, window, 1).astype(np.float64)
-                score = read(dataset, window, 2)
-                filled = read(dataset, window, 3) > 0
-        except ImageError as error:
-            raise SceneError(f"The height map '{self.path}' is gone or damaged: delete what is left of it, and run "
-                             "'Reconstruct heights' again.") from error
+        with _height_map(self.path) as dataset:
+            height = read(dataset, window, 1).astype(np.float64)
+            score = read(dataset, window, 2)
+            filled = read(dataset, window, 3) > 0
         columns, rows = np.arange(col, col + width, dtype=np.float64), np.arange(row, row + height_px, dtype=np.float64)
         x, y = (table.on_grid(columns, rows, height) for table in (self.geometry.x, self.geometry.y))
         if self.part is not None:
@@ -242,18 +240,19 @@ def height_source(scene: Scene, bounds: Tuple[float, float, float, float], recor
 
 def map_size(path: str) -> Tuple[int, int]:
     """Width and height of a height map; raises SceneError where the file is gone or damaged."""
+    with _height_map(path) as dataset:
+        return dataset.RasterXSize, dataset.RasterYSize
+
+
+@contextmanager
+def _height_map(path: str) -> Iterator[gdal.Dataset]:
+    """A height map's raster; raises SceneError where it is gone or damaged."""
     try:
         with opened(path) as dataset:
-            return dataset.RasterXSize, dataset.RasterYSize
+            yield dataset
     except ImageError as error:
         raise SceneError(f"The height map '{path}' is gone or damaged: delete what is left of it, and run 'Reconstruct "
                          "heights' again.") from error
-
-
-def load_heights(scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any],
-                 crs: str) -> HeightMap:
-    """A whole height map of the tile with these bounds, on the ground; see :func:`height_source`."""
-    return height_source(scene, bounds, record, crs).within()
 
 
 def _rectified(scene: Scene, first: View, second: View, bounds: Tuple[float, float, float, float],

@@ -12,10 +12,18 @@ import cv2
 import numpy as np
 import pycolmap
 
-from repm_qgis.mvs.colmap_maps import write_map
 from repm_qgis.mvs.colmap_process import fuse
 
 F = np.float32
+
+
+def write_map(path, values):
+    """Write a (height, width) or (height, width, channels) array as COLMAP does."""
+    layers = np.moveaxis(np.atleast_3d(values), -1, 0)
+    channels, height, width = layers.shape
+    with open(path, "wb") as stream:
+        stream.write(f"{width}&{height}&{channels}&".encode("ascii"))
+        stream.write(np.ascontiguousarray(layers, dtype="<f4").tobytes())
 
 
 class Camera:

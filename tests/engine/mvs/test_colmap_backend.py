@@ -21,7 +21,7 @@ from repm_qgis.mvs import backends, colmap_backend, colmap_runner
 from repm_qgis.mvs.colmap_backend import GpuTask, match_tile
 from repm_qgis.mvs.colmap_runner import PatchMatch, bytes_needed, colmap_options, failure, on_gpus, run_patch_match
 from repm_qgis.mvs.colmap_workspace import brightness, write_workspace
-from repm_qgis.mvs.dense import load_heights
+from repm_qgis.mvs.dense import height_source
 from repm_qgis.mvs.depth_heights import depth_geometry
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -83,7 +83,7 @@ def test_every_view_gets_a_height_map_of_the_surface(urban, matched):
     task, records = matched
     assert [record["pair"][0] for record in records] == [view.name for view in urban.views]
     for record in records:
-        heights = load_heights(task.scene, task.bounds, record, task.scene.crs)
+        heights = height_source(task.scene, task.bounds, record, task.scene.crs).within()
         assert heights.height.shape == tuple(record["size"][::-1])
         assert record["valid"] == int(np.isfinite(heights.height).sum()) > 30000
         assert not heights.filled.any() and record["filled"] == 0
@@ -102,8 +102,8 @@ def test_heights_lie_where_another_crs_puts_them(matched):
     from repm_qgis.geometry.frames import geodetic_from_projected
 
     task, records = matched
-    here = load_heights(task.scene, task.bounds, records[0], task.scene.crs)
-    there = load_heights(task.scene, task.bounds, records[0], "EPSG:3857")
+    here = height_source(task.scene, task.bounds, records[0], task.scene.crs).within()
+    there = height_source(task.scene, task.bounds, records[0], "EPSG:3857").within()
     some = (slice(None, None, 40), slice(None, None, 40))
     a = geodetic_from_projected(task.scene.crs, np.stack([here.x[some], here.y[some]], axis=-1))
     b = geodetic_from_projected("EPSG:3857", np.stack([there.x[some], there.y[some]], axis=-1))
@@ -142,7 +142,7 @@ def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
     grid = CellGrid.covering(task.bounds, 1.0)
 
     def raster(record):
-        heights = load_heights(task.scene, task.bounds, record, task.scene.crs)
+        heights = height_source(task.scene, task.bounds, record, task.scene.crs).within()
         return grid_points(grid, heights.x, heights.y, heights.height, heights.score)[0]
 
     first = urban.views[0].name
@@ -169,7 +169,7 @@ def test_colmap_s_fusion_decides_where_it_is_asked_to(urban, matched, tmp_path):
         assert 0.5 * other["valid"] < record["valid"] < other["valid"]
         errors = []
         for one in (record, other):
-            heights = load_heights(task.scene, task.bounds, one, task.scene.crs)
+            heights = height_source(task.scene, task.bounds, one, task.scene.crs).within()
             error = np.abs(heights.height - surface_at(urban, heights.x, heights.y))
             errors.append((error > 5).sum() / np.isfinite(error).sum())
         assert errors[0] <= errors[1]
@@ -432,7 +432,7 @@ def test_a_height_map_of_another_scene_is_refused(matched, tmp_path):
     for change in ({"views": [records[0]["pair"][0]]}, {"bounds": [0.0, 0.0, 10.0, 10.0]},
                    {"file": str(tmp_path / "none.tif")}):
         with pytest.raises(SceneError, match="again"):
-            load_heights(task.scene, task.bounds, {**records[0], **change}, task.scene.crs)
+            height_source(task.scene, task.bounds, {**records[0], **change}, task.scene.crs).within()
 
 
 def test_auto_is_sgm_where_no_device_answers(monkeypatch):

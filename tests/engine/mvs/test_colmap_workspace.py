@@ -10,9 +10,8 @@ import pytest
 
 from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.mvs.colmap_maps import write_map
 from repm_qgis.mvs.colmap_workspace import brightness, image_name, map_path, write_workspace
-from tests.engine.mvs.colmap_emulation import Workspace
+from tests.engine.mvs.colmap_emulation import Workspace, write_map
 from tests.engine.mvs.truth_depths import depths_of, surface_at, true_frame, true_heights
 
 
