@@ -38,7 +38,8 @@ Pair = Tuple[str, str]
 _REDUCTION = 2.0            # SIFT on half-size images: a sixth of the time, ties enough
 _SMALL_PX = 500             # a scene below this side needs all its pixels for ties
 _FEATURES_PER_MPX = 2500
-_FEATURES = (600, 4000)     # of a patch, at least and at most
+_FEATURES = (600, 4000)     # of a scene that is one patch, at least and at most
+_LEAST_FEATURES = 300       # of each of several patches, which share those of a scene
 _SPARE_FEATURES = 3         # times as many to choose an even spread from
 _BUCKETS = 12               # a side of a patch, for an even spread of features
 _WHOLE_PX = 1600            # a scene up to this side is one patch
@@ -92,6 +93,7 @@ class _PatchTask:
     stretches: Dict[str, Stretch]
     detector: Detector
     reduction: float
+    features: int
 
 
 def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch], progress: Progress,
@@ -108,7 +110,8 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
     lean, reduction = scene.lean(), _REDUCTION if _side(scene) >= _SMALL_PX * scene.gsd_m else 1.0
     for number in range(_ROUNDS):
-        tasks = [_PatchTask(lean, cell[number], wanted, used, detector, reduction)
+        tasks = [_PatchTask(lean, cell[number], wanted, used, detector, reduction,
+                            max(_LEAST_FEATURES, _FEATURES[1] // len(cells)))
                  for cell in cells if number < len(cell)]
         if not tasks:
             break
@@ -241,7 +244,8 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     missing = ~np.isfinite(pixels)
     grey = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
     mask = cv2.erode((~missing).astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
-    most = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
+    usual = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
+    most = min(usual, task.features)
     found = task.detector.detect(grey, mask, _SPARE_FEATURES * most,
                                  lambda points, strength: _even(points, strength, size, most))
     if len(found.points) < 8:
