@@ -129,30 +129,31 @@ def _sharpen_patch(task: _Task) -> Dict[Tuple[int, str], FloatArray]:
         inside = np.flatnonzero(((a >= 0) & (a < pair.size)).all(axis=1) & np.isfinite(b).all(axis=1))
         if not len(inside):
             continue
-        moved, shifted, good = _registered(pair, views, tuple(task.stretches[name] for name in names), a[inside],
-                                           b[inside])
-        pixels = shifted.second_original(moved)
+        moved, good = _registered(pair, views, tuple(task.stretches[name] for name in names), a[inside], b[inside])
+        pixels = pair.second_original(moved)
         result.update({(int(numbers[k]), names[1]): pixel for k, pixel in zip(inside[good], pixels[good])})
     return result
 
 
 def _registered(pair: RectifiedPair, views: Tuple[View, View], stretches: Tuple[Stretch, Stretch], a: FloatArray,
-                b: FloatArray) -> Tuple[FloatArray, RectifiedPair, NDArray[np.bool_]]:
-    """(N, 2) positions in the second image that look like ``a`` in the first, their frame, and which of them hold."""
-    # The second image is moved so that the frame holds its pixels, whatever the RPCs' errors.
-    corner = np.array([min(0, int(np.floor(b[:, 0].min())) - _MARGIN_PX), int(np.median(np.round(b[:, 1] - a[:, 1])))])
-    width = max(pair.size[0], int(np.ceil(b[:, 0].max())) + _MARGIN_PX - int(corner[0]))
-    shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(*-corner) @ pair.h_second, pair.size)
-    images = [_grey(view, stretch, to_original, (width, pair.size[1])) for view, stretch, to_original in
-              zip(views, stretches, (pair.first_original, shifted.second_original))]
-    here, there = (points.astype(np.float32)[:, None] for points in (a, b - corner))
+                b: FloatArray) -> Tuple[FloatArray, NDArray[np.bool_]]:
+    """(N, 2) positions in the second image that look like ``a`` in the first, and which of them hold."""
+    # Each image in a frame that just holds its points, wherever the RPCs' errors put them.
+    corners = [np.floor(points.min(axis=0)) - _MARGIN_PX for points in (a, b)]
+    size = np.max([np.ceil(points.max(axis=0) - corner) for points, corner in zip((a, b), corners)], axis=0)
+    size = (int(size[0]) + _MARGIN_PX, int(size[1]) + _MARGIN_PX)
+    frames = RectifiedPair(pair.first, pair.second, translation(*-corners[0]) @ pair.h_first,
+                           translation(*-corners[1]) @ pair.h_second, size)
+    images = [_grey(view, stretch, to_original, size) for view, stretch, to_original in
+              zip(views, stretches, (frames.first_original, frames.second_original))]
+    here, there = (points.astype(np.float32)[:, None] for points in (a - corners[0], b - corners[1]))
     found, status, error = _aligned(images[0], images[1], here, there)
     back, returned, _ = _aligned(images[1], images[0], found, here)
     good = ((status > 0) & (returned > 0) & (_distance(found, there) < _FARTHEST_PX)
             & (_distance(back, here) < _RETURN_PX))
     if good.sum() >= _ENOUGH:
         good &= error <= np.quantile(error[good], _MOST_ALIKE)
-    return found[:, 0].astype(np.float64), shifted, good
+    return found[:, 0].astype(np.float64) + corners[1], good
 
 
 def _aligned(source: NDArray[np.uint8], target: NDArray[np.uint8], points: NDArray[np.float32],

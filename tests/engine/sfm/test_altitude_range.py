@@ -7,7 +7,7 @@ import pytest
 
 from repm_qgis.errors import OptionError
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.sfm.altitude_range import altitude_range, ground_slope, sweep_altitudes
+from repm_qgis.sfm.altitude_range import _patches, altitude_range, ground_slope, sweep_altitudes
 
 NONE = (None, None)
 
@@ -23,6 +23,15 @@ def test_the_true_range_is_inside_and_the_range_is_not_absurd(request, told, kin
     assert np.diff(found.altitudes)[0] < seen[1] - seen[0] + wider + 2 * found.step_m
     assert search[0] <= found.altitudes[0] and found.altitudes[1] <= search[1]
     assert found.matched > 60 and found.matched <= found.cells
+
+
+@pytest.mark.parametrize("side", (900, 1600, 2000, 2600, 4000, 12000))
+def test_patches_of_the_sweep_do_not_overlap(side):
+    patches = _patches((0.0, 0.0, float(side), float(side)), 1.0)
+    starts, ends = sorted({p[0] for p in patches}), sorted({p[2] for p in patches})
+    assert len(patches) == len(starts) ** 2 and starts[0] == 0 and ends[-1] == side
+    assert all(end <= start + 1e-6 for end, start in zip(ends, starts[1:]))
+    assert sum((p[2] - p[0]) * (p[3] - p[1]) for p in patches) >= min(0.99 * side ** 2, 9 * 1280 ** 2)
 
 
 def test_real_pairs(shared_data, told):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -186,6 +187,23 @@ def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, tol
     assert len(ties.first_px) >= 12
     off = np.linalg.norm(ties.first_px - truth.true_views[0].project(ground), axis=1)
     assert np.quantile(off, 0.9) < 110
+
+
+@pytest.mark.parametrize("side", (2000, 4000))
+def test_of_a_small_scene_a_quarter_is_searched(found, told, monkeypatch, side):
+    """Nine patches, none of which overlap, and less where the scene is larger."""
+    _, scene, _, stretches = found
+    x, y = scene.tiles[0].bounds[:2]
+    end = side * scene.gsd_m
+    area = f"POLYGON (({x} {y}, {x + end} {y}, {x + end} {y + end}, {x} {y + end}, {x} {y}))"
+    tile = dataclasses.replace(scene.tiles[0], bounds=(x, y, x + end, y + end))
+    monkeypatch.setattr(tie_points, "_texture", lambda *_: 1.0)
+    cells = tie_points._ranked_patches(Scene(**{**vars(scene), "tiles": [tile], "area": area}), stretches, told())
+    first = np.array([cell[0] for cell in cells])
+    share = ((first[:, 2] - first[:, 0]) * (first[:, 3] - first[:, 1])).sum() / end ** 2
+    assert len(cells) == 9 and share == pytest.approx(0.25 if side == 2000 else 9 * (500 / 4000) ** 2)
+    for a, b in itertools.combinations(first, 2):
+        assert (a[:2] >= b[2:]).any() or (b[:2] >= a[2:]).any()
 
 
 @pytest.mark.parametrize("shape", ("square", "slanted"))
