@@ -178,7 +178,9 @@ class Rpc:
             finite = np.isfinite(error)
             if not finite.any() or error[finite].max() < _LOCALISE_TOLERANCE_PX:
                 break
-            if iteration in (0, 1, 6):
+            if iteration == 0:  # all begin at the same place
+                inverse = self._inverse_jacobian(np.array([[self.lon_off, self.lat_off, self.height_off]]))
+            elif iteration in (1, 6):
                 inverse = self._inverse_jacobian(ground)
             step = np.einsum("nij,nj->ni", inverse, residual)
             # A step beyond the model's own domain would run into its poles.
