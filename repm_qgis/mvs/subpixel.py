@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 FloatImage = NDArray[np.float32]
 
 _PASSES = 3
-_SIGMA_PX = 2.0
-_REACH_PX = 0.5             # semi-global matching is never farther off where it is right
-_NOISE = 1e-3               # variance of gradients that sensor noise makes, of a brightness of 0..1
+_SIGMA_PX = 1.2             # of the window: it holds 4 pi sigma^2 = 18 independent pixels
+_REACH_PX = 1.0             # as far as the two directions of matching may disagree
+_PRIOR_PX = 0.24            # standard deviation of what semi-global matching leaves in such a window: 0.19 to 0.30
+_LEAST_NOISE = 1e-6         # variance of a brightness of 0..1: below a 12-bit sensor's noise
 _MEDIAN = 5
 _STEP_PX = 0.7              # what the median would move farther is an edge, no noise
 _SMOOTH_PX, _ALIKE_PX, _SMOOTH_WINDOW = 1.5, 0.5, 7
@@ -27,11 +28,17 @@ def positions(disparity: FloatImage, high: int) -> Tuple[FloatImage, FloatImage]
 
 
 def sharpened(disparity: FloatImage, first: FloatImage, second: FloatImage, high: int) -> FloatImage:
-    """Disparities moved, by up to half a pixel, to where the brightness of the two neighbourhoods agrees best.
+    """Disparities moved, by up to a pixel, to where the brightness of the two neighbourhoods agrees best.
 
     Gauss-Newton on the difference of brightness in a Gaussian window, with the mean taken out (Lucas and Kanade
     1981): free of the integer bias that parabolas through costs have. Each pixel of the window is shifted by its own
-    disparity, so slopes and roofs do not blur; without texture the step dies out.
+    disparity, so slopes and roofs do not blur.
+
+    A step is as large as the window can prove. From n pixels with gradients g and noise of variance s^2 the disparity
+    has the variance s^2 / (n g^2) (Cramer and Rao's bound), and beforehand that of ``_PRIOR_PX``, shared out among the
+    passes; weighing the two multiplies the step by g^2 / (g^2 + s^2 / (n prior^2)). The noise is what the window's
+    brightness still differs by: so weak texture in a clean image counts as much as strong texture in a noisy one,
+    and no contrast is asked for. Without texture the step dies out.
     """
     known = np.isfinite(disparity)
     weight = known.astype(np.float32)
@@ -44,15 +51,17 @@ def sharpened(disparity: FloatImage, first: FloatImage, second: FloatImage, high
     slope = cv2.Sobel(b, cv2.CV_32F, 1, 0, ksize=1) * np.float32(0.5)
     start = np.where(known, disparity, np.float32(0))
     current = start
-    mean_a = mean(a)
+    share_of_noise = np.float32(_PASSES / (4 * np.pi * _SIGMA_PX ** 2 * _PRIOR_PX ** 2))
     for _ in range(_PASSES):
         columns, rows = positions(current, high)
         matched = cv2.remap(b, columns, rows, cv2.INTER_CUBIC)
         g = cv2.remap(slope, columns, rows, cv2.INTER_LINEAR)
-        mean_g = mean(g)
-        against = mean((a - matched) * g) - (mean_a - mean(matched)) * mean_g
+        off = a - matched
+        mean_g, mean_off = mean(g), mean(off)
+        against = mean(off * g) - mean_off * mean_g
         power = mean(g * g) - mean_g * mean_g
-        step = np.clip(against / (power + np.float32(_NOISE)), -0.3, 0.3)
+        noise = np.maximum(mean(off * off) - mean_off * mean_off, np.float32(_LEAST_NOISE))
+        step = np.clip(against / (power + share_of_noise * noise), -0.3, 0.3)
         current = np.clip(current - step, start - np.float32(_REACH_PX), start + np.float32(_REACH_PX))
     return np.where(known, current, np.float32(np.nan)).astype(np.float32)
 
