@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .edges import at_edges
 from .matching import Matched
 from .occlusions import with_background
-from .subpixel import denoised, median, positions, sharpened
+from .subpixel import median, positions, refined
 
 FloatImage = NDArray[np.float32]
 
@@ -49,7 +49,7 @@ def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], n
     forth[~np.isfinite(first)] = np.nan
     disparity = np.where(_agree(forth, back, high), forth, np.float32(np.nan))
     disparity = _without_islands(disparity, first, second, low, high)
-    disparity = denoised(sharpened(disparity, first, second, high))
+    disparity = refined(disparity, first, second, high)
     score = _score(first, second, disparity, high)
     # Where the second image has nothing, the matcher has only made something up.
     disparity[~np.isfinite(score)] = np.nan
