@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-large bench-clouds bench-confidence bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-views lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-large bench-clouds bench-confidence bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-subpixel bench-views lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -37,6 +37,9 @@ bench-pointing: setup ## ties and pointing: known errors found again, real image
 
 bench-matching: setup ## the matcher with one thing changed at a time (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/matching.py
+
+bench-subpixel: setup ## fractions of a pixel taken apart against the truth: noise, smoothing, what is left (writes docs/benchmarks.md)
+	@$(PYTHON) benchmarks/subpixel.py
 
 bench-masks: setup ## water and clouds: what comes out as nodata, what is lost on land (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/masks.py

@@ -142,6 +142,13 @@ def _large_pieces(disparity: Any, first: Any, second: Any, low: int, high: int) 
     return sgm._pieces(disparity, low, 80)
 
 
+def _without_turns(disparity: Any, first: Any, second: Any, high: int) -> Any:
+    """All steps on the brightness first, all smoothing after them."""
+    with changed({"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity}):
+        sharp = subpixel.refined(disparity, first, second, high)
+    return subpixel.denoised(sharp)
+
+
 def _lowest_along_rows(disparity: Any, nearer: float) -> Any:
     """Filling as it was first: the lower of a gap's two ends in its row."""
     known = np.isfinite(disparity)
@@ -157,7 +164,7 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "as it is": {},
     "OpenCV's eight ways, checked both ways, nothing else": {
         "sgm._matcher": _with_mode(EIGHT, 3, 8, 32), **AS_MATCHED, "sgm._without_islands": _large_pieces,
-        "sgm.sharpened": lambda disparity, *others: disparity, "sgm.denoised": lambda disparity: disparity,
+        "sgm.refined": lambda disparity, *others: disparity,
         "sgm.with_background": lambda disparity, nearer: disparity.copy()},
     "eight-way aggregation": {"sgm._matcher": _with_mode(EIGHT)},
     "eight ways, penalties 12 and 36": {"sgm._matcher": _with_mode(EIGHT, 1, 12, 36)},
@@ -178,11 +185,16 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "edges: twice": {"sgm.at_edges": _twice},
     "all islands kept": {"sgm._without_islands": lambda disparity, *others: disparity},
     "islands below 80 px dropped": {"sgm._without_islands": _large_pieces},
-    "not sharpened": {"sgm.sharpened": lambda disparity, *others: disparity},
-    "sharpened without noise floor": {"subpixel._NOISE": 1e-4},
-    "noise left": {"sgm.denoised": lambda disparity: disparity},
-    "median only, over steps too": {"sgm.denoised": subpixel.median},
-    "median only, not over steps": {"subpixel._ALIKE_PX": 1e-3},
+    "not sharpened": {"subpixel._moved": lambda disparity, *others: disparity},
+    "sharpened, then smoothed, no turns": {"sgm.refined": _without_turns},
+    "sharpened: noise does not count": {"subpixel._PRIOR_PX": 10.0},
+    "sharpened: half as much expected (0.13 px)": {"subpixel._PRIOR_PX": 0.13},
+    "sharpened: windows of 1 px": {"subpixel._SIGMA_PX": 1.0},
+    "sharpened: windows of 2 px": {"subpixel._SIGMA_PX": 2.0},
+    "noise left": {"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity},
+    "median only, over steps too": {"subpixel.denoised": subpixel.median,
+                                    "subpixel._smoothed": lambda disparity: disparity},
+    "median only, not over steps": {"subpixel._smoothed": lambda disparity: disparity},
     "occlusions left empty": {"sgm.with_background": lambda disparity, nearer: disparity.copy()},
     "occlusions: along rows only": {"sgm.with_background": _lowest_along_rows},
 }

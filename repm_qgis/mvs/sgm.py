@@ -2,7 +2,7 @@
 
 Both images are matched against each other, and in both results pixels near steps in height are given to the surface
 that the images support (``edges``); what the two then disagree on by more than a pixel is dropped, small islands too
-unless they match well. Every disparity is sharpened on the brightness itself and its noise taken out (``subpixel``),
+unless they match well. Disparities are sharpened on the brightness itself and smoothed, in turns (``subpixel``),
 and what one image hides is filled from the background and marked (``occlusions``). Each choice was measured on
 ``truth_urban``, simulated towns and mountains and real pairs (docs/benchmarks.md).
 """

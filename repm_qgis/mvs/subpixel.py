@@ -1,8 +1,8 @@
-"""Fractions of a pixel: disparities sharpened on the brightness itself, and their noise taken out."""
+"""Fractions of a pixel: disparities sharpened on the brightness itself, and their noise taken out, in turns."""
 
 from __future__ import annotations
 
-from typing import Tuple
+from typing import Callable, Tuple
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ FloatImage = NDArray[np.float32]
 _STEPS = 4
 _STEP_PX = 0.3              # at most
 _SIGMA_PX = 1.2             # of the window: it holds 4 pi sigma^2 = 18 independent pixels
-_PRIOR_PX = 0.3             # standard deviation of what semi-global matching leaves in such a window: 0.2 to 0.3
+_PRIOR_PX = 0.27            # standard deviation of what semi-global matching leaves in such a window: 0.2 to 0.3
 _LEAST_NOISE = 1e-6         # variance of a brightness of 0..1: below a 12-bit sensor's noise
 _MEDIAN = 5
 _EDGE_PX = 0.7              # what the median would move farther is an edge, no noise
@@ -36,14 +36,16 @@ def refined(disparity: FloatImage, first: FloatImage, second: FloatImage, high: 
     """
     a, b = np.nan_to_num(first), np.nan_to_num(second)
     slope = cv2.Sobel(b, cv2.CV_32F, 1, 0, ksize=1) * np.float32(0.5)
+    mean = _mean_of(np.isfinite(disparity))
     result = disparity
     for clean in (None, denoised, _smoothed, _smoothed):
-        result = _moved(result, a, b, slope, high)
+        result = _moved(result, a, b, slope, high, mean)
         result = clean(result) if clean else result
     return result
 
 
-def _moved(disparity: FloatImage, first: FloatImage, second: FloatImage, slope: FloatImage, high: int) -> FloatImage:
+def _moved(disparity: FloatImage, first: FloatImage, second: FloatImage, slope: FloatImage, high: int,
+           mean: Callable[[FloatImage], FloatImage]) -> FloatImage:
     """Disparities one step nearer to where the brightness of the two neighbourhoods agrees best.
 
     Gauss-Newton on the difference of brightness in a Gaussian window, with the mean taken out (Lucas and Kanade
@@ -56,13 +58,6 @@ def _moved(disparity: FloatImage, first: FloatImage, second: FloatImage, slope: 
     brightness still differs by: so weak texture in a clean image counts as much as strong texture in a noisy one,
     and no contrast is asked for. Without texture the step dies out.
     """
-    known = np.isfinite(disparity)
-    weight = known.astype(np.float32)
-    share = _mean(weight) + np.float32(1e-6)
-
-    def mean(image: FloatImage) -> FloatImage:
-        return _mean(image * weight) / share
-
     columns, rows = positions(disparity, high)
     off = first - cv2.remap(second, columns, rows, cv2.INTER_CUBIC)
     g = cv2.remap(slope, columns, rows, cv2.INTER_LINEAR)
@@ -74,8 +69,11 @@ def _moved(disparity: FloatImage, first: FloatImage, second: FloatImage, slope: 
     return disparity - np.clip(against / (power + share_of_noise * noise), -_STEP_PX, _STEP_PX)
 
 
-def _mean(image: FloatImage) -> FloatImage:
-    return cv2.GaussianBlur(image, (0, 0), _SIGMA_PX)
+def _mean_of(known: NDArray[np.bool_]) -> Callable[[FloatImage], FloatImage]:
+    """The mean in a Gaussian window, over what is known of it."""
+    weight = known.astype(np.float32)
+    share = cv2.GaussianBlur(weight, (0, 0), _SIGMA_PX) + np.float32(1e-6)
+    return lambda image: cv2.GaussianBlur(image * weight, (0, 0), _SIGMA_PX) / share
 
 
 def median(disparity: FloatImage) -> FloatImage:
