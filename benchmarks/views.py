@@ -82,7 +82,8 @@ def main() -> None:
     publish("views", "What a third view is worth", "make bench-views", [
         "Default options, all with the pointing of the three views, after the best shift in three dimensions. Bar: "
         "three views are better than the best pair in C1 and RMSE, on every scene.",
-        table(["scene", "views", "valid %", "NMAD m", "MAE m", "RMSE m", "C1 %", "C2.5 %"], rows)])
+        table(["scene", "views", "valid %", "NMAD m", "MAE m", "RMSE m", "all three there, RMSE m", "C1 %",
+               "C2.5 %"], rows)])
 
 
 if __name__ == "__main__":
