@@ -1,8 +1,8 @@
 """The matcher's choices measured, one change at a time (``make bench-matching``).
 
-Each row is one pair of one scene matched with something of the ``sgm`` backend left out or replaced, gridded to 0.5 m
-and scored on all cells of the reference, after the best whole-cell shift and the median height difference where the
-scene has a truth (pointing without ground control leaves such a shift).
+Each row is one pair of one scene matched and gridded to 0.5 m as the pipeline does, with something of the ``sgm``
+backend left out or replaced, and scored on all cells of the reference, after the best whole-cell shift and the median
+height difference where the scene has a truth (pointing without ground control leaves such a shift).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import tempfile
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Dict, Iterator, List
 
 import cv2
 import numpy as np
@@ -24,14 +24,14 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.tables import publish, table  # noqa: E402
-from repm_qgis.dsm.grid import CellGrid, grid_points  # noqa: E402
-from repm_qgis.geometry.refinement import translation  # noqa: E402
+from repm_qgis.dsm import fusion  # noqa: E402
+from repm_qgis.dsm.aggregation import aggregate  # noqa: E402
+from repm_qgis.dsm.grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
-from repm_qgis.imagery.warping import warp  # noqa: E402
-from repm_qgis.mvs import edges, occlusions, sgm, subpixel  # noqa: E402
+from repm_qgis.mvs import dense, edges, occlusions, sgm, subpixel  # noqa: E402
+from repm_qgis.mvs.dense import DenseTask, HeightMap  # noqa: E402
 from repm_qgis.mvs.pairing import grown, rectified_pair  # noqa: E402
-from repm_qgis.mvs.rectification import RectifiedPair  # noqa: E402
 from repm_qgis.mvs.triangulation import pair_geometry  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
@@ -39,7 +39,7 @@ from repm_qgis.stages import run_stage  # noqa: E402
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CELL = 0.5
-MODULES = {"sgm": sgm, "edges": edges, "subpixel": subpixel, "occlusions": occlusions}
+MODULES = {"dense": dense, "sgm": sgm, "edges": edges, "subpixel": subpixel, "occlusions": occlusions}
 
 
 class Case:
@@ -51,15 +51,11 @@ class Case:
         made = run_stage("pipeline", {"images": images[:2], "workspace": work, "output": f"{work}.tif",
                                       "resolution": CELL}, Silent())
         scene = Scene.load(made["scene"])
-        tile = scene.tiles[0]
-        first, second = scene.views[:2]
-        pair = rectified_pair(scene, first, second, grown(tile.bounds, 32 * scene.gsd_m), tile.altitudes)
-        self.geometry = pair_geometry(pair, first, second, tile.altitudes, scene.crs)
-        low, high = (math.floor(self.geometry.disparities[0]) - 6, math.ceil(self.geometry.disparities[1]) + 6)
-        self.disparities, (width, height) = (low, high), pair.size
-        shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
-        self.first = _sampled(first, pair.first_original, (width, height))
-        self.second = _sampled(second, shifted.second_original, (width + high - low, height))
+        tile, self.views = scene.tiles[0], scene.views[:2]
+        self.task = DenseTask(scene, tile.id, tile.bounds, tile.altitudes, *(view.name for view in self.views),
+                              tuple(view_stretch(view.image, view.band) for view in self.views), "sgm", "", "")
+        self.pair = rectified_pair(scene, *self.views, grown(tile.bounds, 32 * scene.gsd_m), tile.altitudes)
+        self.geometry = pair_geometry(self.pair, *self.views, tile.altitudes, scene.crs)
         with opened(reference) as dataset:
             west, cell, _, north, _, _ = dataset.GetGeoTransform()
             size = dataset.RasterXSize, dataset.RasterYSize
@@ -68,15 +64,17 @@ class Case:
         self.grid = CellGrid(west, north, cell * step, (size[1] // step, size[0] // step))
         self.truth = self.truth[:self.grid.shape[0], :self.grid.shape[1]]
 
-    def score(self, match: Callable[..., Any]) -> List[float]:
-        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of a matcher."""
+    def score(self) -> List[float]:
+        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of the matcher as it now is."""
         start = time.process_time()
-        found = match(self.first, self.second, self.disparities, self.geometry.nearer)
+        found = dense._match(self.task, self.pair, self.geometry, *self.views)
         seconds = time.process_time() - start
         columns, rows = (np.arange(n, dtype=np.float64) for n in found.disparity.shape[::-1])
         height = self.geometry.height.on_grid(columns, rows, found.disparity.astype(np.float64))
         x, y = (part.on_grid(columns, rows, height) for part in (self.geometry.x, self.geometry.y))
-        error = grid_points(self.grid, x, y, height, np.ones_like(height))[0] - self.truth
+        heights = HeightMap(x, y, height, found.score, found.filled)
+        layer = fusion._layer(self.grid, heights, {"metres_per_px": self.geometry.metres_per_px}, self.task.scene.gsd_m)
+        error = aggregate([layer], "mean").height - self.truth
         if self.align:
             error = self._aligned(error + self.truth)
         known = error[np.isfinite(error)]
@@ -95,11 +93,6 @@ class Case:
                 if spread < best:
                     best, error = spread, moved - np.nanmedian(moved)
         return error
-
-
-def _sampled(view: Any, to_original: Any, size: Tuple[int, int]) -> np.ndarray:
-    with opened(view.image) as dataset:
-        return view_stretch(view.image, view.band).apply(warp(dataset, view.band, to_original, size, "cubic"))
 
 
 @contextmanager
@@ -162,6 +155,8 @@ AS_MATCHED = {"sgm.at_edges": lambda disparity, *others: disparity}
 THREE, FIVE, EIGHT = cv2.STEREO_SGBM_MODE_SGBM_3WAY, cv2.STEREO_SGBM_MODE_SGBM, cv2.STEREO_SGBM_MODE_HH
 VARIANTS: Dict[str, Dict[str, Any]] = {
     "as it is": {},
+    "no coarse level": {"dense.guide_of": lambda *_: None},
+    "all that floats kept": {"dense.without_unsupported": lambda matched, *_: matched},
     "OpenCV's eight ways, checked both ways, nothing else": {
         "sgm._matcher": _with_mode(EIGHT, 3, 8, 32), **AS_MATCHED, "sgm._without_islands": _large_pieces,
         "sgm.refined": lambda disparity, *others: disparity,
@@ -220,9 +215,9 @@ def main() -> None:
             rows = []
             for label, members in VARIANTS.items():
                 with changed(members):
-                    rows.append([label, *(round(value, 3) for value in case.score(sgm.match))])
-            parts.append(f"{case.name}, {case.first.shape[1]} x {case.first.shape[0]} px, "
-                         f"{case.disparities[1] - case.disparities[0]} disparities" + (
+                    rows.append([label, *(round(value, 3) for value in case.score())])
+            low, high = case.geometry.disparities
+            parts.append(f"{case.name}, {case.pair.size[0]} x {case.pair.size[1]} px, {high - low:.0f} disparities" + (
                              "" if case.align else " (reference: S2P's DSM)") + ":")
             parts.append(table(["matcher", "CPU s", "valid %", "ME m", "MAE m", "RMSE m", "C1 %", "C2.5 %"], rows))
     absent = "" if SHARED.exists() else f"Parts not measured: '{SHARED}' is absent."
