@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Sequence, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ FloatArray = NDArray[np.floating]
 REACH_CELLS = 12
 """How far off the agreed surface is looked for: the margin that a part of a tile needs."""
 
+STEP_PX = 1.5
+"""A smaller difference of disparity between neighbouring pixels is a slope, not a step."""
+
 _SIGMA_PX = 0.25            # what matching leaves, px of disparity
 _TOLERANCE = 2.5            # of these: so far may heights differ that mean the same surface
 _WEIGHT_POWER = 0.5         # weights are metres_per_px ** -0.5: between equal ones and the noise of disparities alone
@@ -28,6 +31,7 @@ _COMPANY = 3                # of the eight cells around, in the same map
 _LEAST_AGREED = 500         # cells: fewer do not tell how scores are distributed
 _RANK_ALONE, _RANK_OUTVOTED, _RANK_ISOLATED = 0.03, 0.05, 0.1
 _CONFIRMED = 0.45           # of backgrounds: fewer, and gaps here are failures rather than occlusions
+_AROUND = 2                 # of eight directions in which the agreed surface has a background's height
 _SHARE = 0.2                # of the usual number of neighbours that a cell needs
 _DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))
 
@@ -35,12 +39,15 @@ _DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1,
 @dataclass(frozen=True)
 class Layer:
     """A height map on the cells: ``height`` (m, NaN = not matched) with its ``score``, ``background`` (m, NaN = none)
-    where an occlusion hides the cell, and the height that one px of disparity means."""
+    where an occlusion hides the cell, the height that one px of disparity means; which cells matched points cover by
+    less than half, and which the background's (None: none)."""
 
     height: FloatArray
     score: FloatArray
     background: FloatArray
     metres_per_px: float
+    partial: Optional[NDArray[np.bool_]] = None
+    partial_background: Optional[NDArray[np.bool_]] = None
 
 
 @dataclass(frozen=True)
@@ -56,7 +63,7 @@ class Aggregate:
 
 
 def aggregate(layers: Sequence[Layer], method: str) -> Aggregate:
-    """Fuse height maps cell by cell.
+    """Fuse height maps cell by cell. Where one covers a cell, those that cover a part of it do not count.
 
     Parameters
     ----------
@@ -65,9 +72,24 @@ def aggregate(layers: Sequence[Layer], method: str) -> Aggregate:
     heights = np.stack([layer.height for layer in layers]).astype(np.float32)
     scores = np.stack([layer.score for layer in layers]).astype(np.float32)
     backgrounds = np.stack([layer.background for layer in layers]).astype(np.float32)
+    metres = np.array([layer.metres_per_px for layer in layers])
+    _drop_outdone(layers, heights)
+    if len(layers) > 1 and _Votes(heights, scores, backgrounds, metres).trusted():
+        _drop_outdone(layers, heights, backgrounds)
     backgrounds[np.isfinite(heights)] = np.nan
-    votes = _Votes(heights, scores, backgrounds, np.array([layer.metres_per_px for layer in layers]))
-    return votes.decided(method)
+    return _Votes(heights, scores, backgrounds, metres).decided(method)
+
+
+def _drop_outdone(layers: Sequence[Layer], heights: FloatArray, backgrounds: Optional[FloatArray] = None) -> None:
+    """Set heights NaN that stand for a part of their cell only, where another map or a background covers the cell."""
+    covered = np.zeros(heights.shape[1:], dtype=bool)
+    for number, layer in enumerate(layers):
+        values, partial = ((heights, layer.partial) if backgrounds is None else
+                           (backgrounds, layer.partial_background))
+        covered |= np.isfinite(values[number]) if partial is None else np.isfinite(values[number]) & ~partial
+    for layer, height in zip(layers, heights):
+        if layer.partial is not None and len(layers) > 1:
+            height[layer.partial & covered] = np.nan
 
 
 class _Votes:
@@ -145,6 +167,10 @@ class _Votes:
         height = groups.height[winner, everyone]
         return members & matched, height, np.isfinite(height) & ~(members & matched).any(axis=0)
 
+    def trusted(self) -> bool:
+        """Whether backgrounds are mostly right where maps agree."""
+        return self._backgrounds_checked()[1]
+
     def _backgrounds_checked(self) -> Tuple[NDArray[np.bool_], bool]:
         """Cells where a background contradicts two or more maps, and whether backgrounds may be trusted in the tile."""
         contradicted, said = np.zeros(self.agreed.shape, dtype=bool), 0
@@ -199,7 +225,8 @@ class _Votes:
             rank[i] = np.where(seen, ranks, 0).max(axis=0)
             support[i] = seen.sum(axis=0) + 0.5 * (near & ~matched).sum(axis=0)
             members[i] = used
-        return _Groups(height, votes, support, rank, members)
+        metres = np.where(members, (self.sigma / np.float32(_SIGMA_PX))[None, :, None], np.inf).min(axis=1)
+        return _Groups(height, votes, support, rank, members, metres)
 
     def _neighbours(self, cells: NDArray[np.int64], surface: FloatArray) -> List[FloatArray]:
         """The nearest agreed height in each of eight directions, (N,) each; NaN where none is within reach."""
@@ -232,13 +259,15 @@ class _Votes:
 @dataclass(frozen=True)
 class _Groups:
     """For each map's height in each cell, (maps, N), the group of those that mean the same surface: its ``height``,
-    ``votes`` of maps that were matched, ``support`` (backgrounds count half), best ``rank``, ``members``."""
+    ``votes`` of maps that were matched, ``support`` (backgrounds count half), best ``rank``, ``members``, and the
+    ``metres`` of a px in the member with the finest."""
 
     height: FloatArray
     votes: NDArray[np.int16]
     support: FloatArray
     rank: FloatArray
     members: NDArray[np.bool_]
+    metres: FloatArray
 
 
 def _winner(groups: _Groups, supported: NDArray[np.int16], confirmed: bool) -> NDArray[np.intp]:
@@ -249,10 +278,25 @@ def _winner(groups: _Groups, supported: NDArray[np.int16], confirmed: bool) -> N
     known = np.isfinite(groups.height)
     credible = known & (groups.votes > 0) & (3 * groups.votes > most) & (groups.rank >= asked)
     if confirmed:
-        credible |= known & (groups.votes == 0) & (most <= 1)
+        credible |= known & (groups.votes == 0) & (supported >= _AROUND) & _unrivalled(groups, most)
     order = 1000.0 * (groups.votes > 0) + 100.0 * groups.support + 50.0 * groups.rank + supported
     order = np.where(credible, 1e6 - np.nan_to_num(groups.height), order)
     return np.where(known, order, -np.inf).argmax(axis=0)
+
+
+def _unrivalled(groups: _Groups, most: NDArray[np.int16]) -> NDArray[np.bool_]:
+    """(maps, N) whether backgrounds may stand against what was matched.
+
+    Against a single map they do, unless more maps than theirs speak for its height; and then, too, where the step
+    between the two is too small for all of those to see, but not for the map that the background is from.
+    """
+    maps = 2 * groups.support - groups.votes
+    alone = (most <= 1) & (maps >= np.where(groups.votes > 0, maps, 0).max(axis=0))
+    top = np.where(groups.votes == most, groups.height, -np.inf).argmax(axis=0)
+    everyone = np.arange(len(top))
+    with np.errstate(invalid="ignore"):
+        step = (groups.height[top, everyone] - groups.height) / STEP_PX
+        return alone | (step >= groups.metres) & (step < groups.metres[top, everyone])
 
 
 def _weighted_median(stack: FloatArray, weight: FloatArray) -> FloatArray:

@@ -130,7 +130,7 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
     z = geometry.height.on_grid(columns, rows, disparity)
     x, y = (table.on_grid(columns, rows, z) for table in (geometry.x, geometry.y))
-    cells, _ = grid_points(task.grid.part(task.grid.window(task.bounds)), x, y, z, found.score)
+    cells, _, _ = grid_points(task.grid.part(task.grid.window(task.bounds)), x, y, z, found.score)
     return _without_blunders(cells)
 
 

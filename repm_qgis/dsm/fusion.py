@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -12,14 +12,16 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..imagery.sampling import upsample_grid
 from ..mvs.dense import HeightMap, HeightSource, height_source
 from ..scene import Scene, View
-from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
-from .grid import CellGrid, grid_points
+from .aggregation import REACH_CELLS, STEP_PX, Aggregate, Layer, aggregate, lonely
+from .grid import CellGrid, grid_points, surface_step
+from .hidden import hidden_ground
 from .ortho import orthophoto
 from .outliers import without_lone_points
 
 FloatArray = NDArray[np.float64]
 
 _LATTICE = 17       # nodes a side of the map between two CRSs
+_COVERED = 0.5      # of a cell
 _PART_CELLS = 512   # a side that are fused at once
 MARGIN_CELLS = 8
 """Fused beyond the tile's cells: neighbours count in the outlier filter, and tiles are blended over that width."""
@@ -165,15 +167,27 @@ def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource])
 
 
 def _layer(grid: CellGrid, heights: HeightMap, record: Dict[str, Any], spacing: float) -> Layer:
-    """A height map on the cells: what was matched, and the background where an occlusion hides it, each by itself."""
+    """A height map on the cells: what was matched, and the background where an occlusion hides it, each by itself.
+
+    Cells that the background covers by more than what was matched, and lies below, have the background alone.
+    """
     filled = np.flatnonzero(heights.filled)
     matched = without_lone_points(np.where(heights.filled, np.nan, heights.height), record["metres_per_px"])
-    height, score = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing)
-    background = np.full(grid.shape, np.nan)
-    if filled.size:
-        x, y, z = (part.ravel()[filled] for part in (heights.x, heights.y, heights.height))
-        background = grid_points(grid, x, y, z, np.zeros(len(z)), spacing)[0]
-    return Layer(height, score, background, record["metres_per_px"])
+    height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing)
+    known = np.where(heights.filled, heights.height, matched)
+    hidden = hidden_ground(replace(heights, height=known), STEP_PX * record["metres_per_px"])
+    x, y, z = (np.concatenate([part.ravel()[filled], more]) for part, more in
+               zip((heights.x, heights.y, heights.height), hidden))
+    half = _COVERED * (grid.cell / spacing) ** 2
+    if not z.size:
+        return Layer(height, score, np.full(grid.shape, np.nan), record["metres_per_px"], covered < half)
+    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing)
+    # A roof's last pixels reach into cells that are mostly hidden ground.
+    with np.errstate(invalid="ignore"):
+        brushed = (behind > covered) & (height - background > surface_step(grid.cell))
+    height[brushed] = np.nan
+    score[brushed] = np.nan
+    return Layer(height, score, background, record["metres_per_px"], covered < half, behind < half)
 
 
 def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:

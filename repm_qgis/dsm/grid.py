@@ -58,9 +58,14 @@ class CellGrid:
                 self.north - (np.arange(self.shape[0]) + 0.5) * self.cell)
 
 
+def surface_step(cell: float) -> float:
+    """Metres of height that part the surfaces of one cell."""
+    return _SURFACE_M_PER_CELL * max(cell, 0.33)
+
+
 def grid_points(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, score: NDArray[np.floating],
-                spacing: float = math.inf) -> Tuple[FloatArray, FloatArray]:
-    """Heights of cells from points, with their mean matching score; both of the grid's shape, NaN where no point is.
+                spacing: float = math.inf) -> Tuple[FloatArray, FloatArray, FloatArray]:
+    """Heights of cells from points, their mean matching score, NaN where no point is, and how many points they hold.
 
     A point stands for a square of ``spacing`` metres (the distance between neighbouring points; at most a cell) and
     gives to each cell what of the square lies in it, so that neither combs nor shifts arise. Where a cell has points
@@ -79,7 +84,7 @@ def grid_points(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray
     weights = sums[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         heights, scores = sums[1] / weights, sums[3] / weights
-        mixed = sums[2] / weights - heights ** 2 > (_MIXED * _SURFACE_M_PER_CELL * max(grid.cell, 0.33)) ** 2
+        mixed = sums[2] / weights - heights ** 2 > (_MIXED * surface_step(grid.cell)) ** 2
     if mixed.any():
         _largest_surfaces(grid, points, footprint, mixed, heights, scores)
     empty = weights < _LEAST_WEIGHT
@@ -87,7 +92,8 @@ def grid_points(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray
     scores[empty] = np.nan
     inner = np.s_[1:-1, 1:-1]
     shape = grid.shape[0] + 2, grid.shape[1] + 2
-    return heights.reshape(shape)[inner] + points.offset, scores.reshape(shape)[inner].copy()
+    return (heights.reshape(shape)[inner] + points.offset, scores.reshape(shape)[inner].copy(),
+            weights.reshape(shape)[inner].copy())
 
 
 @dataclass(frozen=True)
@@ -156,7 +162,7 @@ def _largest_surfaces(grid: CellGrid, points: _Points, footprint: float, mixed: 
     cell, weight, z, score = (np.concatenate(values) for values in zip(*parts))
     if not cell.size:
         return
-    step = _SURFACE_M_PER_CELL * max(grid.cell, 0.33)
+    step = surface_step(grid.cell)
     # One number that sorts by cell, then height, with more than a step between the heights of two cells.
     place = cell * (4.0 * step + float(np.ptp(z))) + (z - z.min())
     order = np.argsort(place, kind="stable")

@@ -7,7 +7,7 @@ CUDA (:mod:`colmap_backend`).
 from __future__ import annotations
 
 import importlib
-from typing import Callable, Tuple
+from typing import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from ..errors import DeviceError
 from .matching import Matched
 
 FloatImage = NDArray[np.float32]
-Matcher = Callable[[FloatImage, FloatImage, Tuple[int, int], float], Matched]
+Matcher = Callable[..., Matched]
 
 _MODULES = {"sgm": "repm_qgis.mvs.sgm"}
 

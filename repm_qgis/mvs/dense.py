@@ -25,7 +25,7 @@ from .matching import Matched
 from .pairing import grown, rectified_pair
 from .rectification import RectifiedPair
 from .reliability import without_unsupported
-from .triangulation import PairGeometry, pair_geometry
+from .triangulation import PairGeometry, pair_geometry, verticals
 
 FloatImage = NDArray[np.float32]
 Bounds = Tuple[float, float, float, float]
@@ -125,11 +125,11 @@ def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: 
     match = matcher_of(task.backend)
     guide = guide_of(a, b, (low, high), geometry, match)
     if guide is None:
-        matched = match(a, b, (low, high), geometry.nearer)
+        matched = match(a, b, (low, high), geometry.nearer, geometry.lean)
     else:
         guided = _brightness(second, task.stretches[1], sampled_on(guide.second_original(pair, geometry)),
                              (width + guide.high - guide.low, height))
-        matched = match(a, guided, (guide.low, guide.high), geometry.nearer)
+        matched = match(a, guided, (guide.low, guide.high), geometry.nearer, geometry.lean)
         matched = replace(matched, disparity=guide.whole(matched.disparity))
     # On whole disparities: a guide that lies on a cloud would hide how high it stands.
     return without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
@@ -151,7 +151,8 @@ def _brightness(view: View, stretch: Stretch, to_original: Any, size: Tuple[int,
 class HeightMap:
     """Ground points of a height map: ``x``, ``y`` in a projected CRS, ``height``, ``score``; all (H, W), NaN = none.
 
-    ``filled`` says which heights were taken from the background of an occlusion.
+    ``filled`` says which heights were taken from the background of an occlusion. ``ray`` is how far x and y move along
+    a pixel's line of sight, m for each m of height; ``lean`` how far column and row move up a vertical, px for each m.
     """
 
     x: NDArray[np.float64]
@@ -159,6 +160,8 @@ class HeightMap:
     height: NDArray[np.float64]
     score: FloatImage
     filled: NDArray[np.bool_]
+    ray: Tuple[float, float] = (0.0, 0.0)
+    lean: Tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,7 @@ class HeightSource:
         if self.part is not None:
             tile, own = self.part
             height = np.where(_inside(tile, x, y) & ~_inside(own, x, y), np.nan, height)
-        return HeightMap(x, y, height, score, filled)
+        return HeightMap(x, y, height, score, filled, *verticals(self.geometry.x, self.geometry.y))
 
     def _window(self, bounds: Tuple[float, float, float, float]) -> Tuple[int, int, int, int]:
         """Of the table's nodes, those whose ray may cross the bounds, and the pixels between them."""

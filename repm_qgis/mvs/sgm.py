@@ -31,7 +31,8 @@ _SCORE_WINDOW = 7
 _RIM = 9                    # px: block, pre-filter and median together reach 4 px to each side
 
 
-def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], nearer: float) -> Matched:
+def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], nearer: float,
+          lean: float = 0.0) -> Matched:
     """Disparities of a rectified pair.
 
     Parameters
@@ -40,6 +41,7 @@ def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], n
     second : (H, W + high - low), brightness whose column c shows the rectified column c - high.
     disparities : low, high: whole px, least and greatest first column minus second column.
     nearer : +1 if greater disparities are higher ground, -1 if lower.
+    lean : by how many columns the first image moves what rises by one px of disparity (0: it looks straight down).
     """
     low, high = disparities
     a, b = _grey(first), _grey(second)
@@ -53,7 +55,7 @@ def match(first: FloatImage, second: FloatImage, disparities: Tuple[int, int], n
     score = _score(first, second, disparity, high)
     # Where the second image has nothing, the matcher has only made something up.
     disparity[~np.isfinite(score)] = np.nan
-    whole = with_background(disparity, nearer)
+    whole = with_background(disparity, nearer, lean, forth)
     whole[~np.isfinite(first)] = np.nan
     filled = np.isfinite(whole) & ~np.isfinite(disparity)
     whole = np.where(filled, median(whole), whole)

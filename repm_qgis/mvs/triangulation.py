@@ -94,6 +94,25 @@ class PairGeometry:
         """+1 where greater disparities are higher ground, -1 where lower."""
         return float(np.sign(np.mean(self.height.coefficients[1])))
 
+    @property
+    def lean(self) -> float:
+        """By how many columns the first image moves what rises by one px of disparity: its share of the parallax."""
+        _, (columns_per_m, _) = verticals(self.x, self.y)
+        return self.nearer * columns_per_m * self.metres_per_px
+
+
+def verticals(x: NodeTable, y: NodeTable) -> Tuple[Tuple[float, float], Tuple[float, float]]:
+    """How lines of sight and verticals run in the middle of a frame, from tables of x and y by column, row, height.
+
+    First x and y along a pixel's line of sight, m for each m of height; then column and row of what rises above a
+    place, px for each m. A satellite is so far that they hold for a whole tile.
+    """
+    ray = np.array([table.coefficients[1].mean() / table.scale for table in (x, y)])
+    by_pixel = np.array([[np.diff(table.coefficients[0], axis=axis).mean() / (nodes[1] - nodes[0])
+                          for axis, nodes in ((1, table.columns), (0, table.rows))] for table in (x, y)])
+    lean = -np.linalg.solve(by_pixel, ray)
+    return (float(ray[0]), float(ray[1])), (float(lean[0]), float(lean[1]))
+
 
 def pair_geometry(pair: RectifiedPair, first: View, second: View, altitudes: Tuple[float, float],
                   crs: str) -> PairGeometry:

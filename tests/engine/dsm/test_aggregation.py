@@ -192,3 +192,45 @@ def test_sparse_points_are_asked_for_less():
 def test_the_automatic_radius():
     assert automatic_radius(0.3) == 1.5 and automatic_radius(1.0) == 3.0
     assert automatic_radius(0.5, 2.0) == 6.0
+
+
+def test_a_map_that_brushes_a_cell_does_not_count_where_another_covers_it():
+    """A roof's last pixels reach into cells of the street: 120 m over a fifth of the cell against 100 m over all."""
+    roof, street = np.full(SHAPE, 120.0), np.full(SHAPE, 100.0)
+    brushed, whole, nothing = np.ones(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool), np.full(SHAPE, np.nan)
+    high = Layer(roof, np.full(SHAPE, 0.9), nothing, 1.0, brushed)
+    for low in (Layer(street, np.full(SHAPE, 0.9), nothing, 1.0, whole),
+                Layer(nothing, nothing, street, 1.0, whole, whole)):
+        found = aggregate([high, low], "mean")
+        np.testing.assert_allclose(found.height, 100.0)
+        assert found.filled.all() == np.isnan(low.height).all()
+    # Alone it is all there is.
+    np.testing.assert_allclose(aggregate([high], "mean").height, 120.0)
+
+
+def test_a_background_does_not_outvote_a_match_that_another_background_confirms():
+    truth, stack = edge()
+    place = np.s_[20:40, 50:53]
+    background = np.full((3,) + SHAPE, np.nan)
+    stack[2, :, :25], background[2, :, :25] = np.nan, 120.0     # confirmed by the other two
+    stack[1:][(slice(None),) + place] = np.nan
+    stack[0][place], background[1][place], background[2][place] = 120.0, 120.0, 100.0
+    found = aggregate([Layer(h, np.full(SHAPE, 0.9), b, 1.0) for h, b in zip(stack, background)], "mean")
+    np.testing.assert_allclose(found.height[place], 120.0, atol=0.3)
+    assert not found.filled[place].any()
+
+
+@pytest.mark.parametrize("step, expected", ((6.0, 100.0), (20.0, 120.0)))
+def test_the_finer_pair_decides_on_steps_that_others_cannot_see(step, expected):
+    """A match and a background of pairs of 5 m a px against the background of one of 2 m a px: they see no step of 6 m,
+    but one of 20 m."""
+    truth, stack = edge()
+    place = np.s_[20:40, 50:53]
+    background = np.full((3,) + SHAPE, np.nan)
+    stack[0, :, :25], background[0, :, :25] = np.nan, 120.0
+    stack[0][place], background[0][place] = np.nan, 100.0
+    stack[2][place] = np.nan
+    stack[1][place] = background[2][place] = 100.0 + step
+    metres = (2.0, 5.0, 5.0)
+    found = aggregate([Layer(h, np.full(SHAPE, 0.9), b, m) for h, b, m in zip(stack, background, metres)], "mean")
+    np.testing.assert_allclose(found.height[place], expected, atol=0.3)

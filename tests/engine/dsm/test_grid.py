@@ -23,7 +23,7 @@ GRID = CellGrid(0.0, 40.0, 1.0, (40, 40))
 
 
 def residual(x, y, function=plane, grid=GRID):
-    heights, _ = grid_points(grid, x, y, function(x, y), np.ones_like(x))
+    heights, _, _ = grid_points(grid, x, y, function(x, y), np.ones_like(x))
     cx, cy = grid.centres()
     return heights - function(*np.meshgrid(cx, cy))
 
@@ -62,7 +62,7 @@ def test_random_points_do_not_shift_the_surface():
 def test_gaps_stay_gaps():
     x, y = lattice(0.5, 0.25)
     keep = ~((x > 10) & (x < 20) & (y > 10) & (y < 20))
-    heights, scores = grid_points(GRID, x[keep], y[keep], plane(x, y)[keep], np.full(keep.sum(), 0.5))
+    heights, scores, _ = grid_points(GRID, x[keep], y[keep], plane(x, y)[keep], np.full(keep.sum(), 0.5))
     assert np.isnan(heights[21:29, 11:19]).all() and np.isfinite(heights[:19]).all()
     np.testing.assert_allclose(scores[np.isfinite(heights)], 0.5)
     assert (np.isfinite(heights) == np.isfinite(scores)).all()
@@ -84,7 +84,7 @@ def edge_points(walls):
 @pytest.mark.parametrize("walls", (0, 100, 400))
 def test_no_cell_lies_between_roof_and_ground(walls):
     x, y, height = edge_points(walls)
-    found, _ = grid_points(GRID, x, y, height, np.ones(len(x)), 0.4)
+    found, _, _ = grid_points(GRID, x, y, height, np.ones(len(x)), 0.4)
     np.testing.assert_allclose(found[:, :19], 20.0, atol=1e-9)
     np.testing.assert_allclose(found[:, 21:], 0.0, atol=1e-9)
     # The roof's edge at 20.3 m lies in the cell from 20 to 21: most of that is ground.
@@ -102,7 +102,7 @@ def test_footprints_place_an_edge_to_half_a_cell(spacing):
     for phase in np.arange(0, 1, 0.1):
         x, y = lattice(spacing, 0.03)
         edge = 20 + phase
-        found, _ = grid_points(GRID, x, y, np.where(x < edge, 30.0, 0.0), np.ones(len(x)), spacing)
+        found, _, _ = grid_points(GRID, x, y, np.where(x < edge, 30.0, 0.0), np.ones(len(x)), spacing)
         shifts.append((found[20] > 15).sum() - edge)
     assert abs(np.mean(shifts)) < 0.5 * spacing and np.abs(shifts).max() <= 0.5 + spacing
 

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from repm_qgis.errors import EmptyResultError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.mvs.pairing import rectified_pair
-from repm_qgis.mvs.triangulation import NodeTable, pair_geometry
+from repm_qgis.mvs.triangulation import NodeTable, pair_geometry, verticals
 
 
 def at(table, points):
@@ -97,6 +97,25 @@ def test_pointing_is_part_of_the_geometry(case, gdal_pixels):
     b = pair.second_rectified(gdal_pixels(second.rpc, ground) + [3.0, -2.0])
     height = at(table.height, np.column_stack([a, a[:, 0] - b[:, 0]]))
     assert np.abs(height - points[:, 2]).max() < 0.01
+
+
+def test_verticals_lean_as_the_rpcs_say(case, gdal_pixels):
+    """A mast of 40 m: where its foot and its top are in the rectified first image, and where its pixel's ray goes."""
+    first, second = case.views
+    pair = rectified_pair(case.scene, first, second, case.bounds, case.altitudes)
+    geometry = pair_geometry(pair, first, second, case.altitudes, case.crs)
+    ray, lean = verticals(geometry.x, geometry.y)
+    foot = case.points(50, 6)
+    top = foot + [0.0, 0.0, 40.0]
+    place = [pair.first_rectified(gdal_pixels(first.rpc, np.column_stack([geodetic_from_projected(case.crs, p[:, :2]),
+                                                                         p[:, 2]]))) for p in (foot, top)]
+    np.testing.assert_allclose((place[1] - place[0]) / 40.0, np.tile(lean, (50, 1)), atol=0.01)
+    below = [at(table, np.column_stack([place[1], foot[:, 2]])) for table in (geometry.x, geometry.y)]
+    np.testing.assert_allclose((top[:, :2] - np.column_stack(below)) / 40.0, np.tile(ray, (50, 1)), atol=0.005)
+    seen = [pair.second_rectified(gdal_pixels(second.rpc, np.column_stack([
+        geodetic_from_projected(case.crs, p[:, :2]), p[:, 2]]))) for p in (foot, top)]
+    parallax = (place[1] - place[0] - seen[1] + seen[0])[:, 0]
+    np.testing.assert_allclose((place[1] - place[0])[:, 0] / parallax, geometry.lean, atol=0.02)
 
 
 def test_no_common_ground_is_said(case):
