@@ -142,7 +142,7 @@ def _without_turns(disparity: Any, first: Any, second: Any, high: int) -> Any:
     return subpixel.denoised(sharp)
 
 
-def _lowest_along_rows(disparity: Any, nearer: float) -> Any:
+def _lowest_along_rows(disparity: Any, nearer: float, *_: object) -> Any:
     """Filling as it was first: the lower of a gap's two ends in its row."""
     known = np.isfinite(disparity)
     left, right, long = occlusions._ends(np.float32(nearer) * disparity, known)
@@ -160,7 +160,7 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "OpenCV's eight ways, checked both ways, nothing else": {
         "sgm._matcher": _with_mode(EIGHT, 3, 8, 32), **AS_MATCHED, "sgm._without_islands": _large_pieces,
         "sgm.refined": lambda disparity, *others: disparity,
-        "sgm.with_background": lambda disparity, nearer: disparity.copy()},
+        "sgm.with_background": lambda disparity, *_: disparity.copy()},
     "eight-way aggregation": {"sgm._matcher": _with_mode(EIGHT)},
     "eight ways, penalties 12 and 36": {"sgm._matcher": _with_mode(EIGHT, 1, 12, 36)},
     "five-way aggregation": {"sgm._matcher": _with_mode(FIVE)},
@@ -190,7 +190,7 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "median only, over steps too": {"subpixel.denoised": subpixel.median,
                                     "subpixel._smoothed": lambda disparity: disparity},
     "median only, not over steps": {"subpixel._smoothed": lambda disparity: disparity},
-    "occlusions left empty": {"sgm.with_background": lambda disparity, nearer: disparity.copy()},
+    "occlusions left empty": {"sgm.with_background": lambda disparity, *_: disparity.copy()},
     "occlusions: along rows only": {"sgm.with_background": _lowest_along_rows},
 }
 
