@@ -44,28 +44,29 @@ def _behind(height: FloatArray, lean: Tuple[float, float], step_m: float) -> NDA
         _steps(height, 0, int(np.sign(to_row)), abs(lean[1]), step_m)))
     rows, columns = height.shape
     count = np.rint(reach * jump).astype(np.int64)
-    level = _level(height, row - np.rint((count + 1) * to_row).astype(np.int64),
-                   column - np.rint((count + 1) * to_column).astype(np.int64), ground, step_m)
-    row, column, ground, count = (part[level] for part in (row, column, ground, count))
+    rise = _rise(height, row - np.rint((count + 1) * to_row).astype(np.int64),
+                 column - np.rint((count + 1) * to_column).astype(np.int64), ground)
+    level = np.abs(rise) <= step_m
+    row, column, ground, count, rise = (part[level] for part in (row, column, ground, count, rise / (count + 1)))
     # The nearest step decides: it is written last.
     for i in range(int(count.max(initial=0)) - 1, -1, -1):
         far = np.flatnonzero(count > i)
         r, c = row[far] + int(np.rint(i * to_row)), column[far] + int(np.rint(i * to_column))
         inside = (r >= 0) & (r < rows) & (c >= 0) & (c < columns)
         far, r, c = far[inside], r[inside], c[inside]
+        goes_on = ground[far] + (i + 1) * rise[far]
         with np.errstate(invalid="ignore"):
-            above = height[r, c] - ground[far] > step_m
-        low[r[above], c[above]] = ground[far[above]]
+            above = height[r, c] - goes_on > step_m
+        low[r[above], c[above]] = goes_on[above]
     return low
 
 
-def _level(height: FloatArray, row: NDArray[np.int64], column: NDArray[np.int64], ground: NDArray[np.float32],
-           step_m: float) -> NDArray[np.bool_]:
-    """(N,) whether places have the ground's height, or none: only level ground goes on level."""
+def _rise(height: FloatArray, row: NDArray[np.int64], column: NDArray[np.int64],
+          ground: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N,) by how much the ground rises from these places to the step; 0 where they have no height."""
     inside = (row >= 0) & (row < height.shape[0]) & (column >= 0) & (column < height.shape[1])
     there = height[np.where(inside, row, 0), np.where(inside, column, 0)]
-    with np.errstate(invalid="ignore"):
-        return ~(inside & (np.abs(there - ground) > step_m))
+    return np.where(inside & np.isfinite(there), ground - there, 0.0).astype(np.float32)
 
 
 def _steps(height: FloatArray, right: int, down: int, lean: float,
