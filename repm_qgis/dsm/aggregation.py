@@ -28,6 +28,7 @@ _SIGMA_PX = 0.2             # what matching leaves, px of disparity (make bench-
 _TOLERANCE = 2.5            # of these: so far may heights differ that mean the same surface
 _WEIGHT_POWER = 0.5         # weights are metres_per_px ** -0.5: between equal ones and the noise of disparities alone
 _COMPANY = 3                # of the eight cells around, in the same map
+_SLOPE = 1.9                # times as far may neighbours in a map differ: surfaces slope
 _LEAST_AGREED = 500         # cells: fewer do not tell how scores are distributed
 _RANK_ALONE, _RANK_OUTVOTED, _RANK_ISOLATED = 0.03, 0.05, 0.1
 _CONFIRMED = 0.45           # of backgrounds: fewer, and gaps here are failures rather than occlusions
@@ -202,7 +203,7 @@ class _Votes:
             company = np.zeros(len(cells), np.int8)
             for dr, dc in _DIRECTIONS:
                 with np.errstate(invalid="ignore"):
-                    company += np.abs(padded[place + dr * width + dc] - padded[place]) <= _TOLERANCE * 1.5 * sigma
+                    company += np.abs(padded[place + dr * width + dc] - padded[place]) <= _TOLERANCE * _SLOPE * sigma
             known[:] = company >= _COMPANY
         return result
 

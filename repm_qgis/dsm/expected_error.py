@@ -16,7 +16,7 @@ from .aggregation import Aggregate
 
 FloatArray = NDArray[np.floating]
 
-_AT_BEST_PX, _PER_SCORE_PX = 0.17, 0.85     # px of disparity at a correlation of 1, and more for each 1 less
+_AT_BEST_PX, _PER_SCORE_PX = 0.15, 0.85     # px of disparity at a correlation of 1, and more for each 1 less
 _BACKGROUND_PX = 1.5                        # of heights taken from the background of an occlusion
 
 
