@@ -2,7 +2,8 @@
 
 A height map has a height for each pixel of one image. Behind a building as that image sees it there are no pixels; but
 how far that strip of ground reaches is known: the view's line of sight that just passes the edge of the roof meets the
-ground at its end. It takes the height of the ground beside it, as what the other image hides does (``mvs/occlusions``).
+ground at its end. It takes the height of the ground beside it, as what the other image hides does (``mvs/occlusions``),
+and its slope.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ FloatArray = NDArray[np.floating]
 def hidden_ground(heights: HeightMap, step_m: float) -> Tuple[FloatArray, FloatArray, FloatArray]:
     """(N,) x, y, height of points a pixel apart on the ground behind steps of more than ``step_m``.
 
-    They are level with the pixel in front of the step, and lie on the rays of the pixels that hide them.
+    They continue the ground in front of the step, and lie on the rays of the pixels that hide them.
     """
     low = _behind(heights.height, heights.lean, step_m)
     row, column = np.nonzero(np.isfinite(low))

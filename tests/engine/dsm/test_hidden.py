@@ -15,10 +15,10 @@ WEST, EAST, SOUTH, NORTH = 40.0, 70.0, 30.0, 60.0
 GROUND, ROOF = 100.0, 124.0
 
 
-def view(column_lean, row_lean, size=110):
-    """What a view sees of a block on level ground: a pixel is a metre, rows run with y."""
+def view(column_lean, row_lean, rise=0.0, size=110):
+    """What a view sees of a block on ground that rises with x: a pixel is a metre, rows run with y."""
     column, row = np.meshgrid(np.arange(float(size)), np.arange(float(size)))
-    height = np.full(column.shape, GROUND)
+    height = GROUND + rise * column / (1 + rise * column_lean)
     for z in np.arange(GROUND, ROOF + 0.01, 0.05):
         x, y = column - column_lean * (z - GROUND), row - row_lean * (z - GROUND)
         height = np.where((x > WEST) & (x < EAST) & (y > SOUTH) & (y < NORTH), z, height)
@@ -50,6 +50,13 @@ def test_hidden_ground_is_where_the_view_does_not_see(lean):
     assert truth.sum() > 200
     # All but a pixel along the borders, of which the strip has two long ones.
     assert (truth & found).sum() > 0.8 * truth.sum() and (found & ~truth).sum() < 0.2 * truth.sum()
+
+
+@pytest.mark.parametrize("lean, rise", ((0.4, 0.2), (0.4, -0.15), (-0.4, 0.1)))
+def test_hidden_ground_goes_on_as_the_ground_before_it_slopes(lean, rise):
+    x, _, z = hidden_ground(view(lean, 0.0, rise), 3.0)
+    assert len(z) > 100
+    assert np.abs(z - (GROUND + rise * x)).max() < 0.35     # what a pixel more or less of the strip makes
 
 
 def test_no_step_hides_nothing():
