@@ -36,7 +36,7 @@ Bounds = Tuple[float, float, float, float]
 Pair = Tuple[str, str]
 
 _REDUCTION = 2.0            # SIFT on half-size images: a sixth of the time, ties enough
-_SMALL_PX = 500             # a scene below this side needs all its pixels for ties
+_SMALL_PX, _SMALL_PATCH_PX = 500, 300   # images of a scene, of a patch below this side need all their pixels for ties
 _FEATURES_PER_MPX = 2500
 _FEATURES = (600, 4000)     # of a scene that is one patch, at least and at most
 _LEAST_FEATURES = 300       # of each of several patches, which share those of a scene
@@ -92,7 +92,7 @@ class _PatchTask:
     pairs: Tuple[Pair, ...]
     stretches: Dict[str, Stretch]
     detector: Detector
-    reduction: float
+    small_px: int
     features: int
 
 
@@ -108,9 +108,9 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
     used = {name: stretch for name, stretch in stretches.items() if name in names}
     cells = _ranked_patches(scene, used, progress)
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
-    lean, reduction = scene.lean(), _REDUCTION if _side(scene) >= _SMALL_PX * scene.gsd_m else 1.0
+    lean, small_px = scene.lean(), _SMALL_PX if len(cells) == 1 else _SMALL_PATCH_PX
     for number in range(_ROUNDS):
-        tasks = [_PatchTask(lean, cell[number], wanted, used, detector, reduction,
+        tasks = [_PatchTask(lean, cell[number], wanted, used, detector, small_px,
                             max(_LEAST_FEATURES, _FEATURES[1] // len(cells)))
                  for cell in cells if number < len(cell)]
         if not tasks:
@@ -233,7 +233,7 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     if camera is None:
         return None
     # All views at one sampling distance: most keypoints are of the smallest size there is, and must meet their like.
-    factor = task.reduction * coarsest_m / view.gsd_m
+    factor = (_REDUCTION if min(camera.size) >= task.small_px else 1.0) * coarsest_m / view.gsd_m
     size = (max(1, int(camera.size[0] / factor)), max(1, int(camera.size[1] / factor)))
 
     def to_original(points: FloatArray) -> FloatArray:
