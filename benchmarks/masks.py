@@ -20,25 +20,15 @@ from osgeo import gdal
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.matching import SHARED, Case  # noqa: E402
+from benchmarks.matching import SHARED, Case, changed  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
 from benchmarks.water_and_clouds import CLOUD, LAND, WATER, make_pair  # noqa: E402
-from repm_qgis.dsm.grid import grid_points  # noqa: E402
-from repm_qgis.mvs import sgm  # noqa: E402
 from repm_qgis.mvs.reliability import without_unsupported  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
 
 _BANK_M, _CLEAR_M = 2.0, 3.0
 _MOST_CELLS = 6
-
-
-def dsm_of(case: Case, disparity: np.ndarray) -> np.ndarray:
-    """The DSM of disparities on the case's grid."""
-    columns, rows = (np.arange(n, dtype=np.float64) for n in disparity.shape[::-1])
-    height = case.geometry.height.on_grid(columns, rows, disparity.astype(np.float64))
-    x, y = (part.on_grid(columns, rows, height) for part in (case.geometry.x, case.geometry.y))
-    return grid_points(case.grid, x, y, height, np.ones_like(height))[0]
 
 
 def shift_of(case: Case, dsm: np.ndarray) -> Tuple[int, int, float]:
@@ -61,15 +51,21 @@ def within(mask: np.ndarray, cells: float) -> np.ndarray:
 
 def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     """For the matcher alone and with what is unsupported dropped: label, error of each cell (m), CPU s."""
-    found = sgm.match(case.first, case.second, case.disparities, case.geometry.nearer)
-    start = time.process_time()
-    kept = without_unsupported(found, case.first, case.second, case.disparities, case.geometry.nearer,
-                               case.geometry.metres_per_px)
-    seconds = time.process_time() - start
-    dsms = [dsm_of(case, part.disparity) for part in (found, kept)]
+    seconds = [0.0]
+
+    def timed(*arguments: Any) -> Any:
+        start = time.process_time()
+        kept = without_unsupported(*arguments)
+        seconds[0] = time.process_time() - start
+        return kept
+
+    dsms = []
+    for step in (lambda matched, *_: matched, timed):
+        with changed({"dense.without_unsupported": step}):
+            dsms.append(case.dsm_of(case.matched()))
     dr, dc, up = shift_of(case, dsms[0]) if case.align else (0, 0, 0.0)
     errors = [np.roll(dsm, (dr, dc), (0, 1)) - case.truth - up for dsm in dsms]
-    return [("matched", errors[0], 0.0), ("supported", errors[1], seconds)]
+    return [("matched", errors[0], 0.0), ("supported", errors[1], seconds[0])]
 
 
 def percent(of: np.ndarray, among: np.ndarray) -> Any:

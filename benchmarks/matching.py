@@ -31,6 +31,7 @@ from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.mvs import dense, edges, occlusions, sgm, subpixel  # noqa: E402
 from repm_qgis.mvs.dense import DenseTask, HeightMap  # noqa: E402
+from repm_qgis.mvs.matching import Matched  # noqa: E402
 from repm_qgis.mvs.pairing import grown, rectified_pair  # noqa: E402
 from repm_qgis.mvs.triangulation import pair_geometry  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
@@ -64,19 +65,26 @@ class Case:
         self.grid = CellGrid(west, north, cell * step, (size[1] // step, size[0] // step))
         self.truth = self.truth[:self.grid.shape[0], :self.grid.shape[1]]
 
-    def score(self) -> List[float]:
-        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of the matcher as it now is."""
-        start = time.process_time()
-        found = dense._match(self.task, self.pair, self.geometry, *self.views)
-        seconds = time.process_time() - start
+    def matched(self) -> Matched:
+        """What the matcher, as it now is, finds."""
+        return dense._match(self.task, self.pair, self.geometry, *self.views)
+
+    def dsm_of(self, found: Matched) -> np.ndarray:
+        """The DSM of a height map alone, on the truth's grid."""
         columns, rows = (np.arange(n, dtype=np.float64) for n in found.disparity.shape[::-1])
         height = self.geometry.height.on_grid(columns, rows, found.disparity.astype(np.float64))
         x, y = (part.on_grid(columns, rows, height) for part in (self.geometry.x, self.geometry.y))
         heights = HeightMap(x, y, height, found.score, found.filled)
         layer = fusion._layer(self.grid, heights, {"metres_per_px": self.geometry.metres_per_px}, self.task.scene.gsd_m)
-        error = aggregate([layer], "mean").height - self.truth
-        if self.align:
-            error = self._aligned(error + self.truth)
+        return aggregate([layer], "mean").height
+
+    def score(self) -> List[float]:
+        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of the matcher as it now is."""
+        start = time.process_time()
+        found = self.matched()
+        seconds = time.process_time() - start
+        dsm = self.dsm_of(found)
+        error = self._aligned(dsm) if self.align else dsm - self.truth
         known = error[np.isfinite(error)]
         cells = np.isfinite(self.truth).sum()
         size = np.abs(known)
