@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import multiprocessing
 import multiprocessing.context
-import multiprocessing.forkserver
 import os
+import sys
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -87,12 +87,14 @@ def _context() -> multiprocessing.context.BaseContext:
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
+    from multiprocessing import forkserver  # not on Windows
+
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(_PRELOADED))
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     one_thread_for_sums()  # the server imports numpy, and for its copies it is then too late
     try:
-        multiprocessing.forkserver.ensure_running()
+        forkserver.ensure_running()
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
@@ -101,7 +103,7 @@ def _context() -> multiprocessing.context.BaseContext:
 
 def _stop_server() -> None:
     """End the server and wait for it, so that what its copies used is counted as used by this process."""
-    stop = getattr(getattr(multiprocessing.forkserver, "_forkserver", None), "_stop", None)
+    stop = getattr(getattr(sys.modules.get("multiprocessing.forkserver"), "_forkserver", None), "_stop", None)
     if stop is not None:  # no public name has it; without it the server ends by itself, soon after this process
         stop()
 
