@@ -16,13 +16,12 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..mvs.occlusions import STEP_PX
+
 FloatArray = NDArray[np.floating]
 
 REACH_CELLS = 12
 """How far off the agreed surface is looked for: the margin that a part of a tile needs."""
-
-STEP_PX = 1.5
-"""A smaller difference of disparity between neighbouring pixels is a slope, not a step."""
 
 _SIGMA_PX = 0.2             # what matching leaves, px of disparity (make bench-subpixel: 0.12 narrow, 0.25 wide pairs)
 _TOLERANCE = 2.5            # of these: so far may heights differ that mean the same surface
@@ -74,9 +73,10 @@ def aggregate(layers: Sequence[Layer], method: str) -> Aggregate:
     scores = np.stack([layer.score for layer in layers]).astype(np.float32)
     backgrounds = np.stack([layer.background for layer in layers]).astype(np.float32)
     metres = np.array([layer.metres_per_px for layer in layers])
-    _drop_outdone(layers, heights)
-    if len(layers) > 1 and _Votes(heights, scores, backgrounds, metres).trusted():
-        _drop_outdone(layers, heights, backgrounds)
+    if len(layers) > 1:
+        _drop_outdone(layers, heights)
+        if _Votes(heights, scores, backgrounds, metres).trusted():
+            _drop_outdone(layers, heights, backgrounds)
     backgrounds[np.isfinite(heights)] = np.nan
     return _Votes(heights, scores, backgrounds, metres).decided(method)
 
@@ -89,7 +89,7 @@ def _drop_outdone(layers: Sequence[Layer], heights: FloatArray, backgrounds: Opt
                            (backgrounds, layer.partial_background))
         covered |= np.isfinite(values[number]) if partial is None else np.isfinite(values[number]) & ~partial
     for layer, height in zip(layers, heights):
-        if layer.partial is not None and len(layers) > 1:
+        if layer.partial is not None:
             height[layer.partial & covered] = np.nan
 
 

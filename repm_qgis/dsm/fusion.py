@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..imagery.sampling import upsample_grid
 from ..mvs.dense import HeightMap, HeightSource, height_source
+from ..mvs.occlusions import STEP_PX
 from ..scene import Scene, View
-from .aggregation import REACH_CELLS, STEP_PX, Aggregate, Layer, aggregate, lonely
+from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
 from .grid import CellGrid, grid_points, surface_step
 from .hidden import hidden_ground
 from .ortho import orthophoto

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 FloatImage = NDArray[np.float32]
 
+STEP_PX = 1.5
+"""A smaller difference of disparity between neighbouring pixels is a slope, not a step."""
+
 _SLACK_PX, _FACTOR = 6, 1.6     # how much longer than the jump of disparity an occlusion's gap may be
-_STEP_PX = 1.5                  # of disparity: less is no step
 _NARROW_PX = 8                  # gaps from row to row that matching leaves along edges
 
 
@@ -47,7 +49,7 @@ def with_background(disparity: FloatImage, nearer: float, lean: float = 0.0,
     if own is not None:
         upper, said = np.fmax(ends[0], ends[1]), np.float32(nearer) * own[gap]
         with np.errstate(invalid="ignore"):
-            meet = (np.float32(nearer) * (ends[1] - ends[0]) < -_STEP_PX) & (upper - said < said - chosen)
+            meet = (np.float32(nearer) * (ends[1] - ends[0]) < -STEP_PX) & (upper - said < said - chosen)
         chosen = np.where(meet, upper, chosen)
     filled = disparity.copy()
     filled[gap] = np.float32(nearer) * chosen
