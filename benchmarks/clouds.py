@@ -24,7 +24,7 @@ CRS, WEST, NORTH = "EPSG:32631", 600000.0, 4800000.0
 
 def heights(rows: range, columns: int) -> np.ndarray:
     """Hills with blocks on them, 0.5 m cells."""
-    y, x = np.mgrid[rows.start:rows.stop, 0:columns] * 0.5
+    y, x = np.mgrid[rows.start : rows.stop, 0:columns] * 0.5
     return 100 + 20 * np.sin(x / 50) + 10 * ((x // 20 + y // 20) % 3)
 
 
@@ -36,15 +36,18 @@ def make(folder: str, side: int) -> None:
 
     numbers = np.random.default_rng(0)
     wkt = HeightDatum.of("").file_crs(CRS)
-    with created_cloud(f"{folder}/c.laz", CRS, (WEST, NORTH, 0)) as cloud, created(
-            f"{folder}/d.tif", (side, side), np.dtype(np.float32), 1, (WEST, 0.5, 0, NORTH, 0, -0.5), wkt) as dsm:
+    with (
+        created_cloud(f"{folder}/c.laz", CRS, (WEST, NORTH, 0)) as cloud,
+        created(f"{folder}/d.tif", (side, side), np.dtype(np.float32), 1, (WEST, 0.5, 0, NORTH, 0, -0.5), wkt) as dsm,
+    ):
         for row in range(0, side, 64):
             rows = range(row, min(row + 64, side))
             z = heights(rows, side)
             dsm.write(z.astype(np.float32), 0, row)
-            y, x = (np.mgrid[rows.start:rows.stop, 0:side] + numbers.uniform(size=(2, *z.shape))) * 0.5
-            cloud.write(WEST + x.ravel(), NORTH - y.ravel(), z.ravel() + numbers.normal(0, 0.1, z.size),
-                        np.full(z.size, 0.5))
+            y, x = (np.mgrid[rows.start : rows.stop, 0:side] + numbers.uniform(size=(2, *z.shape))) * 0.5
+            cloud.write(
+                WEST + x.ravel(), NORTH - y.ravel(), z.ravel() + numbers.normal(0, 0.1, z.size), np.full(z.size, 0.5)
+            )
 
 
 def ept(folder: str, _: int) -> None:
@@ -67,8 +70,9 @@ def draw(folder: str, kind: int) -> None:
 
     application = QgsApplication([], False)
     application.initQgis()
-    layer = QgsMeshLayer(f"{folder}/m.ply", "", "mdal") if kind else \
-        QgsPointCloudLayer(f"{folder}/e/ept.json", "", "ept")
+    layer = (
+        QgsMeshLayer(f"{folder}/m.ply", "", "mdal") if kind else QgsPointCloudLayer(f"{folder}/e/ept.json", "", "ept")
+    )
     settings = QgsMapSettings()
     settings.setLayers([layer])
     settings.setDestinationCrs(layer.crs())
@@ -89,8 +93,9 @@ def tell() -> None:
 
 def apart(work: str, folder: str, number: int) -> tuple:
     """CPU seconds and MiB of a process that does one of the above."""
-    done = subprocess.run([sys.executable, __file__, work, folder, str(number)], stdout=subprocess.PIPE, text=True,
-                          check=True)
+    done = subprocess.run(
+        [sys.executable, __file__, work, folder, str(number)], stdout=subprocess.PIPE, text=True, check=True
+    )
     seconds, peak = done.stdout.split()[-2:]
     return float(seconds), round(float(peak))
 
@@ -108,14 +113,20 @@ def main() -> None:
             count = side * side / 1e6
             rows.append(["EPT", count, *apart("ept", folder, 0), megabytes(f"{folder}/e")])
             rows.append(["QGIS draws the EPT", count, *apart("draw", folder, 0), ""])
-            for vertices in (500_000, 0)[:1 if side > 2000 else 2]:
+            for vertices in (500_000, 0)[: 1 if side > 2000 else 2]:
                 what = "mesh of all cells" if not vertices else "mesh, 500000 vertices at most"
                 rows.append([what, count, *apart("mesh", folder, vertices), megabytes(f"{folder}/m.ply")])
                 rows.append([f"QGIS draws the {what}", count, *apart("draw", folder, 1), ""])
-    publish("clouds", "Point clouds for display, and meshes", "make bench-clouds", [
-        "Simulated hills with blocks, a point a cell of 0.5 m. CPU seconds and the largest memory are those of a "
-        "process that does this alone, its start included.",
-        table(["what", "Mpoints or Mcells", "CPU, s", "memory, MiB", "MB on disk"], rows)])
+    publish(
+        "clouds",
+        "Point clouds for display, and meshes",
+        "make bench-clouds",
+        [
+            "Simulated hills with blocks, a point a cell of 0.5 m. CPU seconds and the largest memory are those of a "
+            "process that does this alone, its start included.",
+            table(["what", "Mpoints or Mcells", "CPU, s", "memory, MiB", "MB on disk"], rows),
+        ],
+    )
 
 
 if __name__ == "__main__":

@@ -29,16 +29,32 @@ FIFTHS = 5
 
 def errors(images: List[str], truth: str, folder: str) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Error, expected error (m) and source of the cells of a default DSM that have a height and a truth."""
-    made = run_stage("pipeline", {"images": images, "workspace": folder, "output": f"{folder}/dsm.tif",
-                                  "confidence": f"{folder}/confidence.tif"}, Silent())
+    made = run_stage(
+        "pipeline",
+        {
+            "images": images,
+            "workspace": folder,
+            "output": f"{folder}/dsm.tif",
+            "confidence": f"{folder}/confidence.tif",
+        },
+        Silent(),
+    )
     shift = run_stage("comparedsm", {"dsm": made["output"], "reference": truth, "align": "3d"}, Silent())
     dataset = gdal.Open(made["output"])
     west, cell, _, north, _, _ = dataset.GetGeoTransform()
     height = dataset.ReadAsArray().astype(np.float64) + shift["dz"]
     rows, columns = height.shape
     x, y = west + shift["dx"], north + shift["dy"]
-    warped = gdal.Warp("", truth, format="MEM", outputBounds=(x, y - rows * cell, x + columns * cell, y), width=columns,
-                       height=rows, resampleAlg="average", dstNodata=-9999)
+    warped = gdal.Warp(
+        "",
+        truth,
+        format="MEM",
+        outputBounds=(x, y - rows * cell, x + columns * cell, y),
+        width=columns,
+        height=rows,
+        resampleAlg="average",
+        dstNodata=-9999,
+    )
     surface = warped.ReadAsArray().astype(np.float64)
     confidence = gdal.Open(made["confidence"]).ReadAsArray().astype(np.float64)
     known = (height > -9000) & (surface != -9999) & (confidence[4] != -9999)
@@ -62,8 +78,12 @@ def rows_of(name: str, error: np.ndarray, expected: np.ndarray, source: np.ndarr
 
 
 def _figures(error: np.ndarray, expected: np.ndarray) -> Tuple[int, float, float, float]:
-    return (error.size, float(np.median(expected)), float(np.quantile(error, 2 / 3)),
-            100.0 * float((error <= expected).mean()))
+    return (
+        error.size,
+        float(np.median(expected)),
+        float(np.quantile(error, 2 / 3)),
+        100.0 * float((error <= expected).mean()),
+    )
 
 
 def scenes(folder: str) -> Dict[str, Tuple[List[str], str]]:
@@ -85,10 +105,18 @@ def main() -> None:
             work = f"{folder}/work{index}"
             os.makedirs(work)
             rows += rows_of(name, *errors(images, truth, work))
-    publish("confidence", "What the expected error is worth", "make bench-confidence", [
-        "Default options. Cells by their expected error in fifths, and those filled from the background. Aim: 67 % of "
-        "the errors within the expected one, in every row; steps of height that fall into a cell are in the errors.",
-        table(["scene", "cells", "number", "expected, median, m", "two thirds of errors below, m", "within, %"], rows)])
+    publish(
+        "confidence",
+        "What the expected error is worth",
+        "make bench-confidence",
+        [
+            "Default options. Cells by their expected error in fifths, and those filled from the background. Aim: 67 % of "
+            "the errors within the expected one, in every row; steps of height that fall into a cell are in the errors.",
+            table(
+                ["scene", "cells", "number", "expected, median, m", "two thirds of errors below, m", "within, %"], rows
+            ),
+        ],
+    )
 
 
 if __name__ == "__main__":

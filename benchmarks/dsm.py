@@ -53,26 +53,41 @@ def simulated(name: str, spec: SceneSpec, resolution: float) -> Scene:
             make_scene(spec, str(folder), Silent())
             (folder / "done").write_text("")
 
-    return Scene(name, [str(folder / f"img_{i:02d}.tif") for i in range(1, len(spec.sensor.looks) + 1)],
-                 str(folder / "truth.tif"), resolution, True, make)
+    return Scene(
+        name,
+        [str(folder / f"img_{i:02d}.tif") for i in range(1, len(spec.sensor.looks) + 1)],
+        str(folder / "truth.tif"),
+        resolution,
+        True,
+        make,
+    )
 
 
 def zy3(size: int, relief_m: float) -> SceneSpec:
     """A three-line-array tri-stereo at 2.1 to 2.5 m over mountains."""
-    return SceneSpec("mountains", size, 11, ZY3, cell_m=5.0, surface_step=2, base_m=300.0, relief_m=relief_m, lon=6.65,
-                     lat=44.38)
+    return SceneSpec(
+        "mountains", size, 11, ZY3, cell_m=5.0, surface_step=2, base_m=300.0, relief_m=relief_m, lon=6.65, lat=44.38
+    )
 
 
 def all_scenes() -> List[Scene]:
     def real(name: str, count: int, reference: str, align: bool) -> Scene:
-        return Scene(name, [str(SHARED / name / f"img_{i:02d}.tif") for i in range(1, count + 1)],
-                     str(SHARED / name / reference), 0.5, align)
+        return Scene(
+            name,
+            [str(SHARED / name / f"img_{i:02d}.tif") for i in range(1, count + 1)],
+            str(SHARED / name / reference),
+            0.5,
+            align,
+        )
 
-    return [real("truth_urban", 2, "truth.tif", True), real("pleiades_pair", 2, "s2p_dsm.tif", False),
-            real("pleiades_triplet", 3, "s2p_dsm.tif", False),
-            simulated("town_800", SceneSpec.default("urban", 800, 1), 0.5),
-            simulated("mountains_1200", SceneSpec.default("mountains", 1200, 7), 1.0),
-            simulated("zy3_1600", zy3(1600, 1000.0), 5.0)]
+    return [
+        real("truth_urban", 2, "truth.tif", True),
+        real("pleiades_pair", 2, "s2p_dsm.tif", False),
+        real("pleiades_triplet", 3, "s2p_dsm.tif", False),
+        simulated("town_800", SceneSpec.default("urban", 800, 1), 0.5),
+        simulated("mountains_1200", SceneSpec.default("mountains", 1200, 7), 1.0),
+        simulated("zy3_1600", zy3(1600, 1000.0), 5.0),
+    ]
 
 
 def row(scene: Scene, program: str, images: Sequence[str], label: str) -> List[Any]:
@@ -87,8 +102,14 @@ def row(scene: Scene, program: str, images: Sequence[str], label: str) -> List[A
             found = scores(dsm, scene.reference, scene.align)
         except Failed as error:
             return [scene.name, label, str(error), *[""] * (len(COLUMNS) + 2)]
-    return [scene.name, label, *(round(found[name], 3) for name in COLUMNS), round(cost.cpu_s, 1),
-            round(cost.wall_s, 1), round(cost.peak_gib, 2)]
+    return [
+        scene.name,
+        label,
+        *(round(found[name], 3) for name in COLUMNS),
+        round(cost.cpu_s, 1),
+        round(cost.wall_s, 1),
+        round(cost.peak_gib, 2),
+    ]
 
 
 def rows(scene: Scene) -> List[List[Any]]:
@@ -96,13 +117,20 @@ def rows(scene: Scene) -> List[List[Any]]:
     if scene.make is not None:
         scene.make()
     if not scene.there():
-        return [[scene.name, "", f"not measured: '{Path(scene.reference).parent}' is absent",
-                 *[""] * (len(COLUMNS) + 2)]]
+        return [
+            [scene.name, "", f"not measured: '{Path(scene.reference).parent}' is absent", *[""] * (len(COLUMNS) + 2)]
+        ]
     made = [row(scene, "ours", scene.images, f"ours, {len(scene.images)} views")]
     if len(scene.images) > 2 and scene.make is not None:
         for pair in combinations(range(len(scene.images)), 2):
-            made.append(row(scene, "ours", [scene.images[i] for i in pair],
-                            "ours, views " + " and ".join(str(i + 1) for i in pair)))
+            made.append(
+                row(
+                    scene,
+                    "ours",
+                    [scene.images[i] for i in pair],
+                    "ours, views " + " and ".join(str(i + 1) for i in pair),
+                )
+            )
     return made + [row(scene, name, scene.images, name) for name in PEERS]
 
 
@@ -110,18 +138,36 @@ def main() -> int:
     gdal.UseExceptions()
     chosen = sys.argv[1:]
     found = [line for scene in all_scenes() if not chosen or scene.name in chosen for line in rows(scene)]
-    text = table(["scene", "program", "valid %", *(f"{name} m" for name in COLUMNS[1:5]),
-                  *(f"{name} %" for name in COLUMNS[5:]), "CPU s", "wall s", "peak GiB"], found)
+    text = table(
+        [
+            "scene",
+            "program",
+            "valid %",
+            *(f"{name} m" for name in COLUMNS[1:5]),
+            *(f"{name} %" for name in COLUMNS[5:]),
+            "CPU s",
+            "wall s",
+            "peak GiB",
+        ],
+        found,
+    )
     if chosen:
         print(text)
         return 0
-    publish("dsm", "DSMs, ours and others", "make bench", [
-        "Whole commands with default options, the start of QGIS included, on "
-        f"{len(os.sched_getaffinity(0))} cores that others used too (wall times are upper bounds); memory is the "
-        "resident memory of the whole process tree. Simulated scenes and truth_urban are compared with the true ground "
-        "after the best whole-cell shift and the median height difference are taken out (relative pointing leaves "
-        "them); the Pleiades images with S2P's DSM as it is, which is no truth. valid and C1, C2.5, C5 are percent of "
-        "all cells of the reference; ME is the median of absolute errors.", text])
+    publish(
+        "dsm",
+        "DSMs, ours and others",
+        "make bench",
+        [
+            "Whole commands with default options, the start of QGIS included, on "
+            f"{len(os.sched_getaffinity(0))} cores that others used too (wall times are upper bounds); memory is the "
+            "resident memory of the whole process tree. Simulated scenes and truth_urban are compared with the true ground "
+            "after the best whole-cell shift and the median height difference are taken out (relative pointing leaves "
+            "them); the Pleiades images with S2P's DSM as it is, which is no truth. valid and C1, C2.5, C5 are percent of "
+            "all cells of the reference; ME is the median of absolute errors.",
+            text,
+        ],
+    )
     return 0
 
 

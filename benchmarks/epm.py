@@ -41,8 +41,13 @@ from repm_qgis.simulation.sensor import GF7, ZY3, Look, Sensor, aim  # noqa: E40
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 
 # DESIGN.md, section 4: uncorrected and polynomial RMSE and maximum, px, of the first scene of each site.
-DESIGN = {"giza": (22.5, 64.4, 1.23, 4.66), "toulouse": (19.0, 52.0, 1.13, 4.05), "calanques": (5.50, 20.5, 4.37, 13.0),
-          "ubaye": (8.86, 25.7, 6.37, 19.4), "ossoue": (14.0, 48.0, 13.9, 44.2)}
+DESIGN = {
+    "giza": (22.5, 64.4, 1.23, 4.66),
+    "toulouse": (19.0, 52.0, 1.13, 4.05),
+    "calanques": (5.50, 20.5, 4.37, 13.0),
+    "ubaye": (8.86, 25.7, 6.37, 19.4),
+    "ossoue": (14.0, 48.0, 13.9, 44.2),
+}
 
 # The paper's Table "Equivalent errors of different scale images": Samp RMSE, Line RMSE, RMSE, Max.
 PAPER = {
@@ -71,8 +76,8 @@ def rough_surface(rpc: Rpc, altitudes: Tuple[float, float], seed: int) -> Surfac
     size = 257
     heights = np.zeros((size, size))
     for octave in range(1, 6):
-        nodes = 2 ** octave + 1
-        heights += upsample_grid(rng.normal(size=(nodes, nodes)) / 2 ** octave, (size, size))
+        nodes = 2**octave + 1
+        heights += upsample_grid(rng.normal(size=(nodes, nodes)) / 2**octave, (size, size))
     heights = (heights - heights.min()) / np.ptp(heights) * (altitudes[1] - altitudes[0]) + altitudes[0]
     lon, lat = 1.2 * abs(rpc.lon_scale), 1.2 * abs(rpc.lat_scale)
     return Surface(rpc.lon_off - lon, rpc.lat_off + lat, 2 * lon / (size - 1), 2 * lat / (size - 1), heights)
@@ -84,8 +89,12 @@ def terrain_error(rpc: Rpc, frame: EnuFrame, window: Any, altitudes: Tuple[float
     surface = rough_surface(rpc, altitudes, seed)
     refined = refine_pinhole("terrain", fit_pinhole(grid).camera, grid, window, terrain=Terrain(rpc, frame, surface))
     rng = np.random.default_rng(seed)
-    pixels = np.column_stack([rng.uniform(window[0], window[0] + window[2] - 1, 7000),
-                              rng.uniform(window[1], window[1] + window[3] - 1, 7000)])
+    pixels = np.column_stack(
+        [
+            rng.uniform(window[0], window[0] + window[2] - 1, 7000),
+            rng.uniform(window[1], window[1] + window[3] - 1, 7000),
+        ]
+    )
     wrong = rng.uniform(-10.0, 10.0, len(pixels))
     height = np.full(len(pixels), sum(altitudes) / 2)
     for _ in range(40):
@@ -107,15 +116,24 @@ def full_scenes() -> List[str]:
         grid = virtual_grid(rpc.localise, window, altitudes, frame)
         fitted = fit_pinhole(grid)
         seconds = time.process_time() - start
-        errors = {model: refine_pinhole(model, fitted.camera, grid, window).error
-                  for model in ("homography", "polynomial")}
+        errors = {
+            model: refine_pinhole(model, fitted.camera, grid, window).error for model in ("homography", "polynomial")
+        }
         full = terrain_error(rpc, frame, window, altitudes, seed)
         tile = terrain_error(rpc, frame, (rpc.col_off - 2560, rpc.row_off - 2560, 5120.0, 5120.0), altitudes, seed)
         worst["full"] = [max(worst["full"][0], full.rmse), max(worst["full"][1], full.max)]
         worst["tile"] = [max(worst["tile"][0], tile.rmse), max(worst["tile"][1], tile.max)]
-        rows.append([name, f"{altitudes[0]:.0f}..{altitudes[1]:.0f}",
-                     *(f"{e.rmse:.3g} / {e.max:.3g}" for e in (fitted.error, errors["homography"],
-                                                               errors["polynomial"], full, tile)), seconds])
+        rows.append(
+            [
+                name,
+                f"{altitudes[0]:.0f}..{altitudes[1]:.0f}",
+                *(
+                    f"{e.rmse:.3g} / {e.max:.3g}"
+                    for e in (fitted.error, errors["homography"], errors["polynomial"], full, tile)
+                ),
+                seconds,
+            ]
+        )
         site = name[:-4]
         if site in DESIGN and site not in seen:
             seen.add(site)
@@ -126,12 +144,24 @@ def full_scenes() -> List[str]:
     return [
         "RMSE / maximum of the equivalent error in px over full scenes and the RPC's own altitude range (25 x 25 px "
         "x 11 altitudes); terrain: 7000 random points, surface wrong by up to 10 m, fractal ground all over.",
-        table(["scene", "altitudes, m", "uncorrected", "homography", "polynomial", "terrain", "terrain, middle 5120 px",
-               "fit, CPU s"], rows),
+        table(
+            [
+                "scene",
+                "altitudes, m",
+                "uncorrected",
+                "homography",
+                "polynomial",
+                "terrain",
+                "terrain, middle 5120 px",
+                "fit, CPU s",
+            ],
+            rows,
+        ),
         f"Terrain, worst of {len(rows)} scenes: full {worst['full'][0]:.3f} / {worst['full'][1]:.3f} px (bars 0.16 / "
         f"0.40), 5120 px tiles {worst['tile'][0]:.4f} / {worst['tile'][1]:.4f} px (bar 0.015 RMSE).",
         "Against DESIGN.md's table (bar: 3 %):",
-        table(["first scene of", "uncorrected RMSE", "max", "polynomial RMSE", "max"], compared)]
+        table(["first scene of", "uncorrected RMSE", "max", "polynomial RMSE", "max"], compared),
+    ]
 
 
 def simulated(sensor: Sensor, look: Look, size: Tuple[int, int], altitudes: Tuple[float, float]) -> Rpc:
@@ -143,8 +173,10 @@ def simulated(sensor: Sensor, look: Look, size: Tuple[int, int], altitudes: Tupl
 def paper_table() -> List[str]:
     """Point 3: the paper's table on simulated sensors."""
     rows = []
-    cases = (("ZY3", ZY3, ZY3.looks[0], (24576, 24576), (0.0, 1200.0)),
-             ("GF7", GF7, GF7.looks[0], (35864, 40000), (20.0, 320.0)))
+    cases = (
+        ("ZY3", ZY3, ZY3.looks[0], (24576, 24576), (0.0, 1200.0)),
+        ("GF7", GF7, GF7.looks[0], (35864, 40000), (20.0, 320.0)),
+    )
     for name, sensor, look, size, altitudes in cases:
         rpc = simulated(sensor, look, size, altitudes)
         frame = EnuFrame(rpc.lon_off, rpc.lat_off)
@@ -153,14 +185,31 @@ def paper_table() -> List[str]:
             window = ((size[0] - width) / 2, (size[1] - height) / 2, float(width), float(height))
             grid = virtual_grid(rpc.localise, window, altitudes, frame)
             fitted = fit_pinhole(grid)
-            results = [fitted.error] + [refine_pinhole(model, fitted.camera, grid, window).error
-                                        for model in ("homography", "polynomial")]
+            results = [fitted.error] + [
+                refine_pinhole(model, fitted.camera, grid, window).error for model in ("homography", "polynomial")
+            ]
             for model, ours, theirs in zip(("uncorrected", "homography", "polynomial"), results, PAPER[name, label]):
                 rows.append([name, label, model, ours.samp_rmse, ours.line_rmse, ours.rmse, ours.max, *theirs])
-    return ["The paper's table on simulated sensors (forward views; ZY-3 24576 px over 1200 m of relief, GF-7 35864 x "
-            "40000 px over 300 m): ours, then the paper's printed figures, px.",
-            table(["sensor", "size", "model", "Samp RMSE", "Line RMSE", "RMSE", "Max", "paper Samp", "paper Line",
-                   "paper RMSE", "paper Max"], rows)]
+    return [
+        "The paper's table on simulated sensors (forward views; ZY-3 24576 px over 1200 m of relief, GF-7 35864 x "
+        "40000 px over 300 m): ours, then the paper's printed figures, px.",
+        table(
+            [
+                "sensor",
+                "size",
+                "model",
+                "Samp RMSE",
+                "Line RMSE",
+                "RMSE",
+                "Max",
+                "paper Samp",
+                "paper Line",
+                "paper RMSE",
+                "paper Max",
+            ],
+            rows,
+        ),
+    ]
 
 
 def gdal_difference(rpc: Rpc, count: int = 2000) -> float:
@@ -179,14 +228,19 @@ def gdal_difference(rpc: Rpc, count: int = 2000) -> float:
 
 def accuracies() -> List[str]:
     """Point 4: GDAL, and the round trips."""
-    worst = {"projection against GDAL's transformer": 0.0, "localisation round trip": 0.0,
-             "M round trip, polynomial": 0.0, "M round trip, terrain": 0.0}
+    worst = {
+        "projection against GDAL's transformer": 0.0,
+        "localisation round trip": 0.0,
+        "M round trip, polynomial": 0.0,
+        "M round trip, terrain": 0.0,
+    }
     rpcs = [rpc for _, rpc in real_rpcs()] or [simulated(ZY3, ZY3.looks[0], (20000, 20000), (0.0, 1000.0))]
     rng = np.random.default_rng(2)
     for seed, rpc in enumerate(rpcs):
         frame, altitudes, window = EnuFrame(rpc.lon_off, rpc.lat_off), rpc.height_range, window_of(rpc)
         worst["projection against GDAL's transformer"] = max(
-            worst["projection against GDAL's transformer"], gdal_difference(rpc))
+            worst["projection against GDAL's transformer"], gdal_difference(rpc)
+        )
         pixels = rng.uniform((0, 0), window[2:], (5000, 2))
         back = rpc.project(rpc.localise(pixels, rng.uniform(*altitudes, len(pixels))))
         worst["localisation round trip"] = max(worst["localisation round trip"], float(np.abs(back - pixels).max()))
@@ -199,8 +253,10 @@ def accuracies() -> List[str]:
             worst[f"M round trip, {model}"] = max(worst[f"M round trip, {model}"], float(error))
     worst["COLMAP export, projected by pycolmap"] = colmap_difference()
     bars = (1e-6, 1e-6, 1e-3, 1e-3, 1e-3)
-    return [f"Agreement and round trips, worst over {len(rpcs)} RPCs, px:",
-            table(["what", "px", "bar"], [[k, f"{v:.1e}", f"{bar:g}"] for (k, v), bar in zip(worst.items(), bars)])]
+    return [
+        f"Agreement and round trips, worst over {len(rpcs)} RPCs, px:",
+        table(["what", "px", "bar"], [[k, f"{v:.1e}", f"{bar:g}"] for (k, v), bar in zip(worst.items(), bars)]),
+    ]
 
 
 def other_rpcs() -> List[str]:
@@ -213,10 +269,23 @@ def other_rpcs() -> List[str]:
         grid = virtual_grid(rpc.localise, window, rpc.height_range, frame)
         fitted = fit_pinhole(grid)
         left = refine_pinhole("polynomial", fitted.camera, grid, window).error
-        rows.append([path.name, f"{window[2]:.0f} x {window[3]:.0f}", "{:.0f}..{:.0f}".format(*rpc.height_range),
-                     fitted.error.rmse, left.rmse])
-    return ["The other sensors' files, over their RPC's own domain:",
-            table(["file", "px", "altitudes, m", "uncorrected RMSE, px", "polynomial RMSE, px"], rows)] if rows else []
+        rows.append(
+            [
+                path.name,
+                f"{window[2]:.0f} x {window[3]:.0f}",
+                "{:.0f}..{:.0f}".format(*rpc.height_range),
+                fitted.error.rmse,
+                left.rmse,
+            ]
+        )
+    return (
+        [
+            "The other sensors' files, over their RPC's own domain:",
+            table(["file", "px", "altitudes, m", "uncorrected RMSE, px", "polynomial RMSE, px"], rows),
+        ]
+        if rows
+        else []
+    )
 
 
 def colmap_difference() -> float:
@@ -231,8 +300,11 @@ def colmap_difference() -> float:
         town = run_stage("sampledata", {"folder": folder, "size": 400}, Silent())
         fitted = run_stage("epmfit", {"images": town["images"], "workspace": folder}, Silent())
         refined = run_stage("refine", {"scene": fitted["scene"], "output_scene": f"{folder}/refined.json"}, Silent())
-        made = run_stage("exportcameras", {"scene": refined["output_scene"], "folder": f"{folder}/export",
-                                           "format": "colmap", "centre": False}, Silent())
+        made = run_stage(
+            "exportcameras",
+            {"scene": refined["output_scene"], "folder": f"{folder}/export", "format": "colmap", "centre": False},
+            Silent(),
+        )
         scene = Scene.load(refined["output_scene"])
         model = pycolmap.Reconstruction(f"{made['models'][0]}/sparse/0")
         tile = scene.tiles[0]
@@ -276,20 +348,43 @@ def costs() -> List[str]:
     with tempfile.TemporaryDirectory() as folder:
         image = f"{folder}/full.tif"
         rows = [
-            ["fit of one 40000 x 40000 view at all altitudes", "CPU s", in_process(_FULL + """
+            [
+                "fit of one 40000 x 40000 view at all altitudes",
+                "CPU s",
+                in_process(
+                    _FULL
+                    + """
 from repm_qgis.geometry.equivalent_error import fit_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame
 t = time.process_time()
 fit_pinhole(virtual_grid(rpc.localise, (0, 0, 40000, 40000), rpc.height_range, EnuFrame(rpc.lon_off, rpc.lat_off)))
 print(time.process_time() - t)
-""" + _MEMORY), "< 1"],
-            ["1e7 points projected, one core", "CPU s", in_process(_FULL + """
+"""
+                    + _MEMORY
+                ),
+                "< 1",
+            ],
+            [
+                "1e7 points projected, one core",
+                "CPU s",
+                in_process(
+                    _FULL
+                    + """
 ground = np.tile(rpc.localise(np.random.default_rng(0).uniform(0, 40000, (1000, 2)), 100.0), (10000, 1))
 t = time.process_time()
 rpc.project(ground)
 print(time.process_time() - t)
-""" + _MEMORY), "< 3"],
-            ["error map of a full 40000 x 40000 scene", "s", in_process(_FULL + f"""
+"""
+                    + _MEMORY
+                ),
+                "< 3",
+            ],
+            [
+                "error map of a full 40000 x 40000 scene",
+                "s",
+                in_process(
+                    _FULL
+                    + f"""
 from osgeo import gdal
 from repm_qgis.simulation.scene import rpc_tags
 from repm_qgis.stages import run_stage
@@ -305,9 +400,14 @@ made = run_stage("epmfit", {{"images": ["{folder}/a.tif", "{folder}/b.tif"], "wo
 t = time.perf_counter()
 run_stage("errormap", {{"scene": made["scene"], "output": "{folder}/error.tif"}}, Silent())
 print(time.perf_counter() - t)
-""" + _MEMORY), "< 10"],
+"""
+                    + _MEMORY
+                ),
+                "< 10",
+            ],
         ]
-        warp = in_process(f"""
+        warp = in_process(
+            f"""
 import time, numpy as np
 from osgeo import gdal
 gdal.SetCacheMax(64 << 20)
@@ -324,12 +424,24 @@ t = time.perf_counter()
 with opened("{image}") as dataset:
     pixels = sum(strip.size for _, strip in warp_strips(dataset, 1, M.original_from_refined, (10000, 10000)))
 print((time.perf_counter() - t) / pixels * 60e6)
-""" + _MEMORY)
-    rows.append([f"refining 10000 x 10000 px, bilinear: {60 / warp['seconds']:.0f} Mpx/s", "s for 60 Mpx", warp,
-                 "< 1 (60 Mpx/s)"])
-    return ["Cost (memory is the peak of the process):",
-            table(["what", "unit", "measured", "bar", "peak MiB (bar 500)"],
-                  [[what, unit, run["seconds"], bar, run["MiB"]] for what, unit, run, bar in rows])]
+"""
+            + _MEMORY
+        )
+    rows.append(
+        [
+            f"refining 10000 x 10000 px, bilinear: {60 / warp['seconds']:.0f} Mpx/s",
+            "s for 60 Mpx",
+            warp,
+            "< 1 (60 Mpx/s)",
+        ]
+    )
+    return [
+        "Cost (memory is the peak of the process):",
+        table(
+            ["what", "unit", "measured", "bar", "peak MiB (bar 500)"],
+            [[what, unit, run["seconds"], bar, run["MiB"]] for what, unit, run, bar in rows],
+        ),
+    ]
 
 
 def main() -> None:

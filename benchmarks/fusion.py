@@ -27,14 +27,14 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.imagery.raster import write  # noqa: E402
-from repm_qgis.mvs.dense import _BANDS, _rectified  # noqa: E402
-from repm_qgis.mvs.triangulation import pair_geometry  # noqa: E402
+from repm_qgis.matching.dense import _BANDS, _rectified  # noqa: E402
 from repm_qgis.parallel import run_tasks  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
 
 SIZE = int(os.environ.get("REPM_BENCH_CELLS", "10000"))  # cells a side of the largest DSM
 WORKERS = 2
@@ -46,8 +46,9 @@ def empty_images(size: int, folder: Path) -> List[str]:
     paths = []
     for view in make_views(spec):
         path = str(folder / f"{view.name}.tif")
-        dataset = gdal.GetDriverByName("GTiff").Create(path, size, size, 1, gdal.GDT_UInt16,
-                                                       ["SPARSE_OK=TRUE", "TILED=YES"])
+        dataset = gdal.GetDriverByName("GTiff").Create(
+            path, size, size, 1, gdal.GDT_UInt16, ["SPARSE_OK=TRUE", "TILED=YES"]
+        )
         dataset.SetMetadata(rpc_tags(fit_rpc(view.localise, view.size, (150.0, 300.0)).rpc), "RPC")
         dataset = None
         paths.append(path)
@@ -76,32 +77,53 @@ def height_map(work: Tuple[Scene, str, Tuple[float, ...], Tuple[float, float], T
     filled = np.zeros(height.shape, bool)
     step = np.abs(np.diff(height, axis=1, prepend=height[:, :1])) > 3
     for shift in range(4):
-        filled[:, shift:] |= step[:, :step.shape[1] - shift]
+        filled[:, shift:] |= step[:, : step.shape[1] - shift]
     # Matched neighbours share most of their windows, and so of their noise.
     noise = cv2.GaussianBlur(rng.normal(0, 1.0, height.shape).astype(np.float32), (0, 0), 2.0)
     height += noise * (0.2 * geometry.metres_per_px / noise.std())
     gaps = np.kron(rng.random((rows // 8 + 1, width // 8 + 1)) < 0.02, np.ones((8, 8), bool))[:rows, :width]
     height[gaps & ~filled] = np.nan
     score = np.where(filled | np.isnan(height), np.nan, rng.beta(9, 1, height.shape)).astype(np.float32)
-    write(path, [height.astype(np.float32), score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "",
-          descriptions=_BANDS)
-    return {"tile": tile, "pair": list(names), "file": path, "size": [width, rows],
-            "valid": int(np.isfinite(score).sum()), "filled": int(filled.sum()),
-            "metres_per_px": geometry.metres_per_px, "row_px": 0.0, "table_error_m": geometry.error_m,
-            "altitudes": list(altitudes)}
+    write(
+        path, [height.astype(np.float32), score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "", descriptions=_BANDS
+    )
+    return {
+        "tile": tile,
+        "pair": list(names),
+        "file": path,
+        "size": [width, rows],
+        "valid": int(np.isfinite(score).sum()),
+        "filled": int(filled.sum()),
+        "metres_per_px": geometry.metres_per_px,
+        "row_px": 0.0,
+        "table_error_m": geometry.error_m,
+        "altitudes": list(altitudes),
+    }
 
 
 def scene_of(size: int, pairs: int, folder: Path) -> str:
     """A scene of ``size`` px a side with height maps of so many pairs; gives its path."""
     folder.mkdir(parents=True)
-    made = run_stage("epmfit", {"images": empty_images(size, folder), "workspace": str(folder / "w"),
-                                "altitude_min": 170.0, "altitude_max": 250.0}, Silent())
+    made = run_stage(
+        "epmfit",
+        {
+            "images": empty_images(size, folder),
+            "workspace": str(folder / "w"),
+            "altitude_min": 170.0,
+            "altitude_max": 250.0,
+        },
+        Silent(),
+    )
     scene = Scene.load(made["scene"])
     scene.refinement = "polynomial"
     names = [(scene.views[i].name, scene.views[j].name) for i, j in ((0, 1), (1, 2), (0, 2))][:pairs]
     lean = scene.lean()
-    tasks = [(lean, tile.id, tile.bounds, tile.altitudes, pair, str(folder / f"{tile.id}_{pair[0]}_{pair[1]}.tif"))
-             for tile in scene.tiles for pair in names if pair[0] in tile.views and pair[1] in tile.views]
+    tasks = [
+        (lean, tile.id, tile.bounds, tile.altitudes, pair, str(folder / f"{tile.id}_{pair[0]}_{pair[1]}.tif"))
+        for tile in scene.tiles
+        for pair in names
+        if pair[0] in tile.views and pair[1] in tile.views
+    ]
     records = run_tasks(height_map, tasks, WORKERS, Silent(), str)
     for tile in scene.tiles:
         tile.heights = [record for record in records if record["tile"] == tile.id]
@@ -111,11 +133,17 @@ def scene_of(size: int, pairs: int, folder: Path) -> str:
 def measured(scene: str, cell: float, folder: Path) -> Dict[str, float]:
     """Cells, wall and CPU seconds, and MiB of fusing a scene, in a process of its own."""
     job = folder / "job.json"
-    job.write_text(json.dumps({"scene": scene, "output": str(folder / "dsm.tif"), "resolution": cell,
-                               "workers": WORKERS}))
+    job.write_text(
+        json.dumps({"scene": scene, "output": str(folder / "dsm.tif"), "resolution": cell, "workers": WORKERS})
+    )
     before, start = os.times(), time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "repm_qgis", "dsmfuse", str(job)], cwd=ROOT, text=True,
-                               stdout=subprocess.PIPE, start_new_session=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "repm_qgis", "dsmfuse", str(job)],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
     text: List[str] = []
     reader = threading.Thread(target=lambda: text.append(process.stdout.read()))
     reader.start()
@@ -130,8 +158,13 @@ def measured(scene: str, cell: float, folder: Path) -> Dict[str, float]:
         raise SystemExit(f"fusion: {result}")
     cells = float(result["result"]["cells"])
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
-    return {"cells": cells, "wall": wall, "cpu": cpu, "memory": sum(peaks.values()),
-            "valid": result["result"]["valid_percent"]}
+    return {
+        "cells": cells,
+        "wall": wall,
+        "cpu": cpu,
+        "memory": sum(peaks.values()),
+        "valid": result["result"]["valid_percent"],
+    }
 
 
 def _largest(group: int) -> Dict[int, float]:
@@ -157,16 +190,34 @@ def main() -> None:
             found = measured(scene_of(size, pairs, work), cell, work)
             shutil.rmtree(work)
             rate = found["cells"] / 1e6 / found["cpu"] * WORKERS
-            rows.append([f"{found['cells'] / 1e6:.1f}", pairs, cell, found["valid"], found["wall"], found["cpu"],
-                         f"{rate:.2f}", f"{found['memory']:.0f}"])
+            rows.append(
+                [
+                    f"{found['cells'] / 1e6:.1f}",
+                    pairs,
+                    cell,
+                    found["valid"],
+                    found["wall"],
+                    found["cpu"],
+                    f"{rate:.2f}",
+                    f"{found['memory']:.0f}",
+                ]
+            )
             print(rows[-1], flush=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    publish("fusion", "The cost of fusing", "make bench-fusion", [
-        f"Height maps of 0.5 m px on disk to a DSM, {WORKERS} workers. Cells a second are what {WORKERS} cores do that "
-        f"nothing else uses: cells / CPU seconds x {WORKERS}. Bars: 3 Mcell/s, 1024 MiB. {__doc__.splitlines()[2]}",
-        table(["Mcells", "pairs", "cell, m", "valid %", "wall, s", "CPU, s", "Mcell/s on 2 cores", "memory, MiB"],
-              rows)])
+    publish(
+        "fusion",
+        "The cost of fusing",
+        "make bench-fusion",
+        [
+            f"Height maps of 0.5 m px on disk to a DSM, {WORKERS} workers. Cells a second are what {WORKERS} cores do that "
+            f"nothing else uses: cells / CPU seconds x {WORKERS}. Bars: 3 Mcell/s, 1024 MiB. {__doc__.splitlines()[2]}",
+            table(
+                ["Mcells", "pairs", "cell, m", "valid %", "wall, s", "CPU, s", "Mcell/s on 2 cores", "memory, MiB"],
+                rows,
+            ),
+        ],
+    )
 
 
 if __name__ == "__main__":

@@ -41,16 +41,77 @@ MAX_MS = 1000.0
 MAX_MB = 150.0
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?"
-WORDS = ("1e400", "-1e400", "NaN", "nan", "inf", "-Infinity", "1e308", "0", "abc", "", "1,5", "0x1F", "1e-400", "1_000",
-         "--5", "1.#QNAN", "9" * 5000, "1e999999999", "\u0661\u0662", "1 2", "5 feet", "true", "null", "{}", "&lol;",
-         "&#xD800;", "&#49;", "&#0;", "1&#x110000;", "1e", "+", ".", "12px", "\u22125", "3.0.1")
-ENTITIES = ('<!DOCTYPE a [<!ENTITY lol "lol"><!ENTITY lol2 "&lol;&lol;&lol;">]>',
-            '<!DOCTYPE a SYSTEM "file:///etc/passwd">', '<!ENTITY % x SYSTEM "http://127.0.0.1/x">', "<!ELEMENT a ANY>")
-GARBAGE = ("", "LINE_OFF", "LINE_OFF: 1", "lineOffset = 3;", "<LINE_OFF>7</LINE_OFF>", '"row_offset": 4,', "]", "}",
-           "(", ")", ");", "</Global_RFM>", "<Inverse_Model>", "END_GROUP = IMAGE", "BEGIN_GROUP = IMAGE", "1.0",
-           "-5e-3,", "\x0c", "&#xD800;", "RFM_CORRECTION_PARAMETERS", "polynomial_format:  A", "<!-- -->",
-           "<![CDATA[1]]>",
-           "line_num_coeff_00:  1", "LINE_NUM_COEFF_1: 5", "LINE_NUM_COEFF: 1 2 3")
+WORDS = (
+    "1e400",
+    "-1e400",
+    "NaN",
+    "nan",
+    "inf",
+    "-Infinity",
+    "1e308",
+    "0",
+    "abc",
+    "",
+    "1,5",
+    "0x1F",
+    "1e-400",
+    "1_000",
+    "--5",
+    "1.#QNAN",
+    "9" * 5000,
+    "1e999999999",
+    "\u0661\u0662",
+    "1 2",
+    "5 feet",
+    "true",
+    "null",
+    "{}",
+    "&lol;",
+    "&#xD800;",
+    "&#49;",
+    "&#0;",
+    "1&#x110000;",
+    "1e",
+    "+",
+    ".",
+    "12px",
+    "\u22125",
+    "3.0.1",
+)
+ENTITIES = (
+    '<!DOCTYPE a [<!ENTITY lol "lol"><!ENTITY lol2 "&lol;&lol;&lol;">]>',
+    '<!DOCTYPE a SYSTEM "file:///etc/passwd">',
+    '<!ENTITY % x SYSTEM "http://127.0.0.1/x">',
+    "<!ELEMENT a ANY>",
+)
+GARBAGE = (
+    "",
+    "LINE_OFF",
+    "LINE_OFF: 1",
+    "lineOffset = 3;",
+    "<LINE_OFF>7</LINE_OFF>",
+    '"row_offset": 4,',
+    "]",
+    "}",
+    "(",
+    ")",
+    ");",
+    "</Global_RFM>",
+    "<Inverse_Model>",
+    "END_GROUP = IMAGE",
+    "BEGIN_GROUP = IMAGE",
+    "1.0",
+    "-5e-3,",
+    "\x0c",
+    "&#xD800;",
+    "RFM_CORRECTION_PARAMETERS",
+    "polynomial_format:  A",
+    "<!-- -->",
+    "<![CDATA[1]]>",
+    "line_num_coeff_00:  1",
+    "LINE_NUM_COEFF_1: 5",
+    "LINE_NUM_COEFF: 1 2 3",
+)
 
 
 def example() -> Rpc:
@@ -63,9 +124,22 @@ def example() -> Rpc:
             values[index] = value
         return tuple(values.tolist())
 
-    return Rpc(18999.5, 19000.0, 20749.5, 20750.0, 43.6, 0.09, 1.44, 0.13, 500.0, 400.0,
-               polynomial({0: 0.002, 1: -0.21, 2: -1.02, 3: 0.012}), polynomial({0: 1.0}),
-               polynomial({0: -0.001, 1: 1.01, 2: -0.2, 3: 0.009}), polynomial({0: 1.0}))
+    return Rpc(
+        18999.5,
+        19000.0,
+        20749.5,
+        20750.0,
+        43.6,
+        0.09,
+        1.44,
+        0.13,
+        500.0,
+        400.0,
+        polynomial({0: 0.002, 1: -0.21, 2: -1.02, 3: 0.012}),
+        polynomial({0: 1.0}),
+        polynomial({0: -0.001, 1: 1.01, 2: -0.2, 3: 0.009}),
+        polynomial({0: 1.0}),
+    )
 
 
 # --- breaking ---------------------------------------------------------------------------------------------------------
@@ -92,11 +166,11 @@ def random_letters(data: bytes, rng: Rng) -> bytes:
 
 
 def truncated(data: bytes, rng: Rng) -> bytes:
-    return data[:rng.integers(0, len(data))]
+    return data[: rng.integers(0, len(data))]
 
 
 def beheaded(data: bytes, rng: Rng) -> bytes:
-    return data[rng.integers(1, len(data)):]
+    return data[rng.integers(1, len(data)) :]
 
 
 def swapped_lines(data: bytes, rng: Rng) -> bytes:
@@ -109,7 +183,7 @@ def swapped_lines(data: bytes, rng: Rng) -> bytes:
 def line_lost(data: bytes, rng: Rng) -> bytes:
     lines = _lines(data)
     first = rng.integers(0, len(lines))
-    del lines[first:first + rng.integers(1, 4)]
+    del lines[first : first + rng.integers(1, 4)]
     return b"\n".join(lines)
 
 
@@ -131,7 +205,7 @@ def _replaced_number(data: bytes, rng: Rng, word: Callable[[bytes], bytes]) -> b
     if not marks:
         return data
     mark = marks[rng.integers(0, len(marks))]
-    return data[:mark.start()] + word(mark[0]) + data[mark.end():]
+    return data[: mark.start()] + word(mark[0]) + data[mark.end() :]
 
 
 def number_to_word(data: bytes, rng: Rng) -> bytes:
@@ -139,8 +213,13 @@ def number_to_word(data: bytes, rng: Rng) -> bytes:
 
 
 def number_to_number(data: bytes, rng: Rng) -> bytes:
-    return _replaced_number(data, rng, lambda old: repr(float(old.lower().replace(b"d", b"e")) * rng.uniform(0.9, 1.1)
-                                                        + rng.choice([0.0, 1e-7, 1e-3])).encode())
+    return _replaced_number(
+        data,
+        rng,
+        lambda old: repr(
+            float(old.lower().replace(b"d", b"e")) * rng.uniform(0.9, 1.1) + rng.choice([0.0, 1e-7, 1e-3])
+        ).encode(),
+    )
 
 
 def number_lost(data: bytes, rng: Rng) -> bytes:
@@ -181,25 +260,49 @@ def encoding(data: bytes, rng: Rng) -> bytes:
     kind = rng.integers(0, 7)
     if kind < 4:
         return text.encode(("utf-16", "utf-8-sig", "utf-32", "utf-16-be")[kind])
-    return (b"\xff\xfe" + data, b"\xef\xbb\xbf" * 2 + data,
-            data.replace(b"degrees", "\u00b0".encode("latin-1")) + b"\n# \xe9t\xe9\n")[kind - 4]
+    return (
+        b"\xff\xfe" + data,
+        b"\xef\xbb\xbf" * 2 + data,
+        data.replace(b"degrees", "\u00b0".encode("latin-1")) + b"\n# \xe9t\xe9\n",
+    )[kind - 4]
 
 
 def noise(data: bytes, rng: Rng) -> bytes:
-    return data[:rng.integers(0, 200)] + rng.bytes(int(rng.integers(0, 20_000)))
+    return data[: rng.integers(0, 200)] + rng.bytes(int(rng.integers(0, 20_000)))
 
 
 MUTATIONS: Dict[Callable[[bytes, Rng], bytes], float] = {
-    random_bytes: 3, random_letters: 3, truncated: 2, beheaded: 1, swapped_lines: 2, line_lost: 1, line_twice: 1,
-    line_inserted: 2, number_to_word: 4, number_to_number: 2, number_lost: 1, number_twice: 1, entities: 1, deep: 0.5,
-    huge: 0.1, spliced: 1, encoding: 1, noise: 1}
+    random_bytes: 3,
+    random_letters: 3,
+    truncated: 2,
+    beheaded: 1,
+    swapped_lines: 2,
+    line_lost: 1,
+    line_twice: 1,
+    line_inserted: 2,
+    number_to_word: 4,
+    number_to_number: 2,
+    number_lost: 1,
+    number_twice: 1,
+    entities: 1,
+    deep: 0.5,
+    huge: 0.1,
+    spliced: 1,
+    encoding: 1,
+    noise: 1,
+}
 """Ways to break a file, and how often each is taken."""
 
 
 # --- the second reader ------------------------------------------------------------------------------------------------
 
-_AXES = (("row", "LINE", "line"), ("col", "SAMP", "samp"), ("lat", "LAT", "lat"), ("lon", "LONG", "long"),
-         ("height", "HEIGHT", "height"))
+_AXES = (
+    ("row", "LINE", "line"),
+    ("col", "SAMP", "samp"),
+    ("lat", "LAT", "lat"),
+    ("lon", "LONG", "long"),
+    ("height", "HEIGHT", "height"),
+)
 Numbers = Dict[str, Tuple[float, ...]]
 
 
@@ -209,8 +312,11 @@ def naive(kind: str, data: bytes) -> Optional[Numbers]:
         return _naive_tiff(data)
     text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1", errors="replace")
     try:
-        numbers = {f"{ours}_{end}": _find(kind, text, axis, end, theirs)
-                   for ours, axis, theirs in _AXES for end, theirs in (("off", theirs), ("scale", theirs))}
+        numbers = {
+            f"{ours}_{end}": _find(kind, text, axis, end, theirs)
+            for ours, axis, theirs in _AXES
+            for end, theirs in (("off", theirs), ("scale", theirs))
+        }
         for ours, axis, theirs in _AXES[:2]:
             for part in ("num", "den"):
                 numbers[f"{ours}_{part}"] = _find(kind, text, axis, part, theirs)
@@ -257,16 +363,19 @@ def _find(kind: str, text: str, axis: str, end: str, theirs: str) -> Tuple[float
 def _naive_tiff(data: bytes) -> Optional[Numbers]:
     """The RPC tag (50844) of a little-endian TIFF's first directory: two errors, ten normalisers, 80 coefficients."""
     try:
-        directory, = struct.unpack_from("<I", data, 4)
-        count, = struct.unpack_from("<H", data, directory)
+        (directory,) = struct.unpack_from("<I", data, 4)
+        (count,) = struct.unpack_from("<H", data, directory)
         for entry in range(directory + 2, directory + 2 + 12 * count, 12):
             tag, kind, length, place = struct.unpack_from("<HHII", data, entry)
             if (tag, kind, length) == (50844, 12, 92):
                 v = struct.unpack_from("<92d", data, place)
-                numbers: Numbers = {f"{ours}_{end}": (v[2 + 5 * half + axis],) for axis, (ours, *_) in enumerate(_AXES)
-                                    for half, end in enumerate(("off", "scale"))}
+                numbers: Numbers = {
+                    f"{ours}_{end}": (v[2 + 5 * half + axis],)
+                    for axis, (ours, *_) in enumerate(_AXES)
+                    for half, end in enumerate(("off", "scale"))
+                }
                 for index, name in enumerate(("row_num", "row_den", "col_num", "col_den")):
-                    numbers[name] = v[12 + 20 * index:32 + 20 * index]
+                    numbers[name] = v[12 + 20 * index : 32 + 20 * index]
                 return numbers
     except struct.error:
         pass
@@ -285,6 +394,7 @@ def _says(rpc: Rpc, numbers: Optional[Numbers], digits: float) -> bool:
 
 
 # --- the run ----------------------------------------------------------------------------------------------------------
+
 
 @dataclass
 class Report:
@@ -311,10 +421,12 @@ class Report:
             counts = self.refused[name], self.identical[name], self.different[name]
             rows.append(f"{name:18}{sum(counts):8}{counts[0]:9}{counts[1]:7}{counts[2]:15}")
         totals = [sum(c.values()) for c in (self.refused, self.identical, self.different)]
-        rows += [f"{'all':18}{self.inputs:8}{totals[0]:9}{totals[1]:7}{totals[2]:15}",
-                 f"wrong models: {len(self.wrong)}; other exceptions: {len(self.crashed)}",
-                 f"slowest: {self.slowest_ms:.1f} ms of CPU ({self.slowest}); most memory: {self.peak_mb:.1f} MB "
-                 f"({self.peak}); process grew by {self.rss_mb:.0f} MB; {self.seconds:.0f} s in all"]
+        rows += [
+            f"{'all':18}{self.inputs:8}{totals[0]:9}{totals[1]:7}{totals[2]:15}",
+            f"wrong models: {len(self.wrong)}; other exceptions: {len(self.crashed)}",
+            f"slowest: {self.slowest_ms:.1f} ms of CPU ({self.slowest}); most memory: {self.peak_mb:.1f} MB "
+            f"({self.peak}); process grew by {self.rss_mb:.0f} MB; {self.seconds:.0f} s in all",
+        ]
         return "\n".join(rows + self.wrong[:10] + self.crashed[:10])
 
 
@@ -400,7 +512,7 @@ def _one(report: Report, path: Path, data: bytes, kind: str, mutation: str, labe
 
 def main() -> int:
     """Run, print, and say with the exit code whether all is well."""
-    count, seed = (int(value) for value in (sys.argv[1:] + ["20000", "1"][len(sys.argv) - 1:])[:2])
+    count, seed = (int(value) for value in (sys.argv[1:] + ["20000", "1"][len(sys.argv) - 1 :])[:2])
     report = fuzz(count, seed)
     print(report.table())
     good = not report.wrong and not report.crashed and report.slowest_ms < MAX_MS and report.peak_mb < MAX_MB

@@ -24,14 +24,15 @@ from repm_qgis.simulation.surface import Bounds, Ground, Sun, Surface, fractal  
 
 MORNING = Sun(azimuth_deg=105.0, elevation_deg=28.0)
 AFTERNOON = Sun(azimuth_deg=245.0, elevation_deg=32.0)
-_HOUSE_M = (5.0, 4.0)       # half the length and width of every house
+_HOUSE_M = (5.0, 4.0)  # half the length and width of every house
 _EAVES_M, _RIDGE_M = 5.0, 2.5
 _FIELD_M = 45.0
 Writer = Callable[[Path, np.ndarray], Any]
 
 
-def estate(bounds: Bounds, spec: SceneSpec, spacing_m: Sequence[float], turn_deg: float, trees: float,
-           garden: float = 0.004) -> Surface:
+def estate(
+    bounds: Bounds, spec: SceneSpec, spacing_m: Sequence[float], turn_deg: float, trees: float, garden: float = 0.004
+) -> Surface:
     """Equal houses on a regular grid of a spacing along two axes, on plain ground; ``trees`` for each house."""
     rng = np.random.default_rng([spec.seed, 9])
     ground = Ground.empty(bounds, spec.cell_m / spec.surface_step)
@@ -51,7 +52,7 @@ def estate(bounds: Bounds, spec: SceneSpec, spacing_m: Sequence[float], turn_deg
     ground.height[:] = np.where(inside, floor + roof + 1.5 * stack, ground.height)
     courses = 0.012 * np.sign(np.sin(2 * np.pi * house[1] / 1.4))
     ground.albedo[:] = np.where(inside, np.where(stack, 0.33, 0.22 + courses), ground.albedo)
-    _plant(ground, rng, int(trees * shape[0] * shape[1] * cell ** 2 / (spacing_m[0] * spacing_m[1])), terrain, inside)
+    _plant(ground, rng, int(trees * shape[0] * shape[1] * cell**2 / (spacing_m[0] * spacing_m[1])), terrain, inside)
     return ground.finish(spec.crs, spec.sun, 0.9)
 
 
@@ -70,7 +71,7 @@ def _plant(ground: Ground, rng: np.random.Generator, count: int, terrain: np.nda
         if patch is None or houses[patch[0]].any():
             continue
         area, x, y = patch
-        dome = 1.0 - (x * x + y * y) / radius ** 2
+        dome = 1.0 - (x * x + y * y) / radius**2
         crown = terrain[area] + radius * (1 + np.sqrt(np.maximum(dome, 0)))
         ground.height[area] = np.where(dome > 0, crown, ground.height[area])
         ground.albedo[area] = np.where(dome > 0, 0.06, ground.albedo[area])
@@ -81,7 +82,7 @@ def another_season(surface: Surface, seed: int, inverted: float = 0.5) -> Surfac
     rng = np.random.default_rng([seed, 10])
     rows, cols = surface.radiance.shape
     side = _FIELD_M / surface.cell
-    seeds = np.stack([rng.uniform(0, n, int(rows * cols / side ** 2) + 1) for n in (rows, cols)], axis=-1)
+    seeds = np.stack([rng.uniform(0, n, int(rows * cols / side**2) + 1) for n in (rows, cols)], axis=-1)
     points = np.ones((rows, cols), bool)
     field = np.zeros((rows, cols), int)
     field[tuple(seeds.astype(int).T)] = np.arange(1, len(seeds) + 1)
@@ -115,6 +116,7 @@ def write_scene(folder: Path, spec: SceneSpec, surfaces: Sequence[Surface], writ
     views = make_views(spec)
     for number, (view, surface) in enumerate(zip(views, surfaces)):
         write(folder / f"{view.name}.tif", exposed(surface, view, spec.seed + number))
-    write_truth(str(folder / "truth.tif"), surfaces[0], common_square(surfaces[0], views, spec.surface_step),
-                spec.surface_step)
+    write_truth(
+        str(folder / "truth.tif"), surfaces[0], common_square(surfaces[0], views, spec.surface_step), spec.surface_step
+    )
     (folder / "truth.json").write_text(json.dumps({"height_range_m": list(surfaces[0].height_range())}))

@@ -25,24 +25,26 @@ from benchmarks.runner import Cost, Failed, measured, repm, say, scores  # noqa:
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.imagery.raster import created, opened  # noqa: E402
 from repm_qgis.imagery.warping import sample_array  # noqa: E402
-from repm_qgis.mvs.pairing import rectified_pair  # noqa: E402
-from repm_qgis.mvs.triangulation import pair_geometry  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene as SceneFile  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: E402
 from repm_qgis.simulation.sensor import PLEIADES  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.pairing import rectified_pair  # noqa: E402
+from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
 
 SIDES = (2000, 4000, 7000, 10000)
 TILE = 4200
-GSD = 2.5              # of the forward and backward view, m
+GSD = 2.5  # of the forward and backward view, m
 _STRIP = 500
-_SMALL_MPX, _REPEATS = 20, 3    # small scenes take seconds, of which chance takes a tenth
+_SMALL_MPX, _REPEATS = 20, 3  # small scenes take seconds, of which chance takes a tenth
 
 
-LOAD = ("Load: the machine's average over the last minute as the run ended, our own share being as many as there are "
-        "cores; what is above that, others used, and wall times are upper bounds.")
+LOAD = (
+    "Load: the machine's average over the last minute as the run ended, our own share being as many as there are "
+    "cores; what is above that, others used, and wall times are upper bounds."
+)
 
 
 def load() -> float:
@@ -61,8 +63,11 @@ def whole() -> List[str]:
     scene = relief()
     scene.make()
     rows = []
-    for label, options in (("none", {"MODEL": "none"}), ("polynomial (the default)", {}),
-                           ("terrain, no DEM given", {"MODEL": "terrain"})):
+    for label, options in (
+        ("none", {"MODEL": "none"}),
+        ("polynomial (the default)", {}),
+        ("terrain, no DEM given", {"MODEL": "terrain"}),
+    ):
         say(f"{scene.name}: {label} ...")
         with tempfile.TemporaryDirectory() as work:
             try:
@@ -71,14 +76,38 @@ def whole() -> List[str]:
                 rows.append([label, str(error), *[""] * 9])
                 continue
             found = scores(dsm, scene.reference, scene.align)
-        rows.append([label, *(round(found[k], 3) for k in ("valid", "RMSE", "MAE", "ME", "C2.5", "C5")),
-                     round(cost.wall_s, 1), round(cost.cpu_s, 1), round(cost.peak_gib, 2), load()])
+        rows.append(
+            [
+                label,
+                *(round(found[k], 3) for k in ("valid", "RMSE", "MAE", "ME", "C2.5", "C5")),
+                round(cost.wall_s, 1),
+                round(cost.cpu_s, 1),
+                round(cost.peak_gib, 2),
+                load(),
+            ]
+        )
         say(str(rows[-1]))
-    return ["**ZY-3 tri-stereo**, 3 x 5120 x 5120 px (2.1 to 2.5 m) over 1500 m of relief, simulated, DSM of 5 m "
-            f"against the true surface; through `scripts/qgis-headless` on {len(os.sched_getaffinity(0))} cores. "
-            f"{LOAD} Bars: 180 s by the clock, 3 GiB. (The paper: 7.3 minutes on an A100.)",
-            table(["refinement", "valid %", "RMSE m", "MAE m", "ME m", "C2.5 %", "C5 %", "wall s", "CPU s", "peak GiB",
-                   "load"], rows)]
+    return [
+        "**ZY-3 tri-stereo**, 3 x 5120 x 5120 px (2.1 to 2.5 m) over 1500 m of relief, simulated, DSM of 5 m "
+        f"against the true surface; through `scripts/qgis-headless` on {len(os.sched_getaffinity(0))} cores. "
+        f"{LOAD} Bars: 180 s by the clock, 3 GiB. (The paper: 7.3 minutes on an A100.)",
+        table(
+            [
+                "refinement",
+                "valid %",
+                "RMSE m",
+                "MAE m",
+                "ME m",
+                "C2.5 %",
+                "C5 %",
+                "wall s",
+                "CPU s",
+                "peak GiB",
+                "load",
+            ],
+            rows,
+        ),
+    ]
 
 
 # Refinement -------------------------------------------------------------------------------------------------------
@@ -90,8 +119,8 @@ from osgeo import gdal
 gdal.UseExceptions()
 from repm_qgis.imagery.warping import GRID_STEP
 from repm_qgis.imagery.raster import read
-from repm_qgis.mvs import coarse
-from repm_qgis.mvs.dense import height_source
+from repm_qgis.matching import coarse
+from repm_qgis.matching.dense import height_source
 from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -127,25 +156,48 @@ def models() -> List[str]:
         for model in ("none", "polynomial", "terrain"):
             say(f"one tile, {model}, rows {'left' if left else 'put right'} ...")
             with tempfile.TemporaryDirectory() as work:
-                job = {"images": [scene.images[0], scene.images[2]], "workspace": f"{work}/w",
-                       "output": f"{work}/dsm.tif", "resolution": 5.0, "extent": extent, "extent_crs": crs,
-                       "tile_size": TILE, "model": model, "workers": 1, "rows_left": left}
-                done = subprocess.run([sys.executable, "-c", _MODEL, json.dumps(job)], cwd=ROOT, capture_output=True,
-                                      text=True)
+                job = {
+                    "images": [scene.images[0], scene.images[2]],
+                    "workspace": f"{work}/w",
+                    "output": f"{work}/dsm.tif",
+                    "resolution": 5.0,
+                    "extent": extent,
+                    "extent_crs": crs,
+                    "tile_size": TILE,
+                    "model": model,
+                    "workers": 1,
+                    "rows_left": left,
+                }
+                done = subprocess.run(
+                    [sys.executable, "-c", _MODEL, json.dumps(job)], cwd=ROOT, capture_output=True, text=True
+                )
                 if done.returncode:
-                    rows.append([model, "left" if left else "put right",
-                                 (done.stderr.strip().splitlines() or ["failed"])[-1][:200], *[""] * 4])
+                    rows.append(
+                        [
+                            model,
+                            "left" if left else "put right",
+                            (done.stderr.strip().splitlines() or ["failed"])[-1][:200],
+                            *[""] * 4,
+                        ]
+                    )
                     continue
                 truth = cropped(scene.reference, extent, f"{work}/truth.tif")
                 found = scores(f"{work}/dsm.tif", truth, True)
-            rows.append([model, "left" if left else "put right",
-                         *(round(found[k], 3) for k in ("valid", "RMSE", "MAE", "C2.5", "C5"))])
+            rows.append(
+                [
+                    model,
+                    "left" if left else "put right",
+                    *(round(found[k], 3) for k in ("valid", "RMSE", "MAE", "C2.5", "C5")),
+                ]
+            )
             say(str(rows[-1]))
-    return [f"**What refinement gains**: one tile of {TILE} px in the middle of the same scene, forward and backward "
-            "view. *left*: rows as the model leaves them, as in the paper; *put right*: where the guide of the coarse "
-            "level says what altitude the ground has, the RPCs say in which row it lies (the default), and the model "
-            "matters no more.",
-            table(["refinement", "rows", "valid %", "RMSE m", "MAE m", "C2.5 %", "C5 %"], rows)]
+    return [
+        f"**What refinement gains**: one tile of {TILE} px in the middle of the same scene, forward and backward "
+        "view. *left*: rows as the model leaves them, as in the paper; *put right*: where the guide of the coarse "
+        "level says what altitude the ground has, the RPCs say in which row it lies (the default), and the model "
+        "matters no more.",
+        table(["refinement", "rows", "valid %", "RMSE m", "MAE m", "C2.5 %", "C5 %"], rows),
+    ]
 
 
 def rows_left() -> List[str]:
@@ -156,21 +208,42 @@ def rows_left() -> List[str]:
     for side in (800, 1300, TILE, 5000):
         extent, crs = middle_of(scene.reference, 0.49 * side * GSD)
         with tempfile.TemporaryDirectory() as work:
-            fitted = run_stage("epmfit", {"images": [scene.images[0], scene.images[2]], "workspace": work,
-                                          "tile_size": side, "extent": extent, "extent_crs": crs}, Silent())["scene"]
+            fitted = run_stage(
+                "epmfit",
+                {
+                    "images": [scene.images[0], scene.images[2]],
+                    "workspace": work,
+                    "tile_size": side,
+                    "extent": extent,
+                    "extent_crs": crs,
+                },
+                Silent(),
+            )["scene"]
             for model in ("none", "polynomial", "terrain"):
                 dem = {"dem": scene.reference} if model == "terrain" else {}
-                refined = run_stage("refine", {"scene": fitted, "model": model, "output_scene": f"{work}/{model}.json",
-                                               "write_images": False, **dem}, Silent())["output_scene"]
+                refined = run_stage(
+                    "refine",
+                    {
+                        "scene": fitted,
+                        "model": model,
+                        "output_scene": f"{work}/{model}.json",
+                        "write_images": False,
+                        **dem,
+                    },
+                    Silent(),
+                )["output_scene"]
                 off = rows_on_ground(refined, scene.reference)
-                rows.append([side, model, round(float(np.sqrt((off ** 2).mean())), 3),
-                             round(float(np.abs(off).max()), 3)])
+                rows.append(
+                    [side, model, round(float(np.sqrt((off**2).mean())), 3), round(float(np.abs(off).max()), 3)]
+                )
         say(str(rows[-3:]))
-    return ["**Rows before anything is matched**: one tile in the middle of the ZY-3 scene, forward and backward view; "
-            "by how much the rectified pair's rows miss each other on the true surface, px of 2.5 m, the median taken "
-            "out (relative pointing). The terrain model's surface is here the true one in cells of 48 px. What "
-            "the models leave of the equivalent error is mostly the same in both views: little of it is in the rows.",
-            table(["tile, px", "refinement", "RMS px", "Max px"], rows)]
+    return [
+        "**Rows before anything is matched**: one tile in the middle of the ZY-3 scene, forward and backward view; "
+        "by how much the rectified pair's rows miss each other on the true surface, px of 2.5 m, the median taken "
+        "out (relative pointing). The terrain model's surface is here the true one in cells of 48 px. What "
+        "the models leave of the equivalent error is mostly the same in both views: little of it is in the rows.",
+        table(["tile, px", "refinement", "RMS px", "Max px"], rows),
+    ]
 
 
 def rows_on_ground(path: str, reference: str) -> np.ndarray:
@@ -188,7 +261,7 @@ def rows_on_ground(path: str, reference: str) -> np.ndarray:
         x, y = (t.on_grid(columns, rows, z) for t in (geometry.x, geometry.y))
         ground = sample_array(truth, np.stack([(x - g[0]) / g[1] - 0.5, (y - g[3]) / g[5] - 0.5], axis=-1), "bilinear")
         z = np.where(np.isfinite(ground), (z + ground) / 2, np.nan if step > 15 else z)
-    inside = ((x > tile.bounds[0]) & (x < tile.bounds[2]) & (y > tile.bounds[1]) & (y < tile.bounds[3]))
+    inside = (x > tile.bounds[0]) & (x < tile.bounds[2]) & (y > tile.bounds[1]) & (y < tile.bounds[3])
     off = geometry.row.on_grid(columns, rows, z)[inside & np.isfinite(z)]
     return off - np.median(off)
 
@@ -221,8 +294,18 @@ def smooth_pair(side: int) -> List[str]:
         return images
     say(f"simulating a pair of {side} px ...")
     folder.mkdir(parents=True, exist_ok=True)
-    spec = SceneSpec("mountains", side, 3, PLEIADES.at_gsd(1.0), cell_m=1.0, surface_step=1, base_m=300.0,
-                     relief_m=120.0, lon=6.65, lat=44.38)
+    spec = SceneSpec(
+        "mountains",
+        side,
+        3,
+        PLEIADES.at_gsd(1.0),
+        cell_m=1.0,
+        surface_step=1,
+        base_m=300.0,
+        relief_m=120.0,
+        lon=6.65,
+        lat=44.38,
+    )
     texture = noise(2048)
     for path, view in zip(images, [make_views(spec)[i] for i in (0, 2)]):
         fitted = fit_rpc(view.localise, view.size, (250.0, 500.0)).rpc
@@ -240,15 +323,19 @@ def noise(side: int) -> np.ndarray:
     rng = np.random.default_rng(5)
     frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.rfftfreq(side), indexing="ij"))
     spectrum = np.fft.rfft2(rng.normal(size=(side, side))) / np.maximum(frequency, 1.0 / side) ** 0.7
-    spectrum *= np.exp(-(frequency / 0.35) ** 2)
+    spectrum *= np.exp(-((frequency / 0.35) ** 2))
     field = np.fft.irfft2(spectrum, s=(side, side))
     return (900 + 220 * field / field.std()).clip(60, 4000).astype(np.float32)
 
 
 def rolling(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Heights of smooth hills, m, anywhere."""
-    return (370.0 + 35 * np.sin(x / 530.0) * np.cos(y / 610.0) + 18 * np.sin((x + y) / 210.0)
-            + 4 * np.cos((x - 2 * y) / 63.0))
+    return (
+        370.0
+        + 35 * np.sin(x / 530.0) * np.cos(y / 610.0)
+        + 18 * np.sin((x + y) / 210.0)
+        + 4 * np.cos((x - 2 * y) / 63.0)
+    )
 
 
 def painted(rpc: Any, crs: str, texture: np.ndarray, row: int, shape: Tuple[int, int]) -> np.ndarray:
@@ -276,9 +363,9 @@ def painted(rpc: Any, crs: str, texture: np.ndarray, row: int, shape: Tuple[int,
 def _spread(nodes: np.ndarray, step: int, shape: Tuple[int, int]) -> np.ndarray:
     """Bilinear interpolation of nodes ``step`` px apart to all pixels of a strip."""
     share = (np.arange(step) / step)[None, :, None, None]
-    tall = (nodes[:-1, None] + np.diff(nodes, axis=0)[:, None] * share).reshape(-1, *nodes.shape[1:])[:shape[0]]
+    tall = (nodes[:-1, None] + np.diff(nodes, axis=0)[:, None] * share).reshape(-1, *nodes.shape[1:])[: shape[0]]
     wide = tall[:, :-1, None] + np.diff(tall, axis=1)[:, :, None] * (np.arange(step) / step)[:, None]
-    return wide.reshape(shape[0], -1, 2)[:, :shape[1]]
+    return wide.reshape(shape[0], -1, 2)[:, : shape[1]]
 
 
 def scale() -> List[str]:
@@ -295,16 +382,42 @@ def scale() -> List[str]:
             rows.append([f"2 x {side} x {side}", str(error), *[""] * 8])
             continue
         cost, valid, error = sorted(runs, key=lambda run: run[0].cpu_s)[len(runs) // 2]
-        rows.append([f"2 x {side} x {side}", mpx, round(cost.cpu_s, 1), round(cost.cpu_s / mpx, 2),
-                     round((cost.cpu_s - start) / mpx, 2), round(cost.wall_s, 1), round(cost.peak_gib, 2),
-                     round(valid, 1), round(error, 3), load()])
+        rows.append(
+            [
+                f"2 x {side} x {side}",
+                mpx,
+                round(cost.cpu_s, 1),
+                round(cost.cpu_s / mpx, 2),
+                round((cost.cpu_s - start) / mpx, 2),
+                round(cost.wall_s, 1),
+                round(cost.peak_gib, 2),
+                round(valid, 1),
+                round(error, 3),
+                load(),
+            ]
+        )
         say(str(rows[-1]))
-    return ["**Scale**: pairs of simulated images (1 m, B/H 0.42, rolling ground with a noise texture, 2 m cells), "
-            f"whole commands; *ours* is without the start of QGIS, {start:.2f} CPU s in the same run (the median of "
-            f"five commands that join two words). Below {_SMALL_MPX} Mpx: the middle one of {_REPEATS} runs. Bars: CPU "
-            f"seconds a Mpx (of one image) constant within 20 %, memory flat. {LOAD}",
-            table(["images", "Mpx each", "CPU s", "CPU s a Mpx", "ours, CPU s a Mpx", "wall s", "peak GiB",
-                   "valid % of the tiles", "NMAD against the ground, m", "load"], rows)]
+    return [
+        "**Scale**: pairs of simulated images (1 m, B/H 0.42, rolling ground with a noise texture, 2 m cells), "
+        f"whole commands; *ours* is without the start of QGIS, {start:.2f} CPU s in the same run (the median of "
+        f"five commands that join two words). Below {_SMALL_MPX} Mpx: the middle one of {_REPEATS} runs. Bars: CPU "
+        f"seconds a Mpx (of one image) constant within 20 %, memory flat. {LOAD}",
+        table(
+            [
+                "images",
+                "Mpx each",
+                "CPU s",
+                "CPU s a Mpx",
+                "ours, CPU s a Mpx",
+                "wall s",
+                "peak GiB",
+                "valid % of the tiles",
+                "NMAD against the ground, m",
+                "load",
+            ],
+            rows,
+        ),
+    ]
 
 
 def one_run(images: Sequence[str]) -> Tuple[Cost, float, float]:
@@ -316,8 +429,14 @@ def one_run(images: Sequence[str]) -> Tuple[Cost, float, float]:
 
 def start_of_qgis() -> float:
     """CPU seconds of a command that does nothing worth mentioning."""
-    command = [str(ROOT / "scripts" / "qgis-headless"), "run", "native:stringconcatenation", "--", "INPUT_1=a",
-               "INPUT_2=b"]
+    command = [
+        str(ROOT / "scripts" / "qgis-headless"),
+        "run",
+        "native:stringconcatenation",
+        "--",
+        "INPUT_1=a",
+        "INPUT_2=b",
+    ]
     return float(np.median([measured(command)[1].cpu_s for _ in range(5)]))
 
 
@@ -334,8 +453,11 @@ def off_the_hills(dsm: str) -> float:
 
 
 PARTS: Dict[str, Tuple[str, Callable[[], List[str]]]] = {
-    "whole": ("A large scene", whole), "rows": ("Rows that refinement leaves", rows_left),
-    "models": ("What refinement gains", models), "scale": ("Cost and size", scale)}
+    "whole": ("A large scene", whole),
+    "rows": ("Rows that refinement leaves", rows_left),
+    "models": ("What refinement gains", models),
+    "scale": ("Cost and size", scale),
+}
 
 
 def main() -> int:

@@ -1,6 +1,7 @@
 """Water and clouds: what share of them comes out as nodata, and what is lost on land (``make bench-masks``).
 
-Each pair is matched once; rows show the DSM of what the matcher found, and of what ``mvs/reliability.py`` leaves of it.
+Each pair is matched once; rows show the DSM of what the matcher found, and of what ``matching/reliability.py``
+leaves of it.
 The DSMs have the truth's grid, moved by the best whole-cell shift.
 """
 
@@ -23,7 +24,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.matching import SHARED, Case, changed  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
 from benchmarks.water_and_clouds import CLOUD, LAND, WATER, make_pair  # noqa: E402
-from repm_qgis.mvs.reliability import without_unsupported  # noqa: E402
+from repm_qgis.matching.reliability import without_unsupported  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
 
@@ -80,10 +81,25 @@ def disturbed_rows(case: Case, classes: np.ndarray) -> List[List[Any]]:
     rows = []
     for label, error, _ in measured(case):
         known, good = np.isfinite(error), np.abs(np.nan_to_num(error, nan=np.inf)) < 1.0
-        water = [share for number in WATER.values() for share in (
-            percent(~known, classes == number), percent(~known, within(classes == number, _BANK_M / cell)))]
-        rows.append([case.name, label, *water, percent(~known, classes == CLOUD), percent(known, land),
-                     percent(known, clear), percent(good, clear)])
+        water = [
+            share
+            for number in WATER.values()
+            for share in (
+                percent(~known, classes == number),
+                percent(~known, within(classes == number, _BANK_M / cell)),
+            )
+        ]
+        rows.append(
+            [
+                case.name,
+                label,
+                *water,
+                percent(~known, classes == CLOUD),
+                percent(known, land),
+                percent(known, clear),
+                percent(good, clear),
+            ]
+        )
     return rows
 
 
@@ -92,8 +108,16 @@ def undisturbed_rows(case: Case) -> List[List[Any]]:
     for label, error, seconds in measured(case):
         among, known = np.isfinite(case.truth), error[np.isfinite(error)]
         good = np.abs(np.nan_to_num(error, nan=np.inf)) < 1.0
-        rows.append([case.name, label, percent(np.isfinite(error), among), percent(good, among),
-                     float(np.sqrt((known ** 2).mean())), round(seconds, 2)])
+        rows.append(
+            [
+                case.name,
+                label,
+                percent(np.isfinite(error), among),
+                percent(good, among),
+                float(np.sqrt((known**2).mean())),
+                round(seconds, 2),
+            ]
+        )
     return rows
 
 
@@ -107,25 +131,53 @@ def main() -> None:
                 case = Case(f"{kind}, seed {seed}", made.images, made.truth, True, folder)
                 rows, columns = case.truth.shape
                 disturbed += disturbed_rows(case, made.classes[:rows, :columns])
-            plain = run_stage("sampledata", {"folder": f"{folder}/plain_{kind}", "kind": kind, "size": 800, "seed": 1},
-                              Silent())
+            plain = run_stage(
+                "sampledata", {"folder": f"{folder}/plain_{kind}", "kind": kind, "size": 800, "seed": 1}, Silent()
+            )
             undisturbed += undisturbed_rows(Case(f"simulated, {kind}", plain["images"], plain["truth"], True, folder))
-        for name, reference, align in (("truth_urban", "truth.tif", True), ("pleiades_pair", "s2p_dsm.tif", False),
-                                       ("pleiades_triplet", "s2p_dsm.tif", True)):
+        for name, reference, align in (
+            ("truth_urban", "truth.tif", True),
+            ("pleiades_pair", "s2p_dsm.tif", False),
+            ("pleiades_triplet", "s2p_dsm.tif", True),
+        ):
             data = SHARED / name
             if data.exists():
-                undisturbed += undisturbed_rows(Case(name, [str(data / "img_01.tif"), str(data / "img_02.tif")],
-                                                     str(data / reference), align, folder))
-        publish("masks", "Water and clouds", "make bench-masks", [
-            "Pairs of 1000 px with three lakes of 100 px radius (still water: noise and nothing else; ripples; sun "
-            "glint, both other in each view) and two clouds (`benchmarks/water_and_clouds.py`). Per cent of each "
-            f"kind's cells that are nodata, of all and of those more than {_BANK_M:g} m from the bank; of land the per "
-            f"cent that have a height, of all and of what lies more than {_CLEAR_M:g} m from water and clouds, where "
-            "the last column has errors below 1 m.",
-            table(["pair", "heights", "still", "from the bank", "ripples", "from the bank", "glint", "from the bank",
-                   "cloud", "land valid", "clear land valid", "clear land C1"], disturbed),
-            "Land without water and clouds (the real pairs against S2P's DSMs):",
-            table(["pair", "heights", "valid %", "C1 %", "RMSE, m", "CPU s of the test"], undisturbed)])
+                undisturbed += undisturbed_rows(
+                    Case(
+                        name, [str(data / "img_01.tif"), str(data / "img_02.tif")], str(data / reference), align, folder
+                    )
+                )
+        publish(
+            "masks",
+            "Water and clouds",
+            "make bench-masks",
+            [
+                "Pairs of 1000 px with three lakes of 100 px radius (still water: noise and nothing else; ripples; sun "
+                "glint, both other in each view) and two clouds (`benchmarks/water_and_clouds.py`). Per cent of each "
+                f"kind's cells that are nodata, of all and of those more than {_BANK_M:g} m from the bank; of land the per "
+                f"cent that have a height, of all and of what lies more than {_CLEAR_M:g} m from water and clouds, where "
+                "the last column has errors below 1 m.",
+                table(
+                    [
+                        "pair",
+                        "heights",
+                        "still",
+                        "from the bank",
+                        "ripples",
+                        "from the bank",
+                        "glint",
+                        "from the bank",
+                        "cloud",
+                        "land valid",
+                        "clear land valid",
+                        "clear land C1",
+                    ],
+                    disturbed,
+                ),
+                "Land without water and clouds (the real pairs against S2P's DSMs):",
+                table(["pair", "heights", "valid %", "C1 %", "RMSE, m", "CPU s of the test"], undisturbed),
+            ],
+        )
 
 
 if __name__ == "__main__":

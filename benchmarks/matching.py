@@ -29,14 +29,14 @@ from repm_qgis.dsm.aggregation import aggregate  # noqa: E402
 from repm_qgis.dsm.grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
-from repm_qgis.mvs import dense, edges, occlusions, sgm, subpixel  # noqa: E402
-from repm_qgis.mvs.dense import DenseTask, HeightMap  # noqa: E402
-from repm_qgis.mvs.matching import Matched  # noqa: E402
-from repm_qgis.mvs.pairing import grown, rectified_pair  # noqa: E402
-from repm_qgis.mvs.triangulation import pair_geometry  # noqa: E402
+from repm_qgis.matching import dense, edges, occlusions, sgm, subpixel  # noqa: E402
+from repm_qgis.matching.dense import DenseTask, HeightMap  # noqa: E402
+from repm_qgis.matching.matched import Matched  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.pairing import grown, rectified_pair  # noqa: E402
+from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CELL = 0.5
@@ -49,12 +49,22 @@ class Case:
     def __init__(self, name: str, images: List[str], reference: str, align: bool, folder: str) -> None:
         self.name, self.align = name, align
         work = f"{folder}/{name}"
-        made = run_stage("pipeline", {"images": images[:2], "workspace": work, "output": f"{work}.tif",
-                                      "resolution": CELL}, Silent())
+        made = run_stage(
+            "pipeline", {"images": images[:2], "workspace": work, "output": f"{work}.tif", "resolution": CELL}, Silent()
+        )
         scene = Scene.load(made["scene"])
         tile, self.views = scene.tiles[0], scene.views[:2]
-        self.task = DenseTask(scene, tile.id, tile.bounds, tile.altitudes, *(view.name for view in self.views),
-                              tuple(view_stretch(view.image, view.band) for view in self.views), "sgm", "", "")
+        self.task = DenseTask(
+            scene,
+            tile.id,
+            tile.bounds,
+            tile.altitudes,
+            *(view.name for view in self.views),
+            tuple(view_stretch(view.image, view.band) for view in self.views),
+            "sgm",
+            "",
+            "",
+        )
         self.pair = rectified_pair(scene, *self.views, grown(tile.bounds, 32 * scene.gsd_m), tile.altitudes)
         self.geometry = pair_geometry(self.pair, *self.views, tile.altitudes, scene.crs)
         with opened(reference) as dataset:
@@ -63,7 +73,7 @@ class Case:
             step = max(1, round(CELL / cell))
             self.truth = read(dataset).astype(np.float64)[::step, ::step]
         self.grid = CellGrid(west, north, cell * step, (size[1] // step, size[0] // step))
-        self.truth = self.truth[:self.grid.shape[0], :self.grid.shape[1]]
+        self.truth = self.truth[: self.grid.shape[0], : self.grid.shape[1]]
 
     def matched(self) -> Matched:
         """What the matcher, as it now is, finds."""
@@ -88,9 +98,15 @@ class Case:
         known = error[np.isfinite(error)]
         cells = np.isfinite(self.truth).sum()
         size = np.abs(known)
-        return [seconds, 100 * known.size / cells, float(np.median(size)), float(size.mean()),
-                float(np.sqrt((known ** 2).mean())), 100 * float((size < 1).sum()) / cells,
-                100 * float((size < 2.5).sum()) / cells]
+        return [
+            seconds,
+            100 * known.size / cells,
+            float(np.median(size)),
+            float(size.mean()),
+            float(np.sqrt((known**2).mean())),
+            100 * float((size < 1).sum()) / cells,
+            100 * float((size < 2.5).sum()) / cells,
+        ]
 
     def _aligned(self, dsm: np.ndarray) -> np.ndarray:
         best, error = math.inf, dsm - self.truth
@@ -119,8 +135,10 @@ def changed(members: Dict[str, Any]) -> Iterator[None]:
 
 def _with_mode(mode: int, block: int = 1, p1: int = 12, p2: int = 48) -> Callable[[int], Any]:
     def matcher(count: int) -> Any:
-        return cv2.StereoSGBM_create(0, -(-count // 16) * 16, block, p1 * block * block, p2 * block * block, -1, 31, 0,
-                                     0, 0, mode)
+        return cv2.StereoSGBM_create(
+            0, -(-count // 16) * 16, block, p1 * block * block, p2 * block * block, -1, 31, 0, 0, 0, mode
+        )
+
     return matcher
 
 
@@ -131,7 +149,7 @@ def _ranks(image: np.ndarray) -> np.ndarray:
     rank = np.zeros(grey.shape, np.uint8)
     for row in range(7):
         for column in range(7):
-            rank += padded[row:row + grey.shape[0], column:column + grey.shape[1]] < grey
+            rank += padded[row : row + grey.shape[0], column : column + grey.shape[1]] < grey
     return rank * np.uint8(5)
 
 
@@ -166,9 +184,12 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "no coarse level": {"dense.guide_of": lambda *_: None},
     "all that floats kept": {"dense.without_unsupported": lambda matched, *_: matched},
     "OpenCV's eight ways, checked both ways, nothing else": {
-        "sgm._matcher": _with_mode(EIGHT, 3, 8, 32), **AS_MATCHED, "sgm._without_islands": _large_pieces,
+        "sgm._matcher": _with_mode(EIGHT, 3, 8, 32),
+        **AS_MATCHED,
+        "sgm._without_islands": _large_pieces,
         "sgm.refined": lambda disparity, *others: disparity,
-        "sgm.with_background": lambda disparity, *_: disparity.copy()},
+        "sgm.with_background": lambda disparity, *_: disparity.copy(),
+    },
     "eight-way aggregation": {"sgm._matcher": _with_mode(EIGHT)},
     "eight ways, penalties 12 and 36": {"sgm._matcher": _with_mode(EIGHT, 1, 12, 36)},
     "five-way aggregation": {"sgm._matcher": _with_mode(FIVE)},
@@ -181,7 +202,8 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "ways may differ by 2 px": {"sgm._AGREE_PX": 2.0},
     "edges left as matched": AS_MATCHED,
     "edges: window does not follow the image": {
-        "edges._guided": lambda guide, values: edges._mean(values, edges._SUPPORT)},
+        "edges._guided": lambda guide, values: edges._mean(values, edges._SUPPORT)
+    },
     "edges: window of 5 px": {"edges._SUPPORT": 5},
     "edges: window of 9 px": {"edges._SUPPORT": 9},
     "edges: 7 px to each side": {"edges._REACH": 7, "edges._NEIGHBOURHOOD": 13},
@@ -195,8 +217,10 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
     "sharpened: windows of 1 px": {"subpixel._SIGMA_PX": 1.0},
     "sharpened: windows of 2 px": {"subpixel._SIGMA_PX": 2.0},
     "noise left": {"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity},
-    "median only, over steps too": {"subpixel.denoised": subpixel.median,
-                                    "subpixel._smoothed": lambda disparity: disparity},
+    "median only, over steps too": {
+        "subpixel.denoised": subpixel.median,
+        "subpixel._smoothed": lambda disparity: disparity,
+    },
     "median only, not over steps": {"subpixel._smoothed": lambda disparity: disparity},
     "occlusions left empty": {"sgm.with_background": lambda disparity, *_: disparity.copy()},
     "occlusions: along rows only": {"sgm.with_background": _lowest_along_rows},
@@ -204,10 +228,14 @@ VARIANTS: Dict[str, Dict[str, Any]] = {
 
 
 def _cases(folder: str) -> Iterator[Case]:
-    for name, kind, size, seed, views in (("town 1", "urban", 800, 1, (0, 1)), ("town 4", "urban", 700, 4, (1, 2)),
-                                          ("mountains", "mountains", 700, 3, (0, 1))):
-        made = run_stage("sampledata", {"folder": f"{folder}/made {name}", "kind": kind, "size": size, "seed": seed},
-                         Silent())
+    for name, kind, size, seed, views in (
+        ("town 1", "urban", 800, 1, (0, 1)),
+        ("town 4", "urban", 700, 4, (1, 2)),
+        ("mountains", "mountains", 700, 3, (0, 1)),
+    ):
+        made = run_stage(
+            "sampledata", {"folder": f"{folder}/made {name}", "kind": kind, "size": size, "seed": seed}, Silent()
+        )
         yield Case(f"simulated {name}", [made["images"][view] for view in views], made["truth"], True, folder)
     for name, reference, align in (("truth_urban", "truth.tif", True), ("pleiades_pair", "s2p_dsm.tif", False)):
         data = SHARED / name
@@ -225,8 +253,11 @@ def main() -> None:
                 with changed(members):
                     rows.append([label, *(round(value, 3) for value in case.score())])
             low, high = case.geometry.disparities
-            parts.append(f"{case.name}, {case.pair.size[0]} x {case.pair.size[1]} px, {high - low:.0f} disparities" + (
-                             "" if case.align else " (reference: S2P's DSM)") + ":")
+            parts.append(
+                f"{case.name}, {case.pair.size[0]} x {case.pair.size[1]} px, {high - low:.0f} disparities"
+                + ("" if case.align else " (reference: S2P's DSM)")
+                + ":"
+            )
             parts.append(table(["matcher", "CPU s", "valid %", "ME m", "MAE m", "RMSE m", "C1 %", "C2.5 %"], rows))
     absent = "" if SHARED.exists() else f"Parts not measured: '{SHARED}' is absent."
     publish("matching", "The matcher's choices", "make bench-matching", [*parts, absent])

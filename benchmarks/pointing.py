@@ -32,7 +32,6 @@ from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice  # no
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs  # noqa: E402
 from repm_qgis.imagery.acquisition import apart_text, moment, time_of_name  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
-from repm_qgis.mvs.pairing import convergence  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.rpc.readers import read_rpc_file  # noqa: E402
 from repm_qgis.scene import Scene, Tile, View, load_views  # noqa: E402
@@ -46,12 +45,13 @@ from repm_qgis.simulation.scene import SceneSpec, make_scene, make_views, rpc_ta
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402
 from repm_qgis.simulation.surface import Surface  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.pairing import convergence  # noqa: E402
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CACHE = Path(tempfile.gettempdir()) / "repm_bench_pointing"
 SIZE, SEED = 800, 5
 BIG = 5120
-DRAWS = 10      # of noisy control points
+DRAWS = 10  # of noisy control points
 
 
 def simulated(name: str, spec: SceneSpec) -> Path:
@@ -74,8 +74,9 @@ def hills() -> Tuple[SceneSpec, Path]:
 
 
 def write_image(path: Path, pixels: np.ndarray, tags: Dict[str, str]) -> str:
-    dataset = gdal.GetDriverByName("GTiff").Create(str(path), pixels.shape[1], pixels.shape[0], 1, gdal.GDT_UInt16,
-                                                   ["TILED=YES"])
+    dataset = gdal.GetDriverByName("GTiff").Create(
+        str(path), pixels.shape[1], pixels.shape[0], 1, gdal.GDT_UInt16, ["TILED=YES"]
+    )
     dataset.SetMetadata(tags, "RPC")
     dataset.GetRasterBand(1).WriteArray(pixels)
     dataset = None
@@ -99,10 +100,14 @@ class Case:
         self.pointings = {view.name: A for view, A in zip(self.true, pointings)}
         self.images = []
         for view, A in zip(self.true, pointings):
-            fit = fit_rpc(lambda px, h, view=view, A=A: view.localise(px @ A[:, :2].T + A[:, 2], h), view.size,
-                          (self.heights[0] - 30, self.heights[1] + 30))
-            self.images.append(write_image(folder / f"{view.name}.tif", pixels_of(base / f"{view.name}.tif"),
-                                           rpc_tags(fit.rpc)))
+            fit = fit_rpc(
+                lambda px, h, view=view, A=A: view.localise(px @ A[:, :2].T + A[:, 2], h),
+                view.size,
+                (self.heights[0] - 30, self.heights[1] + 30),
+            )
+            self.images.append(
+                write_image(folder / f"{view.name}.tif", pixels_of(base / f"{view.name}.tif"), rpc_tags(fit.rpc))
+            )
         gdal.UseExceptions()
         truth = gdal.Open(str(self.truth))
         self.surface, self.transform = truth.ReadAsArray(), truth.GetGeoTransform()
@@ -145,14 +150,19 @@ class Case:
             moves.append(np.stack([found.project(enu.to_geodetic(local + d)) - seen for d in np.eye(3)], axis=-1))
         residual, jacobian = np.concatenate(misfit, axis=1), np.concatenate(moves, axis=1)
         left = residual - np.einsum("nij,njk,nk->ni", jacobian, np.linalg.pinv(jacobian), residual)
-        return np.sqrt((left ** 2).sum(axis=1) / len(self.true))
+        return np.sqrt((left**2).sum(axis=1) / len(self.true))
 
     def absolute_px(self, pointing: Dict[str, np.ndarray]) -> np.ndarray:
         """(N,) the largest error of a recovered pointing over the views at points of the surface, px."""
         ground = self.ground(600, 78)
         found = [view.with_pointing(pointing[view.name]) for view in load_views(tuple(self.images))]
-        return np.max([np.linalg.norm(true.project(ground) - view.project(ground), axis=1)
-                       for true, view in zip(self.true, found)], axis=0)
+        return np.max(
+            [
+                np.linalg.norm(true.project(ground) - view.project(ground), axis=1)
+                for true, view in zip(self.true, found)
+            ],
+            axis=0,
+        )
 
 
 def fitted(images: Sequence[str], workspace: Path, **options: Any) -> Scene:
@@ -205,8 +215,17 @@ def known_pointings(kind: str) -> List[np.ndarray]:
 
 def dsm(images: Sequence[str], folder: Path, **options: Any) -> Dict[str, Any]:
     """The pipeline's products and its reconstructed scene."""
-    made = run_stage("pipeline", {"images": list(images), "workspace": str(folder / "w"),
-                                  "output": str(folder / "dsm.tif"), "resolution": 0.5, **options}, Silent())
+    made = run_stage(
+        "pipeline",
+        {
+            "images": list(images),
+            "workspace": str(folder / "w"),
+            "output": str(folder / "dsm.tif"),
+            "resolution": 0.5,
+            **options,
+        },
+        Silent(),
+    )
     return {**made, "facts": Scene.load(made["scene"]).facts("reconstruct")["ties"]}
 
 
@@ -217,9 +236,22 @@ def errors_of(path: str, truth: Path) -> np.ndarray:
     nodata = target.GetRasterBand(1).GetNoDataValue()
     known[(known == nodata) | (known < -9000)] = np.nan
     right, bottom = g[0] + g[1] * target.RasterXSize, g[3] + g[5] * target.RasterYSize
-    warped = gdal.Warp("", gdal.Open(path), format="MEM", dstSRS=target.GetProjection(), resampleAlg="bilinear",
-                       outputBounds=(g[0], bottom, right, g[3]), width=target.RasterXSize, height=target.RasterYSize,
-                       dstNodata=-99999, outputType=gdal.GDT_Float32).ReadAsArray().astype(float)
+    warped = (
+        gdal.Warp(
+            "",
+            gdal.Open(path),
+            format="MEM",
+            dstSRS=target.GetProjection(),
+            resampleAlg="bilinear",
+            outputBounds=(g[0], bottom, right, g[3]),
+            width=target.RasterXSize,
+            height=target.RasterYSize,
+            dstNodata=-99999,
+            outputType=gdal.GDT_Float32,
+        )
+        .ReadAsArray()
+        .astype(float)
+    )
     warped[warped < -9000] = np.nan
     return warped - known
 
@@ -237,15 +269,39 @@ def truth_urban() -> List[str]:
             error = errors_of(made["output"], data / "truth.tif")
             error = error[np.isfinite(error)]
             pair, facts = made["facts"]["pairs"][0], made["facts"]
-            said = (f"{facts['height_uncertainty_m']:.1f} m" if "height_uncertainty_m" in facts
-                    else f"{len(facts['rejected_gcps'])} of {len(facts['gcps'])} points rejected")
-            rows.append([label, pair["count"], abs(pair["rows_before_px"]), pair["rows_after_px"],
-                         float(np.median(error)), float(1.4826 * np.median(np.abs(error - np.median(error)))), said])
-    return ["**1. truth_urban**: two views, real Pleiades RPCs, the second wrong by (1.7, -2.3) px; GCPs with 0.3 px "
-            "of noise. Bars: row residual below 0.1 px; bias with GCPs below 0.15 m without any alignment; without "
-            "GCPs the report says how uncertain the absolute height is.",
-            table(["GCPs", "ties", "row residual before, px", "after (median of absolute), px", "bias of the DSM, m",
-                   "NMAD, m", "said of the absolute height"], rows)]
+            said = (
+                f"{facts['height_uncertainty_m']:.1f} m"
+                if "height_uncertainty_m" in facts
+                else f"{len(facts['rejected_gcps'])} of {len(facts['gcps'])} points rejected"
+            )
+            rows.append(
+                [
+                    label,
+                    pair["count"],
+                    abs(pair["rows_before_px"]),
+                    pair["rows_after_px"],
+                    float(np.median(error)),
+                    float(1.4826 * np.median(np.abs(error - np.median(error)))),
+                    said,
+                ]
+            )
+    return [
+        "**1. truth_urban**: two views, real Pleiades RPCs, the second wrong by (1.7, -2.3) px; GCPs with 0.3 px "
+        "of noise. Bars: row residual below 0.1 px; bias with GCPs below 0.15 m without any alignment; without "
+        "GCPs the report says how uncertain the absolute height is.",
+        table(
+            [
+                "GCPs",
+                "ties",
+                "row residual before, px",
+                "after (median of absolute), px",
+                "bias of the DSM, m",
+                "NMAD, m",
+                "said of the absolute height",
+            ],
+            rows,
+        ),
+    ]
 
 
 # 2 --------------------------------------------------------------------------------------------------------------
@@ -277,7 +333,7 @@ def tie_information(case: Case, tracks: Sequence[Track], ground: np.ndarray, kin
         free = np.eye(len(J)) - J @ np.linalg.pinv(J)
         design = np.zeros((len(J), p * len(case.true)))
         for row, i in enumerate(views):
-            design[2 * row:2 * row + 2, i * p:(i + 1) * p] = pointing_basis(seen[i][k:k + 1], kind)[0]
+            design[2 * row : 2 * row + 2, i * p : (i + 1) * p] = pointing_basis(seen[i][k : k + 1], kind)[0]
         misfit = free @ np.concatenate([track.pixels[case.true[i].name] - seen[i][k] for i in views])
         sizes.append(np.linalg.norm(misfit) / np.sqrt(len(J) - 3))
         parts.append(free @ design)
@@ -292,11 +348,11 @@ def expected_px(case: Case, ties: np.ndarray, gcps: Sequence[Gcp], noise: float,
     for gcp in gcps:
         for i, view in enumerate(case.true):
             basis = pointing_basis(view.project(gcp.lon_lat_h[None]), kind)[0]
-            information[i * p:(i + 1) * p, i * p:(i + 1) * p] += basis.T @ basis / noise ** 2
+            information[i * p : (i + 1) * p, i * p : (i + 1) * p] += basis.T @ basis / noise**2
     covariance = np.linalg.inv(information)
     for i, view in enumerate(case.true):
         basis = pointing_basis(view.project(surface), kind)
-        variance.append(np.einsum("nij,jk,nik->n", basis, covariance[i * p:(i + 1) * p, i * p:(i + 1) * p], basis))
+        variance.append(np.einsum("nij,jk,nik->n", basis, covariance[i * p : (i + 1) * p, i * p : (i + 1) * p], basis))
     return float(np.sqrt(np.mean(variance)))
 
 
@@ -318,11 +374,22 @@ def controlled(case: Case, found: Pointing, altitude: float, kind: str) -> List[
             if noise:
                 views = [view.with_pointing(made.pointing[view.name]) for view in plain]
                 surface = case.ground(600, 78)
-                square.append(np.mean([((true.project(surface) - view.project(surface)) ** 2).sum(axis=1)
-                                       for true, view in zip(case.true, views)]))
+                square.append(
+                    np.mean(
+                        [
+                            ((true.project(surface) - view.project(surface)) ** 2).sum(axis=1)
+                            for true, view in zip(case.true, views)
+                        ]
+                    )
+                )
                 bound.append(expected_px(case, ties, gcps[2:], noise, kind) ** 2)
-    return [*cells, f"{np.sqrt(np.mean(square)):.3f}", f"{np.sqrt(np.mean(bound)):.3f}", f"{right} of {DRAWS + 1}",
-            "; ".join(f"{name} ({named.count(name)})" for name in dict.fromkeys(named))]
+    return [
+        *cells,
+        f"{np.sqrt(np.mean(square)):.3f}",
+        f"{np.sqrt(np.mean(bound)):.3f}",
+        f"{right} of {DRAWS + 1}",
+        "; ".join(f"{name} ({named.count(name)})" for name in dict.fromkeys(named)),
+    ]
 
 
 def known_errors() -> List[str]:
@@ -336,21 +403,42 @@ def known_errors() -> List[str]:
             altitude = sum(scene.altitudes) / 2
             dirty = adjust(load_views(tuple(case.images)), with_outliers(found.tracks, 0.2, 3), altitude, "auto")
             observable = [case.observable_px(a.pointing) for a in (found.adjusted, dirty)]
-            found_rows.append([label, kind, len(found.tracks), found.adjusted.model,
-                               *(f"{np.median(o):.3f} / {o.max():.3f}" for o in observable), bar])
+            found_rows.append(
+                [
+                    label,
+                    kind,
+                    len(found.tracks),
+                    found.adjusted.model,
+                    *(f"{np.median(o):.3f} / {o.max():.3f}" for o in observable),
+                    bar,
+                ]
+            )
             control_rows.append([label, kind, *controlled(case, found, altitude, kind), bar])
-    return [f"**2. Known errors**: simulated tri-stereo, {SIZE} px, RPCs shifted by up to 15 px; *affine*: with drift "
-            "of up to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over "
-            "the views, at 600 points of the surface (median / largest), px.",
-            table(["scene", "errors", "ties", "model chosen", "observable", "with 20 % gross outliers", "bar"],
-                  found_rows),
-            "With 12 control points, of which G01 and G02 are wrong by 4 to 12 px in each direction. Absolute: the "
-            "error of the view that is worst at each of 600 points of the surface (median / largest), px; the bar is "
-            f"for exact points. RMS: over points and views, of {DRAWS} draws of points with 0.3 px of noise; beside it "
-            "the Cramer-Rao bound: what ten good points of that noise and the ties allow an unbiased adjustment that "
-            "knows which two are wrong, and how noisy all are.",
-            table(["scene", "errors", "absolute, exact GCPs", "absolute, GCPs of 0.3 px", "RMS of the draws",
-                   "bound", "right model", "named as wrong (draws)", "bar"], control_rows)]
+    return [
+        f"**2. Known errors**: simulated tri-stereo, {SIZE} px, RPCs shifted by up to 15 px; *affine*: with drift "
+        "of up to 3 px across the image besides. Observable: what no move of the ground points takes up, RMS over "
+        "the views, at 600 points of the surface (median / largest), px.",
+        table(["scene", "errors", "ties", "model chosen", "observable", "with 20 % gross outliers", "bar"], found_rows),
+        "With 12 control points, of which G01 and G02 are wrong by 4 to 12 px in each direction. Absolute: the "
+        "error of the view that is worst at each of 600 points of the surface (median / largest), px; the bar is "
+        f"for exact points. RMS: over points and views, of {DRAWS} draws of points with 0.3 px of noise; beside it "
+        "the Cramer-Rao bound: what ten good points of that noise and the ties allow an unbiased adjustment that "
+        "knows which two are wrong, and how noisy all are.",
+        table(
+            [
+                "scene",
+                "errors",
+                "absolute, exact GCPs",
+                "absolute, GCPs of 0.3 px",
+                "RMS of the draws",
+                "bound",
+                "right model",
+                "named as wrong (draws)",
+                "bar",
+            ],
+            control_rows,
+        ),
+    ]
 
 
 # 3 --------------------------------------------------------------------------------------------------------------
@@ -359,8 +447,9 @@ def known_errors() -> List[str]:
 def pairwise_dsms(images: Sequence[str], folder: Path, **options: Any) -> Dict[Tuple[str, str], str]:
     """One DSM for each pair of views, all from one adjustment."""
     made = run_stage("epmfit", {"images": list(images), "workspace": str(folder)}, Silent())
-    made = run_stage("reconstruct", {"scene": made["scene"], "output_scene": str(folder / "all.json"), **options},
-                     Silent())
+    made = run_stage(
+        "reconstruct", {"scene": made["scene"], "output_scene": str(folder / "all.json"), **options}, Silent()
+    )
     result = {}
     names = [view.name for view in Scene.load(made["output_scene"]).views]
     for pair in combinations(names, 2):
@@ -368,8 +457,9 @@ def pairwise_dsms(images: Sequence[str], folder: Path, **options: Any) -> Dict[T
         for tile in scene.tiles:
             tile.heights = [record for record in tile.heights if set(record["pair"]) == set(pair)]
         path = scene.save(str(folder / f"{'_'.join(pair)}.json"))
-        result[pair] = run_stage("dsmfuse", {"scene": path, "output": str(folder / f"{'_'.join(pair)}.tif"),
-                                             "resolution": 0.5}, Silent())["output"]
+        result[pair] = run_stage(
+            "dsmfuse", {"scene": path, "output": str(folder / f"{'_'.join(pair)}.tif"), "resolution": 0.5}, Silent()
+        )["output"]
     return result
 
 
@@ -384,8 +474,13 @@ def difference(a: str, b: str) -> np.ndarray:
     high = min(boxes[0][2], boxes[1][2]), min(boxes[0][3], boxes[1][3])
     arrays = []
     for d in (x, y):
-        array = gdal.Warp("", d, format="MEM", outputBounds=(*low, *high), xRes=0.5, yRes=0.5, resampleAlg="near",
-                          dstNodata=-9999).ReadAsArray().astype(float)
+        array = (
+            gdal.Warp(
+                "", d, format="MEM", outputBounds=(*low, *high), xRes=0.5, yRes=0.5, resampleAlg="near", dstNodata=-9999
+            )
+            .ReadAsArray()
+            .astype(float)
+        )
         array[array < -9000] = np.nan
         arrays.append(array)
     return arrays[0] - arrays[1]
@@ -402,15 +497,27 @@ def triplet() -> List[str]:
         for (one, first), (two, second) in combinations(made.items(), 2):
             error = difference(first, second)
             height, width = error.shape
-            corners = [error[r, c] for r in (slice(0, height // 4), slice(-(height // 4), None))
-                       for c in (slice(0, width // 4), slice(-(width // 4), None))]
+            corners = [
+                error[r, c]
+                for r in (slice(0, height // 4), slice(-(height // 4), None))
+                for c in (slice(0, width // 4), slice(-(width // 4), None))
+            ]
             worst = max((abs(float(np.nanmedian(part))) for part in corners if np.isfinite(part).any()), default=0.0)
-            rows.append([" and ".join(one), " and ".join(two), float(np.nanmedian(error)), worst,
-                         float(1.4826 * np.nanmedian(np.abs(error - np.nanmedian(error))))])
-    return ["**3. pleiades_triplet**: the DSMs of the three pairs against each other after adjustment, 0.5 m cells, no "
-            "alignment. Bar: median within 0.3 m (S2P's raw pairs differ by 4.8 m; CARS leaves up to 2.4 m in "
-            "corners).",
-            table(["DSM of", "less DSM of", "median, m", "worst corner's median, m", "NMAD, m"], rows)]
+            rows.append(
+                [
+                    " and ".join(one),
+                    " and ".join(two),
+                    float(np.nanmedian(error)),
+                    worst,
+                    float(1.4826 * np.nanmedian(np.abs(error - np.nanmedian(error)))),
+                ]
+            )
+    return [
+        "**3. pleiades_triplet**: the DSMs of the three pairs against each other after adjustment, 0.5 m cells, no "
+        "alignment. Bar: median within 0.3 m (S2P's raw pairs differ by 4.8 m; CARS leaves up to 2.4 m in "
+        "corners).",
+        table(["DSM of", "less DSM of", "median, m", "worst corner's median, m", "NMAD, m"], rows),
+    ]
 
 
 # 4 --------------------------------------------------------------------------------------------------------------
@@ -421,9 +528,9 @@ def clouds(shape: Tuple[int, int], seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     total = np.zeros(shape)
     for octave in range(2, 8):
-        nodes = 2 ** octave + 1
-        rough = rng.normal(size=(nodes, nodes)) / 1.8 ** octave
-        total += ndimage.zoom(rough, (shape[0] / nodes, shape[1] / nodes), order=1)[:shape[0], :shape[1]]
+        nodes = 2**octave + 1
+        rough = rng.normal(size=(nodes, nodes)) / 1.8**octave
+        total += ndimage.zoom(rough, (shape[0] / nodes, shape[1] / nodes), order=1)[: shape[0], : shape[1]]
     return (total - total.min()) / np.ptp(total)
 
 
@@ -493,31 +600,45 @@ def poor_scenes() -> List[str]:
         ("water but for 2 %", lambda: (case, flooded(case, CACHE / "water_2", 0.02))),
         ("water but for 0.2 %", lambda: (case, flooded(case, CACHE / "water_02", 0.002))),
         ("one image half under cloud", lambda: (case, clouded(case, CACHE / "cloud_1", ("left", None, None)))),
-        ("every image half under its own clouds",
-         lambda: (case, clouded(case, CACHE / "cloud_3", ("left", "left", "left")))),
+        (
+            "every image half under its own clouds",
+            lambda: (case, clouded(case, CACHE / "cloud_3", ("left", "left", "left"))),
+        ),
         ("clouds over different halves", lambda: (case, clouded(case, CACHE / "cloud_2", ("left", "top", None)))),
         ("equal roofs on a grid, gardens", lambda: hard("estate_gardens", lambda spec: estates(0.016, spec))),
         ("equal roofs on a grid, plain ground", lambda: hard("estate_plain", lambda spec: estates(0.004, spec))),
         ("one image in the morning", lambda: hard("morning", lambda s: sunny(s, s.sun, hard_scenes.MORNING, s.sun))),
-        ("morning, noon, afternoon", lambda: hard("day", lambda s: sunny(s, hard_scenes.MORNING, s.sun,
-                                                                         hard_scenes.AFTERNOON))),
-        ("three seasons", lambda: hard("seasons", seasons))]
+        (
+            "morning, noon, afternoon",
+            lambda: hard("day", lambda s: sunny(s, hard_scenes.MORNING, s.sun, hard_scenes.AFTERNOON)),
+        ),
+        ("three seasons", lambda: hard("seasons", seasons)),
+    ]
     for label, make in kinds:
         seen, images = make()
         try:
             found = pointed(fitted(images, Path(images[0]).parent / "w"))
             left = seen.observable_px(found.adjusted.pointing)
-            rows.append([label, len(found.tracks), found.figures["after_px"],
-                         f"{np.median(left):.3f} / {left.max():.3f}", found.adjusted.reason])
+            rows.append(
+                [
+                    label,
+                    len(found.tracks),
+                    found.figures["after_px"],
+                    f"{np.median(left):.3f} / {left.max():.3f}",
+                    found.adjusted.reason,
+                ]
+            )
         except RepmError as error:
             rows.append([label, 0, "", "stopped", str(error)])
-    return ["**4. Poor scenes**: the town of point 2 (shifts of up to 15 px), most of it hidden; an estate of equal "
-            "houses every 18 x 24 m (36 x 48 px, within the search), on gardens of the town's texture or on nearly "
-            "plain ground; the town with the sun at 105, 152 and 245 degrees of azimuth and 28, 48 and 32 degrees "
-            "high, with the shadows that belong to it; the town with fields of 45 m of another brightness, half of "
-            "them with inverted contrast, in the second and third image. What is left that could be observed, px "
-            "(median / largest); or the sentence that it stops with.",
-            table(["scene", "ties", "median residual, px", "left, px", "why this model, or why it stopped"], rows)]
+    return [
+        "**4. Poor scenes**: the town of point 2 (shifts of up to 15 px), most of it hidden; an estate of equal "
+        "houses every 18 x 24 m (36 x 48 px, within the search), on gardens of the town's texture or on nearly "
+        "plain ground; the town with the sun at 105, 152 and 245 degrees of azimuth and 28, 48 and 32 degrees "
+        "high, with the shadows that belong to it; the town with fields of 45 m of another brightness, half of "
+        "them with inverted contrast, in the second and third image. What is left that could be observed, px "
+        "(median / largest); or the sentence that it stops with.",
+        table(["scene", "ties", "median residual, px", "left, px", "why this model, or why it stopped"], rows),
+    ]
 
 
 # 5 --------------------------------------------------------------------------------------------------------------
@@ -556,8 +677,14 @@ def cost(images: Sequence[str], detector: str = "opencv") -> Dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         script = Path(folder) / "cost.py"
         script.write_text(_COST.format(scene=str(fitted(images, Path(folder) / "w").path), detector=detector))
-        done = subprocess.run([sys.executable, str(script)], cwd=ROOT, capture_output=True, text=True, check=True,
-                              env={**os.environ, "PYTHONPATH": str(ROOT)})
+        done = subprocess.run(
+            [sys.executable, str(script)],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
@@ -568,21 +695,29 @@ def costs() -> List[str]:
     if data.exists():
         found = cost([str(data / f"img_0{i}.tif") for i in (1, 2, 3)])
         rows.append(["pleiades_triplet", *_cost_row(found), "6 s, 1024 MiB"])
-    spec = SceneSpec("mountains", BIG, 11, ZY3, cell_m=5.0, surface_step=2, base_m=300.0, relief_m=800.0, lon=6.65,
-                     lat=44.38)
+    spec = SceneSpec(
+        "mountains", BIG, 11, ZY3, cell_m=5.0, surface_step=2, base_m=300.0, relief_m=800.0, lon=6.65, lat=44.38
+    )
     folder = simulated(f"zy3_{BIG}", spec)
     found = cost([str(folder / f"img_0{i}.tif") for i in (1, 2, 3)])
     rows.append([f"3 x {BIG} x {BIG} (ZY-3 simulated)", *_cost_row(found), "30 s, 1024 MiB"])
-    return [f"**5. Cost** of ties and adjustment, on {len(os.sched_getaffinity(0))} cores that others used too (load "
-            f"{os.getloadavg()[0]:.1f}); memory of the process plus, where there are worker processes, of as many "
-            "of the largest.",
-            table(["scene", "ties", "median residual, px", "wall, s", "CPU, s", "memory, MiB", "bar"], rows)]
+    return [
+        f"**5. Cost** of ties and adjustment, on {len(os.sched_getaffinity(0))} cores that others used too (load "
+        f"{os.getloadavg()[0]:.1f}); memory of the process plus, where there are worker processes, of as many "
+        "of the largest.",
+        table(["scene", "ties", "median residual, px", "wall, s", "CPU, s", "memory, MiB", "bar"], rows),
+    ]
 
 
 def _cost_row(found: Dict[str, Any]) -> List[Any]:
     workers = len(os.sched_getaffinity(0)) if found["child"] > 100 else 0
-    return [found["ties"], found["after"], found["wall"], found["cpu"],
-            f"{found['own'] + workers * found['child']:.0f}"]
+    return [
+        found["ties"],
+        found["after"],
+        found["wall"],
+        found["cpu"],
+        f"{found['own'] + workers * found['child']:.0f}",
+    ]
 
 
 # Detectors --------------------------------------------------------------------------------------------------------
@@ -592,7 +727,9 @@ def detectors() -> List[str]:
     """OpenCV's SIFT and COLMAP's, both on the CPU."""
     scenes: List[Tuple[str, List[str], Optional[Case]]] = [
         (name, [str(SHARED / name / f"img_0{i + 1}.tif") for i in range(count)], None)
-        for name, count in (("truth_urban", 2), ("pleiades_triplet", 3)) if (SHARED / name).exists()]
+        for name, count in (("truth_urban", 2), ("pleiades_triplet", 3))
+        if (SHARED / name).exists()
+    ]
     for label, made in (("town", town()), ("hills", hills())):
         case = Case(made, known_pointings("shift"), CACHE / f"{label}_shift")
         scenes.append((label, case.images, case))
@@ -600,17 +737,42 @@ def detectors() -> List[str]:
     for label, images, case in scenes:
         for detector in ("opencv", "colmap"):
             found = cost(images, detector)
-            left = "" if case is None else float(np.median(case.observable_px(
-                {name: np.array(A) for name, A in found["pointing"].items()})))
-            rows.append([label, detector, sum(pair["candidates"] for pair in found["pairs"]), found["ties"],
-                         float(np.mean([pair["rows_after_px"] for pair in found["pairs"]])), left, found["cpu"],
-                         f"{found['own']:.0f}"])
-    return ["**Detectors**: SIFT of OpenCV and of COLMAP (pycolmap, VLFeat's code), both on the CPU with the same "
-            "budget of keypoints; ties and adjustment together, CPU seconds of all threads. Left: where observable, "
-            "shifts of up to 15 px. COLMAP's gives somewhat more ties of the same quality for more time and memory, so "
-            "OpenCV's is the default on the CPU. COLMAP's on a GPU was not measured: there was none.",
-            table(["scene", "SIFT of", "matches", "ties", "row residual, px (median, mean of pairs)", "left, px",
-                   "CPU, s", "memory, MiB"], rows)]
+            left = (
+                ""
+                if case is None
+                else float(np.median(case.observable_px({name: np.array(A) for name, A in found["pointing"].items()})))
+            )
+            rows.append(
+                [
+                    label,
+                    detector,
+                    sum(pair["candidates"] for pair in found["pairs"]),
+                    found["ties"],
+                    float(np.mean([pair["rows_after_px"] for pair in found["pairs"]])),
+                    left,
+                    found["cpu"],
+                    f"{found['own']:.0f}",
+                ]
+            )
+    return [
+        "**Detectors**: SIFT of OpenCV and of COLMAP (pycolmap, VLFeat's code), both on the CPU with the same "
+        "budget of keypoints; ties and adjustment together, CPU seconds of all threads. Left: where observable, "
+        "shifts of up to 15 px. COLMAP's gives somewhat more ties of the same quality for more time and memory, so "
+        "OpenCV's is the default on the CPU. COLMAP's on a GPU was not measured: there was none.",
+        table(
+            [
+                "scene",
+                "SIFT of",
+                "matches",
+                "ties",
+                "row residual, px (median, mean of pairs)",
+                "left, px",
+                "CPU, s",
+                "memory, MiB",
+            ],
+            rows,
+        ),
+    ]
 
 
 # COLMAP -----------------------------------------------------------------------------------------------------------
@@ -633,21 +795,46 @@ def two_routes() -> List[str]:
         with tempfile.TemporaryDirectory() as folder:
             paths = [route_dsm(case.images, Path(folder) / route, route) for route in ("rpc", "colmap")]
             error = difference(*paths)
-        rows.append([label, *(f"{case.observable_px(a.pointing).max():.3f}" for a in (found.adjusted, other)), apart,
-                     float(np.nanmedian(error)), float(np.nanmedian(np.abs(error))), rpc_s, colmap_s])
-    return ["**Both routes**: against the original RPCs (the default), and the paper's: COLMAP's bundle adjustment of "
-            "principal points only. Bar: their DSMs differ by less than 0.05 m (median).",
-            table(["scene", "left where observable, RPC route, px", "COLMAP route, px",
-                   "largest difference of shifts, px", "DSM difference, median, m", "median of absolute, m",
-                   "RPC route, CPU s", "COLMAP route, CPU s"], rows)]
+        rows.append(
+            [
+                label,
+                *(f"{case.observable_px(a.pointing).max():.3f}" for a in (found.adjusted, other)),
+                apart,
+                float(np.nanmedian(error)),
+                float(np.nanmedian(np.abs(error))),
+                rpc_s,
+                colmap_s,
+            ]
+        )
+    return [
+        "**Both routes**: against the original RPCs (the default), and the paper's: COLMAP's bundle adjustment of "
+        "principal points only. Bar: their DSMs differ by less than 0.05 m (median).",
+        table(
+            [
+                "scene",
+                "left where observable, RPC route, px",
+                "COLMAP route, px",
+                "largest difference of shifts, px",
+                "DSM difference, median, m",
+                "median of absolute, m",
+                "RPC route, CPU s",
+                "COLMAP route, CPU s",
+            ],
+            rows,
+        ),
+    ]
 
 
 def route_dsm(images: Sequence[str], folder: Path, route: str) -> str:
     made = run_stage("epmfit", {"images": list(images), "workspace": str(folder)}, Silent())
-    made = run_stage("reconstruct", {"scene": made["scene"], "output_scene": str(folder / "r.json"),
-                                     "pointing": "shift", "adjustment": route}, Silent())
-    return run_stage("dsmfuse", {"scene": made["output_scene"], "output": str(folder / "dsm.tif"), "resolution": 0.5},
-                     Silent())["output"]
+    made = run_stage(
+        "reconstruct",
+        {"scene": made["scene"], "output_scene": str(folder / "r.json"), "pointing": "shift", "adjustment": route},
+        Silent(),
+    )
+    return run_stage(
+        "dsmfuse", {"scene": made["output_scene"], "output": str(folder / "dsm.tif"), "resolution": 0.5}, Silent()
+    )["output"]
 
 
 # 6 --------------------------------------------------------------------------------------------------------------
@@ -659,8 +846,18 @@ def scene_of_rpcs(files: Sequence[Path]) -> Scene:
     for path in files:
         rpc = read_rpc_file(str(path))
         taken = moment(time_of_name(path.name.partition("__")[2] or path.name))
-        views.append(View(path.stem[-8:], "", 1, round(2 * rpc.col_off), round(2 * rpc.row_off), rpc, 0.7,
-                          acquired=taken.isoformat() if taken else ""))
+        views.append(
+            View(
+                path.stem[-8:],
+                "",
+                1,
+                round(2 * rpc.col_off),
+                round(2 * rpc.row_off),
+                rpc,
+                0.7,
+                acquired=taken.isoformat() if taken else "",
+            )
+        )
     lon, lat = (float(np.median([getattr(view.rpc, name) for view in views])) for name in ("lon_off", "lat_off"))
     crs, middle = utm_crs(lon, lat), float(np.median([view.rpc.height_off for view in views]))
     area = seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, middle)) for v in views]])
@@ -677,26 +874,59 @@ def pair_selection() -> List[str]:
     start = time.process_time()
     pairs = choose_pairs(scene)
     seconds = time.process_time() - start
-    every = [convergence(a, b, scene.frame.lon, scene.frame.lat, sum(scene.altitudes) / 2)
-             for a, b in combinations(scene.views, 2)]
+    every = [
+        convergence(a, b, scene.frame.lon, scene.frame.lat, sum(scene.altitudes) / 2)
+        for a, b in combinations(scene.views, 2)
+    ]
     out = sum(ratio < NARROW for _, ratio in every), sum(ratio > WIDE for _, ratio in every)
     slanting = max(ratio for angle, ratio in every if angle < 8)
     count = [sum(view.name in (pair.first, pair.second) for pair in pairs) for view in scene.views]
-    rows = [[pair.first, pair.second, pair.angle_deg, pair.base_to_height, 100.0 * pair.share,
-             apart_text(pair.days), pair.sun_deg, badness(pair)] for pair in pairs]
-    return [f"**6. Pair selection**: the RPCs of {len(files)} full Pleiades scenes of Melbourne, one pass (times from "
-            f"the files' names). Of {len(every)} pairs ({min(a for a, _ in every):.1f} to "
-            f"{max(a for a, _ in every):.1f} degrees; {out[0]} too narrow, {out[1]} too wide) {len(pairs)} are "
-            f"matched, {min(count)} to {max(count)} a view, in {seconds:.2f} CPU s. Score: what speaks against a pair "
-            f"([method](method.md#pairs)). Slanting looks less than 8 degrees apart have B/H up to {slanting:.2f}: "
-            "hence the score by the angle.",
-            table(["first", "second", "convergence, degrees", "B/H", "of the area, %", "taken apart",
-                   "between the suns, degrees", "score"], rows)]
+    rows = [
+        [
+            pair.first,
+            pair.second,
+            pair.angle_deg,
+            pair.base_to_height,
+            100.0 * pair.share,
+            apart_text(pair.days),
+            pair.sun_deg,
+            badness(pair),
+        ]
+        for pair in pairs
+    ]
+    return [
+        f"**6. Pair selection**: the RPCs of {len(files)} full Pleiades scenes of Melbourne, one pass (times from "
+        f"the files' names). Of {len(every)} pairs ({min(a for a, _ in every):.1f} to "
+        f"{max(a for a, _ in every):.1f} degrees; {out[0]} too narrow, {out[1]} too wide) {len(pairs)} are "
+        f"matched, {min(count)} to {max(count)} a view, in {seconds:.2f} CPU s. Score: what speaks against a pair "
+        f"([method](method.md#pairs)). Slanting looks less than 8 degrees apart have B/H up to {slanting:.2f}: "
+        "hence the score by the angle.",
+        table(
+            [
+                "first",
+                "second",
+                "convergence, degrees",
+                "B/H",
+                "of the area, %",
+                "taken apart",
+                "between the suns, degrees",
+                "score",
+            ],
+            rows,
+        ),
+    ]
 
 
 PARTS: Dict[str, Callable[[], List[str]]] = {
-    "urban": truth_urban, "known": known_errors, "triplet": triplet, "poor": poor_scenes, "cost": costs,
-    "detectors": detectors, "routes": two_routes, "pairs": pair_selection}
+    "urban": truth_urban,
+    "known": known_errors,
+    "triplet": triplet,
+    "poor": poor_scenes,
+    "cost": costs,
+    "detectors": detectors,
+    "routes": two_routes,
+    "pairs": pair_selection,
+}
 
 
 def main() -> int:

@@ -25,8 +25,12 @@ SETS = {"pleiades_pair": 2, "pleiades_triplet": 3}
 
 
 def scores(dsm: str, reference: str) -> dict:
-    done = subprocess.run([sys.executable, os.path.join(SHARED, "tools", "score_dsm.py"), dsm, reference],
-                          stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, os.path.join(SHARED, "tools", "score_dsm.py"), dsm, reference],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
     return json.loads(done.stdout.split("raw:", 1)[1].strip().replace("'", '"').splitlines()[0])
 
 
@@ -41,16 +45,45 @@ def main() -> int:
             images = [f"{folder}/img_{i + 1:02d}.tif" for i in range(count)]
             dsm, cost, _ = repm(images, 0.5, Path(work))
             score = scores(dsm, f"{folder}/s2p_dsm.tif")
-        rows.append([name, count, score["NMAD"], score["bias"], score["RMSE"], score["valid"], cost.wall_s,
-                     cost.cpu_s, cost.peak_gib])
-    publish("real", "Real Pleiades images against S2P", "make bench-real", [
-        "`repm:pipeline` with RESOLUTION=0.5 and nothing else set, through `scripts/qgis-headless`; no alignment "
-        "before the comparison. S2P's DSM is no truth: NMAD is how far two programs differ. Time and memory are those "
-        f"of the whole command, the start of QGIS included, on {len(os.sched_getaffinity(0))} cores.",
-        table(["images", "views", "NMAD, m", "bias, m", "RMSE, m", "valid, % of S2P's cells", "wall, s", "CPU, s",
-               "peak memory, GiB"], rows),
-        "Bars of the project: NMAD at most 0.45 m (pair) and 0.7 m (triplet), at least 88 % valid, the pair within "
-        "25 s, memory under 1.5 GiB."])
+        rows.append(
+            [
+                name,
+                count,
+                score["NMAD"],
+                score["bias"],
+                score["RMSE"],
+                score["valid"],
+                cost.wall_s,
+                cost.cpu_s,
+                cost.peak_gib,
+            ]
+        )
+    publish(
+        "real",
+        "Real Pleiades images against S2P",
+        "make bench-real",
+        [
+            "`repm:pipeline` with RESOLUTION=0.5 and nothing else set, through `scripts/qgis-headless`; no alignment "
+            "before the comparison. S2P's DSM is no truth: NMAD is how far two programs differ. Time and memory are those "
+            f"of the whole command, the start of QGIS included, on {len(os.sched_getaffinity(0))} cores.",
+            table(
+                [
+                    "images",
+                    "views",
+                    "NMAD, m",
+                    "bias, m",
+                    "RMSE, m",
+                    "valid, % of S2P's cells",
+                    "wall, s",
+                    "CPU, s",
+                    "peak memory, GiB",
+                ],
+                rows,
+            ),
+            "Bars of the project: NMAD at most 0.45 m (pair) and 0.7 m (triplet), at least 88 % valid, the pair within "
+            "25 s, memory under 1.5 GiB.",
+        ],
+    )
     return 0
 
 

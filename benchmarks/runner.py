@@ -18,7 +18,7 @@ from osgeo import gdal
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
-_SEARCH_CELLS = 8       # whole cells that the alignment looks at, to each side
+_SEARCH_CELLS = 8  # whole cells that the alignment looks at, to each side
 PEERS = ("s2p", "cars")
 
 
@@ -38,8 +38,9 @@ class Failed(Exception):
 def measured(command: Sequence[str], folder: Optional[str] = None) -> tuple[str, Cost]:
     """A command's standard output and its cost; raises Failed where it ends with another code than 0."""
     before, start = os.times(), time.monotonic()
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
-                               start_new_session=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, start_new_session=True
+    )
     said: List[str] = ["", ""]
 
     def listen(number: int, stream: Any) -> None:
@@ -55,8 +56,11 @@ def measured(command: Sequence[str], folder: Optional[str] = None) -> tuple[str,
     for reader in readers:
         reader.join()
     after = os.times()
-    cost = Cost(time.monotonic() - start, after.children_user + after.children_system - before.children_user
-                - before.children_system, peak)
+    cost = Cost(
+        time.monotonic() - start,
+        after.children_user + after.children_system - before.children_user - before.children_system,
+        peak,
+    )
     if process.returncode:
         last = (said[1].strip() or said[0].strip() or "nothing said").splitlines()[-1]
         raise Failed(f"ended with code {process.returncode}: {last[:200]}")
@@ -80,8 +84,10 @@ def tree_gib(root: int) -> float:
             pid = parents.get(pid, 0)
         return pid == root
 
-    return sum(_proportional_bytes(pid) or size * os.sysconf("SC_PAGE_SIZE")
-               for pid, size in sizes.items() if below(pid)) / 2**30
+    return (
+        sum(_proportional_bytes(pid) or size * os.sysconf("SC_PAGE_SIZE") for pid, size in sizes.items() if below(pid))
+        / 2**30
+    )
 
 
 def _proportional_bytes(pid: int) -> int:
@@ -100,25 +106,43 @@ def repm(images: Sequence[str], resolution: float, folder: Path, **options: Any)
     """Ours through ``scripts/qgis-headless``: the DSM, the cost, and the algorithm's other results."""
     folder.mkdir(parents=True, exist_ok=True)
     dsm = folder / "dsm.tif"
-    text, cost = measured([
-        str(ROOT / "scripts" / "qgis-headless"), "--json", "run", "repm:pipeline", "--",
-        *(f"IMAGES={image}" for image in images), f"RESOLUTION={resolution}", f"OUTPUT={dsm}",
-        f"WORKSPACE={folder / 'w'}", *(f"{name}={value}" for name, value in options.items())])
+    text, cost = measured(
+        [
+            str(ROOT / "scripts" / "qgis-headless"),
+            "--json",
+            "run",
+            "repm:pipeline",
+            "--",
+            *(f"IMAGES={image}" for image in images),
+            f"RESOLUTION={resolution}",
+            f"OUTPUT={dsm}",
+            f"WORKSPACE={folder / 'w'}",
+            *(f"{name}={value}" for name, value in options.items()),
+        ]
+    )
     return str(dsm), cost, json.loads(text).get("results", {})
 
 
 def _s2p(images: Sequence[str], resolution: float, folder: Path) -> tuple[str, Cost]:
-    config = {"out_dir": str(folder / "out"), "images": [{"img": image} for image in images], "full_img": True,
-              "dsm_resolution": resolution, "max_processes": len(os.sched_getaffinity(0))}
+    config = {
+        "out_dir": str(folder / "out"),
+        "images": [{"img": image} for image in images],
+        "full_img": True,
+        "dsm_resolution": resolution,
+        "max_processes": len(os.sched_getaffinity(0)),
+    }
     return _configured("s2p", config, folder, ("out/dsm.tif",))
 
 
 def _cars(images: Sequence[str], resolution: float, folder: Path) -> tuple[str, Cost]:
-    sensors = {f"view{i}": {"image": image, "geomodel": {"path": image, "model_type": "RPC"}}
-               for i, image in enumerate(images)}
+    sensors = {
+        f"view{i}": {"image": image, "geomodel": {"path": image, "model_type": "RPC"}} for i, image in enumerate(images)
+    }
     names = list(sensors)
-    config = {"input": {"sensors": sensors, "pairing": [[names[0], other] for other in names[1:]]},
-              "output": {"directory": str(folder / "out"), "resolution": resolution}}
+    config = {
+        "input": {"sensors": sensors, "pairing": [[names[0], other] for other in names[1:]]},
+        "output": {"directory": str(folder / "out"), "resolution": resolution},
+    }
     return _configured("cars", config, folder, ("out/dsm/dsm.tif", "out/dsm.tif"))
 
 
@@ -158,17 +182,30 @@ def errors(dsm: str, truth: str, align: bool) -> np.ndarray:
     nodata = target.GetRasterBand(1).GetNoDataValue()
     known[(known == nodata) | (known < -9000)] = np.nan
     rows, columns = known.shape
-    heights = gdal.Warp("", gdal.Open(dsm), format="MEM", dstSRS=target.GetProjection(), resampleAlg="bilinear",
-                        outputBounds=(g[0], g[3] + g[5] * rows, g[0] + g[1] * columns, g[3]), width=columns,
-                        height=rows, dstNodata=-99999, outputType=gdal.GDT_Float32).ReadAsArray().astype(np.float64)
+    heights = (
+        gdal.Warp(
+            "",
+            gdal.Open(dsm),
+            format="MEM",
+            dstSRS=target.GetProjection(),
+            resampleAlg="bilinear",
+            outputBounds=(g[0], g[3] + g[5] * rows, g[0] + g[1] * columns, g[3]),
+            width=columns,
+            height=rows,
+            dstNodata=-99999,
+            outputType=gdal.GDT_Float32,
+        )
+        .ReadAsArray()
+        .astype(np.float64)
+    )
     heights[~(heights > -9000)] = np.nan
     if not align:
         return (heights - known)[np.isfinite(known)]
     reach = _SEARCH_CELLS
-    inner = known[reach:rows - reach, reach:columns - reach]
+    inner = known[reach : rows - reach, reach : columns - reach]
 
     def moved(dr: int, dc: int, step: int = 1) -> np.ndarray:
-        part = heights[reach + dr:rows - reach + dr, reach + dc:columns - reach + dc]
+        part = heights[reach + dr : rows - reach + dr, reach + dc : columns - reach + dc]
         return part[::step, ::step] - inner[::step, ::step]
 
     def spread(shift: tuple[int, int]) -> float:
@@ -186,9 +223,14 @@ def scores(dsm: str, truth: str, align: bool, thresholds: Sequence[float] = (1.0
     size = np.abs(error[np.isfinite(error)])
     middle = np.median(error[np.isfinite(error)]) if size.size else np.nan
     spread = 1.4826 * np.median(np.abs(error[np.isfinite(error)] - middle)) if size.size else np.nan
-    return {"valid": 100.0 * size.size / error.size, "RMSE": float(np.sqrt((size ** 2).mean())),
-            "ME": float(np.median(size)), "MAE": float(size.mean()), "NMAD": float(spread),
-            **{f"C{t:g}": 100.0 * float((size < t).sum()) / error.size for t in thresholds}}
+    return {
+        "valid": 100.0 * size.size / error.size,
+        "RMSE": float(np.sqrt((size**2).mean())),
+        "ME": float(np.median(size)),
+        "MAE": float(size.mean()),
+        "NMAD": float(spread),
+        **{f"C{t:g}": 100.0 * float((size < t).sum()) / error.size for t in thresholds},
+    }
 
 
 def say(text: str) -> None:

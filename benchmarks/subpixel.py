@@ -23,27 +23,32 @@ from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.imagery.warping import sample_array  # noqa: E402
-from repm_qgis.mvs import dense, subpixel  # noqa: E402
-from repm_qgis.mvs.pairing import grown, rectified_pair  # noqa: E402
-from repm_qgis.mvs.triangulation import PairGeometry, pair_geometry  # noqa: E402
+from repm_qgis.matching import dense, subpixel  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene  # noqa: E402
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.pairing import grown, rectified_pair  # noqa: E402
+from repm_qgis.stereo.triangulation import PairGeometry, pair_geometry  # noqa: E402
 
 SCENES: Dict[str, SceneSpec] = {
     "town, 700 px of 0.5 m": SceneSpec.default("urban", 700, 1),
     "mountains, 700 px of 1 m": SceneSpec.default("mountains", 700, 3),
-    "ZY-3, 900 px of 2.5 m": SceneSpec("mountains", 900, 11, ZY3, cell_m=2.5, surface_step=1, base_m=300.0,
-                                       relief_m=700.0, lon=6.65, lat=44.38)}
+    "ZY-3, 900 px of 2.5 m": SceneSpec(
+        "mountains", 900, 11, ZY3, cell_m=2.5, surface_step=1, base_m=300.0, relief_m=700.0, lon=6.65, lat=44.38
+    ),
+}
 _RIM = 20
 _KEPT = {"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity}
 _STILL = {"subpixel._moved": lambda disparity, *others: disparity}
 STARTS: List[Tuple[str, bool, Dict[str, Any]]] = [
-    ("semi-global matching as it comes", False, {**_KEPT, **_STILL}), ("**refined**", False, {}),
-    ("from the truth: refined", True, {}), ("from the truth: steps on the brightness only", True, _KEPT),
-    ("from the truth: filters only", True, _STILL)]
+    ("semi-global matching as it comes", False, {**_KEPT, **_STILL}),
+    ("**refined**", False, {}),
+    ("from the truth: refined", True, {}),
+    ("from the truth: steps on the brightness only", True, _KEPT),
+    ("from the truth: filters only", True, _STILL),
+]
 
 
 def moved_truth(dsm: str, truth: str) -> Tuple[np.ndarray, Tuple[float, ...]]:
@@ -54,8 +59,9 @@ def moved_truth(dsm: str, truth: str) -> Tuple[np.ndarray, Tuple[float, ...]]:
         return read(raster) - np.float32(found["dz"]), (west - found["dx"], north - found["dy"], cell)
 
 
-def true_disparities(geometry: PairGeometry, size: Tuple[int, int], truth: np.ndarray,
-                     place: Tuple[float, ...]) -> np.ndarray:
+def true_disparities(
+    geometry: PairGeometry, size: Tuple[int, int], truth: np.ndarray, place: Tuple[float, ...]
+) -> np.ndarray:
     """(H, W) px: each ray of the first image is followed down to where it first meets the ground; NaN beside it."""
     columns, rows = (np.arange(n, dtype=np.float64) for n in size)
     west, north, cell = place
@@ -85,8 +91,9 @@ class Case:
         stretches = tuple(view_stretch(view.image, view.band) for view in (first, second))
         pair = rectified_pair(scene, first, second, grown(tile.bounds, dense.MARGIN_PX * scene.gsd_m), tile.altitudes)
         geometry = pair_geometry(pair, first, second, tile.altitudes, scene.crs)
-        task = dense.DenseTask(scene, "", tile.bounds, tile.altitudes, first.name, second.name, stretches, "sgm",
-                               "", "")
+        task = dense.DenseTask(
+            scene, "", tile.bounds, tile.altitudes, first.name, second.name, stretches, "sgm", "", ""
+        )
         seen: Dict[str, Any] = {}
 
         def watched(disparity: Any, a: Any, b: Any, high: int) -> Any:
@@ -124,8 +131,12 @@ class Case:
     def left(self, from_truth: bool, members: Dict[str, Any]) -> List[float]:
         """Median and 90 % of absolute errors, and the standard deviation of their means in the steps' window, px."""
         with changed(members):
-            found = subpixel.refined(self.true_start if from_truth else self.seen["start"], self.seen["first"],
-                                     self.seen["second"], self.seen["high"])
+            found = subpixel.refined(
+                self.true_start if from_truth else self.seen["start"],
+                self.seen["first"],
+                self.seen["second"],
+                self.seen["high"],
+            )
         error = (found if self.guide is None else self.guide.whole(found)) - self.truth
         known = np.isfinite(error) & np.isfinite(self.true_start)
         known[:_RIM] = known[-_RIM:] = known[:, :_RIM] = known[:, -_RIM:] = False
@@ -139,8 +150,11 @@ class Case:
 
 def cases(name: str, folder: str) -> Iterator[Tuple[str, Case]]:
     made = make_scene(SCENES[name], folder, Silent())
-    run = run_stage("pipeline", {"images": made["images"], "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif",
-                                 "tile_size": 2000}, Silent())
+    run = run_stage(
+        "pipeline",
+        {"images": made["images"], "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", "tile_size": 2000},
+        Silent(),
+    )
     truth, place = moved_truth(f"{folder}/dsm.tif", made["truth"])
     scene = Scene.load(run["scene"])
     for views in ((0, 1), (0, 2)):
@@ -154,13 +168,25 @@ def main() -> None:
         for number, name in enumerate(SCENES):
             for label, case in cases(name, f"{folder}/{number}"):
                 for what, from_truth, members in STARTS:
-                    rows.append([label, round(case.metres_per_px, 2), what,
-                                 *(round(value, 3) for value in case.left(from_truth, members))])
-    publish("subpixel", "Fractions of a pixel, taken apart", "make bench-subpixel", [
-        "Pixels that are matched; errors in px of disparity against the true surface, after a shift in three "
-        "dimensions. *In windows*: the standard deviation of the errors' means in the window of a step, errors below "
-        "1 px.",
-        table(["pair", "m a px", "what", "ME px", "90 % px", "in windows px"], rows)])
+                    rows.append(
+                        [
+                            label,
+                            round(case.metres_per_px, 2),
+                            what,
+                            *(round(value, 3) for value in case.left(from_truth, members)),
+                        ]
+                    )
+    publish(
+        "subpixel",
+        "Fractions of a pixel, taken apart",
+        "make bench-subpixel",
+        [
+            "Pixels that are matched; errors in px of disparity against the true surface, after a shift in three "
+            "dimensions. *In windows*: the standard deviation of the errors' means in the window of a step, errors below "
+            "1 px.",
+            table(["pair", "m a px", "what", "ME px", "90 % px", "in windows px"], rows),
+        ],
+    )
 
 
 if __name__ == "__main__":

@@ -23,8 +23,9 @@ def _cell(value: Any) -> str:
 
 def publish(name: str, title: str, command: str, parts: List[str]) -> None:
     """Print a benchmark's text and put it into the page, in the place of what the last run put there."""
-    text = "\n\n".join([f"## {title}", f"`{command}`, Python {platform.python_version()} on {platform.machine()}.",
-                        *parts])
+    text = "\n\n".join(
+        [f"## {title}", f"`{command}`, Python {platform.python_version()} on {platform.machine()}.", *parts]
+    )
     print(text)
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else "# Benchmarks\n"

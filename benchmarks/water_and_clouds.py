@@ -37,7 +37,7 @@ LAND, RIM = 0, 9
 WATER = {"still": 1, "ripples": 2, "glint": 3}
 CLOUD = 4
 
-_WATER_DN = 150.0           # haze and little more
+_WATER_DN = 150.0  # haze and little more
 _RIPPLES_DN = {"still": 0.0, "ripples": 8.0, "glint": 120.0}
 _CLOUD_DN = 3300.0
 _RIM_ALPHA = (0.02, 0.5)
@@ -67,8 +67,9 @@ LAKES = {"still": (-0.25, 0.24, 0.1), "ripples": (0.24, 0.24, 0.1), "glint": (0.
 """East, north and radius as shares of the scene's side."""
 
 
-def make_pair(folder: str, kind: str = "urban", size: int = 1000, seed: int = 5, water: bool = True,
-              clouds: bool = True) -> Disturbed:
+def make_pair(
+    folder: str, kind: str = "urban", size: int = 1000, seed: int = 5, water: bool = True, clouds: bool = True
+) -> Disturbed:
     """Simulate a pair 20 degrees apart with three lakes and two clouds, or without them."""
     spec = SceneSpec.default(kind, size, seed)
     gsd = spec.sensor.looks[0].gsd_m
@@ -95,8 +96,10 @@ def make_pair(folder: str, kind: str = "urban", size: int = 1000, seed: int = 5,
 
 
 def _clouds(side: float) -> Sequence[Cloud]:
-    return (Cloud(-0.28 * side, -0.1 * side, 250.0, 0.09 * side), Cloud(0.27 * side, -0.02 * side, 120.0, 0.07 * side,
-                                                                        drift=25.0))
+    return (
+        Cloud(-0.28 * side, -0.1 * side, 250.0, 0.09 * side),
+        Cloud(0.27 * side, -0.02 * side, 120.0, 0.07 * side, drift=25.0),
+    )
 
 
 def _with_lakes(surface: Surface, side: float) -> Tuple[Surface, np.ndarray]:
@@ -129,16 +132,19 @@ def _rippled(surface: Surface, lakes: np.ndarray, seed: int) -> Surface:
     return replace(surface, radiance=radiance.astype(np.float32))
 
 
-def _clouded(pixels: np.ndarray, alpha: np.ndarray, view: PushbroomView, spec: SceneSpec, cloud: Cloud, number: int,
-             index: int) -> Tuple[np.ndarray, np.ndarray]:
+def _clouded(
+    pixels: np.ndarray, alpha: np.ndarray, view: PushbroomView, spec: SceneSpec, cloud: Cloud, number: int, index: int
+) -> Tuple[np.ndarray, np.ndarray]:
     """An image with a cloud before it, and the opacity of all clouds so far."""
     middle = projected_from_geodetic(spec.crs, np.array([[spec.lon, spec.lat, 0.0]]))[0]
     rows, columns = pixels.shape
     nodes = (np.linspace(0, rows - 1, 12), np.linspace(0, columns - 1, 12))
     grid = np.stack(np.meshgrid(nodes[1], nodes[0]), axis=-1).reshape(-1, 2)
     ground = projected_from_geodetic(spec.crs, view.localise(grid, spec.base_m + cloud.up)) - middle
-    east, north = (RectBivariateSpline(*nodes, ground[:, axis].reshape(12, 12))(np.arange(rows), np.arange(columns))
-                   for axis in (0, 1))
+    east, north = (
+        RectBivariateSpline(*nodes, ground[:, axis].reshape(12, 12))(np.arange(rows), np.arange(columns))
+        for axis in (0, 1)
+    )
     east = east - cloud.east - number * cloud.drift
     north = north - cloud.north
     puffs = fractal(np.random.default_rng([99, index]), (512, 512), 1.0, 60.0, 0.0, 0.8)
@@ -158,8 +164,14 @@ def _write(path: str, pixels: np.ndarray, rpc: Rpc) -> None:
         dataset.write(pixels)
 
 
-def _classes(surface: Surface, lakes: np.ndarray, square: Tuple[int, int, int], step: int, rpcs: Sequence[Rpc],
-             alphas: Sequence[np.ndarray]) -> np.ndarray:
+def _classes(
+    surface: Surface,
+    lakes: np.ndarray,
+    square: Tuple[int, int, int],
+    step: int,
+    rpcs: Sequence[Rpc],
+    alphas: Sequence[np.ndarray],
+) -> np.ndarray:
     """What each cell of the true DSM is; under a cloud in either view it is CLOUD, under its thin rim RIM."""
     row, col, count = square
     rows, columns = row + step * np.arange(count), col + step * np.arange(count)

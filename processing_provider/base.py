@@ -139,7 +139,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             low, high = (self.parameterAsDouble(parameters, name, context) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
             if low >= high:
                 return False, self.tr("ALTITUDE_MIN ({low:g} m) must be below ALTITUDE_MAX ({high:g} m).").format(
-                    low=low, high=high)
+                    low=low, high=high
+                )
         problem = self._check_adjustment(parameters)
         return (False, problem) if problem else super().checkParameterValues(parameters, context)
 
@@ -148,11 +149,14 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         if parameters.get("ADJUSTMENT") != "colmap":
             return ""
         if parameters.get("POINTING") == "affine":
-            return self.tr("POINTING is 'affine', but ADJUSTMENT 'colmap' moves principal points only: choose auto or "
-                           "shift, or ADJUSTMENT 'rpc'.")
+            return self.tr(
+                "POINTING is 'affine', but ADJUSTMENT 'colmap' moves principal points only: choose auto or "
+                "shift, or ADJUSTMENT 'rpc'."
+            )
         if not is_empty(parameters.get("GCPS")):
-            return self.tr("ADJUSTMENT is 'colmap', which is relative and takes no GCPS: choose 'rpc', or leave GCPS "
-                           "empty.")
+            return self.tr(
+                "ADJUSTMENT is 'colmap', which is relative and takes no GCPS: choose 'rpc', or leave GCPS empty."
+            )
         return ""
 
     def validateInputCrs(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> bool:
@@ -163,11 +167,13 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         items = raster_items(value, context)
         for item in items:
             if isinstance(item, QgsMapLayer) and item.providerType() != "gdal":
-                return self.tr("The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they "
-                               "have RPCs.").format(layer=item.name(), name=name, provider=item.providerType())
+                return self.tr(
+                    "The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs."
+                ).format(layer=item.name(), name=name, provider=item.providerType())
         if len(items) < 2:
-            return self.tr("{name} names {count} image(s): give at least two images of the same ground, one image has "
-                           "no heights.").format(name=name, count=len(items))
+            return self.tr(
+                "{name} names {count} image(s): give at least two images of the same ground, one image has no heights."
+            ).format(name=name, count=len(items))
         return ""
 
     def _check_choice(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
@@ -177,7 +183,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         if definition.type() == "enum":
             if definition.usesStaticStrings() and str(value) not in definition.options():
                 return self.tr("{name} is '{value}': choose one of {options}.").format(
-                    name=definition.name(), value=value, options=", ".join(definition.options()))
+                    name=definition.name(), value=value, options=", ".join(definition.options())
+                )
             return ""
         whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
         try:
@@ -187,14 +194,18 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self.tr("{name} is '{value}': give {kind}.").format(name=definition.name(), value=value, kind=kind)
         if not definition.minimum() <= number <= definition.maximum():
             return self.tr("{name} is {value}: it must lie between {low:g} and {high:g}.").format(
-                name=definition.name(), value=value, low=definition.minimum(), high=definition.maximum())
+                name=definition.name(), value=value, low=definition.minimum(), high=definition.maximum()
+            )
         return ""
 
     def _check_backend(self, value: object) -> str:
         """COLMAP needs a GPU: the engine's interpreter is asked, as it is the one that needs it."""
         remedy = engine.cuda_remedy() if value == "colmap" else ""
-        return self.tr("BACKEND is 'colmap', which needs CUDA, and {remedy}; or choose sgm.").format(
-            remedy=remedy) if remedy else ""
+        return (
+            self.tr("BACKEND is 'colmap', which needs CUDA, and {remedy}; or choose sgm.").format(remedy=remedy)
+            if remedy
+            else ""
+        )
 
     def _check_file(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
         if is_empty(value) or not isinstance(value, str):
@@ -203,7 +214,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self.tr("{name} '{path}' is not there: check its path.").format(name=definition.name(), path=value)
         if not value.lower().endswith(".json"):
             return self.tr("{name} '{path}' is no scene: choose the scene.json that the stage before wrote.").format(
-                name=definition.name(), path=value)
+                name=definition.name(), path=value
+            )
         return ""
 
     def _check_files(self, name: str, value: object, context: QgsProcessingContext) -> str:
@@ -212,7 +224,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
             if isinstance(item, QgsMapLayer) and not isinstance(item, QgsVectorLayer):
                 return self.tr("The layer '{layer}' of {name} is a raster: choose a vector layer or a table.").format(
-                    layer=item.name(), name=name)
+                    layer=item.name(), name=name
+                )
         return ""
 
     def _check_raster(self, name: str, value: object, context: QgsProcessingContext) -> str:
@@ -221,17 +234,22 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
             if isinstance(item, str) and not _is_raster(item):
                 return self.tr("{name} '{path}' cannot be read as a raster: check that the file is whole.").format(
-                    name=name, path=item)
+                    name=name, path=item
+                )
         return ""
 
-    def prepareAlgorithm(self, parameters: Mapping[str, Any], context: QgsProcessingContext,
-                         feedback: QgsProcessingFeedback) -> bool:
+    def prepareAlgorithm(
+        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> bool:
         known = [definition.name() for definition in self.parameterDefinitions()]
         for name in parameters:  # a slip in a command is passed over by QGIS in silence
             near = difflib.get_close_matches(name.upper(), known, 1)
             if name not in known and near:
-                feedback.pushWarning(self.tr("{name} is no parameter of {id} and has no effect: do you mean "
-                                             "{near}?").format(name=name, id=self.id(), near=near[0]))
+                feedback.pushWarning(
+                    self.tr("{name} is no parameter of {id} and has no effect: do you mean {near}?").format(
+                        name=name, id=self.id(), near=near[0]
+                    )
+                )
         self._inputs: dict[str, Any] = {}
         for definition in self.parameterDefinitions():
             if not definition.isDestination():
@@ -240,27 +258,46 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             self._inputs.update(workers=settings.workers(), memory=settings.memory())
         return True
 
-    def processAlgorithm(self, parameters: Mapping[str, Any], context: QgsProcessingContext,
-                         feedback: QgsProcessingFeedback) -> dict[str, Any]:
-        kept_as = {definition.name(): destination(self, definition, parameters, context)
-                   for definition in self.destinationParameterDefinitions()}
+    def processAlgorithm(
+        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> dict[str, Any]:
+        kept_as = {
+            definition.name(): destination(self, definition, parameters, context)
+            for definition in self.destinationParameterDefinitions()
+        }
         options = dict(self._inputs)
         options.update({name.lower(): os.path.abspath(path) if path else None for name, path in kept_as.items()})
         result = self.run_stage(self.complete(options), feedback)
         # Folders are results too, where a stage does not name them itself.
-        folders = {definition.name().lower(): options[definition.name().lower()]
-                   for definition in self.destinationParameterDefinitions() if definition.type() == "folderDestination"}
+        folders = {
+            definition.name().lower(): options[definition.name().lower()]
+            for definition in self.destinationParameterDefinitions()
+            if definition.type() == "folderDestination"
+        }
         made = {**folders, **result}
-        outputs = {output.name(): made[output.name().lower()] for output in self.outputDefinitions()
-                   if made.get(output.name().lower()) is not None}
+        outputs = {
+            output.name(): made[output.name().lower()]
+            for output in self.outputDefinitions()
+            if made.get(output.name().lower()) is not None
+        }
         scene = self._scene_name(options)
         for name, (title, style) in self.LAYERS.items():
             if outputs.get(name):
-                styles.dress(context, feedback, kept_as.get(name, ""), outputs[name],
-                             self._layer_name(title, scene, result), style, scene)
+                styles.dress(
+                    context,
+                    feedback,
+                    kept_as.get(name, ""),
+                    outputs[name],
+                    self._layer_name(title, scene, result),
+                    style,
+                    scene,
+                )
         if isinstance(result.get("seconds"), dict):
-            feedback.pushInfo(self.tr("Seconds: {stages}").format(
-                stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())))
+            feedback.pushInfo(
+                self.tr("Seconds: {stages}").format(
+                    stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())
+                )
+            )
         return outputs
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:

@@ -34,25 +34,46 @@ class CheckGcps(RepmAlgorithm):
 
     def parameters(self) -> list:
         scene = QgsProcessingParameterFile(
-            "SCENE", self.tr("Scene (for the images' geometry)"), QgsProcessingParameterFile.Behavior.File,
-            fileFilter=parameters.SCENE_FILTER, optional=True)
-        return [parameters.gcps(optional=False),
-                parameters.helped(scene, self.tr(
-                    "The scene.json of any stage; one that was reconstructed also shows what its pointing is worth.")),
-                parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
-                parameters.gcp_datum(),
-                QgsProcessingParameterVectorDestination(
-                    "OUTPUT", self.tr("Points with their errors"), QgsProcessing.SourceType.TypeVectorPoint),
-                parameters.report()]
+            "SCENE",
+            self.tr("Scene (for the images' geometry)"),
+            QgsProcessingParameterFile.Behavior.File,
+            fileFilter=parameters.SCENE_FILTER,
+            optional=True,
+        )
+        return [
+            parameters.gcps(optional=False),
+            parameters.helped(
+                scene,
+                self.tr(
+                    "The scene.json of any stage; one that was reconstructed also shows what its pointing is worth."
+                ),
+            ),
+            parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
+            parameters.gcp_datum(),
+            QgsProcessingParameterVectorDestination(
+                "OUTPUT", self.tr("Points with their errors"), QgsProcessing.SourceType.TypeVectorPoint
+            ),
+            parameters.report(),
+        ]
 
     def extra_outputs(self) -> list:
-        by = {"RPC": self.tr("RPC localisation"), "COMPENSATED": self.tr("RPCs with image-space compensation"),
-              "SCENE": self.tr("the scene's pointing"), "DSM": self.tr("the DSM")}
-        return [QgsProcessingOutputNumber(f"{name}_{figure}", self.tr("{figure} of heights by {source} (m)").format(
-            figure=figure, source=source)) for name, source in by.items() for figure in ("ME", "RMSE", "MAX")]
+        by = {
+            "RPC": self.tr("RPC localisation"),
+            "COMPENSATED": self.tr("RPCs with image-space compensation"),
+            "SCENE": self.tr("the scene's pointing"),
+            "DSM": self.tr("the DSM"),
+        }
+        return [
+            QgsProcessingOutputNumber(
+                f"{name}_{figure}", self.tr("{figure} of heights by {source} (m)").format(figure=figure, source=source)
+            )
+            for name, source in by.items()
+            for figure in ("ME", "RMSE", "MAX")
+        ]
 
     def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
         if is_empty(values.get("SCENE")) and is_empty(values.get("DSM")):
-            return False, self.tr("Neither SCENE nor DSM is given: there is nothing to check; give one of them, or "
-                                  "both.")
+            return False, self.tr(
+                "Neither SCENE nor DSM is given: there is nothing to check; give one of them, or both."
+            )
         return super().checkParameterValues(values, context)

@@ -46,33 +46,62 @@ class CompareDsm(RepmAlgorithm):
         return [
             parameters.Raster("DSM", self.tr("DSM to measure")),
             parameters.Raster("REFERENCE", self.tr("Reference DSM")),
-            parameters.choice("ALIGN", self.tr("Alignment before the comparison"), ALIGNMENTS, "none",
-                              self.tr("none: as they lie; vertical: a constant offset in height is taken off; 3d: a "
-                                      "shift in all three axes is taken off.")),
-            parameters.helped(QgsProcessingParameterString(
-                "THRESHOLDS", self.tr("Thresholds of the completeness (m)"), "1; 2.5; 5"),
-                self.tr("The part of the reference's cells whose height is right to within each of these.")),
-            parameters.helped(parameters.Rasters(
-                "OTHERS", self.tr("Further DSMs for the same table"), QgsProcessing.SourceType.TypeRaster,
-                optional=True),
-                self.tr("Other DSMs of the same ground, such as another program's: the report puts all side by side, "
-                        "each aligned for itself.")),
-            parameters.helped(parameters.Raster("CLASSES", self.tr("Class raster"), optional=True),
-                              self.tr("Whole numbers such as those of a land cover map or a mask, in any CRS: the "
-                                      "report gives the errors of each class.")),
-            parameters.helped(parameters.Points(
-                "PROFILES", self.tr("Profile lines"), [QgsProcessing.SourceType.TypeVectorLine], optional=True),
-                self.tr("Lines to show the heights along, named by their field 'name'. Empty: twice through the "
-                        "middle.")),
+            parameters.choice(
+                "ALIGN",
+                self.tr("Alignment before the comparison"),
+                ALIGNMENTS,
+                "none",
+                self.tr(
+                    "none: as they lie; vertical: a constant offset in height is taken off; 3d: a "
+                    "shift in all three axes is taken off."
+                ),
+            ),
+            parameters.helped(
+                QgsProcessingParameterString("THRESHOLDS", self.tr("Thresholds of the completeness (m)"), "1; 2.5; 5"),
+                self.tr("The part of the reference's cells whose height is right to within each of these."),
+            ),
+            parameters.helped(
+                parameters.Rasters(
+                    "OTHERS",
+                    self.tr("Further DSMs for the same table"),
+                    QgsProcessing.SourceType.TypeRaster,
+                    optional=True,
+                ),
+                self.tr(
+                    "Other DSMs of the same ground, such as another program's: the report puts all side by side, "
+                    "each aligned for itself."
+                ),
+            ),
+            parameters.helped(
+                parameters.Raster("CLASSES", self.tr("Class raster"), optional=True),
+                self.tr(
+                    "Whole numbers such as those of a land cover map or a mask, in any CRS: the "
+                    "report gives the errors of each class."
+                ),
+            ),
+            parameters.helped(
+                parameters.Points(
+                    "PROFILES", self.tr("Profile lines"), [QgsProcessing.SourceType.TypeVectorLine], optional=True
+                ),
+                self.tr(
+                    "Lines to show the heights along, named by their field 'name'. Empty: twice through the middle."
+                ),
+            ),
             QgsProcessingParameterRasterDestination("ERROR", self.tr("Height error"), optional=True),
-            parameters.report()]
+            parameters.report(),
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputNumber(name, label) for name, label in (
-            ("RMSE", self.tr("RMSE (m)")), ("ME", self.tr("Median absolute error (m)")),
-            ("MAE", self.tr("Mean absolute error (m)")),
-            ("NMAD", self.tr("Normalised median absolute deviation (m)")),
-            ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")))]
+        return [
+            QgsProcessingOutputNumber(name, label)
+            for name, label in (
+                ("RMSE", self.tr("RMSE (m)")),
+                ("ME", self.tr("Median absolute error (m)")),
+                ("MAE", self.tr("Mean absolute error (m)")),
+                ("NMAD", self.tr("Normalised median absolute deviation (m)")),
+                ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),
+            )
+        ]
 
     def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
         text = self.parameterAsString(values, "THRESHOLDS", context)
@@ -80,7 +109,8 @@ class CompareDsm(RepmAlgorithm):
             thresholds(text)
         except ValueError:
             return False, self.tr("THRESHOLDS is '{text}': give heights in metres such as '1; 2.5; 5'.").format(
-                text=text)
+                text=text
+            )
         return super().checkParameterValues(values, context)
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:

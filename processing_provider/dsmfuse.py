@@ -15,8 +15,13 @@ class DsmFuse(RepmAlgorithm):
     GROUP = "surface"
     TAGS = "fusion,gridding,outliers,point cloud,orthophoto,surface model"
     USES_WORKERS = True
-    LAYERS = {"OUTPUT": ("DSM", "dsm"), "CONFIDENCE": ("Confidence", "confidence"), "ORTHO": ("Orthophoto", "ortho"),
-              "EPT": ("Point cloud", "ept"), "MESH": ("Mesh", "mesh")}
+    LAYERS = {
+        "OUTPUT": ("DSM", "dsm"),
+        "CONFIDENCE": ("Confidence", "confidence"),
+        "ORTHO": ("Orthophoto", "ortho"),
+        "EPT": ("Point cloud", "ept"),
+        "MESH": ("Mesh", "mesh"),
+    }
 
     def displayName(self) -> str:
         return self.tr("Fuse heights into a DSM")
@@ -25,8 +30,14 @@ class DsmFuse(RepmAlgorithm):
         return self.tr("One DSM from the height maps of all pairs, without outliers, with its confidence.")
 
     def parameters(self) -> list:
-        return [parameters.scene(), parameters.resolution(), parameters.crs(), parameters.vertical_datum(),
-                *parameters.fusion(), *parameters.dsm_products()]
+        return [
+            parameters.scene(),
+            parameters.resolution(),
+            parameters.crs(),
+            parameters.vertical_datum(),
+            *parameters.fusion(),
+            *parameters.dsm_products(),
+        ]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]

@@ -26,8 +26,16 @@ from .cleanup import remove_half_written
 PLUGIN_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 WATCH_VARIABLE = "REPM_ENGINE_WATCH_STDIN"
 # What QGIS or the shell may have set for another Python than the engine's.
-_MISLEADING = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "PYTHONUSERBASE", "PYTHONPLATLIBDIR",
-               "VIRTUAL_ENV", "__PYVENV_LAUNCHER__")
+_MISLEADING = (
+    "PYTHONHOME",
+    "PYTHONPATH",
+    "PYTHONSTARTUP",
+    "PYTHONEXECUTABLE",
+    "PYTHONUSERBASE",
+    "PYTHONPLATLIBDIR",
+    "VIRTUAL_ENV",
+    "__PYVENV_LAUNCHER__",
+)
 _POLL_S = 0.1
 _ASK_S = 30
 _GRACE_S = 1.2  # for the engine to remove half-written files; the whole of Cancel must take less than 2 s
@@ -74,11 +82,13 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
             raise
         raise QgsProcessingException(
             f"The Python package '{error.name}' is not installed for QGIS's Python ({error}): run the algorithm "
-            "'Report the environment' for the command that installs it.") from None
+            "'Report the environment' for the command that installs it."
+        ) from None
 
 
-def run_apart(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback,
-              python: Optional[str] = None) -> dict[str, Any]:
+def run_apart(
+    stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback, python: Optional[str] = None
+) -> dict[str, Any]:
     """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
     python = python or find_python()
     start = time.time()
@@ -105,7 +115,8 @@ def find_python() -> str:
         if not _is_program(chosen):
             raise QgsProcessingException(
                 f"The engine interpreter '{chosen}' is not a program: correct or clear it in Settings > Options > "
-                "Processing > Providers > REPM (or the variable REPM_ENGINE_PYTHON).")
+                "Processing > Providers > REPM (or the variable REPM_ENGINE_PYTHON)."
+            )
         return chosen
     candidates = _candidates()
     for path in candidates:
@@ -113,18 +124,25 @@ def find_python() -> str:
             return path
     raise QgsProcessingException(
         f"No Python was found to run the engine (looked for {', '.join(candidates)}): run scripts/setup in "
-        f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM.")
+        f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM."
+    )
 
 
 def cuda_remedy() -> str:
-    """What makes CUDA usable for the engine; "" where it is, or where the engine cannot be asked (it will say itself).
-    """
+    """What makes CUDA usable for the engine; "" where it is, or where the engine cannot be asked (it will say itself)."""
     code = "from repm_qgis.environment import cuda; print(cuda()['remedy'])"
     try:
         python = find_python()
-        done = subprocess.run([python, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,  # noqa: S603
-                              stderr=subprocess.DEVNULL, cwd=PLUGIN_FOLDER, env=environment(python),
-                              timeout=_ASK_S, check=False)
+        done = subprocess.run(
+            [python, "-c", code],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,  # noqa: S603
+            stderr=subprocess.DEVNULL,
+            cwd=PLUGIN_FOLDER,
+            env=environment(python),
+            timeout=_ASK_S,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired, QgsProcessingException):
         return ""
     return done.stdout.decode("utf-8", "replace").strip() if done.returncode == 0 else ""
@@ -168,14 +186,23 @@ class _EngineProcess:
         apart = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
         try:
             self._process = subprocess.Popen(  # noqa: S603 - an argument list of our own
-                [python, "-m", "repm_qgis", stage, job], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE, cwd=PLUGIN_FOLDER, env=environment(python), **apart)
+                [python, "-m", "repm_qgis", stage, job],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                cwd=PLUGIN_FOLDER,
+                env=environment(python),
+                **apart,
+            )
         except OSError as error:
             raise QgsProcessingException(
                 f"The engine interpreter '{python}' cannot be started ({error}): choose another in Settings > Options "
-                "> Processing > Providers > REPM.") from None
-        self._readers = [self._read(self._process.stdout, self._lines.put, at_end=True),
-                         self._read(self._process.stderr, self._last_words.append)]
+                "> Processing > Providers > REPM."
+            ) from None
+        self._readers = [
+            self._read(self._process.stdout, self._lines.put, at_end=True),
+            self._read(self._process.stderr, self._last_words.append),
+        ]
 
     def _read(self, stream, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
         def read() -> None:
@@ -213,8 +240,7 @@ class _EngineProcess:
             feedback.pushDebugInfo(text)
         return self._outcome(last, code)
 
-    def _hear(self, line: str, progress: FeedbackProgress,
-              feedback: QgsProcessingFeedback) -> Optional[dict[str, Any]]:
+    def _hear(self, line: str, progress: FeedbackProgress, feedback: QgsProcessingFeedback) -> Optional[dict[str, Any]]:
         """Act on one line; the closing messages are given back."""
         try:
             message = json.loads(line)
@@ -248,8 +274,9 @@ class _EngineProcess:
         if kind == "error":
             raise QgsProcessingException(str(last.get("text", "")))
         if kind == "bug":
-            raise QgsProcessingException(f"The stage '{self._stage}' met an error it did not expect; please report "
-                                         f"it.\n{last.get('text', '')}")
+            raise QgsProcessingException(
+                f"The stage '{self._stage}' met an error it did not expect; please report it.\n{last.get('text', '')}"
+            )
         raise QgsProcessingException(self._crash(code))
 
     def _crash(self, code: int) -> str:
@@ -261,11 +288,16 @@ class _EngineProcess:
             except ValueError:
                 name = f"signal {-code}"
             cause = f"was ended by {name}"
-            remedy = "it probably ran out of memory: use a smaller EXTENT or TILE_SIZE, or fewer workers" \
-                if name == "SIGKILL" else "QGIS and finished files are unharmed: run again, or choose another BACKEND"
+            remedy = (
+                "it probably ran out of memory: use a smaller EXTENT or TILE_SIZE, or fewer workers"
+                if name == "SIGKILL"
+                else "QGIS and finished files are unharmed: run again, or choose another BACKEND"
+            )
         else:
-            cause, remedy = f"ended with code {code} and no result", \
-                f"check with 'Report the environment' that '{self._python}' has what the engine needs"
+            cause, remedy = (
+                f"ended with code {code} and no result",
+                f"check with 'Report the environment' that '{self._python}' has what the engine needs",
+            )
         return f"The engine process of the stage '{self._stage}' {cause}{said}; {remedy}."
 
     def end(self) -> None:
@@ -298,6 +330,10 @@ class _EngineProcess:
     def _end_on_windows(self, running: bool) -> None:
         if running:
             taskkill = os.path.join(os.environ.get("SYSTEMROOT", r"C:\Windows"), "System32", "taskkill.exe")
-            subprocess.run([taskkill, "/F", "/T", "/PID", str(self._process.pid)],  # noqa: S603
-                           stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
+            subprocess.run(
+                [taskkill, "/F", "/T", "/PID", str(self._process.pid)],  # noqa: S603
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                check=False,
+            )
         self._process.wait()

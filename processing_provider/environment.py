@@ -34,6 +34,7 @@ class Environment(RepmAlgorithm):
         except QgsProcessingException as error:
             if feedback.isCanceled():
                 raise
-            feedback.pushWarning(self.tr(
-                "The report is on QGIS's own Python, the engine does not run: {reason}").format(reason=error))
+            feedback.pushWarning(
+                self.tr("The report is on QGIS's own Python, the engine does not run: {reason}").format(reason=error)
+            )
             return engine.run_here(self.ID, options, feedback)

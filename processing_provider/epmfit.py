@@ -24,11 +24,22 @@ class EpmFit(RepmAlgorithm):
         return self.tr("Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.")
 
     def parameters(self) -> list:
-        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.rpcs(), parameters.masks(),
-                *parameters.altitudes(), *parameters.tiles_and_budget(), parameters.workspace(), parameters.tiles(),
-                parameters.report()]
+        return [
+            parameters.images(),
+            parameters.extent(),
+            parameters.dem(),
+            parameters.rpcs(),
+            parameters.masks(),
+            *parameters.altitudes(),
+            *parameters.tiles_and_budget(),
+            parameters.workspace(),
+            parameters.tiles(),
+            parameters.report(),
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),
-                QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
-                QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)"))]
+        return [
+            QgsProcessingOutputFile("SCENE", self.tr("Scene")),
+            QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
+            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)")),
+        ]

@@ -24,15 +24,26 @@ class ErrorMap(RepmAlgorithm):
         return self.tr("What the pinhole model costs one view, as a raster on the ground.")
 
     def parameters(self) -> list:
-        return [parameters.scene(),
-                parameters.helped(
-                    QgsProcessingParameterString("VIEW", self.tr("View (empty: the first)"), "", optional=True),
-                    self.tr("A view's name as in the scene's report: its image file's name without extension.")),
-                parameters.real("ALTITUDE", self.tr("Altitude (m, empty: the middle of the scene's range)"), None,
-                                -12000, 10000, self.tr("Metres above the WGS 84 ellipsoid.")),
-                QgsProcessingParameterRasterDestination("OUTPUT", self.tr("Equivalent error")),
-                parameters.report()]
+        return [
+            parameters.scene(),
+            parameters.helped(
+                QgsProcessingParameterString("VIEW", self.tr("View (empty: the first)"), "", optional=True),
+                self.tr("A view's name as in the scene's report: its image file's name without extension."),
+            ),
+            parameters.real(
+                "ALTITUDE",
+                self.tr("Altitude (m, empty: the middle of the scene's range)"),
+                None,
+                -12000,
+                10000,
+                self.tr("Metres above the WGS 84 ellipsoid."),
+            ),
+            QgsProcessingParameterRasterDestination("OUTPUT", self.tr("Equivalent error")),
+            parameters.report(),
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
-                QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)"))]
+        return [
+            QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
+            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)")),
+        ]

@@ -29,23 +29,47 @@ class ExportCameras(RepmAlgorithm):
     def parameters(self) -> list:
         from ..repm_qgis.options import BIT_DEPTHS, CAMERA_FORMATS
 
-        return [parameters.scene(self.tr("Refined scene")),
-                parameters.choice("FORMAT", self.tr("Format"), CAMERA_FORMATS, "colmap", self.tr(
+        return [
+            parameters.scene(self.tr("Refined scene")),
+            parameters.choice(
+                "FORMAT",
+                self.tr("Format"),
+                CAMERA_FORMATS,
+                "colmap",
+                self.tr(
                     "colmap: PINHOLE cameras, binary and text; mvsnet: cam.txt and pair.txt; whutlc: WHU-TLC's pinhole "
-                    "layout for SatMVS, with square pixels; nerfstudio: transforms.json.")),
+                    "layout for SatMVS, with square pixels; nerfstudio: transforms.json."
+                ),
+            ),
+            parameters.helped(
+                QgsProcessingParameterString("TILE", self.tr("Tile (empty: all)"), "", optional=True),
+                self.tr("A tile's name as in the TILES layer; each tile is a model of its own."),
+            ),
+            parameters.advanced(
                 parameters.helped(
-                    QgsProcessingParameterString("TILE", self.tr("Tile (empty: all)"), "", optional=True),
-                    self.tr("A tile's name as in the TILES layer; each tile is a model of its own.")),
-                parameters.advanced(parameters.helped(
                     QgsProcessingParameterBoolean("CENTRE", self.tr("Turn the cameras towards their images"), True),
-                    self.tr("On: principal points lie in the images' middle and pixels are square, as COLMAP's "
-                            "triangulation and software in single precision need it. Off: the refined images and "
-                            "cameras as they are in the scene."))),
-                parameters.advanced(parameters.choice("BITS", self.tr("Bits of a pixel"), BIT_DEPTHS, "8", self.tr(
-                    "8: PNG (JPEG for mvsnet), brightness stretched as for matching; 16: TIFF with the images' own "
-                    "values, which fewer programs read."))),
-                parameters.advanced(parameters.kernel()),
-                QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder"))]
+                    self.tr(
+                        "On: principal points lie in the images' middle and pixels are square, as COLMAP's "
+                        "triangulation and software in single precision need it. Off: the refined images and "
+                        "cameras as they are in the scene."
+                    ),
+                )
+            ),
+            parameters.advanced(
+                parameters.choice(
+                    "BITS",
+                    self.tr("Bits of a pixel"),
+                    BIT_DEPTHS,
+                    "8",
+                    self.tr(
+                        "8: PNG (JPEG for mvsnet), brightness stretched as for matching; 16: TIFF with the images' own "
+                        "values, which fewer programs read."
+                    ),
+                )
+            ),
+            parameters.advanced(parameters.kernel()),
+            QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder")),
+        ]
 
     def extra_outputs(self) -> list:
         return [QgsProcessingOutputNumber("IMAGES", self.tr("Number of images"))]

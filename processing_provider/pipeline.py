@@ -18,9 +18,15 @@ class Pipeline(RepmAlgorithm):
     GROUP = "whole"
     TAGS = "SfM,MVS,GCP,ground control,surface model,point cloud,orthophoto,REPM,tri-stereo"
     USES_WORKERS = True
-    LAYERS = {"OUTPUT": ("DSM", "dsm"), "CONFIDENCE": ("Confidence", "confidence"), "ORTHO": ("Orthophoto", "ortho"),
-              "EPT": ("Point cloud", "ept"), "MESH": ("Mesh", "mesh"),
-              "TILES": ("Tiles", "tiles"), "TIE_POINTS": ("Tie points", "tie_points")}
+    LAYERS = {
+        "OUTPUT": ("DSM", "dsm"),
+        "CONFIDENCE": ("Confidence", "confidence"),
+        "ORTHO": ("Orthophoto", "ortho"),
+        "EPT": ("Point cloud", "ept"),
+        "MESH": ("Mesh", "mesh"),
+        "TILES": ("Tiles", "tiles"),
+        "TIE_POINTS": ("Tie points", "tie_points"),
+    }
 
     def displayName(self) -> str:
         return self.tr("Make a DSM from satellite images")
@@ -30,18 +36,40 @@ class Pipeline(RepmAlgorithm):
 
     def parameters(self) -> list:
         dsm, *extras = parameters.dsm_products()
-        return [parameters.images(), parameters.extent(), parameters.dem(), parameters.gcps(), parameters.resolution(),
-                parameters.crs(), parameters.vertical_datum(), parameters.rpcs(), parameters.masks(),
-                parameters.gcp_datum(), parameters.pointing(), parameters.adjustment(), *parameters.altitudes(),
-                *parameters.tiles_and_budget(),
-                parameters.advanced(parameters.model()), parameters.advanced(parameters.order()),
-                parameters.advanced(parameters.backend()), *parameters.patch_match(), *parameters.fusion(), dsm,
-                parameters.workspace(), parameters.report(), parameters.tiles(), parameters.tie_points(), *extras]
+        return [
+            parameters.images(),
+            parameters.extent(),
+            parameters.dem(),
+            parameters.gcps(),
+            parameters.resolution(),
+            parameters.crs(),
+            parameters.vertical_datum(),
+            parameters.rpcs(),
+            parameters.masks(),
+            parameters.gcp_datum(),
+            parameters.pointing(),
+            parameters.adjustment(),
+            *parameters.altitudes(),
+            *parameters.tiles_and_budget(),
+            parameters.advanced(parameters.model()),
+            parameters.advanced(parameters.order()),
+            parameters.advanced(parameters.backend()),
+            *parameters.patch_match(),
+            *parameters.fusion(),
+            dsm,
+            parameters.workspace(),
+            parameters.report(),
+            parameters.tiles(),
+            parameters.tie_points(),
+            *extras,
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputFile("SCENE", self.tr("Scene")),
-                QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
-                QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]
+        return [
+            QgsProcessingOutputFile("SCENE", self.tr("Scene")),
+            QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
+            QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)")),
+        ]
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         return {**options, "command": command_line(self.id(), options)}

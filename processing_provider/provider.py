@@ -24,8 +24,19 @@ from .reconstruct import Reconstruct
 from .refine import Refine
 from .sampledata import SampleData
 
-ALGORITHMS = (EpmFit, ErrorMap, Refine, Reconstruct, DsmFuse, Pipeline, CompareDsm, CheckGcps, SampleData,
-              Environment, ExportCameras)
+ALGORITHMS = (
+    EpmFit,
+    ErrorMap,
+    Refine,
+    Reconstruct,
+    DsmFuse,
+    Pipeline,
+    CompareDsm,
+    CheckGcps,
+    SampleData,
+    Environment,
+    ExportCameras,
+)
 
 
 class ShippedModel(QgsProcessingModelAlgorithm):
@@ -38,8 +49,9 @@ class ShippedModel(QgsProcessingModelAlgorithm):
         return QCoreApplication.translate(RepmAlgorithm.__name__, super().group())
 
     def groupId(self) -> str:
-        return next((key for key, name in GROUPS.items() if name == super(ShippedModel, self).group()),
-                    super().groupId())
+        return next(
+            (key for key, name in GROUPS.items() if name == super(ShippedModel, self).group()), super().groupId()
+        )
 
     def tags(self) -> list[str]:
         return RepmAlgorithm().tags()

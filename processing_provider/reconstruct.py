@@ -13,8 +13,10 @@ class Reconstruct(RepmAlgorithm):
 
     ID = "reconstruct"
     GROUP = "surface"
-    TAGS = "SfM,MVS,tie points,GCP,ground control,bundle adjustment,dense matching,SGM,disparity,COLMAP," \
-           "PatchMatch,CUDA,GPU"
+    TAGS = (
+        "SfM,MVS,tie points,GCP,ground control,bundle adjustment,dense matching,SGM,disparity,COLMAP,"
+        "PatchMatch,CUDA,GPU"
+    )
     USES_WORKERS = True
     LAYERS = {"TIE_POINTS": ("Tie points", "tie_points")}
 
@@ -26,11 +28,23 @@ class Reconstruct(RepmAlgorithm):
 
     def parameters(self) -> list:
         heights = QgsProcessingParameterFolderDestination(
-            "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False)
-        return [parameters.scene(), parameters.backend(), parameters.gcps(), parameters.gcp_datum(),
-                parameters.pointing(), parameters.adjustment(), *parameters.patch_match(), parameters.output_scene(),
-                parameters.tie_points(), heights]
+            "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False
+        )
+        return [
+            parameters.scene(),
+            parameters.backend(),
+            parameters.gcps(),
+            parameters.gcp_datum(),
+            parameters.pointing(),
+            parameters.adjustment(),
+            *parameters.patch_match(),
+            parameters.output_scene(),
+            parameters.tie_points(),
+            heights,
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputHtml("REPORT", self.tr("Report")),
-                QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points"))]
+        return [
+            QgsProcessingOutputHtml("REPORT", self.tr("Report")),
+            QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
+        ]

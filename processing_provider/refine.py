@@ -22,9 +22,18 @@ class Refine(RepmAlgorithm):
         return self.tr("Resamples every view's tiles to what its pinhole camera would have seen.")
 
     def parameters(self) -> list:
-        return [parameters.scene(), parameters.model(), parameters.surface(), parameters.advanced(parameters.order()),
-                parameters.advanced(parameters.kernel()), parameters.output_scene(), parameters.report()]
+        return [
+            parameters.scene(),
+            parameters.model(),
+            parameters.surface(),
+            parameters.advanced(parameters.order()),
+            parameters.advanced(parameters.kernel()),
+            parameters.output_scene(),
+            parameters.report(),
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error left, RMSE (px)")),
-                QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error left, largest (px)"))]
+        return [
+            QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error left, RMSE (px)")),
+            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error left, largest (px)")),
+        ]

@@ -30,13 +30,16 @@ class SampleData(RepmAlgorithm):
     def parameters(self) -> list:
         from ..repm_qgis.options import KINDS
 
-        return [parameters.choice("KIND", self.tr("Landscape"), KINDS, "urban"),
-                parameters.whole("SIZE", self.tr("Size of the images (px)"), 800, 128, 20000),
-                parameters.whole("SEED", self.tr("Seed"), 1, 0, 2**31 - 1,
-                                 self.tr("The same seed makes the same files.")),
-                QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder"))]
+        return [
+            parameters.choice("KIND", self.tr("Landscape"), KINDS, "urban"),
+            parameters.whole("SIZE", self.tr("Size of the images (px)"), 800, 128, 20000),
+            parameters.whole("SEED", self.tr("Seed"), 1, 0, 2**31 - 1, self.tr("The same seed makes the same files.")),
+            QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder")),
+        ]
 
     def extra_outputs(self) -> list:
-        return [QgsProcessingOutputMultipleLayers("IMAGES", self.tr("Images")),
-                QgsProcessingOutputRasterLayer("TRUTH", self.tr("True DSM")),
-                QgsProcessingOutputVectorLayer("GCPS", self.tr("Ground control points"))]
+        return [
+            QgsProcessingOutputMultipleLayers("IMAGES", self.tr("Images")),
+            QgsProcessingOutputRasterLayer("TRUTH", self.tr("True DSM")),
+            QgsProcessingOutputVectorLayer("GCPS", self.tr("Ground control points")),
+        ]

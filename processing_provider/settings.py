@@ -25,14 +25,27 @@ def register(icon_path: str) -> None:
         return
 
     ProcessingConfig.settingIcons[GROUP] = QIcon(icon_path)
-    ProcessingConfig.addSetting(Setting(
-        GROUP, ENGINE_PYTHON, _tr("Engine interpreter (empty: the plugin's .venv, else QGIS's Python)"), "",
-        valuetype=Setting.FILE))
-    ProcessingConfig.addSetting(Setting(
-        GROUP, WORKERS, _tr("Worker processes (0: one per core)"), 0, valuetype=Setting.INT))
-    ProcessingConfig.addSetting(Setting(
-        GROUP, MEMORY, _tr("Memory of all workers together (MiB, 0: three quarters of what is free)"), 0,
-        valuetype=Setting.INT))
+    ProcessingConfig.addSetting(
+        Setting(
+            GROUP,
+            ENGINE_PYTHON,
+            _tr("Engine interpreter (empty: the plugin's .venv, else QGIS's Python)"),
+            "",
+            valuetype=Setting.FILE,
+        )
+    )
+    ProcessingConfig.addSetting(
+        Setting(GROUP, WORKERS, _tr("Worker processes (0: one per core)"), 0, valuetype=Setting.INT)
+    )
+    ProcessingConfig.addSetting(
+        Setting(
+            GROUP,
+            MEMORY,
+            _tr("Memory of all workers together (MiB, 0: three quarters of what is free)"),
+            0,
+            valuetype=Setting.INT,
+        )
+    )
     ProcessingConfig.readSettings()
 
 

@@ -21,8 +21,19 @@ from qgis.PyQt.QtCore import QCoreApplication
 
 from .engine import PLUGIN_FOLDER
 
-FROM_TOP = ("gcps", "tie_points", "tiles", "error", "dsm_error", "ept", "ortho", "confidence", "mesh", "hillshade",
-            "dsm")
+FROM_TOP = (
+    "gcps",
+    "tie_points",
+    "tiles",
+    "error",
+    "dsm_error",
+    "ept",
+    "ortho",
+    "confidence",
+    "mesh",
+    "hillshade",
+    "dsm",
+)
 """Kinds of layers of a scene from top to bottom: nothing hides what is to be looked at first."""
 _LOOKED_AT_LATER = ("ept", "ortho", "confidence", "mesh")  # above the DSM, and switched off: switched on, they show
 _ORDER = "repm/order"
@@ -52,8 +63,9 @@ class Dresser(QgsProcessingLayerPostProcessorInterface):
         del cls._alive[:-256]
         return dresser
 
-    def postProcessLayer(self, layer: QgsMapLayer, context: QgsProcessingContext,
-                         feedback: QgsProcessingFeedback) -> None:
+    def postProcessLayer(
+        self, layer: QgsMapLayer, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> None:
         if layer is None:
             return
         if os.path.exists(self._style):
@@ -133,8 +145,15 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
     return beside
 
 
-def dress(context: QgsProcessingContext, feedback: QgsProcessingFeedback, kept_as: str, path: str, name: str,
-          kind: str, group: str) -> None:
+def dress(
+    context: QgsProcessingContext,
+    feedback: QgsProcessingFeedback,
+    kept_as: str,
+    path: str,
+    name: str,
+    kind: str,
+    group: str,
+) -> None:
     """Style one result, name its layer, and have it put into its scene's group, where QGIS will load it.
 
     ``kept_as`` is QGIS's word for the file. QGIS loads rasters and vectors by itself, as the user chose; a cloud and a

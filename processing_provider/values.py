@@ -81,8 +81,9 @@ def points_path(value: object, context: QgsProcessingContext) -> Optional[str]:
         return "|".join([os.path.abspath(path), *rest]) if path else None
     parts = QgsProviderRegistry.instance().decodeUri(item.providerType(), item.source())
     path, name = parts.get("path", ""), parts.get("layerName")
-    plain = _is_plain_table(item.source(), path) if item.providerType() == "delimitedtext" else \
-        item.providerType() == "ogr"
+    plain = (
+        _is_plain_table(item.source(), path) if item.providerType() == "delimitedtext" else item.providerType() == "ogr"
+    )
     if plain and os.path.exists(path) and not item.subsetString():
         return f"{path}|layername={name}" if name else path
     return _written(item, context)
@@ -102,8 +103,9 @@ def _written(layer: QgsVectorLayer, context: QgsProcessingContext) -> str:
     options.layerOptions = ["FID=repm_fid"]  # the table may have a field of that name
     error, text, *_ = QgsVectorFileWriter.writeAsVectorFormatV3(layer, path, context.transformContext(), options)
     if error != QgsVectorFileWriter.WriterError.NoError:
-        raise QgsProcessingException(f"The layer '{layer.name()}' cannot be read ({text}): save it as a GeoPackage, "
-                                     "and choose that.")
+        raise QgsProcessingException(
+            f"The layer '{layer.name()}' cannot be read ({text}): save it as a GeoPackage, and choose that."
+        )
     return path
 
 
@@ -114,8 +116,9 @@ def crs_text(crs: QgsCoordinateReferenceSystem) -> Optional[str]:
     return crs.authid() or crs.toWkt(QgsCoordinateReferenceSystem.WKT_PREFERRED)
 
 
-def _extent(algorithm: QgsProcessingAlgorithm, name: str, parameters: Mapping[str, Any],
-            context: QgsProcessingContext) -> dict[str, Any]:
+def _extent(
+    algorithm: QgsProcessingAlgorithm, name: str, parameters: Mapping[str, Any], context: QgsProcessingContext
+) -> dict[str, Any]:
     if is_empty(parameters.get(name)):
         return {name.lower(): None}
     box = algorithm.parameterAsExtent(parameters, name, context)
@@ -124,8 +127,12 @@ def _extent(algorithm: QgsProcessingAlgorithm, name: str, parameters: Mapping[st
     return {name.lower(): corners, f"{name.lower()}_crs": crs}
 
 
-def input_options(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingParameterDefinition,
-                  parameters: Mapping[str, Any], context: QgsProcessingContext) -> dict[str, Any]:
+def input_options(
+    algorithm: QgsProcessingAlgorithm,
+    definition: QgsProcessingParameterDefinition,
+    parameters: Mapping[str, Any],
+    context: QgsProcessingContext,
+) -> dict[str, Any]:
     """One input parameter as engine options: the parameter's name in lower case, and its value.
 
     Reads the project through the context: main thread only.
@@ -159,8 +166,12 @@ def input_options(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingPa
     return {name.lower(): value}
 
 
-def destination(algorithm: QgsProcessingAlgorithm, definition: QgsProcessingParameterDefinition,
-                parameters: Mapping[str, Any], context: QgsProcessingContext) -> str:
+def destination(
+    algorithm: QgsProcessingAlgorithm,
+    definition: QgsProcessingParameterDefinition,
+    parameters: Mapping[str, Any],
+    context: QgsProcessingContext,
+) -> str:
     """Where an output goes, as QGIS keeps it; "" for an output that is not wanted."""
     if definition.type() in ("rasterDestination", "vectorDestination"):
         return algorithm.parameterAsOutputLayer(parameters, definition.name(), context) or ""

@@ -100,7 +100,8 @@ def main(arguments: list[str]) -> int:
             return 2
         missing = MissingPackageError(
             f"The Python package '{error.name}' is not installed for {sys.executable} ({error}): "
-            "run scripts/setup in the plugin's folder, or the Environment report for the command that installs it.")
+            "run scripts/setup in the plugin's folder, or the Environment report for the command that installs it."
+        )
         lines.send(type="error", kind=type(missing).__name__, text=str(missing))
         return 1
     except Exception:

@@ -45,8 +45,12 @@ PACKAGES = (
     Package("lazrs", "lazrs", "", "compressed point clouds (LAZ)"),
 )
 
-GRIDS = (("us_nga_egm96_15.tif", "EGM96 geoid"), ("us_nga_egm08_25.tif", "EGM2008 geoid"),
-         ("egm96_15.gtx", "EGM96 geoid, older format"), ("egm08_25.gtx", "EGM2008 geoid, older format"))
+GRIDS = (
+    ("us_nga_egm96_15.tif", "EGM96 geoid"),
+    ("us_nga_egm08_25.tif", "EGM2008 geoid"),
+    ("egm96_15.gtx", "EGM96 geoid, older format"),
+    ("egm08_25.gtx", "EGM2008 geoid, older format"),
+)
 
 
 def version_of(package: Package) -> Optional[str]:
@@ -96,8 +100,14 @@ def _is_root() -> bool:
 def _ask(code: str) -> str:
     """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure."""
     try:
-        done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
-                              stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=_ASK_SECONDS, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=_ASK_SECONDS,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.decode("utf-8", "replace").strip() if done.returncode == 0 else ""
@@ -138,15 +148,19 @@ print(json.dumps(found))
 def gpus() -> list[Gpu]:
     """The CUDA devices that answer here; none where there is no driver, whatever the reason."""
     try:
-        return [Gpu(int(index), str(name), int(total), int(free))
-                for index, name, total, free in json.loads(_ask(_DRIVER) or "[]")]
+        return [
+            Gpu(int(index), str(name), int(total), int(free))
+            for index, name, total, free in json.loads(_ask(_DRIVER) or "[]")
+        ]
     except (ValueError, TypeError):
         return []
 
 
 def _built_with_cuda() -> bool:
-    return importlib.util.find_spec("pycolmap") is not None and \
-        _ask("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
+    return (
+        importlib.util.find_spec("pycolmap") is not None
+        and _ask("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
+    )
 
 
 def cuda() -> dict[str, Any]:
@@ -156,8 +170,12 @@ def cuda() -> dict[str, Any]:
     it is not usable, else "".
     """
     built, devices = _built_with_cuda(), [str(gpu) for gpu in gpus()]
-    return {"built": built, "devices": devices, "usable": bool(built and devices),
-            "remedy": cuda_remedy(built, bool(devices))}
+    return {
+        "built": built,
+        "devices": devices,
+        "usable": bool(built and devices),
+        "remedy": cuda_remedy(built, bool(devices)),
+    }
 
 
 def cuda_remedy(built: bool, device: bool) -> str:
@@ -205,17 +223,31 @@ def proj() -> dict[str, Any]:
     folders = [pyproj.datadir.get_data_dir(), pyproj.datadir.get_user_data_dir()]
     folders = [folder for entry in folders for folder in entry.split(os.pathsep) if folder]
     grids = {name: any(os.path.exists(os.path.join(folder, name)) for folder in folders) for name, _ in GRIDS}
-    return {"version": pyproj.proj_version_str, "folders": folders, "grids": grids,
-            "network": bool(pyproj.network.is_network_enabled())}
+    return {
+        "version": pyproj.proj_version_str,
+        "folders": folders,
+        "grids": grids,
+        "network": bool(pyproj.network.is_network_enabled()),
+    }
 
 
 def survey(folder: str = ".") -> dict[str, Any]:
     """Everything above as one JSON-able object; ``folder`` is where free disk space is asked for."""
     versions = {package.distribution: version_of(package) for package in PACKAGES}
-    missing = [{"package": package.distribution, "purpose": package.purpose, "command": install_command(package)}
-               for package in PACKAGES if versions[package.distribution] is None]
+    missing = [
+        {"package": package.distribution, "purpose": package.purpose, "command": install_command(package)}
+        for package in PACKAGES
+        if versions[package.distribution] is None
+    ]
     return {
-        "python": platform.python_version(), "interpreter": sys.executable, "platform": platform.platform(),
-        "versions": versions, "missing": missing, "cuda": cuda(), "memory": memory(), "cores": cores(),
-        "disk_free_bytes": shutil.disk_usage(folder).free, "proj": proj() if versions["pyproj"] else None,
+        "python": platform.python_version(),
+        "interpreter": sys.executable,
+        "platform": platform.platform(),
+        "versions": versions,
+        "missing": missing,
+        "cuda": cuda(),
+        "memory": memory(),
+        "cores": cores(),
+        "disk_free_bytes": shutil.disk_usage(folder).free,
+        "proj": proj() if versions["pyproj"] else None,
     }

@@ -12,7 +12,7 @@ from .errors import OptionError
 from .parallel import cores
 from .progress import Progress
 
-_SHARE = 0.75               # of what is free, where no budget is given
+_SHARE = 0.75  # of what is free, where no budget is given
 _CGROUP = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")
 _MIB = 1024.0 * 1024.0
 
@@ -57,8 +57,9 @@ def _container_mib() -> Optional[float]:
 def _windows_mib() -> Optional[float]:
     class Status(ctypes.Structure):
         _fields_ = [("length", ctypes.c_ulong), ("load", ctypes.c_ulong)] + [
-            (name, ctypes.c_ulonglong) for name in ("total", "free", "page", "page_free", "virtual", "virtual_free",
-                                                    "extended")]
+            (name, ctypes.c_ulonglong)
+            for name in ("total", "free", "page", "page_free", "virtual", "virtual_free", "extended")
+        ]
 
     status = Status()
     status.length = ctypes.sizeof(Status)
@@ -86,20 +87,28 @@ def workers_within(workers: int, each_mib: float, budget_mib: int, tile_px: int,
     if each_mib > budget:
         remedy = f"TILE_SIZE of {largest_tile(tile_px, each_mib, budget)} px or less"
         if budget_mib:
-            raise OptionError("MEMORY", budget_mib, f"is less than the {each_mib:.0f} MiB that one tile of {tile_px} "
-                              f"px takes; allow more, or choose a {remedy}")
-        progress.warn(f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and only {free:.0f} MiB are free: if memory "
-                      f"runs out, choose a {remedy}.")
+            raise OptionError(
+                "MEMORY",
+                budget_mib,
+                f"is less than the {each_mib:.0f} MiB that one tile of {tile_px} "
+                f"px takes; allow more, or choose a {remedy}",
+            )
+        progress.warn(
+            f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and only {free:.0f} MiB are free: if memory "
+            f"runs out, choose a {remedy}."
+        )
         return 1
     fitting = int(budget // each_mib)
     if fitting < wanted:
-        progress.info(f"{fitting} instead of {wanted} workers: each takes up to {each_mib:.0f} MiB, and "
-                      f"{budget:.0f} MiB are allowed.")
+        progress.info(
+            f"{fitting} instead of {wanted} workers: each takes up to {each_mib:.0f} MiB, and "
+            f"{budget:.0f} MiB are allowed."
+        )
     return min(wanted, fitting)
 
 
-_PROCESS_MIB = 125.0        # a worker with its libraries, before it does anything
-_BYTES_PER_PX = 115.0       # of the rectified tile
+_PROCESS_MIB = 125.0  # a worker with its libraries, before it does anything
+_BYTES_PER_PX = 115.0  # of the rectified tile
 _BYTES_PER_STRIP_PX = 16.0  # of the second image's strip that only far disparities reach
 
 
@@ -111,7 +120,7 @@ def matching_mib(width: float, height: float, disparities: float) -> float:
     return _PROCESS_MIB + (_BYTES_PER_PX * width * height + _BYTES_PER_STRIP_PX * disparities * height) / _MIB
 
 
-_PART_CELLS = 536 ** 2      # that are fused at once, with their margin (dsm/fusion.py)
+_PART_CELLS = 536**2  # that are fused at once, with their margin (dsm/fusion.py)
 
 
 def fusing_mib(pixels: Sequence[int], cells: int) -> float:
@@ -127,4 +136,4 @@ def fusing_mib(pixels: Sequence[int], cells: int) -> float:
 def largest_tile(tile_px: int, each_mib: float, budget_mib: float) -> int:
     """The side of the largest tile that fits, px, in whole tens; not less than the smallest that can be set."""
     room = max(budget_mib - _PROCESS_MIB, 0.0) / max(each_mib - _PROCESS_MIB, 1.0)
-    return max(256, int(0.95 * tile_px * room ** 0.5) // 10 * 10)
+    return max(256, int(0.95 * tile_px * room**0.5) // 10 * 10)

@@ -63,8 +63,9 @@ class Options:
         known = {field.name for field in dataclasses.fields(cls)}
         for name in values:
             if name not in known:
-                raise OptionError(name, values[name],
-                                  f"is not an option of this stage; known are {', '.join(sorted(known))}")
+                raise OptionError(
+                    name, values[name], f"is not an option of this stage; known are {', '.join(sorted(known))}"
+                )
         return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
     def to_json(self) -> dict[str, Any]:
@@ -110,8 +111,11 @@ class EpmFitOptions(Options):
             if isinstance(files, str) or not all(isinstance(i, str) for i in files):
                 raise OptionError(name, files, f"must be a list of {kind}")
             if files and len(files) != len(self.images):
-                raise OptionError(name, list(files), f"must be empty, or name {len(self.images)} files: one for each "
-                                  "of IMAGES, in their order")
+                raise OptionError(
+                    name,
+                    list(files),
+                    f"must be empty, or name {len(self.images)} files: one for each of IMAGES, in their order",
+                )
         _given("WORKSPACE", self.workspace)
         if self.extent is not None:
             if len(self.extent) != 4 or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in self.extent):
@@ -122,8 +126,9 @@ class EpmFitOptions(Options):
             if getattr(self, name) is not None:
                 _within(name.upper(), getattr(self, name), -12000, 10000, "m")
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
-            raise OptionError("ALTITUDE_MIN", self.altitude_min,
-                              f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)")
+            raise OptionError(
+                "ALTITUDE_MIN", self.altitude_min, f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)"
+            )
         if self.tile_size != 0:
             _within("TILE_SIZE", self.tile_size, 256, 20000, "px, or be 0 for automatic")
         _within("ERROR_BUDGET", self.error_budget, 0.001, 100, "px")
@@ -242,11 +247,16 @@ class ReconstructOptions(Options):
         _one_of("POINTING", self.pointing, POINTINGS)
         _one_of("ADJUSTMENT", self.adjustment, ADJUSTMENTS)
         if self.adjustment == "colmap" and self.pointing == "affine":
-            raise OptionError("POINTING", self.pointing, "must be auto or shift where ADJUSTMENT is colmap, which "
-                              "moves principal points only; choose rpc for affine corrections")
+            raise OptionError(
+                "POINTING",
+                self.pointing,
+                "must be auto or shift where ADJUSTMENT is colmap, which "
+                "moves principal points only; choose rpc for affine corrections",
+            )
         if self.adjustment == "colmap" and self.gcps:
-            raise OptionError("ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is "
-                              "relative")
+            raise OptionError(
+                "ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is relative"
+            )
         _within("WORKERS", self.workers, 0, 1024)
         _within("MEMORY", self.memory, 0, 1 << 24, "MiB")
 
@@ -351,11 +361,31 @@ class PipelineOptions(Options):
         # The stages' own options check everything else; building them here makes a wrong value fail at once.
         self.fit_options()
         RefineOptions("-", "-", self.model, order=self.order)
-        ReconstructOptions("-", "-", self.backend, self.gcps, self.gcp_datum, self.pointing, workers=self.workers,
-                           adjustment=self.adjustment, memory=self.memory, window_radius=self.window_radius,
-                           gpu_memory=self.gpu_memory)
-        DsmFuseOptions("-", self.output, self.resolution, self.crs, self.method, self.fill, self.outlier_radius,
-                       cloud=self.cloud, mesh=self.mesh, mesh_vertices=self.mesh_vertices)
+        ReconstructOptions(
+            "-",
+            "-",
+            self.backend,
+            self.gcps,
+            self.gcp_datum,
+            self.pointing,
+            workers=self.workers,
+            adjustment=self.adjustment,
+            memory=self.memory,
+            window_radius=self.window_radius,
+            gpu_memory=self.gpu_memory,
+        )
+        DsmFuseOptions(
+            "-",
+            self.output,
+            self.resolution,
+            self.crs,
+            self.method,
+            self.fill,
+            self.outlier_radius,
+            cloud=self.cloud,
+            mesh=self.mesh,
+            mesh_vertices=self.mesh_vertices,
+        )
 
     def fit_options(self) -> EpmFitOptions:
         """This run's first stage; its CRS is that of the DSM."""

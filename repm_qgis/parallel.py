@@ -17,7 +17,7 @@ from .progress import Progress
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3   # of glibc's mallopt (malloc.h)
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's mallopt (malloc.h)
 _POLL_S = 0.3
 _FEW = 3
 """Up to so many tasks a pool costs more than it gives: the task's own threads use the cores instead."""
@@ -28,8 +28,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_tasks(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int, progress: Progress,
-              describe: Callable[[Any], str]) -> List[Any]:
+def run_tasks(
+    function: Callable[[Any], Any],
+    tasks: Sequence[Any],
+    workers: int,
+    progress: Progress,
+    describe: Callable[[Any], str],
+) -> List[Any]:
     """``[function(task) for task in tasks]``, in worker processes where that pays.
 
     ``function`` and tasks must be picklable, ``workers`` 0 means one a core. Progress moves with every finished
@@ -125,8 +130,14 @@ def kept_workers() -> Iterator[_Pool]:
             _stop_server()
 
 
-def _in_pool(pool: _Pool, function: Callable[[Any], Any], tasks: Sequence[Any], workers: int, progress: Progress,
-             describe: Callable[[Any], str]) -> List[Any]:
+def _in_pool(
+    pool: _Pool,
+    function: Callable[[Any], Any],
+    tasks: Sequence[Any],
+    workers: int,
+    progress: Progress,
+    describe: Callable[[Any], str],
+) -> List[Any]:
     results: Dict[int, Any] = {}
     try:
         executor = pool.of(workers)
@@ -137,8 +148,10 @@ def _in_pool(pool: _Pool, function: Callable[[Any], Any], tasks: Sequence[Any], 
             progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
     except BrokenProcessPool as error:
         pool.close()
-        raise EmptyResultError(f"A worker process ended without an answer after {len(results)} of {len(tasks)} tasks: "
-                               "most likely memory ran out. Use fewer workers or a smaller TILE_SIZE.") from error
+        raise EmptyResultError(
+            f"A worker process ended without an answer after {len(results)} of {len(tasks)} tasks: "
+            "most likely memory ran out. Use fewer workers or a smaller TILE_SIZE."
+        ) from error
     except BaseException:
         pool.end()
         raise

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import __version__
+from .arrays import FloatArray
 from .errors import ImageError, RpcInvalidError, SceneError, SceneVersionError
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.frames import EnuFrame
@@ -25,8 +25,6 @@ from .geometry.refinement import SensorModel, Terrain, map_from_mapping
 from .imagery.acquisition import acquired, moment
 from .rpc import Rpc
 from .workspace import write_text
-
-FloatArray = NDArray[np.float64]
 
 SCHEMA = 1
 _MAX_SCENE_BYTES = 512 << 20
@@ -76,16 +74,33 @@ class View:
         return replace(self, pointing=np.asarray(pointing, dtype=np.float64))
 
     def to_mapping(self) -> Dict[str, Any]:
-        return {"name": self.name, "image": self.image, "band": self.band, "width": self.width,
-                "height": self.height, "gsd_m": self.gsd_m, "pointing": self.pointing.tolist(),
-                "acquired": self.acquired, "rpc": self.rpc.to_mapping(), "mask": self.mask}
+        return {
+            "name": self.name,
+            "image": self.image,
+            "band": self.band,
+            "width": self.width,
+            "height": self.height,
+            "gsd_m": self.gsd_m,
+            "pointing": self.pointing.tolist(),
+            "acquired": self.acquired,
+            "rpc": self.rpc.to_mapping(),
+            "mask": self.mask,
+        }
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> "View":
-        return cls(str(values["name"]), str(values["image"]), int(values["band"]), int(values["width"]),
-                   int(values["height"]), Rpc.from_mapping(values["rpc"]), float(values["gsd_m"]),
-                   np.array(values["pointing"], dtype=np.float64).reshape(2, 3), str(values.get("acquired") or ""),
-                   str(values.get("mask") or ""))
+        return cls(
+            str(values["name"]),
+            str(values["image"]),
+            int(values["band"]),
+            int(values["width"]),
+            int(values["height"]),
+            Rpc.from_mapping(values["rpc"]),
+            float(values["gsd_m"]),
+            np.array(values["pointing"], dtype=np.float64).reshape(2, 3),
+            str(values.get("acquired") or ""),
+            str(values.get("mask") or ""),
+        )
 
 
 @dataclass
@@ -99,21 +114,33 @@ class TileView:
     image: Optional[str] = None
 
     def to_mapping(self) -> Dict[str, Any]:
-        return {"window": list(self.window), "camera": self.camera.to_mapping(), "error": self.error.to_mapping(),
-                "refined": self.refined.to_mapping() if self.refined else None, "image": self.image}
+        return {
+            "window": list(self.window),
+            "camera": self.camera.to_mapping(),
+            "error": self.error.to_mapping(),
+            "refined": self.refined.to_mapping() if self.refined else None,
+            "image": self.image,
+        }
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], terrain: Callable[[], Terrain]) -> "TileView":
         return cls(
-            tuple(int(v) for v in values["window"]), PinholeCamera.from_mapping(values["camera"]),
+            tuple(int(v) for v in values["window"]),
+            PinholeCamera.from_mapping(values["camera"]),
             EquivalentError(**values["error"]),
-            _refined_from(values["refined"], terrain) if values.get("refined") else None, values.get("image"))
+            _refined_from(values["refined"], terrain) if values.get("refined") else None,
+            values.get("image"),
+        )
 
 
 def _refined_from(values: Mapping[str, Any], terrain: Callable[[], Terrain]) -> RefinedPinhole:
     camera = PinholeCamera.from_mapping(values["camera"])
-    return RefinedPinhole(camera, map_from_mapping(values["to_original"], camera, terrain),
-                          tuple(int(v) for v in values["size"]), EquivalentError(**values["error"]))
+    return RefinedPinhole(
+        camera,
+        map_from_mapping(values["to_original"], camera, terrain),
+        tuple(int(v) for v in values["size"]),
+        EquivalentError(**values["error"]),
+    )
 
 
 @dataclass
@@ -127,15 +154,26 @@ class Tile:
     heights: List[Dict[str, Any]] = field(default_factory=list)
 
     def to_mapping(self) -> Dict[str, Any]:
-        return {"id": self.id, "bounds": list(self.bounds), "altitudes": list(self.altitudes),
-                "views": {name: view.to_mapping() for name, view in self.views.items()}, "heights": self.heights}
+        return {
+            "id": self.id,
+            "bounds": list(self.bounds),
+            "altitudes": list(self.altitudes),
+            "views": {name: view.to_mapping() for name, view in self.views.items()},
+            "heights": self.heights,
+        }
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any], terrain: Callable[[str], Terrain]) -> "Tile":
-        return cls(str(values["id"]), tuple(map(float, values["bounds"])), tuple(map(float, values["altitudes"])),
-                   {str(name): TileView.from_mapping(view, lambda name=name: terrain(str(name)))
-                    for name, view in values["views"].items()},
-                   list(values.get("heights", [])))
+        return cls(
+            str(values["id"]),
+            tuple(map(float, values["bounds"])),
+            tuple(map(float, values["altitudes"])),
+            {
+                str(name): TileView.from_mapping(view, lambda name=name: terrain(str(name)))
+                for name, view in values["views"].items()
+            },
+            list(values.get("heights", [])),
+        )
 
 
 @dataclass
@@ -199,8 +237,16 @@ class Scene:
     def record(self, stage: str, key: str, options: Mapping[str, Any], seconds: float, **facts: Any) -> None:
         """Add a finished stage to the history; an earlier record of the same stage gives way."""
         self.history = [entry for entry in self.history if entry["stage"] != stage]
-        self.history.append({"stage": stage, "fingerprint": key, "engine": __version__,
-                             "seconds": round(seconds, 3), "options": dict(options), **facts})
+        self.history.append(
+            {
+                "stage": stage,
+                "fingerprint": key,
+                "engine": __version__,
+                "seconds": round(seconds, 3),
+                "options": dict(options),
+                **facts,
+            }
+        )
 
     def facts(self, stage: str) -> Dict[str, Any]:
         """The record of a finished stage; empty where it has not been run."""
@@ -210,11 +256,19 @@ class Scene:
         """Write the scene, whole or not at all; its products are looked for beside the new place from now on."""
         self.path = Path(path)
         document = {
-            "format": "repm-scene", "schema": SCHEMA, "engine": __version__,
-            "frame": self.frame.to_mapping(), "crs": self.crs, "area": self.area, "altitudes": list(self.altitudes),
-            "refinement": self.refinement, "order": self.order, "surface": self.surface,
+            "format": "repm-scene",
+            "schema": SCHEMA,
+            "engine": __version__,
+            "frame": self.frame.to_mapping(),
+            "crs": self.crs,
+            "area": self.area,
+            "altitudes": list(self.altitudes),
+            "refinement": self.refinement,
+            "order": self.order,
+            "surface": self.surface,
             "views": [view.to_mapping() for view in self.views],
-            "tiles": [tile.to_mapping() for tile in self.tiles], "history": self.history,
+            "tiles": [tile.to_mapping() for tile in self.tiles],
+            "history": self.history,
         }
         return write_text(str(path), json.dumps(document, indent=1, allow_nan=False))
 
@@ -228,17 +282,28 @@ class Scene:
         document = _document(path)
         try:
             scene = cls(
-                [View.from_mapping(view) for view in document["views"]], EnuFrame.from_mapping(document["frame"]),
-                str(document["crs"]), str(document["area"]), tuple(map(float, document["altitudes"])), [],
-                str(document["refinement"]), int(document["order"]), str(document["surface"]),
-                list(document["history"]), Path(path))
+                [View.from_mapping(view) for view in document["views"]],
+                EnuFrame.from_mapping(document["frame"]),
+                str(document["crs"]),
+                str(document["area"]),
+                tuple(map(float, document["altitudes"])),
+                [],
+                str(document["refinement"]),
+                int(document["order"]),
+                str(document["surface"]),
+                list(document["history"]),
+                Path(path),
+            )
             # Stored refinements belong to the vendors' RPCs; pointing came later.
-            scene.tiles = [Tile.from_mapping(tile, lambda name: scene.terrain(scene.view(name).rpc))
-                           for tile in document["tiles"]]
+            scene.tiles = [
+                Tile.from_mapping(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]
+            ]
             return scene
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
-            raise SceneError(f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
-                             "'Fit equivalent pinhole cameras'.") from error
+            raise SceneError(
+                f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
+                "'Fit equivalent pinhole cameras'."
+            ) from error
 
 
 def _document(path: str) -> Dict[str, Any]:
@@ -249,18 +314,25 @@ def _document(path: str) -> Dict[str, Any]:
         with open(path, encoding="utf-8") as stream:
             document = json.load(stream)
     except OSError as error:
-        raise SceneError(f"Cannot read the scene '{path}' ({error.strerror or error}): choose the scene.json that "
-                         "'Fit equivalent pinhole cameras' wrote.") from error
+        raise SceneError(
+            f"Cannot read the scene '{path}' ({error.strerror or error}): choose the scene.json that "
+            "'Fit equivalent pinhole cameras' wrote."
+        ) from error
     except (ValueError, RecursionError) as error:
-        raise SceneError(f"The scene '{path}' is not a JSON file ({error}): choose the scene.json that "
-                         "'Fit equivalent pinhole cameras' wrote.") from error
+        raise SceneError(
+            f"The scene '{path}' is not a JSON file ({error}): choose the scene.json that "
+            "'Fit equivalent pinhole cameras' wrote."
+        ) from error
     if not isinstance(document, dict) or document.get("format") != "repm-scene":
-        raise SceneError(f"'{path}' is not a REPM scene: choose the scene.json that 'Fit equivalent pinhole cameras' "
-                         "wrote.")
+        raise SceneError(
+            f"'{path}' is not a REPM scene: choose the scene.json that 'Fit equivalent pinhole cameras' wrote."
+        )
     schema = document.get("schema")
     if not isinstance(schema, int) or schema > SCHEMA:
-        raise SceneVersionError(f"The scene '{path}' has schema {schema}, this version of the plugin reads up to "
-                                f"{SCHEMA}: update the plugin, or make the scene anew.")
+        raise SceneVersionError(
+            f"The scene '{path}' has schema {schema}, this version of the plugin reads up to "
+            f"{SCHEMA}: update the plugin, or make the scene anew."
+        )
     return document
 
 
@@ -314,8 +386,19 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
         name = name_of(path)
         while name in taken:
             name = f"{name}_{len(views) + 1}"
-        views.append(View(name, os.path.abspath(path) if os.path.exists(path) else path, band, width, height, rpc,
-                          _gsd(path, rpc, width, height), acquired=when, mask=mask))
+        views.append(
+            View(
+                name,
+                os.path.abspath(path) if os.path.exists(path) else path,
+                band,
+                width,
+                height,
+                rpc,
+                _gsd(path, rpc, width, height),
+                acquired=when,
+                mask=mask,
+            )
+        )
     return views
 
 
@@ -324,12 +407,12 @@ def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:
     centre = np.array([[width / 2, height / 2]]) + np.array([[0, 0], [1, 0], [0, 1]])
     ground = rpc.localise(centre, rpc.height_off)
     if not np.isfinite(ground).all():
-        raise RpcInvalidError(f"The RPC of '{path}' does not see the image's centre (column {width / 2:g}, row "
-                              f"{height / 2:g}): is it another image's RPC, or that of the uncropped image?")
+        raise RpcInvalidError(
+            f"The RPC of '{path}' does not see the image's centre (column {width / 2:g}, row "
+            f"{height / 2:g}): is it another image's RPC, or that of the uncropped image?"
+        )
     enu = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
     gsd = math.sqrt(float(np.linalg.norm(enu[1] - enu[0]) * np.linalg.norm(enu[2] - enu[0])))
     if not 0.01 <= gsd <= 1000:
         raise RpcInvalidError(f"The RPC of '{path}' gives pixels of {gsd:g} m on the ground: no satellite's.")
     return gsd
-
-

@@ -15,8 +15,13 @@ _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": 
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 
 
-def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, type],
-                features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]]) -> str:
+def write_layer(
+    path: str,
+    crs: str,
+    geometry_type: int,
+    fields: Mapping[str, type],
+    features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]],
+) -> str:
     """Write a vector layer in the format of the file's extension (GeoPackage where it has none we know).
 
     Parameters
@@ -54,8 +59,15 @@ def _remove(folder: Path) -> None:
         folder.unlink()
 
 
-def _fill(driver: ogr.Driver, target: str, crs: str, geometry_type: int, fields: Mapping[str, type],
-          features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]], name: str) -> None:
+def _fill(
+    driver: ogr.Driver,
+    target: str,
+    crs: str,
+    geometry_type: int,
+    fields: Mapping[str, type],
+    features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]],
+    name: str,
+) -> None:
     source = driver.CreateDataSource(target)
     _see(source is not None)
     reference = osr.SpatialReference()

@@ -23,8 +23,10 @@ def ensure_folder(path: str) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise WorkspaceError(f"Cannot write into the folder '{path}' ({error.strerror or error}): choose another one, "
-                             "or change its permissions.") from error
+        raise WorkspaceError(
+            f"Cannot write into the folder '{path}' ({error.strerror or error}): choose another one, "
+            "or change its permissions."
+        ) from error
     return folder
 
 
@@ -100,8 +102,9 @@ def whole_folder(path: str) -> Iterator[Path]:
     except OSError as error:
         if isinstance(error, RepmError):
             raise
-        raise WorkspaceError(f"Cannot write the folder '{path}' ({error.strerror or error}): choose another "
-                             "place.") from error
+        raise WorkspaceError(
+            f"Cannot write the folder '{path}' ({error.strerror or error}): choose another place."
+        ) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -73,9 +73,11 @@ def translations(path: pathlib.Path) -> dict[tuple[str, str], str]:
         return inside.data if inside else ""
 
     document = minidom.parse(str(path))  # noqa: S318
-    return {(text(context, "name"), text(message, "source")): text(message, "translation")
-            for context in document.getElementsByTagName("context")
-            for message in context.getElementsByTagName("message")}
+    return {
+        (text(context, "name"), text(message, "source")): text(message, "translation")
+        for context in document.getElementsByTagName("context")
+        for message in context.getElementsByTagName("message")
+    }
 
 
 def write(path: pathlib.Path, language: str) -> tuple[int, int]:
@@ -87,12 +89,18 @@ def write(path: pathlib.Path, language: str) -> tuple[int, int]:
             word = done.get((context, text), "")
             count, translated = count + 1, translated + bool(word)
             mark = "" if word else ' type="unfinished"'
-            lines += ["    <message>", f"        <source>{escape(text)}</source>",
-                      f"        <translation{mark}>{escape(word)}</translation>", "    </message>"]
+            lines += [
+                "    <message>",
+                f"        <source>{escape(text)}</source>",
+                f"        <translation{mark}>{escape(word)}</translation>",
+                "    </message>",
+            ]
         lines += ["</context>"]
-    path.write_text('<?xml version="1.0" encoding="utf-8"?>\n<!DOCTYPE TS>\n'
-                    f'<TS version="2.1" language="{language}" sourcelanguage="en">\n' + "\n".join(lines) + "\n</TS>\n",
-                    encoding="utf-8")
+    path.write_text(
+        '<?xml version="1.0" encoding="utf-8"?>\n<!DOCTYPE TS>\n'
+        f'<TS version="2.1" language="{language}" sourcelanguage="en">\n' + "\n".join(lines) + "\n</TS>\n",
+        encoding="utf-8",
+    )
     return count, translated
 
 

@@ -30,18 +30,30 @@ Source = QgsProcessingModelChildParameterSource
 
 
 def _inputs() -> list:
-    images = QgsProcessingParameterMultipleLayers("IMAGES", "Satellite images with RPCs",
-                                                  QgsProcessing.SourceType.TypeRaster)
+    images = QgsProcessingParameterMultipleLayers(
+        "IMAGES", "Satellite images with RPCs", QgsProcessing.SourceType.TypeRaster
+    )
     images.setMinimumNumberInputs(2)
-    return [images, QgsProcessingParameterExtent("EXTENT", "Area (empty: all that two images see)", optional=True),
-            QgsProcessingParameterRasterLayer("DEM", "Coarse elevation model", optional=True),
-            QgsProcessingParameterNumber("RESOLUTION", "DSM resolution (m, 0: twice the ground sampling distance)",
-                                         QgsProcessingParameterNumber.Type.Double, 0.0, False, 0.0, 1000.0),
-            QgsProcessingParameterCrs("CRS", "CRS of the results (empty: the scene's UTM zone)", optional=True)]
+    return [
+        images,
+        QgsProcessingParameterExtent("EXTENT", "Area (empty: all that two images see)", optional=True),
+        QgsProcessingParameterRasterLayer("DEM", "Coarse elevation model", optional=True),
+        QgsProcessingParameterNumber(
+            "RESOLUTION",
+            "DSM resolution (m, 0: twice the ground sampling distance)",
+            QgsProcessingParameterNumber.Type.Double,
+            0.0,
+            False,
+            0.0,
+            1000.0,
+        ),
+        QgsProcessingParameterCrs("CRS", "CRS of the results (empty: the scene's UTM zone)", optional=True),
+    ]
 
 
-def _child(model: QgsProcessingModelAlgorithm, place: int, stage: str, title: str, parameters: tuple,
-           scene: str, outputs: dict) -> None:
+def _child(
+    model: QgsProcessingModelAlgorithm, place: int, stage: str, title: str, parameters: tuple, scene: str, outputs: dict
+) -> None:
     """Add a stage that takes model parameters of the same name, and the scene from "child.OUTPUT"."""
     child = QgsProcessingModelChildAlgorithm(f"repm:{stage}")
     child.setChildId(stage)
@@ -72,20 +84,52 @@ def stages_model() -> QgsProcessingModelAlgorithm:
         component = QgsProcessingModelParameter(parameter.name())
         component.setPosition(QPointF(100, 60 + 90 * place))
         model.addModelParameter(parameter, component)
-    _child(model, 0, "epmfit", "Fit equivalent pinhole cameras", ("IMAGES", "EXTENT", "DEM"), "",
-           {"TILES": ("TILES", "Tiles"), "WORKSPACE": ("WORKSPACE", "Workspace"), "REPORT": ("REPORT", "Report")})
-    _child(model, 1, "errormap", "Map the equivalent error", (), "epmfit.SCENE",
-           {"OUTPUT": ("ERROR_MAP", "Equivalent error")})
+    _child(
+        model,
+        0,
+        "epmfit",
+        "Fit equivalent pinhole cameras",
+        ("IMAGES", "EXTENT", "DEM"),
+        "",
+        {"TILES": ("TILES", "Tiles"), "WORKSPACE": ("WORKSPACE", "Workspace"), "REPORT": ("REPORT", "Report")},
+    )
+    _child(
+        model,
+        1,
+        "errormap",
+        "Map the equivalent error",
+        (),
+        "epmfit.SCENE",
+        {"OUTPUT": ("ERROR_MAP", "Equivalent error")},
+    )
     _child(model, 2, "refine", "Refine the images", (), "epmfit.SCENE", {})
-    _child(model, 3, "reconstruct", "Reconstruct heights", (), "refine.OUTPUT_SCENE",
-           {"TIE_POINTS": ("TIE_POINTS", "Tie points")})
-    _child(model, 4, "dsmfuse", "Fuse heights into a DSM", ("RESOLUTION", "CRS"), "reconstruct.OUTPUT_SCENE",
-           {"OUTPUT": ("DSM", "DSM")})
-    model.setHelpContent({
-        "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart: open it in the "
-                    "graphical modeler to change a stage, or to add one of your own.",
-        "ALG_CREATOR": "The REPM plugin's maintainers", "ALG_VERSION": "0.1.0",
-        "SHORT_DESCRIPTION": "Make a DSM stage by stage (model)"})
+    _child(
+        model,
+        3,
+        "reconstruct",
+        "Reconstruct heights",
+        (),
+        "refine.OUTPUT_SCENE",
+        {"TIE_POINTS": ("TIE_POINTS", "Tie points")},
+    )
+    _child(
+        model,
+        4,
+        "dsmfuse",
+        "Fuse heights into a DSM",
+        ("RESOLUTION", "CRS"),
+        "reconstruct.OUTPUT_SCENE",
+        {"OUTPUT": ("DSM", "DSM")},
+    )
+    model.setHelpContent(
+        {
+            "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart: open it in the "
+            "graphical modeler to change a stage, or to add one of your own.",
+            "ALG_CREATOR": "The REPM plugin's maintainers",
+            "ALG_VERSION": "0.1.0",
+            "SHORT_DESCRIPTION": "Make a DSM stage by stage (model)",
+        }
+    )
     return model
 
 
@@ -97,8 +141,9 @@ def main() -> int:
     import importlib.util
 
     root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    spec = importlib.util.spec_from_file_location("repm", os.path.join(root, "__init__.py"),
-                                                  submodule_search_locations=[root])
+    spec = importlib.util.spec_from_file_location(
+        "repm", os.path.join(root, "__init__.py"), submodule_search_locations=[root]
+    )
     package = importlib.util.module_from_spec(spec)
     sys.modules["repm"] = package
     spec.loader.exec_module(package)

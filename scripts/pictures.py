@@ -21,8 +21,13 @@ ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 FOLDER = os.path.join(ROOT, "docs", "pictures")
 DEMO = os.path.join(ROOT, "demo")
 SHARED = os.path.join(os.path.dirname(ROOT), "shared", "data")
-SHOWN = {"pipeline_toolbox.png": "toolbox.png", "pipeline_dialog.png": "dialog.png", "pipeline_log.png": "log.png",
-         "pipeline_map.png": "map.png", "errormap_map.png": "error_map.png"}
+SHOWN = {
+    "pipeline_toolbox.png": "toolbox.png",
+    "pipeline_dialog.png": "dialog.png",
+    "pipeline_log.png": "log.png",
+    "pipeline_map.png": "map.png",
+    "errormap_map.png": "error_map.png",
+}
 MAX_BYTES = 390_000
 sys.path.insert(0, ROOT)
 
@@ -72,10 +77,23 @@ def real(data: str, folder: str) -> str:
     made = os.path.join(folder, data)
     os.makedirs(made)
     names = sorted(name for name in os.listdir(images) if name.startswith("img_") and name.endswith(".tif"))
-    subprocess.run([os.path.join(ROOT, "scripts", "qgis-headless"), "run", "repm:pipeline", "--",
-                    *(f"IMAGES={images}/{name}" for name in names), "RESOLUTION=0.5", f"OUTPUT={made}/dsm.tif",
-                    f"CONFIDENCE={made}/confidence.tif", f"WORKSPACE={made}", f"REPORT={made}/report.html"], check=True,
-                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [
+            os.path.join(ROOT, "scripts", "qgis-headless"),
+            "run",
+            "repm:pipeline",
+            "--",
+            *(f"IMAGES={images}/{name}" for name in names),
+            "RESOLUTION=0.5",
+            f"OUTPUT={made}/dsm.tif",
+            f"CONFIDENCE={made}/confidence.tif",
+            f"WORKSPACE={made}",
+            f"REPORT={made}/report.html",
+        ],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     return made
 
 
@@ -89,18 +107,47 @@ def report(source: str, name: str, height: int, folder: str) -> None:
     with open(os.path.join(source, "report.html"), encoding="utf-8") as text, open(page, "w", encoding="utf-8") as copy:
         # The picture is to show no folder of this machine.
         copy.write(text.read().replace(source + os.sep, "").replace(SHARED + os.sep, ""))
-    subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-                    "--disable-component-update", "--disable-sync", "--no-first-run", "--hide-scrollbars",
-                    f"--user-data-dir={folder}/browser", f"--window-size=1000,{height}", f"--screenshot={path}",
-                    f"file://{page}"], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-first-run",
+            "--hide-scrollbars",
+            f"--user-data-dir={folder}/browser",
+            f"--window-size=1000,{height}",
+            f"--screenshot={path}",
+            f"file://{page}",
+        ],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     keep(path, name)
 
 
 def desktop(folder: str) -> None:
-    done = subprocess.run([sys.executable, "-m", "pytest", "-p", "no:pytest_qgis", "-q", f"--basetemp={folder}/work",
-                           "tests/qgis/test_desktop.py"],
-                          cwd=ROOT, env={**os.environ, "REPM_KEEP_PICTURES": folder}, stdout=subprocess.PIPE, text=True,
-                          check=False)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "no:pytest_qgis",
+            "-q",
+            f"--basetemp={folder}/work",
+            "tests/qgis/test_desktop.py",
+        ],
+        cwd=ROOT,
+        env={**os.environ, "REPM_KEEP_PICTURES": folder},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
     if done.returncode:
         say(f"  the desktop's pictures are left as they are: {done.stdout.splitlines()[-1]}")
         return

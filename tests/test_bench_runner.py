@@ -75,9 +75,11 @@ def test_a_program_that_fails_or_leaves_nothing_is_no_end(program, tmp_path):
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="no /proc here")
 def test_the_whole_process_tree_counts(tmp_path):
     child = "import time; block = bytearray(b'x') * (120 << 20); time.sleep(1.0)"
-    script = ("import subprocess, sys; "
-              f"children = [subprocess.Popen([sys.executable, '-c', {child!r}]) for _ in range(2)]; "
-              "[c.wait() for c in children]; print('done')")
+    script = (
+        "import subprocess, sys; "
+        f"children = [subprocess.Popen([sys.executable, '-c', {child!r}]) for _ in range(2)]; "
+        "[c.wait() for c in children]; print('done')"
+    )
     said, cost = measured([sys.executable, "-c", script])
     assert said == "done\n" and 0.23 < cost.peak_gib < 0.4 and cost.wall_s > 1 and cost.cpu_s < cost.wall_s + 5
 

@@ -16,23 +16,22 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..mvs.occlusions import STEP_PX
-
-FloatArray = NDArray[np.floating]
+from ..arrays import Floats
+from ..matching.occlusions import STEP_PX
 
 REACH_CELLS = 12
 """How far off the agreed surface is looked for: the margin that a part of a tile needs."""
 
-_SIGMA_PX = 0.2             # what matching leaves, px of disparity (make bench-subpixel: 0.12 narrow, 0.25 wide pairs)
-_TOLERANCE = 2.5            # of these: so far may heights differ that mean the same surface
-_WEIGHT_POWER = 0.5         # weights are metres_per_px ** -0.5: between equal ones and the noise of disparities alone
-_COMPANY = 3                # of the eight cells around, in the same map
-_SLOPE = 1.9                # times as far may neighbours in a map differ: surfaces slope
-_LEAST_AGREED = 500         # cells: fewer do not tell how scores are distributed
+_SIGMA_PX = 0.2  # what matching leaves, px of disparity (make bench-subpixel: 0.12 narrow, 0.25 wide pairs)
+_TOLERANCE = 2.5  # of these: so far may heights differ that mean the same surface
+_WEIGHT_POWER = 0.5  # weights are metres_per_px ** -0.5: between equal ones and the noise of disparities alone
+_COMPANY = 3  # of the eight cells around, in the same map
+_SLOPE = 1.9  # times as far may neighbours in a map differ: surfaces slope
+_LEAST_AGREED = 500  # cells: fewer do not tell how scores are distributed
 _RANK_ALONE, _RANK_OUTVOTED, _RANK_ISOLATED = 0.03, 0.05, 0.1
-_CONFIRMED = 0.45           # of backgrounds: fewer, and gaps here are failures rather than occlusions
-_AROUND = 2                 # of eight directions in which the agreed surface has a background's height
-_SHARE = 0.2                # of the usual number of neighbours that a cell needs
+_CONFIRMED = 0.45  # of backgrounds: fewer, and gaps here are failures rather than occlusions
+_AROUND = 2  # of eight directions in which the agreed surface has a background's height
+_SHARE = 0.2  # of the usual number of neighbours that a cell needs
 _DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))
 
 
@@ -42,9 +41,9 @@ class Layer:
     where an occlusion hides the cell, the height that one px of disparity means; which cells matched points cover by
     less than half, and which the background's (None: none)."""
 
-    height: FloatArray
-    score: FloatArray
-    background: FloatArray
+    height: Floats
+    score: Floats
+    background: Floats
     metres_per_px: float
     partial: Optional[NDArray[np.bool_]] = None
     partial_background: Optional[NDArray[np.bool_]] = None
@@ -55,10 +54,10 @@ class Aggregate:
     """Fused cells, all of one shape: ``height`` (m, NaN = none), ``count`` of height maps that agree, ``spread`` (m)
     between them (NaN for one alone), mean matching ``score``, and which cells are ``filled`` from the background."""
 
-    height: FloatArray
+    height: Floats
     count: NDArray[np.uint8]
-    spread: FloatArray
-    score: FloatArray
+    spread: Floats
+    score: Floats
     filled: NDArray[np.bool_]
 
 
@@ -81,12 +80,11 @@ def aggregate(layers: Sequence[Layer], method: str) -> Aggregate:
     return _Votes(heights, scores, backgrounds, metres).decided(method)
 
 
-def _drop_outdone(layers: Sequence[Layer], heights: FloatArray, backgrounds: Optional[FloatArray] = None) -> None:
+def _drop_outdone(layers: Sequence[Layer], heights: Floats, backgrounds: Optional[Floats] = None) -> None:
     """Set heights NaN that stand for a part of their cell only, where another map or a background covers the cell."""
     covered = np.zeros(heights.shape[1:], dtype=bool)
     for number, layer in enumerate(layers):
-        values, partial = ((heights, layer.partial) if backgrounds is None else
-                           (backgrounds, layer.partial_background))
+        values, partial = (heights, layer.partial) if backgrounds is None else (backgrounds, layer.partial_background)
         covered |= np.isfinite(values[number]) if partial is None else np.isfinite(values[number]) & ~partial
     for layer, height in zip(layers, heights):
         if layer.partial is not None:
@@ -96,14 +94,14 @@ def _drop_outdone(layers: Sequence[Layer], heights: FloatArray, backgrounds: Opt
 class _Votes:
     """The maps' heights of all cells, (maps, H, W), and what most cells say of the maps."""
 
-    def __init__(self, heights: FloatArray, scores: FloatArray, backgrounds: FloatArray, metres: FloatArray) -> None:
+    def __init__(self, heights: Floats, scores: Floats, backgrounds: Floats, metres: Floats) -> None:
         self.heights, self.scores, self.backgrounds = heights, np.nan_to_num(scores), backgrounds
         self.matched, self.sigma = np.isfinite(heights), (_SIGMA_PX * metres).astype(np.float32)
-        self.weights = (metres ** -_WEIGHT_POWER).astype(np.float32)
+        self.weights = (metres**-_WEIGHT_POWER).astype(np.float32)
         self.mean, self.count = self._mean(self.matched), self.matched.sum(axis=0, dtype=np.uint8)
         self.agreed = (self.count >= 2) & self._within(self.mean)
 
-    def _mean(self, members: NDArray[np.bool_]) -> FloatArray:
+    def _mean(self, members: NDArray[np.bool_]) -> Floats:
         total = np.zeros(members.shape[1:], np.float32)
         value = np.zeros(members.shape[1:], np.float32)
         for height, member, weight in zip(self.heights, members, self.weights):
@@ -112,7 +110,7 @@ class _Votes:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(total > 0, value / total, np.float32(np.nan))
 
-    def _within(self, centre: FloatArray) -> NDArray[np.bool_]:
+    def _within(self, centre: Floats) -> NDArray[np.bool_]:
         """Whether all maps' matched heights mean the same surface as the centre."""
         result = np.ones(centre.shape, dtype=bool)
         for height, matched, sigma in zip(self.heights, self.matched, self.sigma):
@@ -125,8 +123,9 @@ class _Votes:
         members = self.matched.copy()
         single = (self.count == 1) & ~np.isfinite(self.backgrounds).any(axis=0)
         height = np.where(self.agreed | single, self.mean, np.float32(np.nan))
-        contended = np.flatnonzero(~(self.agreed | single) & (
-            (self.count > 0) | np.isfinite(self.backgrounds).any(axis=0)))
+        contended = np.flatnonzero(
+            ~(self.agreed | single) & ((self.count > 0) | np.isfinite(self.backgrounds).any(axis=0))
+        )
         filled = np.zeros(height.shape, dtype=bool)
         if contended.size:
             chosen, values, from_behind = self._contended(contended)
@@ -138,7 +137,7 @@ class _Votes:
             height[several] = _weighted_median(self.heights[:, several], self.weights[:, None] * members[:, several])
         return self._described(height, members, filled)
 
-    def _described(self, height: FloatArray, members: NDArray[np.bool_], filled: NDArray[np.bool_]) -> Aggregate:
+    def _described(self, height: Floats, members: NDArray[np.bool_], filled: NDArray[np.bool_]) -> Aggregate:
         weight = self.weights[:, None, None] * members
         total = weight.sum(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -152,14 +151,15 @@ class _Votes:
             spread = np.where(count > 1, np.sqrt(variance), spread)
         return Aggregate(height, count, spread, score, filled)
 
-    def _contended(self, cells: NDArray[np.int64]) -> Tuple[NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
+    def _contended(self, cells: NDArray[np.int64]) -> Tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
         """For (N,) cells: (maps, N) which matched heights count, the heights, and whether they are backgrounds."""
         count = len(self.heights)
         contradicted, confirmed = self._backgrounds_checked()
         matched = self.matched.reshape(count, -1)[:, cells] & self._coherent(cells)
         matched |= ~matched.any(axis=0) & self.matched.reshape(count, -1)[:, cells]
-        values = np.where(matched, self.heights.reshape(count, -1)[:, cells],
-                          self.backgrounds.reshape(count, -1)[:, cells])
+        values = np.where(
+            matched, self.heights.reshape(count, -1)[:, cells], self.backgrounds.reshape(count, -1)[:, cells]
+        )
         groups = self._groups(values, matched, self._ranks(cells))
         neighbours = self._neighbours(cells, np.where(self.agreed & ~contradicted, self.mean, np.float32(np.nan)))
         winner = _winner(groups, self._supported(groups.height, neighbours), confirmed)
@@ -183,7 +183,7 @@ class _Votes:
         wrong = int(contradicted.sum())
         return contradicted, said < _LEAST_AGREED or said - wrong >= _CONFIRMED * said
 
-    def _ranks(self, cells: NDArray[np.int64]) -> FloatArray:
+    def _ranks(self, cells: NDArray[np.int64]) -> Floats:
         """(maps, N) shares of the agreed cells whose score is no higher: comparable between scenes."""
         ranks = np.ones((len(self.scores), len(cells)), np.float32)
         for rank, score, matched in zip(ranks, self.scores, self.matched):
@@ -207,7 +207,7 @@ class _Votes:
             known[:] = company >= _COMPANY
         return result
 
-    def _groups(self, values: FloatArray, matched: NDArray[np.bool_], ranks: FloatArray) -> "_Groups":
+    def _groups(self, values: Floats, matched: NDArray[np.bool_], ranks: Floats) -> "_Groups":
         known = np.isfinite(values)
         shape = values.shape
         height, rank = np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32)
@@ -229,7 +229,7 @@ class _Votes:
         metres = np.where(members, (self.sigma / np.float32(_SIGMA_PX))[None, :, None], np.inf).min(axis=1)
         return _Groups(height, votes, support, rank, members, metres)
 
-    def _neighbours(self, cells: NDArray[np.int64], surface: FloatArray) -> List[FloatArray]:
+    def _neighbours(self, cells: NDArray[np.int64], surface: Floats) -> List[Floats]:
         """The nearest agreed height in each of eight directions, (N,) each; NaN where none is within reach."""
         rim = REACH_CELLS
         width = surface.shape[1] + 2 * rim
@@ -247,7 +247,7 @@ class _Votes:
             result.append(found)
         return result
 
-    def _supported(self, heights: FloatArray, neighbours: Sequence[FloatArray]) -> NDArray[np.int16]:
+    def _supported(self, heights: Floats, neighbours: Sequence[Floats]) -> NDArray[np.int16]:
         """In how many directions the agreed surface has a group's height."""
         tolerance = _TOLERANCE * math.sqrt(2) * float(self.sigma.min())
         result = np.zeros(heights.shape, np.int16)
@@ -263,12 +263,12 @@ class _Groups:
     ``votes`` of maps that were matched, ``support`` (backgrounds count half), best ``rank``, ``members``, and the
     ``metres`` of a px in the member with the finest."""
 
-    height: FloatArray
+    height: Floats
     votes: NDArray[np.int16]
-    support: FloatArray
-    rank: FloatArray
+    support: Floats
+    rank: Floats
     members: NDArray[np.bool_]
-    metres: FloatArray
+    metres: Floats
 
 
 def _winner(groups: _Groups, supported: NDArray[np.int16], confirmed: bool) -> NDArray[np.intp]:
@@ -300,7 +300,7 @@ def _unrivalled(groups: _Groups, most: NDArray[np.int16]) -> NDArray[np.bool_]:
         return alone | (step >= groups.metres) & (step < groups.metres[top, everyone])
 
 
-def _weighted_median(stack: FloatArray, weight: FloatArray) -> FloatArray:
+def _weighted_median(stack: Floats, weight: Floats) -> Floats:
     """Weighted median along the first axis: where the weights below and above balance, linear between.
 
     With two values that is their weighted mean, with equal weights the ordinary median.
@@ -331,7 +331,7 @@ def automatic_radius(cell: float, spacing: float = 0.0) -> float:
     return max(3.0 * max(cell, spacing), 1.5)
 
 
-def lonely(height: FloatArray, cell: float, radius: float) -> Tuple[NDArray[np.bool_], int]:
+def lonely(height: Floats, cell: float, radius: float) -> Tuple[NDArray[np.bool_], int]:
     """Cells with too few neighbours within ``radius`` metres: the radius outlier filter, on the grid.
 
     Neighbours count on a disc of that radius where they differ by no more than the radius in height: in a ball, a
@@ -340,13 +340,17 @@ def lonely(height: FloatArray, cell: float, radius: float) -> Tuple[NDArray[np.b
     the number of neighbours that was asked for.
     """
     reach = max(1, int(radius / cell))
-    offsets = [(dr, dc) for dr in range(-reach, reach + 1) for dc in range(-reach, reach + 1)
-               if (dr or dc) and math.hypot(dr, dc) * cell <= radius + 1e-9]
+    offsets = [
+        (dr, dc)
+        for dr in range(-reach, reach + 1)
+        for dc in range(-reach, reach + 1)
+        if (dr or dc) and math.hypot(dr, dc) * cell <= radius + 1e-9
+    ]
     neighbours = np.zeros(height.shape, dtype=np.uint16)
     padded = np.pad(height, reach, constant_values=np.nan)
     rows, columns = height.shape
     for dr, dc in offsets:
-        other = padded[reach + dr:reach + dr + rows, reach + dc:reach + dc + columns]
+        other = padded[reach + dr : reach + dr + rows, reach + dc : reach + dc + columns]
         with np.errstate(invalid="ignore"):
             neighbours += np.abs(other - height) <= radius
     known = np.isfinite(height)

@@ -15,30 +15,30 @@ import pyproj
 from numpy.typing import NDArray
 from osgeo import ogr
 
+from ..arrays import FloatArray
 from ..errors import EmptyResultError
 from ..geometry.tiles import enclosing, lay_tiles
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read, write
 from ..imagery.warping import sample_array, source_positions
-from ..mvs.backends import matcher_of
-from ..mvs.pairing import grown, rectified_pair
-from ..mvs.triangulation import pair_geometry
+from ..matching.backends import matcher_of
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
+from ..stereo.pairing import grown, rectified_pair
+from ..stereo.triangulation import pair_geometry
 from .grid import CellGrid, grid_points
 
-FloatArray = NDArray[np.float64]
 Bounds = Tuple[float, float, float, float]
 
 FACTOR = 8
-CELL_PX = 16                # a side of the surface's cells, fine px: two coarse ones
-_BLOCK_PX = 6400            # a side of what is matched at once: 800 coarse px
-_MORE = 0.15                # of the scene's altitude range searched beyond either end: its own margins may be short
+CELL_PX = 16  # a side of the surface's cells, fine px: two coarse ones
+_BLOCK_PX = 6400  # a side of what is matched at once: 800 coarse px
+_MORE = 0.15  # of the scene's altitude range searched beyond either end: its own margins may be short
 _LEAST_SCORE = 0.6
-_LEAST_SHARE = 0.25         # of a tile's cells must be known for its altitudes to be taken from there
-_TAIL = 0.2                 # percent of cells on either side that may be blunders
-_ROOM_CELLS = 1.25          # m of height a m of cell: what narrow valleys and ridges may lose, a px of disparity or so
+_LEAST_SHARE = 0.25  # of a tile's cells must be known for its altitudes to be taken from there
+_TAIL = 0.2  # percent of cells on either side that may be blunders
+_ROOM_CELLS = 1.25  # m of height a m of cell: what narrow valleys and ridges may lose, a px of disparity or so
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class CoarseSurface:
     def altitudes(self, bounds: Bounds) -> Optional[Tuple[float, float]]:
         """Between what heights the ground of a rectangle lies; None where too little of it is known."""
         col, row, width, height = self.grid.window(bounds, 1)
-        cells = self.height[row:row + height, col:col + width]
+        cells = self.height[row : row + height, col : col + width]
         known = cells[np.isfinite(cells)]
         if known.size < max(4, _LEAST_SHARE * cells.size):
             return None
@@ -73,12 +73,18 @@ class CoarseSurface:
 
     def write(self, path: str, crs: str) -> str:
         """As a GeoTIFF."""
-        return write(path, [self.height.astype(np.float32)], self.grid.geotransform,
-                     pyproj.CRS.from_user_input(crs).to_wkt(), unit="m")
+        return write(
+            path,
+            [self.height.astype(np.float32)],
+            self.grid.geotransform,
+            pyproj.CRS.from_user_input(crs).to_wkt(),
+            unit="m",
+        )
 
 
-def coarse_surface(scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[str, Stretch], workers: int,
-                   progress: Progress) -> CoarseSurface:
+def coarse_surface(
+    scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[str, Stretch], workers: int, progress: Progress
+) -> CoarseSurface:
     """Match all pairs over all of the scene at an eighth of the resolution, cell by cell the median of the pairs.
 
     By ``sgm``, whatever backend works on the fine level.
@@ -86,16 +92,20 @@ def coarse_surface(scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Di
     cell = CELL_PX * scene.gsd_m
     grid = CellGrid.covering(enclosing([tile.bounds for tile in scene.tiles]), cell)
     blocks = lay_tiles(ogr.CreateGeometryFromWkt(scene.area), _BLOCK_PX * scene.gsd_m)
-    tasks = [_Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), grid)
-             for block in blocks for first, second in pairs]
-    parts = run_tasks(_match_block, tasks, workers, progress, lambda task: f"coarse surface, {task.first} and "
-                      f"{task.second}")
+    tasks = [
+        _Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), grid)
+        for block in blocks
+        for first, second in pairs
+    ]
+    parts = run_tasks(
+        _match_block, tasks, workers, progress, lambda task: f"coarse surface, {task.first} and {task.second}"
+    )
     height = np.full(grid.shape, np.nan)
     for begin in range(0, len(tasks), len(pairs)):
-        found = [part for part in parts[begin:begin + len(pairs)] if part is not None]
+        found = [part for part in parts[begin : begin + len(pairs)] if part is not None]
         if found:
             col, row, width, rows = grid.window(tasks[begin].bounds)
-            height[row:row + rows, col:col + width] = _middle(np.stack(found))
+            height[row : row + rows, col : col + width] = _middle(np.stack(found))
     return CoarseSurface(grid, height)
 
 
@@ -152,5 +162,5 @@ def _without_blunders(cells: FloatArray) -> FloatArray:
     """Medians of 5 x 5 cells where enough of them are known, and nothing that lies alone."""
     padded = np.pad(cells, 2, constant_values=np.nan)
     rows, columns = cells.shape
-    stack = np.stack([padded[i:i + rows, j:j + columns] for i in range(5) for j in range(5)])
+    stack = np.stack([padded[i : i + rows, j : j + columns] for i in range(5) for j in range(5)])
     return np.where(np.isfinite(stack).sum(axis=0) >= 8, _middle(stack), np.nan)

@@ -23,19 +23,19 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
+from ..arrays import IntArray
 from ..errors import EmptyResultError, MissingPackageError, WorkspaceError
 from ..progress import Progress, Silent
 from ..workspace import whole_folder
 
-IntArray = NDArray[np.int64]
 Node = Tuple[int, int]
 """Depth, and the Morton code of the node's place among all of that depth."""
 
-SPAN = 128          # voxels a side of a node
+SPAN = 128  # voxels a side of a node
 _SPAN_BITS = 7
-_CODE_BITS = 21     # a side, of a Morton code of 63 bits: 14 levels of nodes
-_LEAF = 1 << 16     # points that a node keeps without thinning: files of some 300 kB, as Entwine's own
-_UNIT = 1 << 21     # points that are sorted in memory at once, with all below some node: about 200 MB
+_CODE_BITS = 21  # a side, of a Morton code of 63 bits: 14 levels of nodes
+_LEAF = 1 << 16  # points that a node keeps without thinning: files of some 300 kB, as Entwine's own
+_UNIT = 1 << 21  # points that are sorted in memory at once, with all below some node: about 200 MB
 _CHUNK = 1 << 20
 _RECORD = np.dtype([("xyz", "<i4", 3), ("intensity", "<u2")])
 _ENTRIES = ("ept.json", "ept.qml", "ept-data", "ept-hierarchy")
@@ -96,8 +96,11 @@ class _Statistics:
     def add(self, points: NDArray, cube: _Cube) -> None:
         """Sums are taken from the cube's corner: of whole coordinates they would lose the small differences."""
         for axis in range(4):
-            values = points["intensity"].astype(np.float64) if axis == 3 else \
-                (points["xyz"][:, axis] - cube.corner[axis]) * cube.scale
+            values = (
+                points["intensity"].astype(np.float64)
+                if axis == 3
+                else (points["xyz"][:, axis] - cube.corner[axis]) * cube.scale
+            )
             self.low[axis], self.high[axis] = min(self.low[axis], values.min()), max(self.high[axis], values.max())
             self.total[axis] += values.sum()
             self.squares[axis] += (values * values).sum()
@@ -109,12 +112,23 @@ class _Statistics:
         variance = np.maximum(self.squares / self.count - mean * mean, 0.0)
         dimensions = []
         for axis, name in enumerate(_DIMENSIONS):
-            kind: Dict[str, Any] = {"type": "unsigned", "size": 2} if name == "Intensity" else {
-                "type": "signed", "size": 4, "scale": cube.scale, "offset": float(cube.offset[axis])}
-            dimensions.append({
-                "name": name, **kind, "count": self.count, "minimum": round(corner[axis] + self.low[axis], 6),
-                "maximum": round(corner[axis] + self.high[axis], 6), "mean": round(corner[axis] + mean[axis], 6),
-                "stddev": round(float(np.sqrt(variance[axis])), 6), "variance": round(float(variance[axis]), 6)})
+            kind: Dict[str, Any] = (
+                {"type": "unsigned", "size": 2}
+                if name == "Intensity"
+                else {"type": "signed", "size": 4, "scale": cube.scale, "offset": float(cube.offset[axis])}
+            )
+            dimensions.append(
+                {
+                    "name": name,
+                    **kind,
+                    "count": self.count,
+                    "minimum": round(corner[axis] + self.low[axis], 6),
+                    "maximum": round(corner[axis] + self.high[axis], 6),
+                    "mean": round(corner[axis] + mean[axis], 6),
+                    "stddev": round(float(np.sqrt(variance[axis])), 6),
+                    "variance": round(float(variance[axis]), 6),
+                }
+            )
         return dimensions
 
 
@@ -133,8 +147,10 @@ def write_ept(cloud: str, folder: str, crs: str, progress: Optional[Progress] = 
         header = reader.header
         if not header.point_count:
             raise EmptyResultError(f"The cloud '{cloud}' has no points: there is nothing to write into '{folder}'.")
-        ends = [np.rint((np.asarray(end) - header.offsets) / header.scales).astype(np.int64)
-                for end in (header.mins, header.maxs)]
+        ends = [
+            np.rint((np.asarray(end) - header.offsets) / header.scales).astype(np.int64)
+            for end in (header.mins, header.maxs)
+        ]
         cube = _Cube.around(*ends, float(header.scales[0]), np.asarray(header.offsets, dtype=np.float64))
         with whole_folder(folder) as whole:
             tree = _Tree(cube, whole, progress)
@@ -148,8 +164,10 @@ def _laspy() -> Any:
     try:
         import laspy
     except ImportError as error:
-        raise MissingPackageError("Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
-                                  "folder, or leave EPT empty.") from error
+        raise MissingPackageError(
+            "Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
+            "folder, or leave EPT empty."
+        ) from error
     return laspy
 
 
@@ -160,8 +178,10 @@ def require_ept_place(path: str) -> None:
     if folder.is_dir():
         others = sorted({path.name for path in folder.iterdir()} - set(_ENTRIES))
     if others:
-        raise WorkspaceError(f"The folder '{folder}' holds '{others[0]}', which is of no EPT and would be lost: choose "
-                             "a new or empty folder for EPT.")
+        raise WorkspaceError(
+            f"The folder '{folder}' holds '{others[0]}', which is of no EPT and would be lost: choose "
+            "a new or empty folder for EPT."
+        )
 
 
 def _chunks(reader: Any) -> Iterator[NDArray]:
@@ -265,12 +285,20 @@ class _Tree:
         cube = self._cube
         counts = dict(sorted(self._hierarchy.items(), key=lambda item: tuple(map(int, item[0].split("-")))))
         _write_json(self._folder / "ept-hierarchy" / "0-0-0-0.json", counts)
-        _write_json(self._folder / "ept.json", {
-            "version": "1.0.0", "dataType": "laszip", "hierarchyType": "json", "span": SPAN,
-            "points": self._statistics.count, "bounds": cube.metres(cube.corner) + cube.metres(cube.corner
-                                                                                             + (1 << cube.bits)),
-            "boundsConforming": cube.metres(ends[0]) + cube.metres(ends[1]),
-            "schema": self._statistics.schema(cube), "srs": _srs(crs)})
+        _write_json(
+            self._folder / "ept.json",
+            {
+                "version": "1.0.0",
+                "dataType": "laszip",
+                "hierarchyType": "json",
+                "span": SPAN,
+                "points": self._statistics.count,
+                "bounds": cube.metres(cube.corner) + cube.metres(cube.corner + (1 << cube.bits)),
+                "boundsConforming": cube.metres(ends[0]) + cube.metres(ends[1]),
+                "schema": self._statistics.schema(cube),
+                "srs": _srs(crs),
+            },
+        )
         low, high = np.percentile(self._sample, (2, 98))
         return {"points": self._statistics.count, "nodes": len(counts), "height_range": (float(low), float(high))}
 
@@ -327,8 +355,13 @@ def _runs(values: NDArray, points: NDArray) -> Iterator[Tuple[int, NDArray]]:
 
 def _apart(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Two empty bits before each of the last 21 bits."""
-    for shift, mask in ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F),
-                        (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249)):
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
         bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
     return bits
 

@@ -10,24 +10,22 @@ from __future__ import annotations
 from typing import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats
 from .aggregation import Aggregate
 
-FloatArray = NDArray[np.floating]
-
-_AT_BEST_PX, _PER_SCORE_PX = 0.15, 0.85     # px of disparity at a correlation of 1, and more for each 1 less
-_BACKGROUND_PX = 1.5                        # of heights taken from the background of an occlusion
+_AT_BEST_PX, _PER_SCORE_PX = 0.15, 0.85  # px of disparity at a correlation of 1, and more for each 1 less
+_BACKGROUND_PX = 1.5  # of heights taken from the background of an occlusion
 
 
-def expected_error(fused: Aggregate, metres_per_px: Sequence[float]) -> FloatArray:
+def expected_error(fused: Aggregate, metres_per_px: Sequence[float]) -> Floats:
     """(H, W) metres within which about two thirds of such heights are right; NaN where there is no height.
 
     ``metres_per_px`` of all the tile's height maps. Pointing errors that all cells share are not in it: the report
     tells them.
     """
     metres = np.asarray(metres_per_px, dtype=np.float64)
-    together = len(metres) ** 0.5 / np.sqrt((metres ** -2.0).sum())  # of one map, where they count by their variances
+    together = len(metres) ** 0.5 / np.sqrt((metres**-2.0).sum())  # of one map, where they count by their variances
     count = np.maximum(fused.count, 1)
     score = np.clip(np.nan_to_num(fused.score), 0.0, 1.0)
     # Pairs share images, and with them errors: three maps are worth two.

@@ -8,10 +8,11 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..imagery.sampling import upsample_grid
-from ..mvs.dense import HeightMap, HeightSource, height_source
-from ..mvs.occlusions import STEP_PX
+from ..matching.dense import HeightMap, HeightSource, height_source
+from ..matching.occlusions import STEP_PX
 from ..scene import Scene, View
 from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
 from .grid import CellGrid, grid_points, surface_step
@@ -19,11 +20,9 @@ from .hidden import hidden_ground
 from .ortho import orthophoto
 from .outliers import without_lone_points
 
-FloatArray = NDArray[np.float64]
-
-_LATTICE = 17       # nodes a side of the map between two CRSs
-_COVERED = 0.5      # of a cell
-_PART_CELLS = 512   # a side that are fused at once
+_LATTICE = 17  # nodes a side of the map between two CRSs
+_COVERED = 0.5  # of a cell
+_PART_CELLS = 512  # a side that are fused at once
 MARGIN_CELLS = 8
 """Fused beyond the tile's cells: neighbours count in the outlier filter, and tiles are blended over that width."""
 
@@ -89,8 +88,15 @@ class StoredTile:
         """The tile's cells again, in the precision that products have."""
         with np.load(self.path, allow_pickle=False) as kept:
             part = {name: kept[name] for name in kept.files}
-        return FusedTile(Aggregate(*(part[field.name] for field in fields(Aggregate))), part.get("ortho"),
-                         part.get("points"), self.removed, self.needed, self.wide(), part.get("own"))
+        return FusedTile(
+            Aggregate(*(part[field.name] for field in fields(Aggregate))),
+            part.get("ortho"),
+            part.get("points"),
+            self.removed,
+            self.needed,
+            self.wide(),
+            part.get("own"),
+        )
 
     def wide(self) -> FloatArray:
         """The heights with the margin; read from the file as they are looked at."""
@@ -107,16 +113,28 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     task, path = work
     tile = fuse_tile(task)
     fused, known = tile.fused, np.isfinite(tile.fused.height)
-    parts = {"height": fused.height.astype(np.float32), "count": fused.count, "filled": fused.filled,
-             "spread": fused.spread.astype(np.float32), "score": fused.score.astype(np.float32)}
+    parts = {
+        "height": fused.height.astype(np.float32),
+        "count": fused.count,
+        "filled": fused.filled,
+        "spread": fused.spread.astype(np.float32),
+        "score": fused.score.astype(np.float32),
+    }
     parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
     np.savez(path, **parts)
     np.save(wide_file(path), tile.wide.astype(np.float32))
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     cells = known.size if tile.own is None else int(tile.own.sum())
-    return StoredTile(path, int(known.sum()), int(fused.filled.sum()), cells, tile.removed, tile.needed,
-                      *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)),
-                      tuple(record["metres_per_px"] for record in task.records))
+    return StoredTile(
+        path,
+        int(known.sum()),
+        int(fused.filled.sum()),
+        cells,
+        tile.removed,
+        tile.needed,
+        *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)),
+        tuple(record["metres_per_px"] for record in task.records),
+    )
 
 
 def fuse_tile(task: FuseTask) -> FusedTile:
@@ -155,15 +173,24 @@ def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource])
             c1, r1 = (min(start + _PART_CELLS + REACH_CELLS, size) for start, size in zip((col, row), grid.shape[::-1]))
             part = grid.part((c0, r0, c1 - c0, r1 - r0))
             rim = part.cell
-            box = (part.west - rim, part.north - part.shape[0] * rim - rim,
-                   part.west + part.shape[1] * rim + rim, part.north + rim)
-            fused = aggregate([_layer(part, source.within(box), record, task.scene.gsd_m)
-                               for source, record in zip(sources, task.records)], task.method)
-            own = np.s_[row - r0:row - r0 + _PART_CELLS, col - c0:col - c0 + _PART_CELLS]
+            box = (
+                part.west - rim,
+                part.north - part.shape[0] * rim - rim,
+                part.west + part.shape[1] * rim + rim,
+                part.north + rim,
+            )
+            fused = aggregate(
+                [
+                    _layer(part, source.within(box), record, task.scene.gsd_m)
+                    for source, record in zip(sources, task.records)
+                ],
+                task.method,
+            )
+            own = np.s_[row - r0 : row - r0 + _PART_CELLS, col - c0 : col - c0 + _PART_CELLS]
             for field in fields(fused):
                 values = getattr(fused, field.name)[own]
                 target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
-                target[row:row + values.shape[0], col:col + values.shape[1]] = values
+                target[row : row + values.shape[0], col : col + values.shape[1]] = values
     return Aggregate(**whole)
 
 
@@ -177,8 +204,10 @@ def _layer(grid: CellGrid, heights: HeightMap, record: Dict[str, Any], spacing: 
     height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing)
     known = np.where(heights.filled, heights.height, matched)
     hidden = hidden_ground(replace(heights, height=known), STEP_PX * record["metres_per_px"])
-    x, y, z = (np.concatenate([part.ravel()[filled], more]) for part, more in
-               zip((heights.x, heights.y, heights.height), hidden))
+    x, y, z = (
+        np.concatenate([part.ravel()[filled], more])
+        for part, more in zip((heights.x, heights.y, heights.height), hidden)
+    )
     half = _COVERED * (grid.cell / spacing) ** 2
     if not z.size:
         return Layer(height, score, np.full(grid.shape, np.nan), record["metres_per_px"], covered < half)
@@ -208,13 +237,18 @@ def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
 
 
 def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:
-    return Aggregate(np.where(cells, np.nan, fused.height), np.where(cells, 0, fused.count).astype(np.uint8),
-                     np.where(cells, np.nan, fused.spread), np.where(cells, np.nan, fused.score),
-                     fused.filled & ~cells)
+    return Aggregate(
+        np.where(cells, np.nan, fused.height),
+        np.where(cells, 0, fused.count).astype(np.uint8),
+        np.where(cells, np.nan, fused.spread),
+        np.where(cells, np.nan, fused.score),
+        fused.filled & ~cells,
+    )
 
 
-def _agreeing(grid: CellGrid, height: FloatArray, sources: Sequence[HeightSource],
-              records: Sequence[Dict[str, Any]]) -> FloatArray:
+def _agreeing(
+    grid: CellGrid, height: FloatArray, sources: Sequence[HeightSource], records: Sequence[Dict[str, Any]]
+) -> FloatArray:
     """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
     parts: List[FloatArray] = []
     for source, record in zip(sources, records):

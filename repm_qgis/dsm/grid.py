@@ -9,12 +9,12 @@ from typing import Iterator, Sequence, Tuple, Union
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
 
-_SURFACE_M_PER_CELL = 3.0   # points of one cell farther apart belong to two surfaces: roof, wall, ground
-_MIXED = 0.3                # spread within a cell, as a share of that step, from which on it is looked at
-_BRUSHED = 0.02             # of a whole point: less is no evidence of another surface
-_LEAST_WEIGHT = 0.15        # of a whole point: below that a cell is only brushed by its neighbours' points
+_SURFACE_M_PER_CELL = 3.0  # points of one cell farther apart belong to two surfaces: roof, wall, ground
+_MIXED = 0.3  # spread within a cell, as a share of that step, from which on it is looked at
+_BRUSHED = 0.02  # of a whole point: less is no evidence of another surface
+_LEAST_WEIGHT = 0.15  # of a whole point: below that a cell is only brushed by its neighbours' points
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,10 @@ class CellGrid:
 
     def centres(self) -> Tuple[FloatArray, FloatArray]:
         """(columns,) x and (rows,) y of the cells' centres."""
-        return (self.west + (np.arange(self.shape[1]) + 0.5) * self.cell,
-                self.north - (np.arange(self.shape[0]) + 0.5) * self.cell)
+        return (
+            self.west + (np.arange(self.shape[1]) + 0.5) * self.cell,
+            self.north - (np.arange(self.shape[0]) + 0.5) * self.cell,
+        )
 
 
 def surface_step(cell: float) -> float:
@@ -63,8 +65,14 @@ def surface_step(cell: float) -> float:
     return _SURFACE_M_PER_CELL * max(cell, 0.33)
 
 
-def grid_points(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, score: NDArray[np.floating],
-                spacing: float = math.inf) -> Tuple[FloatArray, FloatArray, FloatArray]:
+def grid_points(
+    grid: CellGrid,
+    x: FloatArray,
+    y: FloatArray,
+    height: FloatArray,
+    score: NDArray[np.floating],
+    spacing: float = math.inf,
+) -> Tuple[FloatArray, FloatArray, FloatArray]:
     """Heights of cells from points, their mean matching score, NaN where no point is, and how many points they hold.
 
     A point stands for a square of ``spacing`` metres (the distance between neighbouring points; at most a cell) and
@@ -84,7 +92,7 @@ def grid_points(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray
     weights = sums[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         heights, scores = sums[1] / weights, sums[3] / weights
-        mixed = sums[2] / weights - heights ** 2 > (_MIXED * surface_step(grid.cell)) ** 2
+        mixed = sums[2] / weights - heights**2 > (_MIXED * surface_step(grid.cell)) ** 2
     if mixed.any():
         _largest_surfaces(grid, points, footprint, mixed, heights, scores)
     empty = weights < _LEAST_WEIGHT
@@ -92,8 +100,11 @@ def grid_points(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray
     scores[empty] = np.nan
     inner = np.s_[1:-1, 1:-1]
     shape = grid.shape[0] + 2, grid.shape[1] + 2
-    return (heights.reshape(shape)[inner] + points.offset, scores.reshape(shape)[inner].copy(),
-            weights.reshape(shape)[inner].copy())
+    return (
+        heights.reshape(shape)[inner] + points.offset,
+        scores.reshape(shape)[inner].copy(),
+        weights.reshape(shape)[inner].copy(),
+    )
 
 
 @dataclass(frozen=True)
@@ -109,8 +120,7 @@ class _Points:
     offset: float
 
 
-def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray,
-            score: NDArray[np.floating]) -> _Points:
+def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, score: NDArray[np.floating]) -> _Points:
     known = np.flatnonzero(np.isfinite(height))
     column = (x.ravel()[known] - (grid.west - 0.5 * grid.cell)) / grid.cell
     row = ((grid.north + 0.5 * grid.cell) - y.ravel()[known]) / grid.cell
@@ -121,12 +131,19 @@ def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray,
     z = height.ravel()[known].astype(np.float64)
     # Squares of heights are summed: from the middle they lose nothing.
     offset = float(z.mean()) if z.size else 0.0
-    return _Points(top * (grid.shape[1] + 2) + left, column - left, row - top, z - offset,
-                   np.nan_to_num(score.ravel()[known]).astype(np.float64), offset)
+    return _Points(
+        top * (grid.shape[1] + 2) + left,
+        column - left,
+        row - top,
+        z - offset,
+        np.nan_to_num(score.ravel()[known]).astype(np.float64),
+        offset,
+    )
 
 
-def _splats(grid: CellGrid, points: _Points,
-            footprint: float) -> Iterator[Tuple[NDArray[np.int64], FloatArray, Union[slice, NDArray[np.int64]]]]:
+def _splats(
+    grid: CellGrid, points: _Points, footprint: float
+) -> Iterator[Tuple[NDArray[np.int64], FloatArray, Union[slice, NDArray[np.int64]]]]:
     """For each of the four neighbours: cell numbers, weights, and which points they belong to."""
     across, down = (_shares(near, footprint) for near in (points.right, points.below))
     for rows, vertical in zip((0, grid.shape[1] + 2), down):
@@ -148,8 +165,9 @@ def _shares(after: FloatArray, footprint: float) -> Tuple[FloatArray, FloatArray
     return 1 - share, share
 
 
-def _largest_surfaces(grid: CellGrid, points: _Points, footprint: float, mixed: NDArray[np.bool_],
-                      heights: FloatArray, scores: FloatArray) -> None:
+def _largest_surfaces(
+    grid: CellGrid, points: _Points, footprint: float, mixed: NDArray[np.bool_], heights: FloatArray, scores: FloatArray
+) -> None:
     """Set the mixed cells' heights and scores to those of the surface with most weight, the upper where two tie.
 
     A surface is all points of the cell within a step in height: the wall between two would join them if it were

@@ -8,17 +8,33 @@ from typing import Optional, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating]
+from ..arrays import Floats
 
 REACH_CELLS = 100
 """Heights farther from a hole's cell than this do not count: the margin that windows need."""
 
-_DIRECTIONS = ((0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2),
-               (0, -1), (-1, -2), (-1, -1), (-2, -1), (-1, 0), (-2, 1), (-1, 1), (-1, 2))
-_WIDEST_GAP = 4     # directions in a row without a height; more, and the cell is not within a hole but beyond a border
+_DIRECTIONS = (
+    (0, 1),
+    (1, 2),
+    (1, 1),
+    (2, 1),
+    (1, 0),
+    (2, -1),
+    (1, -1),
+    (1, -2),
+    (0, -1),
+    (-1, -2),
+    (-1, -1),
+    (-2, -1),
+    (-1, 0),
+    (-2, 1),
+    (-1, 1),
+    (-1, 2),
+)
+_WIDEST_GAP = 4  # directions in a row without a height; more, and the cell is not within a hole but beyond a border
 
 
-def fill_holes(height: FloatArray, base: Optional[FloatArray] = None) -> Tuple[FloatArray, NDArray[np.bool_]]:
+def fill_holes(height: Floats, base: Optional[Floats] = None) -> Tuple[Floats, NDArray[np.bool_]]:
     """Fill cells that heights surround, by inverse squared distance of the nearest heights in 16 directions.
 
     Parameters
@@ -46,7 +62,7 @@ def fill_holes(height: FloatArray, base: Optional[FloatArray] = None) -> Tuple[F
     return filled, marked
 
 
-def _interpolated(surface: FloatArray, cells: NDArray[np.int64]) -> Tuple[FloatArray, NDArray[np.bool_]]:
+def _interpolated(surface: Floats, cells: NDArray[np.int64]) -> Tuple[Floats, NDArray[np.bool_]]:
     """(N,) inverse-distance values of cells, and whether heights lie around them on all sides."""
     rim = 2
     width = surface.shape[1] + 2 * rim

@@ -39,7 +39,7 @@ class _Lattice:
         for row in range(0, height, lines):
             self.progress.check_cancelled()
             block = read(self.dataset, (0, row, width, min(lines, height - row)))
-            yield row // self.step, block[::self.step, ::self.step]
+            yield row // self.step, block[:: self.step, :: self.step]
 
     def squares(self) -> Iterator[Tuple[NDArray[np.float32], NDArray[np.int64]]]:
         """Heights and numbers of vertices, each block with the last row of the one before."""
@@ -57,8 +57,13 @@ class _Lattice:
         """(N, 3) x, y, height at the centres of the cells that have one."""
         row, column = np.nonzero(np.isfinite(block))
         x0, cell_x, _, y0, _, cell_y = self.dataset.GetGeoTransform()
-        return np.column_stack([x0 + (column * self.step + 0.5) * cell_x,
-                                y0 + ((row + first) * self.step + 0.5) * cell_y, block[row, column]])
+        return np.column_stack(
+            [
+                x0 + (column * self.step + 0.5) * cell_x,
+                y0 + ((row + first) * self.step + 0.5) * cell_y,
+                block[row, column],
+            ]
+        )
 
     def vertices(self) -> int:
         return sum(int(np.isfinite(block).sum()) for _, block in self.rows())
@@ -111,10 +116,18 @@ def _write(path: str, lattice: _Lattice, vertices: int, faces: int) -> None:
 def _header(dataset: gdal.Dataset, vertices: int, faces: int) -> bytes:
     """MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT"."""
     heights = dataset.GetMetadataItem(TAG) or ELLIPSOID
-    lines = ["ply", "format binary_little_endian 1.0", f"comment crs: {dataset.GetProjection()}",
-             f"comment heights: metres above the {heights}", f"element vertex {vertices}",
-             *(f"property double {axis}" for axis in "xyz"), f"element face {faces}",
-             "property list uchar int vertex_indices", "end_header", ""]
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment crs: {dataset.GetProjection()}",
+        f"comment heights: metres above the {heights}",
+        f"element vertex {vertices}",
+        *(f"property double {axis}" for axis in "xyz"),
+        f"element face {faces}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "",
+    ]
     return "\n".join(lines).encode("utf-8")
 
 

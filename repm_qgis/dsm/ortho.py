@@ -8,6 +8,7 @@ from typing import List, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.raster import opened_masked
 from ..imagery.sampling import upsample_grid
@@ -15,8 +16,6 @@ from ..imagery.warping import sample_source
 from ..scene import Scene, View
 from ..sfm.altitude_range import ground_slope
 from .grid import CellGrid
-
-FloatArray = NDArray[np.float64]
 
 _NODES = 9
 _CLEARANCE_M = 1.0
@@ -48,11 +47,16 @@ def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: s
 def _pixels(view: View, grid: CellGrid, height: FloatArray, crs: str) -> FloatArray:
     """(H, W, 2) pixels of the cells: exact on a coarse grid at two heights, linear between."""
     xs, ys = grid.centres()
-    lon_lat = geodetic_from_projected(crs, np.stack(np.meshgrid(
-        np.linspace(xs[0], xs[-1], _NODES), np.linspace(ys[0], ys[-1], _NODES)), axis=-1))
+    lon_lat = geodetic_from_projected(
+        crs, np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _NODES), np.linspace(ys[0], ys[-1], _NODES)), axis=-1)
+    )
     low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
-    ends = [upsample_grid(view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), z)], axis=-1)),
-                          grid.shape) for z in (low, high)]
+    ends = [
+        upsample_grid(
+            view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), z)], axis=-1)), grid.shape
+        )
+        for z in (low, high)
+    ]
     share = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
     return ends[0] + share * (ends[1] - ends[0])
 
@@ -79,6 +83,7 @@ def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArra
         if r0 >= r1 or c0 >= c1:
             break
         with np.errstate(invalid="ignore"):
-            blocked[r0:r1, c0:c1] |= (height[r0 + dr:r1 + dr, c0 + dc:c1 + dc]
-                                      > height[r0:r1, c0:c1] + rise + _CLEARANCE_M)
+            blocked[r0:r1, c0:c1] |= (
+                height[r0 + dr : r1 + dr, c0 + dc : c1 + dc] > height[r0:r1, c0:c1] + rise + _CLEARANCE_M
+            )
     return blocked

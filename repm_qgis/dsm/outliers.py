@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating]
+from ..arrays import Floats
 
-_TOLERANCE_PX = 2.0     # of disparity: steeper steps between neighbours are walls, and walls have pixels beside them
-_NEEDED = 2             # of the eight neighbours
+_TOLERANCE_PX = 2.0  # of disparity: steeper steps between neighbours are walls, and walls have pixels beside them
+_NEEDED = 2  # of the eight neighbours
 
 
-def without_lone_points(height: FloatArray, metres_per_px: float) -> FloatArray:
+def without_lone_points(height: Floats, metres_per_px: float) -> Floats:
     """The (H, W) heights, NaN where fewer than two of the eight neighbours mean the same surface.
 
     Matching leaves none, as it drops small islands by disparity: this is for height maps of other origin or that
@@ -26,9 +25,9 @@ def without_lone_points(height: FloatArray, metres_per_px: float) -> FloatArray:
     centre = z[1:-1, 1:-1]
     with np.errstate(invalid="ignore"):
         for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):  # each pair of neighbours once
-            near = np.abs(z[1 + down:1 + down + rows, 1 + right:1 + right + columns] - centre) <= tolerance
+            near = np.abs(z[1 + down : 1 + down + rows, 1 + right : 1 + right + columns] - centre) <= tolerance
             company += near
-            to = np.s_[down:, max(right, 0):columns + min(right, 0)]
-            source = near[:rows - down, max(-right, 0):columns - max(right, 0)]
+            to = np.s_[down:, max(right, 0) : columns + min(right, 0)]
+            source = near[: rows - down, max(-right, 0) : columns - max(right, 0)]
             company[to] += source
     return np.where(company >= _NEEDED, height, np.nan)

@@ -9,12 +9,10 @@ from typing import Iterator, Sequence
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import MissingPackageError, OptionError, WorkspaceError
 from ..workspace import temporary_name
-
-FloatArray = NDArray[np.float64]
 
 
 class PointCloudWriter:
@@ -48,8 +46,10 @@ def created_cloud(path: str, crs: str, origin: Sequence[float]) -> Iterator[Poin
     try:
         import laspy
     except ImportError as error:
-        raise MissingPackageError("Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
-                                  "folder, or leave CLOUD empty.") from error
+        raise MissingPackageError(
+            "Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
+            "folder, or leave CLOUD empty."
+        ) from error
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.array([0.001, 0.001, 0.001])
     header.offsets = np.floor(np.asarray(origin, dtype=np.float64))

@@ -27,10 +27,14 @@ from .holes import REACH_CELLS, fill_holes
 from .point_cloud import created_cloud
 from .seams import blended
 
-_LATTICE = 17   # nodes a side of what is smooth: the undulation, the map to longitude and latitude
-CONFIDENCE_BANDS = ("height maps that agree", "spread between them (m)", "mean matching score",
-                    "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM",
-                    "expected error (m): two thirds are within")
+_LATTICE = 17  # nodes a side of what is smooth: the undulation, the map to longitude and latitude
+CONFIDENCE_BANDS = (
+    "height maps that agree",
+    "spread between them (m)",
+    "mean matching score",
+    "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM",
+    "expected error (m): two thirds are within",
+)
 _SOURCE_BAND = 4
 _INTERPOLATED, _SHAPED = 2, 3
 _WINDOW = 1024  # cells a side that are filled at once
@@ -58,8 +62,9 @@ def cloud_of(options: DsmFuseOptions, folder: str) -> Optional[str]:
     return options.cloud or (f"{folder}/cloud.laz" if options.ept else None)
 
 
-def write_products(options: DsmFuseOptions, scene: Scene, layout: Layout, datum: HeightDatum,
-                   stored: List[StoredTile], folder: str) -> Dict[str, Any]:
+def write_products(
+    options: DsmFuseOptions, scene: Scene, layout: Layout, datum: HeightDatum, stored: List[StoredTile], folder: str
+) -> Dict[str, Any]:
     """Write DSM, confidence, orthophoto and cloud from the fused tiles; gives what was counted on the way.
 
     ``folder`` is for what lives only meanwhile. Raises EmptyResultError where no cell has a height, WorkspaceError
@@ -67,30 +72,54 @@ def write_products(options: DsmFuseOptions, scene: Scene, layout: Layout, datum:
     """
     grid, crs, windows = layout.grid, layout.crs, layout.windows
     wkt = pyproj.CRS.from_user_input(crs).to_wkt()
-    metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method,
-                "REPM_FILL": options.fill, TAG: datum.name}
+    metadata = {
+        "REPM_SCENE": scene.fingerprint,
+        "REPM_ENGINE": __version__,
+        "REPM_METHOD": options.method,
+        "REPM_FILL": options.fill,
+        TAG: datum.name,
+    }
     crop = _valid_part(grid, windows, stored)
     valid, cells = sum(tile.valid for tile in stored), sum(tile.cells for tile in stored)
     if not valid:
         raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     with ExitStack() as stack:
+
         def raster(path: Optional[str], bands: Tuple[str, ...], unit: str, file_crs: str = wkt) -> Any:
             if not path:
                 return None
-            return stack.enter_context(created(
-                path, (crop[3], crop[2]), np.dtype(np.float32), len(bands), grid.part(crop).geotransform, file_crs,
-                descriptions=bands, metadata=metadata, unit=unit, cog=True))
+            return stack.enter_context(
+                created(
+                    path,
+                    (crop[3], crop[2]),
+                    np.dtype(np.float32),
+                    len(bands),
+                    grid.part(crop).geotransform,
+                    file_crs,
+                    descriptions=bands,
+                    metadata=metadata,
+                    unit=unit,
+                    cog=True,
+                )
+            )
 
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", datum.file_crs(crs))
         confidence = raster(options.confidence, CONFIDENCE_BANDS, "")
         ortho = raster(options.ortho, ("brightness",), "")
         # What is interpolated needs the heights of neighbouring tiles: they meet in a raster of their own first.
-        whole = stack.enter_context(created(
-            f"{folder}/heights.tif", (crop[3], crop[2]), np.dtype(np.float32), 1, None, "", compress=False)) \
-            if options.fill == "all" else None
+        whole = (
+            stack.enter_context(
+                created(f"{folder}/heights.tif", (crop[3], crop[2]), np.dtype(np.float32), 1, None, "", compress=False)
+            )
+            if options.fill == "all"
+            else None
+        )
         cloud_path = cloud_of(options, folder)
-        cloud = stack.enter_context(created_cloud(cloud_path, datum.file_crs(crs), (grid.west, grid.north, 0.0))) \
-            if cloud_path else None
+        cloud = (
+            stack.enter_context(created_cloud(cloud_path, datum.file_crs(crs), (grid.west, grid.north, 0.0)))
+            if cloud_path
+            else None
+        )
         tolerance = float(np.median([record["metres_per_px"] for tile in scene.tiles for record in tile.heights]))
         for index, (window, tile) in enumerate(zip(windows, stored)):
             place, cut = _placed(window, crop)
@@ -114,14 +143,23 @@ def write_products(options: DsmFuseOptions, scene: Scene, layout: Layout, datum:
                 cloud.write(x, y, height - datum.undulation(crs, np.column_stack([x, y])), score)
         points = cloud.count if cloud is not None else 0
         interpolated = 0 if whole is None else _fill(whole, dsm, confidence, scene, grid.part(crop), crs, datum, folder)
-    return {"cells": cells, "valid": valid + interpolated, "valid_percent": 100.0 * (valid + interpolated) / cells,
-            "matched": valid - sum(tile.filled for tile in stored), "background": sum(tile.filled for tile in stored),
-            "interpolated": interpolated, "points": points, "removed": sum(tile.removed for tile in stored),
-            "resolution": grid.cell, "crs": crs}
+    return {
+        "cells": cells,
+        "valid": valid + interpolated,
+        "valid_percent": 100.0 * (valid + interpolated) / cells,
+        "matched": valid - sum(tile.filled for tile in stored),
+        "background": sum(tile.filled for tile in stored),
+        "interpolated": interpolated,
+        "points": points,
+        "removed": sum(tile.removed for tile in stored),
+        "resolution": grid.cell,
+        "crs": crs,
+    }
 
 
-def _fill(whole: Any, dsm: Any, confidence: Any, scene: Scene, grid: CellGrid, crs: str, datum: HeightDatum,
-          folder: str) -> int:
+def _fill(
+    whole: Any, dsm: Any, confidence: Any, scene: Scene, grid: CellGrid, crs: str, datum: HeightDatum, folder: str
+) -> int:
     """Write the DSM from the raster of all tiles' heights, holes filled window by window; gives how many cells were."""
     surface = _terrain_of(scene, grid, crs, folder)
     count = 0
@@ -133,7 +171,7 @@ def _fill(whole: Any, dsm: Any, confidence: Any, scene: Scene, grid: CellGrid, c
             holes = bool(np.isnan(height).any())
             base = _on_cells(surface, grid.part((c0, r0, c1 - c0, r1 - r0)), crs) if surface and holes else None
             height, filled = fill_holes(height, base)
-            own = np.s_[row - r0:row - r0 + _WINDOW, col - c0:col - c0 + _WINDOW]
+            own = np.s_[row - r0 : row - r0 + _WINDOW, col - c0 : col - c0 + _WINDOW]
             cells = grid.part((col, row, *height[own].shape[::-1]))
             dsm.write((height[own] - _undulation(datum, crs, cells)).astype(np.float32), col, row)
             if confidence is not None and filled[own].any():
@@ -171,11 +209,15 @@ def _undulation(datum: HeightDatum, crs: str, grid: CellGrid) -> np.ndarray:
     return upsample_grid(datum.undulation(crs, np.stack(nodes, axis=-1)), grid.shape)
 
 
-def _valid_part(grid: CellGrid, windows: List[Tuple[int, int, int, int]],
-                stored: List[StoredTile]) -> Tuple[int, int, int, int]:
+def _valid_part(
+    grid: CellGrid, windows: List[Tuple[int, int, int, int]], stored: List[StoredTile]
+) -> Tuple[int, int, int, int]:
     """The window of the grid that holds all heights: tiles reach beyond what the images see."""
-    ends = [(col + tile.columns[0], row + tile.rows[0], col + tile.columns[1], row + tile.rows[1])
-            for (col, row, _, _), tile in zip(windows, stored) if tile.columns and tile.rows]
+    ends = [
+        (col + tile.columns[0], row + tile.rows[0], col + tile.columns[1], row + tile.rows[1])
+        for (col, row, _, _), tile in zip(windows, stored)
+        if tile.columns and tile.rows
+    ]
     if not ends:
         return 0, 0, grid.shape[1], grid.shape[0]
     c0, r0 = min(end[0] for end in ends), min(end[1] for end in ends)

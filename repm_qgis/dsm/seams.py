@@ -5,16 +5,21 @@ from __future__ import annotations
 from typing import Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Floats
 from .fusion import MARGIN_CELLS, StoredTile
 
-FloatArray = NDArray[np.floating]
 Window = Tuple[int, int, int, int]
 
 
-def blended(height: FloatArray, index: int, windows: Sequence[Window], stored: Sequence[StoredTile],
-            shape: Tuple[int, int], tolerance: float) -> FloatArray:
+def blended(
+    height: Floats,
+    index: int,
+    windows: Sequence[Window],
+    stored: Sequence[StoredTile],
+    shape: Tuple[int, int],
+    tolerance: float,
+) -> Floats:
     """A tile's own heights, passing over into its neighbours' within the margin of its borders.
 
     Tiles are matched by themselves, in frames of their own, and differ by a fraction of the noise along their border,
@@ -27,7 +32,7 @@ def blended(height: FloatArray, index: int, windows: Sequence[Window], stored: S
     height : (H, W) m, of ``windows[index]`` (column, row, width, height of the whole grid of ``shape``).
     """
     col, row, width, rows = windows[index]
-    total: Optional[FloatArray] = None
+    total: Optional[Floats] = None
     for number, window in enumerate(windows):
         overlap = None if number == index else _common(window, windows[index], shape)
         if overlap is None:
@@ -37,8 +42,8 @@ def blended(height: FloatArray, index: int, windows: Sequence[Window], stored: S
             share = _weights(windows[index], (col, row, col + width, row + rows))
             total, weights = share * height, share
         c_from, r_from = max(window[0] - MARGIN_CELLS, 0), max(window[1] - MARGIN_CELLS, 0)
-        other = stored[number].wide()[r0 - r_from:r1 - r_from, c0 - c_from:c1 - c_from]
-        here = np.s_[r0 - row:r1 - row, c0 - col:c1 - col]
+        other = stored[number].wide()[r0 - r_from : r1 - r_from, c0 - c_from : c1 - c_from]
+        here = np.s_[r0 - row : r1 - row, c0 - col : c1 - col]
         with np.errstate(invalid="ignore"):
             share = np.where(np.abs(other - height[here]) <= tolerance, _weights(window, overlap), np.float32(0))
         total[here] += np.where(share > 0, share * other, np.float32(0))
@@ -54,11 +59,13 @@ def _common(window: Window, own: Window, shape: Tuple[int, int]) -> Optional[Win
     return (c0, r0, c1, r1) if c0 < c1 and r0 < r1 else None
 
 
-def _weights(window: Window, cells: Window) -> FloatArray:
+def _weights(window: Window, cells: Window) -> Floats:
     """A tile's weight in cells (first and last column and row): 1/2 along its borders."""
     ramps = []
-    for first, size, start, end in ((window[1], window[3], cells[1], cells[3]), (window[0], window[2], cells[0],
-                                                                                cells[2])):
+    for first, size, start, end in (
+        (window[1], window[3], cells[1], cells[3]),
+        (window[0], window[2], cells[0], cells[2]),
+    ):
         middle = np.arange(start, end) + 0.5
         inside = np.minimum(middle - first, first + size - middle)
         ramps.append(np.clip(0.5 + inside / (2 * MARGIN_CELLS), 1e-3, 1.0).astype(np.float32))

@@ -199,8 +199,10 @@ def arrows(
         'stroke="currentColor" stroke-opacity="0.35"/>',
         f'<path d="{shafts}" fill="none" stroke="{COLOURS[3]}" stroke-width="1.2"/>',
         f'<g fill="{COLOURS[0]}">{dots}</g>',
-        *(_text(a + 4, b - 4, html.escape(name)) for name, (a, b) in zip((names[k] for k in pick) if names else (),
-                                                                         start)),
+        *(
+            _text(a + 4, b - 4, html.escape(name))
+            for name, (a, b) in zip((names[k] for k in pick) if names else (), start)
+        ),
         f'<path d="M20 {height - 22:.1f}h{bar:.1f}" stroke="{COLOURS[3]}" stroke-width="2.4"/>',
         _text(28 + bar, height - 18, f"{key:g} {html.escape(unit)} · {len(pick)} of {len(at)} vectors"),
     ]

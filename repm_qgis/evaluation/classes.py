@@ -40,16 +40,20 @@ class ErrorsByClass:
 
     def metrics(self) -> List[Tuple[str, HeightMetrics]]:
         """Name and metrics of each class that the reference has cells of, by rising value."""
-        return [(self._names.get(value, str(value)), self._collectors[value].metrics())
-                for value in sorted(self._collectors)]
+        return [
+            (self._names.get(value, str(value)), self._collectors[value].metrics())
+            for value in sorted(self._collectors)
+        ]
 
     def _collector(self, value: float) -> ErrorCollector:
         if value != round(value) or (int(value) not in self._collectors and len(self._collectors) >= _MOST_CLASSES):
             raise ImageError(
                 f"The class raster '{self._grid.path}' has the value {value:g} among more than classes can be: give a "
-                f"raster of at most {_MOST_CLASSES} whole numbers, such as a land cover map or a mask.")
+                f"raster of at most {_MOST_CLASSES} whole numbers, such as a land cover map or a mask."
+            )
         return self._collectors.setdefault(
-            int(value), ErrorCollector(self._thresholds, keep=0, bin_m=0.005, range_m=200.0))
+            int(value), ErrorCollector(self._thresholds, keep=0, bin_m=0.005, range_m=200.0)
+        )
 
     def _at(self, cells: Grid) -> np.ndarray:
         """(rows, columns) class at each cell's centre, NaN where there is none."""

@@ -56,15 +56,30 @@ def _side_by_side(page: Report, everyone: Mapping[str, Comparison]) -> None:
     rows = []
     for name, one in everyone.items():
         m, a = one.metrics, one.alignment
-        row = [name, f"{m.valid:.1f}", *(f"{v:.3f}" for v in (m.rmse, m.me, m.mae, m.nmad)), f"{m.bias:+.3f}",
-               *(f"{share:.1f}" for _, share in m.completeness)]
+        row = [
+            name,
+            f"{m.valid:.1f}",
+            *(f"{v:.3f}" for v in (m.rmse, m.me, m.mae, m.nmad)),
+            f"{m.bias:+.3f}",
+            *(f"{share:.1f}" for _, share in m.completeness),
+        ]
         rows.append(row + ([f"{a.dx:+.2f}, {a.dy:+.2f}, {a.dz:+.2f}"] if a.method != "none" else []))
     page.section("Side by side").table(
-        ["DSM", "valid (%)", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)",
-         *(f"< {level:g} m (%)" for level in levels),
-         *(["dx, dy, dz added (m)"] if first.alignment.method != "none" else [])], rows,
+        [
+            "DSM",
+            "valid (%)",
+            "RMSE (m)",
+            "ME (m)",
+            "MAE (m)",
+            "NMAD (m)",
+            "bias (m)",
+            *(f"< {level:g} m (%)" for level in levels),
+            *(["dx, dy, dz added (m)"] if first.alignment.method != "none" else []),
+        ],
+        rows,
         "All against the same reference, each aligned for itself. RMSE and MAE know only the cells that a DSM has: "
-        "read them with valid and the completeness, which count all of the reference's.")
+        "read them with valid and the completeness, which count all of the reference's.",
+    )
 
 
 def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
@@ -73,8 +88,12 @@ def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
     page.section("Profiles")
     for index, profile in enumerate(first.profiles):
         series = {"reference": (profile.distance, profile.reference)}
-        series.update({name if len(everyone) > 1 else "DSM": (one.profiles[index].distance, one.profiles[index].dsm)
-                       for name, one in everyone.items()})
+        series.update(
+            {
+                name if len(everyone) > 1 else "DSM": (one.profiles[index].distance, one.profiles[index].dsm)
+                for name, one in everyone.items()
+            }
+        )
         page.svg(charts.curves(series, "distance (m)", "height (m)", profile.name), "Heights after the alignment.")
 
 
@@ -190,7 +209,8 @@ def _distribution(page: Report, found: Comparison, everyone: Mapping[str, Compar
             ylim=(0.0, 100.0),
         ),
         "A curve ends at the share of reference cells that have a DSM height: "
-        + ", ".join(f"{one.metrics.valid:.1f} %" for one in everyone.values()) + ".",
+        + ", ".join(f"{one.metrics.valid:.1f} %" for one in everyone.values())
+        + ".",
     )
 
 

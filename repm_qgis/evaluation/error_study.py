@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Dict, List, Optional, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..geometry.equivalent_error import TILE_GRID, EquivalentError, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.refinement import Terrain
 from ..scene import Scene, View
 from . import charts
 from .report import Report
 
-FloatArray = NDArray[np.float64]
 Window = Tuple[float, float, float, float]
 
 _SIZES = 7
@@ -21,8 +20,14 @@ _TILES = 9
 _MODELS = ("homography", "polynomial")
 
 
-def errors_by_model(view: View, scene: Scene, window: Window, altitudes: Tuple[float, float], order: int = 2,
-                    terrain: Optional[Terrain] = None) -> Dict[str, EquivalentError]:
+def errors_by_model(
+    view: View,
+    scene: Scene,
+    window: Window,
+    altitudes: Tuple[float, float],
+    order: int = 2,
+    terrain: Optional[Terrain] = None,
+) -> Dict[str, EquivalentError]:
     """The error over a window uncorrected and after each refinement; ``terrain`` only where a surface is given."""
     grid = virtual_grid(view.rpc.localise, window, altitudes, scene.frame, TILE_GRID)
     fitted = fit_pinhole(grid)
@@ -54,29 +59,49 @@ def errors_by_altitude(view: View, scene: Scene) -> Dict[str, Tuple[FloatArray, 
     curves = {"uncorrected": fitted.camera.project(grid.enu) - grid.pixels, "polynomial": after - grid.pixels}
     levels = np.linspace(*scene.altitudes, 11)
     nearest = np.abs(grid.ground[:, 2:] - levels).argmin(axis=1)
-    return {model: (levels, np.array([np.sqrt((error[nearest == k] ** 2).sum(axis=1).mean()) for k in range(11)]))
-            for model, error in curves.items()}
+    return {
+        model: (levels, np.array([np.sqrt((error[nearest == k] ** 2).sum(axis=1).mean()) for k in range(11)]))
+        for model, error in curves.items()
+    }
 
 
 def add_error_study(report: Report, scene: Scene) -> None:
     """The table of the four models and the two curves, as a section of a report."""
     report.section("What each refinement leaves")
     rows = []
-    tiles = scene.tiles[::max(1, len(scene.tiles) // _TILES)][:_TILES]
+    tiles = scene.tiles[:: max(1, len(scene.tiles) // _TILES)][:_TILES]
     for view in scene.views:
         terrain = scene.terrain(view.rpc)
-        found = [errors_by_model(view, scene, tile.views[view.name].window, tile.altitudes, scene.order, terrain)
-                 for tile in tiles if view.name in tile.views]
+        found = [
+            errors_by_model(view, scene, tile.views[view.name].window, tile.altitudes, scene.order, terrain)
+            for tile in tiles
+            if view.name in tile.views
+        ]
         for model in found[0] if found else ():
             errors = [entry[model] for entry in found]
-            rows.append([view.name, model, *(f"{np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])):.4f}"
-                                             for name in ("samp_rmse", "line_rmse", "rmse")),
-                         f"{max(e.max for e in errors):.4f}"])
-    report.table(["view", "model", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px"], rows,
-                 f"Over {len(tiles)} of {len(scene.tiles)} tiles. The terrain model, where there is a surface, is "
-                 "measured within 10 m of it.")
+            rows.append(
+                [
+                    view.name,
+                    model,
+                    *(
+                        f"{np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])):.4f}"
+                        for name in ("samp_rmse", "line_rmse", "rmse")
+                    ),
+                    f"{max(e.max for e in errors):.4f}",
+                ]
+            )
+    report.table(
+        ["view", "model", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px"],
+        rows,
+        f"Over {len(tiles)} of {len(scene.tiles)} tiles. The terrain model, where there is a surface, is "
+        "measured within 10 m of it.",
+    )
     view = scene.views[0]
-    report.svg(charts.curves(errors_by_size(view, scene), "side of the window, px", "RMSE, px"),
-               f"Equivalent error against image size, middle of {view.name}.")
-    report.svg(charts.curves(errors_by_altitude(view, scene), "altitude, m", "RMSE, px"),
-               f"Equivalent error against altitude, all of {view.name}.")
+    report.svg(
+        charts.curves(errors_by_size(view, scene), "side of the window, px", "RMSE, px"),
+        f"Equivalent error against image size, middle of {view.name}.",
+    )
+    report.svg(
+        charts.curves(errors_by_altitude(view, scene), "altitude, m", "RMSE, px"),
+        f"Equivalent error against altitude, all of {view.name}.",
+    )

@@ -14,20 +14,23 @@ from numpy.typing import NDArray
 from osgeo import gdal
 from pyproj import CRS, Transformer
 
+from ..arrays import FloatArray
 from ..geometry.frames import EnuFrame, flat_crs, vertical_part
 from ..progress import counted
 from ..scene import View
 from ..sfm.ground_control import Gcp, intersect
 from .grids import Grid, HeightWarper, metres_per_unit
 
-FloatArray = NDArray[np.float64]
-
-COLUMNS = {"rpc": "RPC localisation", "compensated": "RPC localisation, image-space compensation",
-           "scene": "The scene's pointing", "dsm": "The DSM's height"}
+COLUMNS = {
+    "rpc": "RPC localisation",
+    "compensated": "RPC localisation, image-space compensation",
+    "scene": "The scene's pointing",
+    "dsm": "The DSM's height",
+}
 COMPONENTS = ("east", "north", "height")
 
-_WRONG_PX = 1.5         # from here on a control point may be wrong (shifts explain less than an adjustment), ...
-_WRONG_TIMES = 4.0      # ... if it is also so many times farther off than the others scatter
+_WRONG_PX = 1.5  # from here on a control point may be wrong (shifts explain less than an adjustment), ...
+_WRONG_TIMES = 4.0  # ... if it is also so many times farther off than the others scatter
 _METRES_A_DEGREE = 111320.0
 _GEOID_M = 10.0
 
@@ -47,7 +50,7 @@ class Errors:
         size = np.abs(values[np.isfinite(values)])
         if not size.size:
             return cls(0, float("nan"), float("nan"), float("nan"))
-        return cls(size.size, float(np.median(size)), float(np.sqrt(np.mean(size ** 2))), float(size.max()))
+        return cls(size.size, float(np.median(size)), float(np.sqrt(np.mean(size**2))), float(size.max()))
 
 
 @dataclass
@@ -85,14 +88,19 @@ def locate(found: GcpAccuracy, views: Sequence[View]) -> None:
     plain = [view.with_pointing(np.eye(2, 3)) for view in views]
     found.residuals["rpc"] = [_residuals(gcp, plain) for gcp in found.gcps]
     found.errors["rpc"] = _located(found.gcps, [plain] * len(found.gcps))
-    control = {gcp.id: residual for gcp, residual in zip(found.gcps, found.residuals["rpc"])
-               if gcp.role == "control" and residual}
+    control = {
+        gcp.id: residual
+        for gcp, residual in zip(found.gcps, found.residuals["rpc"])
+        if gcp.role == "control" and residual
+    }
     found.wrong = wrong_control(control)
     good = {name: residual for name, residual in control.items() if name not in found.wrong}
     found.shifts = _shifts(good)
     for name in found.wrong:
-        found.warnings.append(f"The control point {name} contradicts the others and is left out: check its "
-                              "coordinates, its height's datum, and its pixels.")
+        found.warnings.append(
+            f"The control point {name} contradicts the others and is left out: check its "
+            "coordinates, its height's datum, and its pixels."
+        )
     if good:
         shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
         found.residuals["compensated"] = [_residuals(gcp, views) for gcp, views in zip(found.gcps, shifted)]
@@ -132,8 +140,9 @@ def _shifts(residuals: Dict[str, Dict[str, FloatArray]], without: str = "") -> D
 
 def _shifted(views: Sequence[View], shifts: Dict[str, FloatArray]) -> List[View]:
     """The views that have a shift, with it."""
-    return [view.with_pointing(np.column_stack([np.eye(2), shifts[view.name]])) for view in views
-            if view.name in shifts]
+    return [
+        view.with_pointing(np.column_stack([np.eye(2), shifts[view.name]])) for view in views if view.name in shifts
+    ]
 
 
 def _located(gcps: Sequence[Gcp], views: Sequence[Sequence[View]]) -> FloatArray:
@@ -163,10 +172,15 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str) -> None:
     cell = 0.5 * min(abs(grid.transform[1]), abs(grid.transform[5])) * min(metres_per_unit(grid)) / _METRES_A_DEGREE
     low, high = places.min(axis=0) - cell, places.max(axis=0) + cell
     ellipsoid = CRS.from_epsg(4979).to_wkt()
-    warper = HeightWarper(dsm, Grid(points, (1, 1), (low[0], high[0] - low[0], 0.0, high[1], 0.0, low[1] - high[1]),
-                                    ellipsoid))
-    heights = [float(warper.read(Grid(points, (1, 1), (lon - cell / 2, cell, 0.0, lat + cell / 2, 0.0, -cell),
-                                      ellipsoid))[0, 0]) for lon, lat in places]
+    warper = HeightWarper(
+        dsm, Grid(points, (1, 1), (low[0], high[0] - low[0], 0.0, high[1], 0.0, low[1] - high[1]), ellipsoid)
+    )
+    heights = [
+        float(
+            warper.read(Grid(points, (1, 1), (lon - cell / 2, cell, 0.0, lat + cell / 2, 0.0, -cell), ellipsoid))[0, 0]
+        )
+        for lon, lat in places
+    ]
     found.dsm_heights = np.array(heights)
     errors = np.full((len(heights), 3), np.nan)
     errors[:, 2] = found.dsm_heights - [gcp.height for gcp in found.gcps]
@@ -181,8 +195,10 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
         return warper.warnings
     if "ellipsoid" in (dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
-    return [f"'{grid.path}' does not say its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
-            "If they are above a geoid, assign it a CRS that says so (EPSG:32631+3855, say)."]
+    return [
+        f"'{grid.path}' does not say its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
+        "If they are above a geoid, assign it a CRS that says so (EPSG:32631+3855, say)."
+    ]
 
 
 def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray) -> List[str]:
@@ -196,8 +212,10 @@ def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray) -> List[str]:
         names = [gcp.id for gcp, yes in zip(found.gcps, which) if yes]
         if names:
             more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-            said.append(f"{counted(len(names), 'point')} {'lies' if len(names) == 1 else 'lie'} {why} and "
-                        f"{'is' if len(names) == 1 else 'are'} not counted: {', '.join(names[:10])}{more}.")
+            said.append(
+                f"{counted(len(names), 'point')} {'lies' if len(names) == 1 else 'lie'} {why} and "
+                f"{'is' if len(names) == 1 else 'are'} not counted: {', '.join(names[:10])}{more}."
+            )
     return said
 
 
@@ -207,5 +225,7 @@ def _see_geoid(found: GcpAccuracy) -> None:
     if len(up) >= 3:
         middle = float(np.median(up))
         if abs(middle) > max(_GEOID_M, 5 * 1.4826 * float(np.median(np.abs(up - middle)))):
-            found.warnings.append(f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole: that is "
-                                  "usually a geoid, so check GCP_DATUM and the DSM's vertical datum.")
+            found.warnings.append(
+                f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole: that is "
+                "usually a geoid, so check GCP_DATUM and the DSM's vertical datum."
+            )

@@ -38,15 +38,37 @@ def _pairs(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
     rows = []
     for pair in facts["pairs"]:
         metres = _metres_per_px(scene, pair)
-        rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}",
-                     f"{overlap_percent(scene, pair['first'], pair['second']):.0f}", f"{metres:.2f}",
-                     f"{MATCHING_PX * metres:.2f}", apart_text(pair.get("days")), _sun_text(pair.get("sun_deg"))])
-    report.table(["first", "second", "convergence", "B/H", "overlap, %", "m of height a px", "expected accuracy, m",
-                  "taken apart", "angle between suns"], rows,
-                 "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
-                 f"heights is that of matching good to {MATCHING_PX:g} px; a narrow pair (B/H below 0.1) tells heights "
-                 "poorly, a wide one (above 0.9) matches poorly; images far apart in time or under another sun have "
-                 "changed, and match with gaps.")
+        rows.append(
+            [
+                pair["first"],
+                pair["second"],
+                f"{pair['angle_deg']:.1f}°",
+                f"{pair['base_to_height']:.2f}",
+                f"{overlap_percent(scene, pair['first'], pair['second']):.0f}",
+                f"{metres:.2f}",
+                f"{MATCHING_PX * metres:.2f}",
+                apart_text(pair.get("days")),
+                _sun_text(pair.get("sun_deg")),
+            ]
+        )
+    report.table(
+        [
+            "first",
+            "second",
+            "convergence",
+            "B/H",
+            "overlap, %",
+            "m of height a px",
+            "expected accuracy, m",
+            "taken apart",
+            "angle between suns",
+        ],
+        rows,
+        "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
+        f"heights is that of matching good to {MATCHING_PX:g} px; a narrow pair (B/H below 0.1) tells heights "
+        "poorly, a wide one (above 0.9) matches poorly; images far apart in time or under another sun have "
+        "changed, and match with gaps.",
+    )
 
 
 def _sun_text(degrees: Optional[float]) -> str:
@@ -56,8 +78,10 @@ def _sun_text(degrees: Optional[float]) -> str:
 def overlap_percent(scene: Scene, first: str, second: str) -> float:
     """What two views' footprints have in common at the middle altitude, in % of the smaller one."""
     middle = sum(scene.altitudes) / 2
-    shapes = [geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size, middle)))
-              for view in (scene.view(first), scene.view(second))]
+    shapes = [
+        geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size, middle)))
+        for view in (scene.view(first), scene.view(second))
+    ]
     common = shapes[0].Intersection(shapes[1])
     smaller = min(shape.GetArea() for shape in shapes)
     return 100.0 * common.GetArea() / smaller if common is not None and smaller > 0 else 0.0
@@ -65,33 +89,57 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
 
 def _metres_per_px(scene: Scene, pair: Mapping[str, Any]) -> float:
     """Metres of height a px of parallax: as matched, else from the angle."""
-    known = [record["metres_per_px"] for tile in scene.tiles for record in tile.heights
-             if list(record["pair"]) == [pair["first"], pair["second"]]]
+    known = [
+        record["metres_per_px"]
+        for tile in scene.tiles
+        for record in tile.heights
+        if list(record["pair"]) == [pair["first"], pair["second"]]
+    ]
     return float(np.median(known)) if known else scene.gsd_m / pair["base_to_height"]
 
 
 def _ties(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
     report.section("Tie points")
     ties = facts["ties"]
-    report.facts([("Tie points", ties["count"]),
-                  ("Median residual", f"{ties['before_px']:.2f} px before, {ties['after_px']:.2f} px after the "
-                                      "correction"), ("Keypoints", ties.get("detector", "")),
-                  ("Matcher", facts["backend"])])
-    report.table(["first", "second", "candidates", "ties", "rows before, px", "rows after, px", "spread, px"],
-                 [[*pair["pair"], pair["candidates"], pair["count"], f"{pair['rows_before_px']:+.2f}",
-                   f"{pair['rows_after_px']:.3f}", f"{pair['rows_spread_px']:.3f}"] for pair in ties["pairs"]],
-                 "'Rows' are by how much a pair's pixels miss each other across the parallax: with the vendors' RPCs "
-                 "(median), and corrected (median of the absolute values; their spread as NMAD).")
+    report.facts(
+        [
+            ("Tie points", ties["count"]),
+            ("Median residual", f"{ties['before_px']:.2f} px before, {ties['after_px']:.2f} px after the correction"),
+            ("Keypoints", ties.get("detector", "")),
+            ("Matcher", facts["backend"]),
+        ]
+    )
+    report.table(
+        ["first", "second", "candidates", "ties", "rows before, px", "rows after, px", "spread, px"],
+        [
+            [
+                *pair["pair"],
+                pair["candidates"],
+                pair["count"],
+                f"{pair['rows_before_px']:+.2f}",
+                f"{pair['rows_after_px']:.3f}",
+                f"{pair['rows_spread_px']:.3f}",
+            ]
+            for pair in ties["pairs"]
+        ],
+        "'Rows' are by how much a pair's pixels miss each other across the parallax: with the vendors' RPCs "
+        "(median), and corrected (median of the absolute values; their spread as NMAD).",
+    )
     tiles = ties.get("tiles", [])
     if len(tiles) > 1:
         left = f" {len(tiles) - _MOST_TILES} more tiles are left out here." if len(tiles) > _MOST_TILES else ""
-        report.table(["tile", "tie points around it"],
-                     [[entry["tile"], entry["ties"]] for entry in tiles[:_MOST_TILES]],
-                     "Within the tile, or within a fifth of the scene where that is more." + left)
+        report.table(
+            ["tile", "tie points around it"],
+            [[entry["tile"], entry["ties"]] for entry in tiles[:_MOST_TILES]],
+            "Within the tile, or within a fifth of the scene where that is more." + left,
+        )
     parts = ties.get("parts", [])
     if parts:
-        report.table([entry["part"] for entry in parts], [[entry["ties"] for entry in parts]],
-                     "Tie points by ninths of the area, north up.")
+        report.table(
+            [entry["part"] for entry in parts],
+            [[entry["ties"] for entry in parts]],
+            "Tie points by ninths of the area, north up.",
+        )
     _curves(report, scene, facts)
 
 
@@ -103,16 +151,24 @@ def _curves(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
         return
     share = np.linspace(0, 100, len(found))
     limit = float(np.percentile(found[:, :2], 98))
-    report.svg(charts.curves({"vendors' RPCs": (np.sort(found[:, 0]), share),
-                              "corrected": (np.sort(found[:, 1]), share)}, "residual of a tie point (px)",
-                             "tie points with less (%)", xlim=(0.0, max(limit, 0.1)), ylim=(0.0, 100.0)),
-               "Tie points' residuals: root mean square distance between measured and projected pixels.")
+    report.svg(
+        charts.curves(
+            {"vendors' RPCs": (np.sort(found[:, 0]), share), "corrected": (np.sort(found[:, 1]), share)},
+            "residual of a tie point (px)",
+            "tie points with less (%)",
+            xlim=(0.0, max(limit, 0.1)),
+            ylim=(0.0, 100.0),
+        ),
+        "Tie points' residuals: root mean square distance between measured and projected pixels.",
+    )
     row, azimuth = found[:, 2], np.radians(found[:, 3])
     vectors = np.column_stack([row * np.sin(azimuth), -row * np.cos(azimuth)])
-    report.svg(charts.arrows(found[:, 4:] * (1, -1), vectors, "Rows left", "px"),
-               "What is left of the rows' differences, at the tie points on the ground, north up (the layer of tie "
-               "points has them too, in its field 'row'). Arrows in all directions are noise; arrows that agree over "
-               "a part of the scene are a trend that POINTING=affine may take out.")
+    report.svg(
+        charts.arrows(found[:, 4:] * (1, -1), vectors, "Rows left", "px"),
+        "What is left of the rows' differences, at the tie points on the ground, north up (the layer of tie "
+        "points has them too, in its field 'row'). Arrows in all directions are noise; arrows that agree over "
+        "a part of the scene are a trend that POINTING=affine may take out.",
+    )
 
 
 def _read_ties(path: str) -> np.ndarray:
@@ -148,36 +204,56 @@ def _pointing(report: Report, ties: Mapping[str, Any]) -> None:
     report.section("Pointing")
     said = {"shift": "one shift an image", "affine": "an affine correction an image"}
     report.facts([("Correction", said.get(ties["model"], ties["model"])), ("Why", ties["reason"])])
-    report.table(["view", "column shift, px", "row shift, px"],
-                 [[name, *(f"{value:+.2f}" for value in shift)] for name, shift in ties["shifts_px"].items()],
-                 "Corrections of the vendors' RPCs at the images' centres.")
+    report.table(
+        ["view", "column shift, px", "row shift, px"],
+        [[name, *(f"{value:+.2f}" for value in shift)] for name, shift in ties["shifts_px"].items()],
+        "Corrections of the vendors' RPCs at the images' centres.",
+    )
 
 
 def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
     """Ground control, or how uncertain things are without it."""
     report.section("Absolute position")
     if "height_uncertainty_m" in ties:
-        report.paragraph("Without control points the corrections sum to zero: the position and height of the whole "
-                         "stay where the vendors put them. By how much their RPCs disagree across the parallax, the "
-                         f"absolute height is uncertain by {ties['height_uncertainty_m']:.1f} m (two "
-                         "standard deviations; relative heights are not affected). Ground control points (GCPS), or "
-                         "an alignment with a reference, take that out.")
+        report.paragraph(
+            "Without control points the corrections sum to zero: the position and height of the whole "
+            "stay where the vendors put them. By how much their RPCs disagree across the parallax, the "
+            f"absolute height is uncertain by {ties['height_uncertainty_m']:.1f} m (two "
+            "standard deviations; relative heights are not affected). Ground control points (GCPS), or "
+            "an alignment with a reference, take that out."
+        )
     points = ties.get("gcps", [])
     rejected = ties.get("rejected_gcps", [])
     if rejected:
-        report.warning(f"{counted(len(rejected), 'control point')} contradicted all others and took no part: "
-                       f"{', '.join(rejected)}.", "check coordinates, the heights' datum, and the measured pixels.")
+        report.warning(
+            f"{counted(len(rejected), 'control point')} contradicted all others and took no part: "
+            f"{', '.join(rejected)}.",
+            "check coordinates, the heights' datum, and the measured pixels.",
+        )
     if not points:
         return
     if ties.get("control_noise_px") is not None:
-        report.paragraph(f"The control points fit to {ties['control_noise_px']:.2f} px in each direction (standard "
-                         "deviation, estimated from their own residuals), and have the weight of that.")
-    report.table(["points", "count", "component", "ME, m", "RMSE, m", "Max, m"], _summary(points),
-                 "From the true place to where the corrected images put it. Control points were fitted; only check "
-                 "points tell how good the result is.")
-    report.table(["point", "role", "east, m", "north, m", "height, m"],
-                 [[point["id"], "rejected" if point["rejected"] else point["role"],
-                   *(f"{point[name]:+.3f}" for name in ("east_m", "north_m", "up_m"))] for point in points])
+        report.paragraph(
+            f"The control points fit to {ties['control_noise_px']:.2f} px in each direction (standard "
+            "deviation, estimated from their own residuals), and have the weight of that."
+        )
+    report.table(
+        ["points", "count", "component", "ME, m", "RMSE, m", "Max, m"],
+        _summary(points),
+        "From the true place to where the corrected images put it. Control points were fitted; only check "
+        "points tell how good the result is.",
+    )
+    report.table(
+        ["point", "role", "east, m", "north, m", "height, m"],
+        [
+            [
+                point["id"],
+                "rejected" if point["rejected"] else point["role"],
+                *(f"{point[name]:+.3f}" for name in ("east_m", "north_m", "up_m")),
+            ]
+            for point in points
+        ],
+    )
 
 
 def _summary(points: List[Dict[str, Any]]) -> List[List[Any]]:

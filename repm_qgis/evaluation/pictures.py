@@ -20,7 +20,7 @@ from .grids import Grid, metres_per_unit
 
 PathLike = Union[str, os.PathLike]
 
-_PNG_LEVEL = "ZLEVEL=4"     # of a shaded surface 6 % more bytes than level 7, in a fifth of the time
+_PNG_LEVEL = "ZLEVEL=4"  # of a shaded surface 6 % more bytes than level 7, in a fifth of the time
 
 # Anchor colours, evenly spaced from low to high and interpolated linearly. "viridis" and "magma" are sampled from the
 # public-domain (CC0) tables of N. Smith and S. van der Walt; "elevation" and "diverging" are our own, their lightness

@@ -11,12 +11,11 @@ import pyproj
 from numpy.typing import NDArray
 from osgeo import gdal, ogr
 
+from ..arrays import FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
 from .coregistration import Alignment
 from .grids import Bounds, Grid, HeightWarper, aligned_along, metres_per_unit
-
-FloatArray = NDArray[np.float64]
 
 _MOST_LINES = 8
 _MOST_SAMPLES = 2000
@@ -46,8 +45,10 @@ def through_the_middle(common: Bounds) -> List[ProfileLine]:
     """West to east and south to north through the middle of what both rasters cover."""
     x0, y0, x1, y1 = common
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    return [ProfileLine("west to east through the middle", np.array([[x0, y], [x1, y]])),
-            ProfileLine("south to north through the middle", np.array([[x, y0], [x, y1]]))]
+    return [
+        ProfileLine("west to east through the middle", np.array([[x0, y], [x1, y]])),
+        ProfileLine("south to north through the middle", np.array([[x, y0], [x, y1]])),
+    ]
 
 
 def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
@@ -66,12 +67,16 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
     layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
     if layer is None:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
-    lines = [ProfileLine(_name_of(feature, number), corners)
-             for number, feature in zip(range(1, _MOST_LINES + 1), layer)
-             for corners in [_corners(feature.GetGeometryRef(), layer.GetSpatialRef(), reference)] if len(corners) > 1]
+    lines = [
+        ProfileLine(_name_of(feature, number), corners)
+        for number, feature in zip(range(1, _MOST_LINES + 1), layer)
+        for corners in [_corners(feature.GetGeometryRef(), layer.GetSpatialRef(), reference)]
+        if len(corners) > 1
+    ]
     if not lines:
-        raise InputTableError(f"'{path}' has no line among its first {_MOST_LINES} features: give a line layer, or "
-                              "leave PROFILES empty.")
+        raise InputTableError(
+            f"'{path}' has no line among its first {_MOST_LINES} features: give a line layer, or leave PROFILES empty."
+        )
     return lines
 
 
@@ -101,8 +106,9 @@ def _row_of_cells(grid: Grid, a: FloatArray, b: FloatArray, count: int) -> Grid:
     step = (b - a) / count
     across = np.array([step[1], -step[0]])
     corner = a - across / 2
-    return Grid(grid.path, (count, 1), (corner[0], step[0], across[0], corner[1], step[1], across[1]), grid.wkt,
-                grid.has_nodata)
+    return Grid(
+        grid.path, (count, 1), (corner[0], step[0], across[0], corner[1], step[1], across[1]), grid.wkt, grid.has_nodata
+    )
 
 
 def _name_of(feature: ogr.Feature, number: int) -> str:

@@ -23,11 +23,34 @@ from .geometry_section import add_geometry
 from .report import Report
 
 _MOST_ROWS = 300
-_PRODUCTS = (("output", "DSM"), ("confidence", "Confidence"), ("ortho", "Orthophoto"), ("cloud", "Point cloud"),
-             ("ept", "Point cloud for display (EPT)"), ("mesh", "Mesh"),
-             ("tiles", "Tiles with their errors"), ("tie_points", "Tie points"), ("scene", "Scene, for the next stage"))
-_WHERE_IT_RUNS = frozenset(("workspace", "scene", "output_scene", "output", "report", "tiles", "tie_points", "heights",
-                            "confidence", "ortho", "cloud", "ept", "mesh"))
+_PRODUCTS = (
+    ("output", "DSM"),
+    ("confidence", "Confidence"),
+    ("ortho", "Orthophoto"),
+    ("cloud", "Point cloud"),
+    ("ept", "Point cloud for display (EPT)"),
+    ("mesh", "Mesh"),
+    ("tiles", "Tiles with their errors"),
+    ("tie_points", "Tie points"),
+    ("scene", "Scene, for the next stage"),
+)
+_WHERE_IT_RUNS = frozenset(
+    (
+        "workspace",
+        "scene",
+        "output_scene",
+        "output",
+        "report",
+        "tiles",
+        "tie_points",
+        "heights",
+        "confidence",
+        "ortho",
+        "cloud",
+        "ept",
+        "mesh",
+    )
+)
 
 
 def fit_report(scene: Scene) -> Report:
@@ -36,17 +59,32 @@ def fit_report(scene: Scene) -> Report:
     _warnings(report, scene)
     _inputs(report, scene)
     report.section("Equivalent error")
-    report.paragraph("How far the pinhole camera's pixel of a ground point lies from the RPC's, over a grid of 13 x 13 "
-                     "pixels and 7 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
-                     "|x (Z - Zmean) / Zmean| at the tile's corner.")
-    rows = [[tile.id, name, *_px(view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max,
-                                 view.error.predicted)]
-            for tile in scene.tiles for name, view in tile.views.items()]
-    _long_table(report, ["tile", "view", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px", "predicted, px"],
-                rows)
+    report.paragraph(
+        "How far the pinhole camera's pixel of a ground point lies from the RPC's, over a grid of 13 x 13 "
+        "pixels and 7 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
+        "|x (Z - Zmean) / Zmean| at the tile's corner."
+    )
+    rows = [
+        [
+            tile.id,
+            name,
+            *_px(view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max, view.error.predicted),
+        ]
+        for tile in scene.tiles
+        for name, view in tile.views.items()
+    ]
+    _long_table(
+        report, ["tile", "view", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px", "predicted, px"], rows
+    )
     if len(rows) > 20:
-        report.svg(charts.histogram(np.array([view.error.rmse for tile in scene.tiles for view in tile.views.values()]),
-                                    "px", "RMSE of tiles and views"), "Distribution over tiles and views.")
+        report.svg(
+            charts.histogram(
+                np.array([view.error.rmse for tile in scene.tiles for view in tile.views.values()]),
+                "px",
+                "RMSE of tiles and views",
+            ),
+            "Distribution over tiles and views.",
+        )
     add_error_study(report, scene)
     _history(report, scene)
     return report
@@ -74,20 +112,29 @@ def reconstruct_report(scene: Scene) -> Report:
 def errormap_report(scene: Scene, view: View, path: str, facts: Mapping[str, float]) -> Report:
     """An error map's picture and figures."""
     report = Report("Equivalent error on the ground", f"{view.name} at {facts['altitude']:.0f} m above the ellipsoid")
-    report.facts([("Refinement", scene.refinement or "none yet: the images as they are"),
-                  ("RMSE", f"{facts['rmse']:.3g} px"), ("Max", f"{facts['max_error']:.3g} px")])
+    report.facts(
+        [
+            ("Refinement", scene.refinement or "none yet: the images as they are"),
+            ("RMSE", f"{facts['rmse']:.3g} px"),
+            ("Max", f"{facts['max_error']:.3g} px"),
+        ]
+    )
     values, _ = pictures.preview(path, 900)
     high = max(facts["max_error"], 1e-6)
-    report.png(pictures.png_bytes(pictures.colour_map(values, 0.0, high, "viridis")),
-               f"Magnitude of the equivalent error of {view.name}, north up.")
+    report.png(
+        pictures.png_bytes(pictures.colour_map(values, 0.0, high, "viridis")),
+        f"Magnitude of the equivalent error of {view.name}, north up.",
+    )
     report.svg(charts.colour_bar(pictures.RAMPS["viridis"], 0.0, high, "px"))
-    report.svg(charts.histogram(values[np.isfinite(values)], "px", "Magnitude of the equivalent error"),
-               "Distribution.")
+    report.svg(
+        charts.histogram(values[np.isfinite(values)], "px", "Magnitude of the equivalent error"), "Distribution."
+    )
     return report
 
 
-def pipeline_report(scene: Scene, products: Mapping[str, Any], seconds: Mapping[str, float],
-                    command: Optional[str]) -> Report:
+def pipeline_report(
+    scene: Scene, products: Mapping[str, Any], seconds: Mapping[str, float], command: Optional[str]
+) -> Report:
     """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
     report = Report("Surface model from satellite images", os.path.basename(str(products["output"])))
     _surface(report, products)
@@ -97,9 +144,11 @@ def pipeline_report(scene: Scene, products: Mapping[str, Any], seconds: Mapping[
     _reconstruction(report, scene)
     _confidence(report, products)
     report.section("Files")
-    report.table(["product", "file"], [[title, str(products[name])] for name, title in _PRODUCTS if products.get(name)],
-                 "To measure the DSM, compare it with a reference: 'Compare a DSM with a reference' "
-                 "(repm:comparedsm).")
+    report.table(
+        ["product", "file"],
+        [[title, str(products[name])] for name, title in _PRODUCTS if products.get(name)],
+        "To measure the DSM, compare it with a reference: 'Compare a DSM with a reference' (repm:comparedsm).",
+    )
     if command:
         report.section("Repeat this run")
         report.command(command)
@@ -115,31 +164,40 @@ def _px(*values: float) -> List[str]:
 def _long_table(report: Report, headers: List[str], rows: List[List[Any]]) -> None:
     """A table cut where nobody reads on; what is left out is in the layers."""
     left = len(rows) - _MOST_ROWS
-    report.table(headers, rows[:_MOST_ROWS],
-                 f"{left} more rows are left out here; the TILES layer has them all." if left > 0 else "")
+    report.table(
+        headers,
+        rows[:_MOST_ROWS],
+        f"{left} more rows are left out here; the TILES layer has them all." if left > 0 else "",
+    )
 
 
 def _surface(report: Report, products: Mapping[str, Any]) -> None:
     values, cell = pictures.preview(products["output"], 800)
     low, high = pictures.spread(values)
-    report.png(pictures.png_bytes(pictures.shaded_relief(values, cell)), "The DSM, shaded from the north-west, north "
-               "up. White: no height was matched there.")
+    report.png(
+        pictures.png_bytes(pictures.shaded_relief(values, cell)),
+        "The DSM, shaded from the north-west, north up. White: no height was matched there.",
+    )
     report.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, f"m above the {products['vertical_datum']}"))
     known = values[np.isfinite(values)]
-    report.facts([("Cell size", f"{products['resolution']:g} m"),
-                  ("Cells with a height", f"{products['valid']} of {products['cells']} ("
-                                          f"{products['valid_percent']:.1f} %)"),
-                  ("Heights", f"{known.min():.1f} to {known.max():.1f} m above the "
-                              f"{products['vertical_datum']}"),
-                  ("CRS", products["crs"])])
+    report.facts(
+        [
+            ("Cell size", f"{products['resolution']:g} m"),
+            ("Cells with a height", f"{products['valid']} of {products['cells']} ({products['valid_percent']:.1f} %)"),
+            ("Heights", f"{known.min():.1f} to {known.max():.1f} m above the {products['vertical_datum']}"),
+            ("CRS", products["crs"]),
+        ]
+    )
 
 
 def _thin(products: Mapping[str, Any]) -> List[str]:
     if products["valid_percent"] >= 20:
         return []
-    return [f"Only {products['valid_percent']:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, "
-            "and so do images from too different directions or dates: see 'Height maps' below for the pairs that "
-            "matched badly."]
+    return [
+        f"Only {products['valid_percent']:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, "
+        "and so do images from too different directions or dates: see 'Height maps' below for the pairs that "
+        "matched badly."
+    ]
 
 
 def _warnings(report: Report, scene: Scene, more: Tuple[str, ...] | List[str] = ()) -> None:
@@ -152,17 +210,34 @@ def _warnings(report: Report, scene: Scene, more: Tuple[str, ...] | List[str] = 
 def _inputs(report: Report, scene: Scene) -> None:
     """Images, area and a map of the footprints."""
     report.section("Images")
-    report.table(["view", "file", "size, px", "GSD, m", "RPC heights, m", "taken (UTC)", "sun's azimuth, elevation"],
-                 [[v.name, v.image, f"{v.width} x {v.height}", f"{v.gsd_m:.3f}",
-                   "{:.0f} to {:.0f}".format(*v.rpc.height_range), *_taken(scene, v)] for v in scene.views],
-                 "The time is that of the product's files or name; the sun is computed from it for the scene's middle.")
+    report.table(
+        ["view", "file", "size, px", "GSD, m", "RPC heights, m", "taken (UTC)", "sun's azimuth, elevation"],
+        [
+            [
+                v.name,
+                v.image,
+                f"{v.width} x {v.height}",
+                f"{v.gsd_m:.3f}",
+                "{:.0f} to {:.0f}".format(*v.rpc.height_range),
+                *_taken(scene, v),
+            ]
+            for v in scene.views
+        ],
+        "The time is that of the product's files or name; the sun is computed from it for the scene's middle.",
+    )
     middle = sum(scene.altitudes) / 2
     outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}
-    report.svg(charts.footprints(outlines, _outline(scene.area), geographic=False),
-               f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is worked on.")
-    report.facts([("Coordinate reference system", scene.crs),
-                  ("Altitudes", f"{scene.altitudes[0]:.0f} to {scene.altitudes[1]:.0f} m above the WGS 84 ellipsoid"),
-                  ("Tiles", len(scene.tiles))])
+    report.svg(
+        charts.footprints(outlines, _outline(scene.area), geographic=False),
+        f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is worked on.",
+    )
+    report.facts(
+        [
+            ("Coordinate reference system", scene.crs),
+            ("Altitudes", f"{scene.altitudes[0]:.0f} to {scene.altitudes[1]:.0f} m above the WGS 84 ellipsoid"),
+            ("Tiles", len(scene.tiles)),
+        ]
+    )
 
 
 def _taken(scene: Scene, view: View) -> List[str]:
@@ -176,8 +251,11 @@ def _taken(scene: Scene, view: View) -> List[str]:
 def _outline(wkt: str) -> np.ndarray:
     """(N, 2) vertices of a polygon's outer ring; of several polygons the largest's."""
     geometry = ogr.CreateGeometryFromWkt(wkt)
-    parts = [geometry] if geometry.GetGeometryName() == "POLYGON" else \
-        [geometry.GetGeometryRef(i) for i in range(geometry.GetGeometryCount())]
+    parts = (
+        [geometry]
+        if geometry.GetGeometryName() == "POLYGON"
+        else [geometry.GetGeometryRef(i) for i in range(geometry.GetGeometryCount())]
+    )
     largest = max(parts, key=lambda part: part.GetArea())
     return np.array(largest.GetGeometryRef(0).GetPoints())[:, :2]
 
@@ -185,14 +263,33 @@ def _outline(wkt: str) -> np.ndarray:
 def _errors(report: Report, scene: Scene) -> None:
     """The equivalent error before and after refinement, tile by tile."""
     report.section("Equivalent error")
-    report.paragraph("What the pinhole cameras cost, as the distance between their pixel and the RPC's of the same "
-                     f"ground point: fitted, and after refinement ({scene.refinement}). Heights are computed with the "
-                     "RPCs, so none of it reaches the DSM; below about 0.3 px it does not disturb matching either.")
-    rows = [[tile.id, name, *_px(view.error.rmse, view.error.max, view.refined.error.samp_rmse,
-                                 view.refined.error.line_rmse, view.refined.error.rmse, view.refined.error.max)]
-            for tile in scene.tiles for name, view in tile.views.items() if view.refined]
-    _long_table(report, ["tile", "view", "RMSE before, px", "Max before, px", "Samp RMSE, px", "Line RMSE, px",
-                         "RMSE, px", "Max, px"], rows)
+    report.paragraph(
+        "What the pinhole cameras cost, as the distance between their pixel and the RPC's of the same "
+        f"ground point: fitted, and after refinement ({scene.refinement}). Heights are computed with the "
+        "RPCs, so none of it reaches the DSM; below about 0.3 px it does not disturb matching either."
+    )
+    rows = [
+        [
+            tile.id,
+            name,
+            *_px(
+                view.error.rmse,
+                view.error.max,
+                view.refined.error.samp_rmse,
+                view.refined.error.line_rmse,
+                view.refined.error.rmse,
+                view.refined.error.max,
+            ),
+        ]
+        for tile in scene.tiles
+        for name, view in tile.views.items()
+        if view.refined
+    ]
+    _long_table(
+        report,
+        ["tile", "view", "RMSE before, px", "Max before, px", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px"],
+        rows,
+    )
 
 
 def _reconstruction(report: Report, scene: Scene) -> None:
@@ -203,12 +300,21 @@ def _reconstruction(report: Report, scene: Scene) -> None:
 
 def _height_maps(report: Report, scene: Scene) -> None:
     report.section("Height maps")
-    rows = [[tile.id, *record["pair"], "{} x {}".format(*record["size"]),
-             f"{100.0 * record['valid'] / (record['size'][0] * record['size'][1]):.0f}",
-             f"{record['metres_per_px']:.2f}", f"{record['row_px']:.3f}"]
-            for tile in scene.tiles for record in tile.heights]
-    _long_table(report, ["tile", "first", "second", "size, px", "matched, %", "m of height a px", "rows left, px"],
-                rows)
+    rows = [
+        [
+            tile.id,
+            *record["pair"],
+            "{} x {}".format(*record["size"]),
+            f"{100.0 * record['valid'] / (record['size'][0] * record['size'][1]):.0f}",
+            f"{record['metres_per_px']:.2f}",
+            f"{record['row_px']:.3f}",
+        ]
+        for tile in scene.tiles
+        for record in tile.heights
+    ]
+    _long_table(
+        report, ["tile", "first", "second", "size, px", "matched, %", "m of height a px", "rows left, px"], rows
+    )
 
 
 def _confidence(report: Report, products: Mapping[str, Any]) -> None:
@@ -239,8 +345,11 @@ def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]
         entry = computed.get(name, {})
         now = [f"{seconds[name]:.1f}"] if seconds else []
         rows.append([name, *now, f"{entry['seconds']:.1f}" if entry else "–", entry.get("fingerprint", "–")])
-    report.table(["stage", *(["this run, s"] if seconds else []), "when computed, s", "fingerprint"], rows,
-                 "A stage that was reused takes no time in this run. Equal fingerprint, equal result.")
+    report.table(
+        ["stage", *(["this run, s"] if seconds else []), "when computed, s", "fingerprint"],
+        rows,
+        "A stage that was reused takes no time in this run. Equal fingerprint, equal result.",
+    )
     _options(report, scene)
     report.table(["software", "version"], _versions())
 
@@ -253,13 +362,18 @@ def _options(report: Report, scene: Scene) -> None:
             if value not in (None, "", []) and name not in _WHERE_IT_RUNS:
                 text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
                 told.setdefault((name, text), []).append(entry["stage"])
-    report.table(["option", "value", "stage"], [[name, text, ", ".join(stages)]
-                                                for (name, text), stages in told.items()],
-                 "What is not listed was left to the defaults.")
+    report.table(
+        ["option", "value", "stage"],
+        [[name, text, ", ".join(stages)] for (name, text), stages in told.items()],
+        "What is not listed was left to the defaults.",
+    )
 
 
 def _versions() -> List[List[str]]:
     wanted = ("numpy", "GDAL", "pyproj", "scipy", "opencv-python-headless", "pycolmap")
-    found = [[package.distribution, version_of(package) or "not installed"] for package in PACKAGES
-             if package.distribution in wanted]
+    found = [
+        [package.distribution, version_of(package) or "not installed"]
+        for package in PACKAGES
+        if package.distribution in wanted
+    ]
     return [["REPM", __version__], ["Python", platform.python_version()], *found]

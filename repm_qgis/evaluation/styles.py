@@ -32,8 +32,15 @@ from ..workspace import write_text
 from .pictures import RAMPS, preview, rgb, spread
 
 STYLES = Path(__file__).resolve().parents[2] / "resources" / "styles"
-_RAMP_OF = {"dsm": "elevation", "error": "viridis", "dsm_error": "diverging", "confidence": "viridis", "ortho": "grey",
-            "ept": "elevation", "mesh": "elevation"}
+_RAMP_OF = {
+    "dsm": "elevation",
+    "error": "viridis",
+    "dsm_error": "diverging",
+    "confidence": "viridis",
+    "ortho": "grey",
+    "ept": "elevation",
+    "mesh": "elevation",
+}
 KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles", "tie_points", "gcps", "ept", "mesh")
 _SAMPLE_PX = 1200
 

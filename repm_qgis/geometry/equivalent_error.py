@@ -9,14 +9,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, Callable, Optional, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import OptionError
 from .frames import EnuFrame
 from .pinhole import PinholeCamera, factorise, fit_projection
 from .refinement import RefinementMap, Terrain, TerrainMap, fit_map
 
-FloatArray = NDArray[np.float64]
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
 
 GRID = (25, 25, 11)
@@ -39,9 +38,14 @@ class EquivalentError:
     @classmethod
     def of(cls, difference: FloatArray, predicted: float) -> "EquivalentError":
         """From (N, 2) differences in column and row."""
-        square = difference ** 2
-        return cls(float(np.sqrt(square[:, 0].mean())), float(np.sqrt(square[:, 1].mean())),
-                   float(np.sqrt(square.sum(axis=1).mean())), float(np.sqrt(square.sum(axis=1).max())), predicted)
+        square = difference**2
+        return cls(
+            float(np.sqrt(square[:, 0].mean())),
+            float(np.sqrt(square[:, 1].mean())),
+            float(np.sqrt(square.sum(axis=1).mean())),
+            float(np.sqrt(square.sum(axis=1).max())),
+            predicted,
+        )
 
     def to_mapping(self) -> dict[str, float]:
         return asdict(self)
@@ -56,8 +60,13 @@ class VirtualGrid:
     enu: FloatArray
 
 
-def virtual_grid(localise: Localise, window: Tuple[float, float, float, float], altitudes: Tuple[float, float],
-                 frame: EnuFrame, shape: Tuple[int, int, int] = GRID) -> VirtualGrid:
+def virtual_grid(
+    localise: Localise,
+    window: Tuple[float, float, float, float],
+    altitudes: Tuple[float, float],
+    frame: EnuFrame,
+    shape: Tuple[int, int, int] = GRID,
+) -> VirtualGrid:
     """Spread a regular grid over a window (col, row, width, height) and an altitude range.
 
     The paper projects a grid in longitude and latitude and drops what falls outside the image; localising a grid of
@@ -65,8 +74,11 @@ def virtual_grid(localise: Localise, window: Tuple[float, float, float, float], 
     """
     col, row, width, height = window
     cols, rows, heights = np.meshgrid(
-        np.linspace(col, col + width - 1, shape[0]), np.linspace(row, row + height - 1, shape[1]),
-        np.linspace(altitudes[0], altitudes[1], shape[2]), indexing="ij")
+        np.linspace(col, col + width - 1, shape[0]),
+        np.linspace(row, row + height - 1, shape[1]),
+        np.linspace(altitudes[0], altitudes[1], shape[2]),
+        indexing="ij",
+    )
     pixels = np.stack([cols.ravel(), rows.ravel()], axis=1)
     ground = localise(pixels, heights.ravel())
     known = np.isfinite(ground).all(axis=1)
@@ -96,7 +108,8 @@ def fit_pinhole(grid: VirtualGrid) -> EquivalentPinhole:
     """Fit and factorise the equivalent pinhole camera of a window, and measure its error (paper, Algorithm 1)."""
     camera = factorise(fit_projection(grid.enu, grid.pixels))
     return EquivalentPinhole(
-        camera, EquivalentError.of(camera.project(grid.enu) - grid.pixels, predicted_error(camera, grid)))
+        camera, EquivalentError.of(camera.project(grid.enu) - grid.pixels, predicted_error(camera, grid))
+    )
 
 
 @dataclass(frozen=True)
@@ -109,17 +122,27 @@ class RefinedPinhole:
     error: EquivalentError
 
     def to_mapping(self) -> dict[str, Any]:
-        return {"camera": self.camera.to_mapping(), "to_original": self.to_original.to_mapping(),
-                "size": list(self.size), "error": self.error.to_mapping()}
+        return {
+            "camera": self.camera.to_mapping(),
+            "to_original": self.to_original.to_mapping(),
+            "size": list(self.size),
+            "error": self.error.to_mapping(),
+        }
 
 
-def surface_grid(terrain: Terrain, window: Tuple[float, float, float, float], uncertainty_m: float = 10.0,
-                 shape: Tuple[int, int, int] = GRID) -> VirtualGrid:
+def surface_grid(
+    terrain: Terrain,
+    window: Tuple[float, float, float, float],
+    uncertainty_m: float = 10.0,
+    shape: Tuple[int, int, int] = GRID,
+) -> VirtualGrid:
     """Ground points within ``uncertainty_m`` of a surface, over a window: a terrain-aware camera must hold there."""
     cols, rows, above = np.meshgrid(
         np.linspace(window[0], window[0] + window[2] - 1, shape[0]),
         np.linspace(window[1], window[1] + window[3] - 1, shape[1]),
-        np.linspace(-uncertainty_m, uncertainty_m, shape[2]), indexing="ij")
+        np.linspace(-uncertainty_m, uncertainty_m, shape[2]),
+        indexing="ij",
+    )
     pixels = np.stack([cols.ravel(), rows.ravel()], axis=1)
     height = np.full(len(pixels), float(terrain.surface.heights.mean()))
     for _ in range(40):
@@ -132,8 +155,14 @@ def surface_grid(terrain: Terrain, window: Tuple[float, float, float, float], un
     return VirtualGrid(pixels[known], ground[known], terrain.frame.from_geodetic(ground[known]))
 
 
-def refine_pinhole(model: str, camera: PinholeCamera, grid: VirtualGrid, window: Tuple[float, float, float, float],
-                   order: int = 2, terrain: Optional[Terrain] = None) -> RefinedPinhole:
+def refine_pinhole(
+    model: str,
+    camera: PinholeCamera,
+    grid: VirtualGrid,
+    window: Tuple[float, float, float, float],
+    order: int = 2,
+    terrain: Optional[Terrain] = None,
+) -> RefinedPinhole:
     """Find M for a window, and place the refined image so that it holds all of the window (paper, Algorithm 2).
 
     The error is measured in original pixels: M(p') against p, where p' is the zero-skew camera's pixel of a ground
@@ -164,6 +193,11 @@ def _border(window: Tuple[float, float, float, float], points: int = 9) -> Float
     """(4 * points, 2) pixels along a window's border."""
     col, row, width, height = window
     u, v = np.linspace(col, col + width - 1, points), np.linspace(row, row + height - 1, points)
-    return np.concatenate([
-        np.column_stack([u, np.full(points, v[0])]), np.column_stack([u, np.full(points, v[-1])]),
-        np.column_stack([np.full(points, u[0]), v]), np.column_stack([np.full(points, u[-1]), v])])
+    return np.concatenate(
+        [
+            np.column_stack([u, np.full(points, v[0])]),
+            np.column_stack([u, np.full(points, v[-1])]),
+            np.column_stack([np.full(points, u[0]), v]),
+            np.column_stack([np.full(points, u[-1]), v]),
+        ]
+    )

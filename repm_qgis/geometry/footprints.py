@@ -6,26 +6,31 @@ from itertools import combinations
 from typing import Callable, List, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import ogr
 
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
+
 Polygon = FloatArray
 """(N, 2) vertices, not closed."""
 
 
-def footprint(localise: Callable[[FloatArray, float], FloatArray], size: Tuple[int, int], altitude: float,
-              points: int = 6) -> Polygon:
+def footprint(
+    localise: Callable[[FloatArray, float], FloatArray], size: Tuple[int, int], altitude: float, points: int = 6
+) -> Polygon:
     """The ground outline of an image at one altitude.
 
     ``localise`` maps (N, 2) pixels and a height to (N, 3) longitude, latitude, height; ``size`` is width, height.
     Returns (4 * (points - 1), 2) longitude, latitude; vertices the model cannot place are left out.
     """
     u, v = np.linspace(-0.5, size[0] - 0.5, points), np.linspace(-0.5, size[1] - 0.5, points)
-    border = np.concatenate([
-        np.column_stack([u[:-1], np.full(points - 1, v[0])]), np.column_stack([np.full(points - 1, u[-1]), v[:-1]]),
-        np.column_stack([u[:0:-1], np.full(points - 1, v[-1])]),
-        np.column_stack([np.full(points - 1, u[0]), v[:0:-1]])])
+    border = np.concatenate(
+        [
+            np.column_stack([u[:-1], np.full(points - 1, v[0])]),
+            np.column_stack([np.full(points - 1, u[-1]), v[:-1]]),
+            np.column_stack([u[:0:-1], np.full(points - 1, v[-1])]),
+            np.column_stack([np.full(points - 1, u[0]), v[:0:-1]]),
+        ]
+    )
     ground = localise(border, altitude)[:, :2]
     return ground[np.isfinite(ground).all(axis=1)]
 

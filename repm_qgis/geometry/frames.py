@@ -12,17 +12,14 @@ from typing import Any, List, Mapping, Optional, Tuple
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 from osgeo import osr
 from pyproj.aoi import AreaOfInterest
 from pyproj.transformer import TransformerGroup
 
+from ..arrays import FloatArray
 from ..errors import OptionError
 
-FloatArray = NDArray[np.float64]
-
-_TO_ECEF = ("+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
-            "+step +proj=cart +ellps=WGS84")
+_TO_ECEF = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
 
 
 @lru_cache(maxsize=1)
@@ -40,7 +37,8 @@ def geodetic_from_ecef(xyz_ecef_m: FloatArray) -> FloatArray:
     """(..., 3) geocentric X, Y, Z to (..., 3) longitude, latitude, height."""
     points = np.asarray(xyz_ecef_m, dtype=np.float64)
     result = _ecef_transformer().transform(
-        points[..., 0], points[..., 1], points[..., 2], direction=pyproj.enums.TransformDirection.INVERSE)
+        points[..., 0], points[..., 1], points[..., 2], direction=pyproj.enums.TransformDirection.INVERSE
+    )
     return np.stack(result, axis=-1)
 
 
@@ -56,11 +54,13 @@ class EnuFrame:
     def _rotation(self) -> FloatArray:
         """(3, 3) rows are east, north and up in ECEF."""
         lon, lat = np.radians(self.lon), np.radians(self.lat)
-        return np.array([
-            [-np.sin(lon), np.cos(lon), 0.0],
-            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
-            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
-        ])
+        return np.array(
+            [
+                [-np.sin(lon), np.cos(lon), 0.0],
+                [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+                [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+            ]
+        )
 
     @property
     def _origin(self) -> FloatArray:
@@ -123,8 +123,12 @@ def projected_crs_at(text: str, lon: float, lat: float) -> pyproj.CRS:
         units = (xy[1:] - xy[0]) / 100.0
     scales = np.linalg.svd(units, compute_uv=False) if np.isfinite(units).all() else np.zeros(2)
     if scales.min() < 0.5 or scales.max() > 2.0:
-        raise OptionError("CRS", text, f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: choose one of that "
-                          f"place, such as {utm_crs(lon, lat)}")
+        raise OptionError(
+            "CRS",
+            text,
+            f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: choose one of that "
+            f"place, such as {utm_crs(lon, lat)}",
+        )
     return crs
 
 
@@ -147,8 +151,9 @@ def vertical_part(crs: pyproj.CRS) -> Optional[str]:
     return f"ellipsoidal height ({crs.ellipsoid.name})" if len(crs.axis_info) == 3 else None
 
 
-def vertical_operations(source: pyproj.CRS, target: pyproj.CRS,
-                        bounds: Tuple[float, float, float, float]) -> Tuple[TransformerGroup, List[str]]:
+def vertical_operations(
+    source: pyproj.CRS, target: pyproj.CRS, bounds: Tuple[float, float, float, float]
+) -> Tuple[TransformerGroup, List[str]]:
     """PROJ's ways from one CRS with heights to another, best first, and the grids that are missing for others.
 
     ``bounds`` are west, south, east, north in degrees. Ways that leave heights as they are ("ballpark") do not count.
@@ -158,8 +163,9 @@ def vertical_operations(source: pyproj.CRS, target: pyproj.CRS,
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what pyproj would say of missing grids is the caller's to say
         group = TransformerGroup(source, target, always_xy=True, area_of_interest=area, allow_ballpark=False)
-    missing = {grid.short_name for operation in group.unavailable_operations for grid in operation.grids
-               if not grid.available}
+    missing = {
+        grid.short_name for operation in group.unavailable_operations for grid in operation.grids if not grid.available
+    }
     return group, sorted(missing)
 
 
@@ -171,8 +177,7 @@ def _to_wgs84(crs: str) -> pyproj.Transformer:
 def projected_from_geodetic(crs: str, lon_lat: FloatArray) -> FloatArray:
     """(..., 2 or more) longitude, latitude (further members ignored) to (..., 2) x, y in ``crs``."""
     points = np.asarray(lon_lat, dtype=np.float64)
-    result = _to_wgs84(crs).transform(
-        points[..., 0], points[..., 1], direction=pyproj.enums.TransformDirection.INVERSE)
+    result = _to_wgs84(crs).transform(points[..., 0], points[..., 1], direction=pyproj.enums.TransformDirection.INVERSE)
     return np.stack(result, axis=-1)
 
 

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Any, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import RpcInvalidError
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -101,10 +99,12 @@ def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
     X = np.column_stack([xyz_m, np.ones(len(xyz_m))]) @ T3.T
     x = np.column_stack([col_row, np.ones(len(col_row))]) @ T2.T
     zero = np.zeros_like(X)
-    design = np.concatenate([
-        np.hstack([X, zero, -x[:, :1] * X]),
-        np.hstack([zero, X, -x[:, 1:2] * X]),
-    ])
+    design = np.concatenate(
+        [
+            np.hstack([X, zero, -x[:, :1] * X]),
+            np.hstack([zero, X, -x[:, 1:2] * X]),
+        ]
+    )
     if not np.isfinite(design).all():
         raise RpcInvalidError("the RPC gives no finite pixels over the window and altitude range.")
     _, values, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))

@@ -10,19 +10,17 @@ from dataclasses import dataclass
 from typing import Any, Callable, Mapping, Protocol, Union
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import OptionError, SceneError
 from .frames import EnuFrame
 from .pinhole import PinholeCamera, normaliser
 from .surface import Surface
 
-FloatArray = NDArray[np.float64]
-
 _INVERSE_STEPS = 20
 _INVERSE_TOLERANCE_PX = 1e-7
 _INTERSECTION_STEPS = 20
-_INTERSECTION_TOLERANCE_M = 1e-3   # 1e-5 px at the steepest parallax
+_INTERSECTION_TOLERANCE_M = 1e-3  # 1e-5 px at the steepest parallax
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,13 @@ class PolynomialMap:
         return PolynomialMap(self.order, self.offset - step, self.scale, coefficients)
 
     def to_mapping(self) -> dict[str, Any]:
-        return {"kind": "polynomial", "order": self.order, "offset": self.offset.tolist(), "scale": self.scale,
-                "coefficients": self.coefficients.tolist()}
+        return {
+            "kind": "polynomial",
+            "order": self.order,
+            "offset": self.offset.tolist(),
+            "scale": self.scale,
+            "coefficients": self.coefficients.tolist(),
+        }
 
 
 class SensorModel(Protocol):
@@ -129,8 +132,9 @@ class TerrainMap:
     def original_from_refined(self, points: FloatArray) -> FloatArray:
         """(..., 2) refined to (..., 2) original pixels."""
         p = np.asarray(points, dtype=np.float64)
-        rays = np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1) @ np.linalg.inv(
-            self.camera.K @ self.camera.R).T
+        rays = (
+            np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1) @ np.linalg.inv(self.camera.K @ self.camera.R).T
+        )
         centre, frame, surface = self.camera.centre, self.terrain.frame, self.terrain.surface
         # The frame's up is within a third of a degree of the local one: steps by it converge as a strong contraction.
         distance = (surface.heights.mean() - frame.height - centre[2]) / rays[..., 2]
@@ -166,8 +170,7 @@ class TerrainMap:
 RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
 
 
-def map_from_mapping(values: Mapping[str, Any], camera: PinholeCamera,
-                     terrain: Callable[[], Terrain]) -> RefinementMap:
+def map_from_mapping(values: Mapping[str, Any], camera: PinholeCamera, terrain: Callable[[], Terrain]) -> RefinementMap:
     """The inverse of ``to_mapping``; raises SceneError for what is none of ours.
 
     A terrain map is made again from its camera and from ``terrain()``, called only then.
@@ -177,8 +180,12 @@ def map_from_mapping(values: Mapping[str, Any], camera: PinholeCamera,
     if values.get("kind") == "homography":
         return HomographyMap(np.array(values["matrix"], dtype=np.float64))
     if values.get("kind") == "polynomial":
-        return PolynomialMap(int(values["order"]), np.array(values["offset"], dtype=np.float64),
-                             float(values["scale"]), np.array(values["coefficients"], dtype=np.float64))
+        return PolynomialMap(
+            int(values["order"]),
+            np.array(values["offset"], dtype=np.float64),
+            float(values["scale"]),
+            np.array(values["coefficients"], dtype=np.float64),
+        )
     raise SceneError(f"the scene has a refinement of the unknown kind {values.get('kind')!r}: make the scene anew.")
 
 
@@ -201,12 +208,13 @@ def polynomial_terms(points: FloatArray, order: int) -> FloatArray:
     if order >= 2:
         terms += [x * y, x * x, y * y]
     for degree in range(3, order + 1):
-        terms += [x ** (degree - k) * y ** k for k in range(degree + 1)]
+        terms += [x ** (degree - k) * y**k for k in range(degree + 1)]
     return np.stack(terms, axis=-1)
 
 
-def fit_map(model: str, refined: FloatArray, original: FloatArray, skew_affinity: FloatArray,
-            order: int = 2) -> RefinementMap:
+def fit_map(
+    model: str, refined: FloatArray, original: FloatArray, skew_affinity: FloatArray, order: int = 2
+) -> RefinementMap:
     """Least-squares M from correspondences (paper, Algorithm 2, step 3).
 
     Parameters

@@ -7,9 +7,8 @@ from datetime import datetime, timezone
 from typing import Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=timezone.utc)
 

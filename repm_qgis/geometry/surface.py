@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,9 @@ class Surface:
         fu, fv = u - j, v - i
         below, right = min(1, m - 1), min(1, n - 1)
         z = self.heights
-        result = ((z[i, j] * (1 - fu) + z[i, j + right] * fu) * (1 - fv)
-                  + (z[i + below, j] * (1 - fu) + z[i + below, j + right] * fu) * fv)
+        result = (z[i, j] * (1 - fu) + z[i, j + right] * fu) * (1 - fv) + (
+            z[i + below, j] * (1 - fu) + z[i + below, j + right] * fu
+        ) * fv
         return np.where(known, result, np.nan)
 
     @classmethod

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import ogr
 
+from ..arrays import FloatArray
 from .footprints import box
 
-FloatArray = NDArray[np.float64]
 Bounds = Tuple[float, float, float, float]
 Window = Tuple[int, int, int, int]
 
@@ -50,9 +49,15 @@ def lay_tiles(area: ogr.Geometry, size_m: float) -> List[GroundTile]:
     return tiles
 
 
-def pixel_window(project: Callable[[FloatArray], FloatArray], to_geodetic: Callable[[FloatArray], FloatArray],
-                 bounds: Bounds, altitudes: Tuple[float, float], size: Tuple[int, int], margin: int = 0,
-                 smallest: int = 48) -> Optional[Window]:
+def pixel_window(
+    project: Callable[[FloatArray], FloatArray],
+    to_geodetic: Callable[[FloatArray], FloatArray],
+    bounds: Bounds,
+    altitudes: Tuple[float, float],
+    size: Tuple[int, int],
+    margin: int = 0,
+    smallest: int = 48,
+) -> Optional[Window]:
     """The window (col, row, width, height) of an image that sees a ground rectangle at all altitudes of a range.
 
     ``project`` maps (N, 3) longitude, latitude, height to pixels, ``to_geodetic`` (N, 2) x, y to longitude, latitude.

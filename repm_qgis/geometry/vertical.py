@@ -8,12 +8,10 @@ from typing import Optional, Tuple
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import MissingPackageError, OptionError
 from .frames import geodetic_from_projected, vertical_operations
-
-FloatArray = NDArray[np.float64]
 
 DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
 """Names of vertical datums that people say, and PROJ's for them; "" is the WGS 84 ellipsoid."""
@@ -37,8 +35,11 @@ def vertical_crs(text: Optional[str], option: str) -> Optional[pyproj.CRS]:
         crs = pyproj.CRS.from_user_input(name)
         return next(part for part in (crs.sub_crs_list or [crs]) if part.is_vertical)
     except (pyproj.exceptions.ProjError, StopIteration) as error:
-        raise OptionError(option, text, "is no vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a "
-                          "code such as EPSG:5773") from error
+        raise OptionError(
+            option,
+            text,
+            "is no vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a code such as EPSG:5773",
+        ) from error
 
 
 def with_wgs84(vertical: pyproj.CRS) -> pyproj.CRS:
@@ -91,8 +92,9 @@ class HeightDatum:
         zero = np.zeros(lon_lat.shape[:-1])
         below = np.asarray(self._operation(_bounds(lon_lat)).transform(lon_lat[..., 0], lon_lat[..., 1], zero)[2])
         if not np.isfinite(below).all():
-            raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the DSM: choose another "
-                                      "VERTICAL_DATUM, such as ellipsoid.")
+            raise MissingPackageError(
+                f"PROJ's grid for {self.name} does not cover the DSM: choose another VERTICAL_DATUM, such as ellipsoid."
+            )
         return -below
 
     def _operation(self, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
@@ -102,7 +104,8 @@ class HeightDatum:
             grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
             raise MissingPackageError(
                 f"PROJ cannot bring ellipsoidal heights to {self.name}: {grids}. Install it (package proj-data, or "
-                "'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid.")
+                "'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid."
+            )
         return transformer
 
 

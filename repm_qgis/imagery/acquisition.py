@@ -28,8 +28,10 @@ from ..rpc.readers import names_beside, product_of
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _FIRST_YEAR, _LAST_YEAR = 1972, 2100
 _GDALS_OWN = "20021216151629"
-_ISO = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ]+(\d\d):(\d\d):(\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?",
-                  re.ASCII | re.IGNORECASE)
+_ISO = re.compile(
+    r"(\d{4})-(\d\d)-(\d\d)[T ]+(\d\d):(\d\d):(\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?",
+    re.ASCII | re.IGNORECASE,
+)
 _COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(?:\.?(\d{1,9}))?", re.ASCII)
 _NITF20 = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)Z([A-Z]{3})(\d\d)", re.ASCII)
 _IN_NAMES = (
@@ -94,11 +96,19 @@ def time_files_beside(path: str) -> List[str]:
     image = Path(path)
     core, stem = product_of(image), image.stem
     # Pleiades Neo's images name their band after what the product's own file is called.
-    wanted = [f"DIM_{core}.XML", f"DIM_{re.sub(r'_[A-Za-z-]+$', '', core)}.XML", f"{stem}.IMD", f"{stem}.XML",
-              f"{stem}.geom"]
+    wanted = [
+        f"DIM_{core}.XML",
+        f"DIM_{re.sub(r'_[A-Za-z-]+$', '', core)}.XML",
+        f"{stem}.IMD",
+        f"{stem}.XML",
+        f"{stem}.geom",
+    ]
     there = names_beside(image)
-    return [str(image.with_name(name)) for key in dict.fromkeys(name.lower() for name in wanted)
-            for name in there.get(key, ())]
+    return [
+        str(image.with_name(name))
+        for key in dict.fromkeys(name.lower() for name in wanted)
+        for name in there.get(key, ())
+    ]
 
 
 def apart_text(days: Optional[float]) -> str:

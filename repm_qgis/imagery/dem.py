@@ -17,7 +17,7 @@ from .raster import NODATA, opened, quiet, read, write
 from .sampling import upsample_grid
 
 _MOST_CELLS = 512
-_MOST_SURFACE = 2000     # cells a side of a coarse surface
+_MOST_SURFACE = 2000  # cells a side of a coarse surface
 
 
 def dem_range(path: str, crs: str, bounds: Tuple[float, float, float, float]) -> Tuple[float, float, bool]:
@@ -56,9 +56,11 @@ def _to_ellipsoid(crs: pyproj.CRS, path: str, x: np.ndarray, y: np.ndarray) -> n
     else:
         reason = "its grid is not installed"
     if not np.isfinite(result).all():
-        raise ImageError(f"PROJ cannot bring the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}. "
-                         "Install PROJ's vertical grids (the Environment report names them), or give an ellipsoidal "
-                         "DEM.")
+        raise ImageError(
+            f"PROJ cannot bring the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}. "
+            "Install PROJ's vertical grids (the Environment report names them), or give an ellipsoidal "
+            "DEM."
+        )
     return result
 
 
@@ -76,9 +78,19 @@ def make_surface(path: str, bounds: Tuple[float, float, float, float], cell_m: f
         crs = pyproj.CRS.from_wkt(dataset.GetProjection())
         with quiet():
             # Two-dimensional, so that GDAL does not shift the heights by itself.
-            warped = gdal.Warp("", dataset, format="MEM", srcSRS=flat_crs(crs).to_wkt(), dstSRS="EPSG:4326",
-                               outputBounds=bounds, width=width, height=height, resampleAlg="average",
-                               dstNodata=NODATA, outputType=gdal.GDT_Float32)
+            warped = gdal.Warp(
+                "",
+                dataset,
+                format="MEM",
+                srcSRS=flat_crs(crs).to_wkt(),
+                dstSRS="EPSG:4326",
+                outputBounds=bounds,
+                width=width,
+                height=height,
+                resampleAlg="average",
+                dstNodata=NODATA,
+                outputType=gdal.GDT_Float32,
+            )
         if warped is None or not np.isfinite(read(warped)).any():
             raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does.")
         with quiet():
@@ -89,12 +101,19 @@ def make_surface(path: str, bounds: Tuple[float, float, float, float], cell_m: f
     heights = np.where(np.isfinite(heights), heights, np.nanmean(heights))
     if vertical_part(crs):
         heights += _undulation(crs, path, bounds, heights.shape)
-    return write(target, [heights.astype(np.float32)], transform, pyproj.CRS("EPSG:4326").to_wkt(),
-                 descriptions=("height above the WGS 84 ellipsoid (m)",), unit="m")
+    return write(
+        target,
+        [heights.astype(np.float32)],
+        transform,
+        pyproj.CRS("EPSG:4326").to_wkt(),
+        descriptions=("height above the WGS 84 ellipsoid (m)",),
+        unit="m",
+    )
 
 
-def _undulation(crs: pyproj.CRS, path: str, bounds: Tuple[float, float, float, float],
-                shape: Tuple[int, int]) -> np.ndarray:
+def _undulation(
+    crs: pyproj.CRS, path: str, bounds: Tuple[float, float, float, float], shape: Tuple[int, int]
+) -> np.ndarray:
     """What to add to a DEM's heights, from a lattice of exact values: the geoid is smooth."""
     lon, lat = np.meshgrid(np.linspace(bounds[0], bounds[2], 17), np.linspace(bounds[3], bounds[1], 17))
     x, y = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True).transform(lon.ravel(), lat.ravel())
@@ -117,8 +136,9 @@ def _surface(path: str, *_: object) -> Surface:
 def _window_values(dataset: gdal.Dataset, path: str, points: np.ndarray) -> np.ndarray:
     """The DEM's cells within the bounding box of points (in its CRS), decimated."""
     inverse = gdal.InvGeoTransform(dataset.GetGeoTransform())
-    cells = np.array([gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in points
-                      if np.isfinite(x) and np.isfinite(y)])
+    cells = np.array(
+        [gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in points if np.isfinite(x) and np.isfinite(y)]
+    )
     if not len(cells):
         raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
     low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - 1, 0)
@@ -126,8 +146,9 @@ def _window_values(dataset: gdal.Dataset, path: str, points: np.ndarray) -> np.n
     if (high <= low).any():
         raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
     width, height = (high - low).tolist()
-    values = read(dataset, (int(low[0]), int(low[1]), width, height), 1,
-                  (min(width, _MOST_CELLS), min(height, _MOST_CELLS)))
+    values = read(
+        dataset, (int(low[0]), int(low[1]), width, height), 1, (min(width, _MOST_CELLS), min(height, _MOST_CELLS))
+    )
     if not np.isfinite(values).any():
         raise OverlapError(f"The DEM '{path}' has only nodata over the scene: give another one, or leave DEM empty.")
     return values

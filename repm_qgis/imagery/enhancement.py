@@ -11,7 +11,7 @@ from ..errors import ImageError
 from .raster import opened_masked, read
 
 _SAMPLE_SIDE = 1024
-_KNEE = 0.9     # the threshold's place in 0..1: a tenth is left for the tail
+_KNEE = 0.9  # the threshold's place in 0..1: a tenth is left for the tail
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Stretch:
             root = np.sqrt(np.maximum((pixels - np.float32(self.low)) / np.float32(self.high - self.low), 0))
             room = np.float32(1.0 - _KNEE)
             return np.where(root > 1, 1 - room * np.exp(np.minimum(1 - root, 0) * (_KNEE / room)), root * _KNEE).astype(
-                np.float32)
+                np.float32
+            )
 
 
 def view_stretch(path: str, band: int, mask: str = "") -> Stretch:
@@ -46,9 +47,10 @@ def view_stretch(path: str, band: int, mask: str = "") -> Stretch:
         pixels = read(dataset, None, band, size)
     known = pixels[np.isfinite(pixels)]
     if known.size < 100:
-        raise ImageError(f"'{path}' has only nodata in band {band}: choose another image, " "band or mask.")
+        raise ImageError(f"'{path}' has only nodata in band {band}: choose another image, band or mask.")
     low, high = np.percentile(known, (0.1, 99.5))
     if high <= low:
-        raise ImageError(f"'{path}' has the same value ({low:g}) almost everywhere in band {band}: it shows nothing to "
-                         "match.")
+        raise ImageError(
+            f"'{path}' has the same value ({low:g}) almost everywhere in band {band}: it shows nothing to match."
+        )
     return Stretch(float(low), float(high))

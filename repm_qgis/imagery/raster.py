@@ -63,9 +63,11 @@ def opened_masked(path: str, mask: str = "") -> Iterator[Union[gdal.Dataset, Mas
         with opened(mask) as excluded:
             sizes = [(dataset.RasterXSize, dataset.RasterYSize) for dataset in (image, excluded)]
             if sizes[0] != sizes[1]:
-                raise ImageError(f"The mask '{mask}' has {sizes[1][0]} x {sizes[1][1]} px, its image '{path}' "
-                                 f"{sizes[0][0]} x {sizes[0][1]} px: give a mask in the image's own geometry, pixel "
-                                 "for pixel.")
+                raise ImageError(
+                    f"The mask '{mask}' has {sizes[1][0]} x {sizes[1][1]} px, its image '{path}' "
+                    f"{sizes[0][0]} x {sizes[0][1]} px: give a mask in the image's own geometry, pixel "
+                    "for pixel."
+                )
             yield MaskedImage(image, excluded)
 
 
@@ -90,8 +92,12 @@ def opened(path: str) -> Iterator[gdal.Dataset]:
         dataset = None
 
 
-def read(dataset: Union[gdal.Dataset, MaskedImage], window: Optional[Window] = None, band: int = 1,
-         size: Optional[Tuple[int, int]] = None) -> NDArray[np.float32]:
+def read(
+    dataset: Union[gdal.Dataset, MaskedImage],
+    window: Optional[Window] = None,
+    band: int = 1,
+    size: Optional[Tuple[int, int]] = None,
+) -> NDArray[np.float32]:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 
     So does what the file's own mask or alpha band hides, and what a :class:`MaskedImage` excludes.
@@ -105,12 +111,13 @@ def read(dataset: Union[gdal.Dataset, MaskedImage], window: Optional[Window] = N
         return np.where(excluded, np.float32(np.nan), read(dataset.image, window, band, size))
     if band == 0:
         meanings = _meanings(dataset)
-        return sum(np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
-                   for colour, weight in _COLOURS.items())
+        return sum(
+            np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
+            for colour, weight in _COLOURS.items()
+        )
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     handle = dataset.GetRasterBand(band)
-    options = {} if size is None else {
-        "buf_xsize": size[0], "buf_ysize": size[1], "resample_alg": gdal.GRIORA_Average}
+    options = {} if size is None else {"buf_xsize": size[0], "buf_ysize": size[1], "resample_alg": gdal.GRIORA_Average}
     with quiet():
         values, cause = None, None
         try:
@@ -120,8 +127,10 @@ def read(dataset: Union[gdal.Dataset, MaskedImage], window: Optional[Window] = N
         # libtiff fills what a truncated file lacks and only warns; a complex file gives an array that is no image.
         reason = _reason(cause) if values is None or gdal.GetLastErrorType() >= gdal.CE_Failure else ""
     if reason or values is None:
-        raise ImageError(f"Cannot read pixels {col}..{col + width - 1}, rows {row}..{row + height - 1} of "
-                         f"'{dataset.GetDescription()}': {reason}. The file is damaged or cut short: get it again.")
+        raise ImageError(
+            f"Cannot read pixels {col}..{col + width - 1}, rows {row}..{row + height - 1} of "
+            f"'{dataset.GetDescription()}': {reason}. The file is damaged or cut short: get it again."
+        )
     nodata = handle.GetNoDataValue()
     result = values.astype(np.float32)
     if handle.GetMaskFlags() & gdal.GMF_PER_DATASET:  # an alpha or mask band, in the file or beside it
@@ -161,8 +170,11 @@ class RasterWriter:
         handle = self._dataset.GetRasterBand(band)
         nodata = handle.GetNoDataValue()
         if keep:
-            values = np.where(np.isfinite(values), values, read(self._dataset, (
-                col, row, values.shape[1], values.shape[0]), band).astype(values.dtype))
+            values = np.where(
+                np.isfinite(values),
+                values,
+                read(self._dataset, (col, row, values.shape[1], values.shape[0]), band).astype(values.dtype),
+            )
         if nodata is not None and values.dtype.kind == "f":
             values = np.where(np.isfinite(values), values, values.dtype.type(nodata))
         with quiet():
@@ -217,26 +229,61 @@ class RasterWriter:
             raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
 
 
-def write(path: str, bands: Sequence[NDArray], geotransform: Optional[Sequence[float]], crs_wkt: str, *,
-          nodata: Optional[float] = NODATA, descriptions: Sequence[str] = (), metadata: Optional[dict] = None,
-          unit: str = "", cog: bool = False, compress: bool = True, own: bool = False) -> str:
+def write(
+    path: str,
+    bands: Sequence[NDArray],
+    geotransform: Optional[Sequence[float]],
+    crs_wkt: str,
+    *,
+    nodata: Optional[float] = NODATA,
+    descriptions: Sequence[str] = (),
+    metadata: Optional[dict] = None,
+    unit: str = "",
+    cog: bool = False,
+    compress: bool = True,
+    own: bool = False,
+) -> str:
     """Write bands (each (height, width), NaN = nodata for floats) as a tiled GeoTIFF, whole or not at all.
 
     Raises WorkspaceError where the file cannot be written. Returns ``path``.
     """
-    with created(path, bands[0].shape, bands[0].dtype, len(bands), geotransform, crs_wkt, nodata=nodata,
-                 descriptions=descriptions, metadata=metadata, unit=unit, cog=cog, compress=compress,
-                 own=own) as writer:
+    with created(
+        path,
+        bands[0].shape,
+        bands[0].dtype,
+        len(bands),
+        geotransform,
+        crs_wkt,
+        nodata=nodata,
+        descriptions=descriptions,
+        metadata=metadata,
+        unit=unit,
+        cog=cog,
+        compress=compress,
+        own=own,
+    ) as writer:
         for index, values in enumerate(bands, start=1):
             writer.write(values, band=index)
     return path
 
 
 @contextmanager
-def created(path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, geotransform: Optional[Sequence[float]],
-            crs_wkt: str, *, nodata: Optional[float] = NODATA, descriptions: Sequence[str] = (),
-            metadata: Optional[dict] = None, unit: str = "", cog: bool = False, compress: bool = True,
-            own: bool = False) -> Iterator[RasterWriter]:
+def created(
+    path: str,
+    shape: Tuple[int, int],
+    dtype: np.dtype,
+    bands: int,
+    geotransform: Optional[Sequence[float]],
+    crs_wkt: str,
+    *,
+    nodata: Optional[float] = NODATA,
+    descriptions: Sequence[str] = (),
+    metadata: Optional[dict] = None,
+    unit: str = "",
+    cog: bool = False,
+    compress: bool = True,
+    own: bool = False,
+) -> Iterator[RasterWriter]:
     """A new GeoTIFF to fill by window: it takes its name only when the block ends without an error.
 
     ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews, for
@@ -264,8 +311,15 @@ def created(path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, geot
 
 def _to_cog(source: str, target: str, path: str, dtype: np.dtype) -> None:
     """The same raster with overviews in the order that the Cloud Optimized GeoTIFF layout wants."""
-    options = ["COMPRESS=DEFLATE", "LEVEL=1", f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}",
-               "OVERVIEWS=IGNORE_EXISTING", "RESAMPLING=AVERAGE", "BLOCKSIZE=256", "BIGTIFF=IF_SAFER"]
+    options = [
+        "COMPRESS=DEFLATE",
+        "LEVEL=1",
+        f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}",
+        "OVERVIEWS=IGNORE_EXISTING",
+        "RESAMPLING=AVERAGE",
+        "BLOCKSIZE=256",
+        "BIGTIFF=IF_SAFER",
+    ]
     with opened(source) as dataset, quiet():
         try:
             copy = gdal.GetDriverByName("COG").CreateCopy(target, dataset, options=options)
@@ -278,10 +332,16 @@ def _to_cog(source: str, target: str, path: str, dtype: np.dtype) -> None:
         raise WorkspaceError(f"Cannot write '{path}': {reason}. Is the disk full?")
 
 
-def _create(temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int,
-            compress: bool, own: bool) -> gdal.Dataset:
-    kinds = {"float32": gdal.GDT_Float32, "float64": gdal.GDT_Float64, "uint8": gdal.GDT_Byte,
-             "uint16": gdal.GDT_UInt16, "int32": gdal.GDT_Int32}
+def _create(
+    temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, compress: bool, own: bool
+) -> gdal.Dataset:
+    kinds = {
+        "float32": gdal.GDT_Float32,
+        "float64": gdal.GDT_Float64,
+        "uint8": gdal.GDT_Byte,
+        "uint16": gdal.GDT_UInt16,
+        "int32": gdal.GDT_Int32,
+    }
     options = ["TILED=YES", "BIGTIFF=IF_SAFER"]
     if compress and own and "ZSTD" in gdal.GetDriverByName("GTiff").GetMetadataItem("DMD_CREATIONOPTIONLIST"):
         options += ["COMPRESS=ZSTD", "ZSTD_LEVEL=1"]
@@ -291,7 +351,8 @@ def _create(temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, 
         dataset, cause = None, None
         try:
             dataset = gdal.GetDriverByName("GTiff").Create(
-                temporary, shape[1], shape[0], bands, kinds[dtype.name], options)
+                temporary, shape[1], shape[0], bands, kinds[dtype.name], options
+            )
         except RuntimeError as error:
             cause = error
         reason = _reason(cause) if dataset is None else ""
@@ -300,8 +361,15 @@ def _create(temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, 
     return dataset
 
 
-def _describe(dataset: gdal.Dataset, geotransform: Optional[Sequence[float]], crs_wkt: str, nodata: Optional[float],
-              descriptions: Sequence[str], metadata: Optional[dict], unit: str) -> None:
+def _describe(
+    dataset: gdal.Dataset,
+    geotransform: Optional[Sequence[float]],
+    crs_wkt: str,
+    nodata: Optional[float],
+    descriptions: Sequence[str],
+    metadata: Optional[dict],
+    unit: str,
+) -> None:
     if geotransform is not None:
         dataset.SetGeoTransform(list(geotransform))
     if crs_wkt:

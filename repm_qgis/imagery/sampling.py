@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating]
+from ..arrays import Floats
 
 
-def sample(image: FloatArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
+def sample(image: Floats, cols: Floats, rows: Floats) -> Floats:
     """Bilinear values of ``image`` (height, width) at pixel positions; the first pixel's centre is (0, 0).
 
     NaN outside the image and wherever one of the four neighbours is NaN.
@@ -31,24 +30,27 @@ def sample(image: FloatArray, cols: FloatArray, rows: FloatArray) -> FloatArray:
     return result
 
 
-def box_mean(values: FloatArray, radius: int) -> FloatArray:
+def box_mean(values: Floats, radius: int) -> Floats:
     """Means over (2 radius + 1) squares of (..., height, width) arrays without NaN; borders take what there is.
 
     In the arrays' own precision.
     """
     height, width = values.shape[-2:]
     padded = np.zeros(values.shape[:-2] + (height + 2 * radius, width + 2 * radius), values.dtype)
-    padded[..., radius:radius + height, radius:radius + width] = values
+    padded[..., radius : radius + height, radius : radius + width] = values
     total = _window_sums(_window_sums(padded, radius, columns=False), radius, columns=True)
-    rows, columns = (np.minimum(place + radius + 1, len(place)) - np.maximum(place - radius, 0)
-                     for place in (np.arange(height), np.arange(width)))
+    rows, columns = (
+        np.minimum(place + radius + 1, len(place)) - np.maximum(place - radius, 0)
+        for place in (np.arange(height), np.arange(width))
+    )
     return total / (rows[:, None] * columns).astype(values.dtype)
 
 
-def _window_sums(part: FloatArray, radius: int, columns: bool) -> FloatArray:
+def _window_sums(part: Floats, radius: int, columns: bool) -> Floats:
     """Sums of 2 radius + 1 neighbours along columns or rows, made of sums of 1, 2, 4, ... of them."""
-    def cut(array: FloatArray, begin: int, length: int) -> FloatArray:
-        return array[..., begin:begin + length] if columns else array[..., begin:begin + length, :]
+
+    def cut(array: Floats, begin: int, length: int) -> Floats:
+        return array[..., begin : begin + length] if columns else array[..., begin : begin + length, :]
 
     axis, width = -1 if columns else -2, 2 * radius + 1
     size = part.shape[axis] - 2 * radius
@@ -65,13 +67,13 @@ def _window_sums(part: FloatArray, radius: int, columns: bool) -> FloatArray:
         length *= 2
 
 
-def upsample_grid(grid: FloatArray, shape: tuple[int, int]) -> FloatArray:
+def upsample_grid(grid: Floats, shape: tuple[int, int]) -> Floats:
     """Bilinear interpolation of a coarse (m, n, ...) grid, corners on corners, to (height, width, ...)."""
     m, n = grid.shape[:2]
     return interpolate_grid(grid, np.linspace(0, m - 1, shape[0]), np.linspace(0, n - 1, shape[1]))
 
 
-def interpolate_grid(grid: FloatArray, rows: FloatArray, columns: FloatArray) -> FloatArray:
+def interpolate_grid(grid: Floats, rows: Floats, columns: Floats) -> Floats:
     """Bilinear interpolation of a (m, n, ...) grid at (H,) rows and (W,) columns, in units of nodes; ends extended."""
     m, n = grid.shape[:2]
     i = np.clip(rows.astype(int), 0, m - 2)

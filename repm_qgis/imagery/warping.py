@@ -9,23 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
+from ..arrays import FloatArray
 from ..errors import ImageError
 from .raster import read
 
-FloatArray = NDArray[np.float64]
 PixelMap = Callable[[FloatArray], FloatArray]
 
-GRID_STEP = 16     # px between exact points of the map; what lies between is interpolated
-_STRIP = 512        # rows a pass
-_BLOCK = 1024       # columns a pass, whole grid steps
-_MAX_SIDE = 32000   # OpenCV's remap counts source pixels in 16 bits
+GRID_STEP = 16  # px between exact points of the map; what lies between is interpolated
+_STRIP = 512  # rows a pass
+_BLOCK = 1024  # columns a pass, whole grid steps
+_MAX_SIDE = 32000  # OpenCV's remap counts source pixels in 16 bits
 
 KERNELS = {"bilinear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv2.INTER_LANCZOS4}
-_REACH = {"bilinear": 1, "cubic": 2, "lanczos": 4}   # pixels on either side that a kernel touches
+_REACH = {"bilinear": 1, "cubic": 2, "lanczos": 4}  # pixels on either side that a kernel touches
 
 
-def source_positions(to_source: PixelMap, size: Tuple[int, int], first_row: int = 0,
-                     rows: Optional[int] = None) -> FloatArray:
+def source_positions(
+    to_source: PixelMap, size: Tuple[int, int], first_row: int = 0, rows: Optional[int] = None
+) -> FloatArray:
     """(rows, width, 2) source positions of all pixels of an image of ``size`` (width, height).
 
     The map is evaluated on a grid of 16 px and interpolated bilinearly: the maps here are so smooth (homographies
@@ -46,14 +47,15 @@ def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatA
 def between(nodes: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
     """(rows, columns) bilinear interpolation of (m, n) nodes that lie ``GRID_STEP`` px apart."""
     share = np.arange(GRID_STEP, dtype=nodes.dtype) / nodes.dtype.type(GRID_STEP)
-    down = (nodes[:-1, None, :] + np.diff(nodes, axis=0)[:, None, :] * share[None, :, None])
+    down = nodes[:-1, None, :] + np.diff(nodes, axis=0)[:, None, :] * share[None, :, None]
     down = down.reshape(-1, nodes.shape[1])[:rows]
     across = down[:, :-1, None] + np.diff(down, axis=1)[:, :, None] * share
     return across.reshape(rows, -1)[:, :columns]
 
 
-def warp(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int],
-         kernel: str = "bilinear") -> NDArray[np.float32]:
+def warp(
+    dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int], kernel: str = "bilinear"
+) -> NDArray[np.float32]:
     """Resample an image: pixel p of the result takes the source's value at ``to_source(p)``.
 
     Returns (height, width) float32; NaN where the source has nodata or ends. Nodata never bleeds: a pixel whose
@@ -62,12 +64,13 @@ def warp(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int,
     width, height = size
     result = np.full((height, width), np.nan, dtype=np.float32)
     for row, strip in warp_strips(dataset, band, to_source, size, kernel):
-        result[row:row + len(strip)] = strip
+        result[row : row + len(strip)] = strip
     return result
 
 
-def warp_strips(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int],
-                kernel: str = "bilinear") -> Iterator[Tuple[int, NDArray[np.float32]]]:
+def warp_strips(
+    dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int], kernel: str = "bilinear"
+) -> Iterator[Tuple[int, NDArray[np.float32]]]:
     """:func:`warp` by strips of rows, for images that do not fit into memory: first row and pixels of each."""
     width, height = size
     for row in range(0, height, _STRIP):
@@ -75,20 +78,21 @@ def warp_strips(dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tup
         yield row, _warp_strip(dataset, band, _nodes(to_source, width, row, rows), (rows, width), kernel)
 
 
-def _warp_strip(dataset: gdal.Dataset, band: int, nodes: FloatArray, shape: Tuple[int, int],
-                kernel: str) -> NDArray[np.float32]:
+def _warp_strip(
+    dataset: gdal.Dataset, band: int, nodes: FloatArray, shape: Tuple[int, int], kernel: str
+) -> NDArray[np.float32]:
     """One strip, in blocks of columns: each block reads only what its own nodes span."""
     result = np.full(shape, np.nan, dtype=np.float32)
     for col in range(0, shape[1], _BLOCK):
         columns = min(_BLOCK, shape[1] - col)
-        own = nodes[:, col // GRID_STEP:-(-(col + columns) // GRID_STEP) + 1]
+        own = nodes[:, col // GRID_STEP : -(-(col + columns) // GRID_STEP) + 1]
         window = _window(dataset, own, kernel)
         if window is None:
             continue
         # In the window's own pixels float32 is good to 1e-4 px, and half the work.
         local = (own - window[:2]).astype(np.float32)
         u, v = (between(local[..., axis], shape[0], columns) for axis in (0, 1))
-        result[:, col:col + columns] = _remapped(read(dataset, window, band), u, v, kernel)
+        result[:, col : col + columns] = _remapped(read(dataset, window, band), u, v, kernel)
     return result
 
 
@@ -104,15 +108,20 @@ def _window(dataset: gdal.Dataset, positions: FloatArray, kernel: str) -> Option
     if (high <= low).any():
         return None
     if (high - low > _MAX_SIDE).any():
-        raise ImageError(f"A block of the refined image spans {high[0] - low[0]} x {high[1] - low[1]} px of "
-                         f"'{dataset.GetDescription()}': its RPC does not fit its pixels; is it another image's?")
+        raise ImageError(
+            f"A block of the refined image spans {high[0] - low[0]} x {high[1] - low[1]} px of "
+            f"'{dataset.GetDescription()}': its RPC does not fit its pixels; is it another image's?"
+        )
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
 def sample_source(dataset: gdal.Dataset, band: int, positions: FloatArray, kernel: str) -> NDArray[np.float32]:
     """Values of an image at (rows, columns, 2) positions; only the window that they span is read."""
-    inside = np.where(((positions > -1) & (positions < (dataset.RasterXSize, dataset.RasterYSize))).all(
-        axis=-1, keepdims=True), positions, np.nan)
+    inside = np.where(
+        ((positions > -1) & (positions < (dataset.RasterXSize, dataset.RasterYSize))).all(axis=-1, keepdims=True),
+        positions,
+        np.nan,
+    )
     window = _window(dataset, inside, kernel)
     if window is None:
         return np.full(positions.shape[:2], np.nan, dtype=np.float32)
@@ -124,8 +133,9 @@ def sample_array(source: NDArray[np.float32], positions: FloatArray, kernel: str
     return _remapped(source, positions[..., 0].astype(np.float32), positions[..., 1].astype(np.float32), kernel)
 
 
-def _remapped(source: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32],
-              kernel: str) -> NDArray[np.float32]:
+def _remapped(
+    source: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32], kernel: str
+) -> NDArray[np.float32]:
     flags = KERNELS[kernel]
     missing = ~np.isfinite(source)
     if not missing.any():

@@ -38,19 +38,32 @@ _REACH = 3.0  # of the ground's normalisers, for the middle half of the pixels; 
 
 # Our member, and GDAL's key for it.
 GDAL_KEYS = {
-    "row_off": "LINE_OFF", "row_scale": "LINE_SCALE", "col_off": "SAMP_OFF", "col_scale": "SAMP_SCALE",
-    "lat_off": "LAT_OFF", "lat_scale": "LAT_SCALE", "lon_off": "LONG_OFF", "lon_scale": "LONG_SCALE",
-    "height_off": "HEIGHT_OFF", "height_scale": "HEIGHT_SCALE",
-    "row_num": "LINE_NUM_COEFF", "row_den": "LINE_DEN_COEFF",
-    "col_num": "SAMP_NUM_COEFF", "col_den": "SAMP_DEN_COEFF",
+    "row_off": "LINE_OFF",
+    "row_scale": "LINE_SCALE",
+    "col_off": "SAMP_OFF",
+    "col_scale": "SAMP_SCALE",
+    "lat_off": "LAT_OFF",
+    "lat_scale": "LAT_SCALE",
+    "lon_off": "LONG_OFF",
+    "lon_scale": "LONG_SCALE",
+    "height_off": "HEIGHT_OFF",
+    "height_scale": "HEIGHT_SCALE",
+    "row_num": "LINE_NUM_COEFF",
+    "row_den": "LINE_DEN_COEFF",
+    "col_num": "SAMP_NUM_COEFF",
+    "col_den": "SAMP_DEN_COEFF",
 }
 _SCALARS = tuple(key for key in GDAL_KEYS.values() if not key.endswith("COEFF"))
 _POLYNOMIALS = tuple(key for key in GDAL_KEYS.values() if key.endswith("COEFF"))
 _INVERSE = ("LAT_NUM_COEFF", "LAT_DEN_COEFF", "LONG_NUM_COEFF", "LONG_DEN_COEFF")
 
-_UNITS = {"LINE": ("pixels", "pixel", "px", "lines"), "SAMP": ("pixels", "pixel", "px", "samples"),
-          "LAT": ("degrees", "degree", "deg"), "LONG": ("degrees", "degree", "deg"),
-          "HEIGHT": ("meters", "metres", "meter", "metre", "m")}
+_UNITS = {
+    "LINE": ("pixels", "pixel", "px", "lines"),
+    "SAMP": ("pixels", "pixel", "px", "samples"),
+    "LAT": ("degrees", "degree", "deg"),
+    "LONG": ("degrees", "degree", "deg"),
+    "HEIGHT": ("meters", "metres", "meter", "metre", "m"),
+}
 _NUMBER = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d{1,6})?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 # RPC00A orders its twenty terms otherwise: RPC00B's term i is RPC00A's term _FROM_RPC00A[i] (NIMA STDI-0002).
@@ -66,6 +79,7 @@ class Found:
 
 
 # --- from texts to a model ------------------------------------------------------------------------------------------
+
 
 def rpc_from_texts(texts: Mapping[str, str], first_pixel: float = 0.0) -> Rpc:
     """An RPC from its members under GDAL's names; raises RpcInvalidError that names the wrong one.
@@ -126,8 +140,10 @@ def checked(rpc: Rpc) -> Rpc:
         reach = np.abs(ground[:, :2] - [rpc.lon_off, rpc.lat_off]) / np.abs([rpc.lon_scale, rpc.lat_scale])
         areas = _signed_areas(ground)
     if not (error < _ROUND_TRIP_PX and reach.max() < _REACH and ((areas > 0).all() or (areas < 0).all())):
-        raise RpcInvalidError("its numbers are no sensor model: the pixels around its centre are not found on the "
-                              "ground around its centre.")
+        raise RpcInvalidError(
+            "its numbers are no sensor model: the pixels around its centre are not found on the "
+            "ground around its centre."
+        )
     return rpc
 
 
@@ -141,8 +157,11 @@ def _signed_areas(ground: np.ndarray) -> np.ndarray:
 def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1) -> Iterator[Tuple[str, str]]:
     """(name, twenty numbers) of polynomials that are given as NAME_first ... or, in one piece, as NAME."""
     for name in names:
-        given = {int(key[len(name) + 1:]): text for key, text in found.items()
-                 if re.fullmatch(r"_\d{1,3}", key[len(name):], re.ASCII) and key.startswith(name)}
+        given = {
+            int(key[len(name) + 1 :]): text
+            for key, text in found.items()
+            if re.fullmatch(r"_\d{1,3}", key[len(name) :], re.ASCII) and key.startswith(name)
+        }
         if name in found and given:
             raise RpcInvalidError(f"its {name} is there in one piece and number by number.")
         if name in found:
@@ -167,6 +186,7 @@ def _add(found: Dict[str, str], key: str, text: str) -> None:
 
 # --- KEY: value, as IKONOS, Planet, SkySat, ZY-3, GF-7 and WHU-TLC write it -----------------------------------------
 
+
 def _parse_key_value(text: str) -> Rpc:
     """``LINE_OFF: 5124.00 pixels`` line by line; WHU-TLC adds the 80 coefficients of the inverse model, which we check
     for being whole and leave alone, for ours is found from the forward one."""
@@ -174,7 +194,7 @@ def _parse_key_value(text: str) -> Rpc:
     lines = text.splitlines()
     for number, line in enumerate(lines):
         if "RFM_CORRECTION_PARAMETERS" in line.upper():
-            _refuse_correction(lines[number + 1:number + 7])
+            _refuse_correction(lines[number + 1 : number + 7])
             break
         key, value = _key_and_value(line)
         key = re.sub(r"^LON_", "LONG_", key.upper())
@@ -205,11 +225,13 @@ def _refuse_correction(lines: Sequence[str]) -> None:
     """Six affine numbers that some software appends to correct the RPC in the image; all zero is no correction."""
     numbers = [word for line in lines for word in re.split(r"[\s:=]+", line) if _NUMBER.fullmatch(word)]
     if len(numbers) < 6 or any(_number(word, "RFM_CORRECTION_PARAMETERS") != 0 for word in numbers):
-        raise RpcInvalidError("it has RFM_CORRECTION_PARAMETERS, which are not understood: remove them, or use the "
-                              "vendor's file.")
+        raise RpcInvalidError(
+            "it has RFM_CORRECTION_PARAMETERS, which are not understood: remove them, or use the vendor's file."
+        )
 
 
 # --- OSSIM and Orfeo ToolBox's .geom --------------------------------------------------------------------------------
+
 
 def _parse_geom(text: str) -> Rpc:
     """``line_num_coeff_00:  0.003`` line by line; pixels count from 0. Polynomials in either order of RPC00."""
@@ -218,8 +240,9 @@ def _parse_geom(text: str) -> Rpc:
         key, value = _key_and_value(line)
         if re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.(parameter|center)", key):
             if not _NUMBER.fullmatch(value) or float(_number(value, key)) != 0:
-                raise RpcInvalidError(f"its {key} is '{_short(value)}': adjusted models are not understood, use the "
-                                      "vendor's file.")
+                raise RpcInvalidError(
+                    f"its {key} is '{_short(value)}': adjusted models are not understood, use the vendor's file."
+                )
         elif re.sub(r"_\d+$", "", key.upper()) in _SCALARS + _POLYNOMIALS + ("POLYNOMIAL_FORMAT",):
             _add(found, _plain_index(key.upper()), value)
     order = found.get("POLYNOMIAL_FORMAT", "")
@@ -234,11 +257,17 @@ def _parse_geom(text: str) -> Rpc:
 
 # --- DigitalGlobe's .RPB --------------------------------------------------------------------------------------------
 
-_MAXAR_SCALARS = {f"{ours}_{end}": f"{theirs}{name}" for ours, theirs in (
-    ("LINE", "line"), ("SAMP", "samp"), ("LAT", "lat"), ("LONG", "long"), ("HEIGHT", "height"))
-    for end, name in (("OFF", "Offset"), ("SCALE", "Scale"))}
-_MAXAR_SERIES = {"LINE_NUM_COEFF": "lineNumCoef", "LINE_DEN_COEFF": "lineDenCoef",
-                 "SAMP_NUM_COEFF": "sampNumCoef", "SAMP_DEN_COEFF": "sampDenCoef"}
+_MAXAR_SCALARS = {
+    f"{ours}_{end}": f"{theirs}{name}"
+    for ours, theirs in (("LINE", "line"), ("SAMP", "samp"), ("LAT", "lat"), ("LONG", "long"), ("HEIGHT", "height"))
+    for end, name in (("OFF", "Offset"), ("SCALE", "Scale"))
+}
+_MAXAR_SERIES = {
+    "LINE_NUM_COEFF": "lineNumCoef",
+    "LINE_DEN_COEFF": "lineDenCoef",
+    "SAMP_NUM_COEFF": "sampNumCoef",
+    "SAMP_DEN_COEFF": "sampDenCoef",
+}
 
 
 def _parse_rpb(text: str) -> Rpc:
@@ -271,6 +300,7 @@ def _without_brackets(value: str, key: str) -> str:
 
 
 # --- XML: Airbus's DIMAP and Maxar's ISD ----------------------------------------------------------------------------
+
 
 def _tree(text: str) -> list:
     """GDAL's tree of a bounded XML text: [kind, text, child, child, ...]; raises RpcInvalidError."""
@@ -354,8 +384,9 @@ def _parse_dimap(text: str) -> Rpc:
 def _parse_maxar(text: str) -> Rpc:
     """The block RPB of a WorldView or GeoEye XML: LINEOFFSET ..., and lists of twenty numbers."""
     image = _only(_elements(_only(_anywhere(_tree(text), "RPB"), "RPB"), "IMAGE"), "RPB/IMAGE")
-    texts = {ours: _leaf(_only(_elements(image, theirs.upper()), theirs.upper()))
-             for ours, theirs in _MAXAR_SCALARS.items()}
+    texts = {
+        ours: _leaf(_only(_elements(image, theirs.upper()), theirs.upper())) for ours, theirs in _MAXAR_SCALARS.items()
+    }
     for ours, theirs in _MAXAR_SERIES.items():
         block = _only(_elements(image, theirs.upper() + "List"), theirs.upper() + "List")
         texts[ours] = " ".join(_leaf(item) or "nothing" for item in _elements(block, theirs.upper()))
@@ -385,11 +416,14 @@ def tile_size(path: str) -> Optional[Tuple[int, int]]:
 
 # --- JSON of rpcm, S2P and the DFC2019 crops ------------------------------------------------------------------------
 
-_JSON_NAMES = {f"{ours}_{end}": f"{theirs}_{name}" for ours, theirs in (
-    ("LINE", "row"), ("SAMP", "col"), ("LAT", "lat"), ("LONG", "lon"), ("HEIGHT", "alt"))
-    for end, name in (("OFF", "offset"), ("SCALE", "scale"))}
-_JSON_NAMES.update({"LINE_NUM_COEFF": "row_num", "LINE_DEN_COEFF": "row_den",
-                    "SAMP_NUM_COEFF": "col_num", "SAMP_DEN_COEFF": "col_den"})
+_JSON_NAMES = {
+    f"{ours}_{end}": f"{theirs}_{name}"
+    for ours, theirs in (("LINE", "row"), ("SAMP", "col"), ("LAT", "lat"), ("LONG", "lon"), ("HEIGHT", "alt"))
+    for end, name in (("OFF", "offset"), ("SCALE", "scale"))
+}
+_JSON_NAMES.update(
+    {"LINE_NUM_COEFF": "row_num", "LINE_DEN_COEFF": "row_den", "SAMP_NUM_COEFF": "col_num", "SAMP_DEN_COEFF": "col_den"}
+)
 
 
 def _parse_json(text: str) -> Rpc:
@@ -437,6 +471,7 @@ def _json_text(value: Any, name: str, is_series: bool) -> str:
 
 # --- which format ---------------------------------------------------------------------------------------------------
 
+
 @dataclass(frozen=True)
 class _Format:
     name: str
@@ -451,8 +486,11 @@ _FORMATS = (
     _Format("Maxar XML", re.compile(r"<RPB\b"), _parse_maxar),
     _Format("RPB", re.compile(r"\blineNumCoef\b"), _parse_rpb),
     _Format("OSSIM geom", re.compile(r"^line_num_coeff_\d\d?\s*:", re.MULTILINE), _parse_geom),
-    _Format("KEY: value text (_RPC.TXT, .rpc)",
-            re.compile(r"^[ \t]*LINE_NUM_COEFF(_\d\d?)?[ \t]*[:=]", re.MULTILINE), _parse_key_value),
+    _Format(
+        "KEY: value text (_RPC.TXT, .rpc)",
+        re.compile(r"^[ \t]*LINE_NUM_COEFF(_\d\d?)?[ \t]*[:=]", re.MULTILINE),
+        _parse_key_value,
+    ),
     _Format("JSON (rpcm, S2P)", re.compile(r"\"(?:row_num|LINE_NUM_COEFF)\"\s*:"), _parse_json),
 )
 FORMAT_NAMES = tuple(entry.name for entry in _FORMATS)
@@ -520,6 +558,7 @@ def read_sidecar(path: str) -> Optional[Found]:
 
 
 # --- other facts in the same files ----------------------------------------------------------------------------------
+
 
 def sidecar_text(path: str) -> str:
     """The text of a vendor's file; raises RpcMissingError or RpcInvalidError where it has none, or too much."""

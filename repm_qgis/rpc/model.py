@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import RpcInvalidError
 
-FloatArray = NDArray[np.float64]
-
 _CHUNK = 1 << 14  # points a pass: 20 monomials of them stay in the second-level cache
-_LOCALISE_TOLERANCE_PX = 3e-8   # rounding of 40000 px images is some 1e-8 px: less would never be reached
+_LOCALISE_TOLERANCE_PX = 3e-8  # rounding of 40000 px images is some 1e-8 px: less would never be reached
 _LOCALISE_STEPS = 20
 
 
@@ -86,15 +84,19 @@ class Rpc:
             object.__setattr__(self, name, tuple(float(v) for v in values))
         if not (-90.0 <= self.lat_off <= 90.0 and -360.0 <= self.lon_off <= 360.0):
             raise RpcInvalidError(
-                f"the RPC's centre is at longitude {self.lon_off}, latitude {self.lat_off}: that is not on the Earth.")
+                f"the RPC's centre is at longitude {self.lon_off}, latitude {self.lat_off}: that is not on the Earth."
+            )
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> "Rpc":
         """The inverse of :meth:`to_mapping`; raises RpcInvalidError for missing or wrong members."""
         try:
-            return cls(**{
-                name: tuple(map(float, values[name])) if name.endswith(("num", "den")) else float(values[name])
-                for name in cls.__dataclass_fields__})
+            return cls(
+                **{
+                    name: tuple(map(float, values[name])) if name.endswith(("num", "den")) else float(values[name])
+                    for name in cls.__dataclass_fields__
+                }
+            )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, RpcInvalidError):
                 raise
@@ -102,8 +104,9 @@ class Rpc:
 
     def to_mapping(self) -> dict[str, Any]:
         """A JSON-able record of all members."""
-        return {name: list(v) if isinstance(v := getattr(self, name), tuple) else v
-                for name in self.__dataclass_fields__}
+        return {
+            name: list(v) if isinstance(v := getattr(self, name), tuple) else v for name in self.__dataclass_fields__
+        }
 
     @property
     def height_range(self) -> tuple[float, float]:
@@ -131,14 +134,14 @@ class Rpc:
         coefficients = np.array([self.col_num, self.col_den, self.row_num, self.row_den])
         terms = np.empty((20, min(_CHUNK, max(flat.shape[0], 1))))
         for start in range(0, flat.shape[0], _CHUNK):
-            part = flat[start:start + _CHUNK]
+            part = flat[start : start + _CHUNK]
             lon = self._wrapped(part[:, 0]) / self.lon_scale
             lat = (part[:, 1] - self.lat_off) / self.lat_scale
             height = (part[:, 2] - self.height_off) / self.height_scale
-            values = coefficients @ _monomials(lon, lat, height, terms[:, :part.shape[0]])
+            values = coefficients @ _monomials(lon, lat, height, terms[:, : part.shape[0]])
             with np.errstate(divide="ignore", invalid="ignore"):
-                result[start:start + _CHUNK, 0] = values[0] / values[1] * self.col_scale + self.col_off
-                result[start:start + _CHUNK, 1] = values[2] / values[3] * self.row_scale + self.row_off
+                result[start : start + _CHUNK, 0] = values[0] / values[1] * self.col_scale + self.col_off
+                result[start : start + _CHUNK, 1] = values[2] / values[3] * self.row_scale + self.row_off
         return result.reshape(points.shape[:-1] + (2,))
 
     def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
@@ -207,5 +210,3 @@ class Rpc:
     def _wrapped(self, lon: FloatArray) -> FloatArray:
         """Longitude relative to the RPC's centre, across the date line too."""
         return (lon - self.lon_off + 180.0) % 360.0 - 180.0
-
-

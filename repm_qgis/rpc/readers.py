@@ -61,10 +61,12 @@ def rpc_of(dataset: gdal.Dataset, path: str, rpc_file: Optional[str] = None) -> 
     if dataset.GetProjection() and dataset.GetGeoTransform(can_return_null=True):
         raise RpcMissingError(
             f"'{path}' has no RPC and is already projected to a map (an ortho-ready or orthorectified product): "
-            "order the Basic, Sensor or Primary level, which comes with RPCs.")
+            "order the Basic, Sensor or Primary level, which comes with RPCs."
+        )
     raise RpcMissingError(
         f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. Put the vendor's RPC file beside the image under "
-        "its original name, or name it in RPCS.")
+        "its original name, or name it in RPCS."
+    )
 
 
 def read_rpc_file(path: str) -> Rpc:
@@ -83,11 +85,14 @@ def rpc_from_gdal(metadata: Mapping[str, str]) -> Rpc:
 
 # --- one file -------------------------------------------------------------------------------------------------------
 
+
 def _read(path: str) -> Found:
     found = _tags_of_file(path) if _is_image(path) else read_sidecar(path)
     if found is None:
-        raise RpcInvalidError(f"'{os.path.basename(path)}' is no RPC file of a known format; tried: "
-                              f"{', '.join(FORMAT_NAMES)}, GeoTIFF, NITF and JPEG 2000 tags.")
+        raise RpcInvalidError(
+            f"'{os.path.basename(path)}' is no RPC file of a known format; tried: "
+            f"{', '.join(FORMAT_NAMES)}, GeoTIFF, NITF and JPEG 2000 tags."
+        )
     return found
 
 
@@ -114,8 +119,9 @@ def _tags(path: str) -> Dict[str, str]:
     dataset = None
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        dataset = gdal.OpenEx(path, gdal.OF_RASTER, allowed_drivers=list(_IMAGE_DRIVERS),
-                              sibling_files=[os.path.basename(path)])
+        dataset = gdal.OpenEx(
+            path, gdal.OF_RASTER, allowed_drivers=list(_IMAGE_DRIVERS), sibling_files=[os.path.basename(path)]
+        )
         return dict(dataset.GetMetadata("RPC") or {}) if dataset is not None else {}
     except RuntimeError:
         return {}
@@ -125,6 +131,7 @@ def _tags(path: str) -> Dict[str, str]:
 
 
 # --- which file -----------------------------------------------------------------------------------------------------
+
 
 def _from_metadata(dataset: gdal.Dataset) -> Optional[Rpc]:
     """What GDAL knows: tags, and the side files of vendors that only GDAL reads."""
@@ -165,8 +172,17 @@ def rpc_files_beside(path: str) -> List[str]:
     """
     image = Path(path)
     core, stem = product_of(image), image.stem
-    wanted = [f"RPC_{core}.XML", f"RPC_{core}_P.XML", f"{stem}_RPC.XML", f"{stem}.XML", f"{stem}.RPB",
-              f"{stem}_RPC.TXT", f"{stem}.RPC", f"{stem}.geom", f"{stem}.JSON"]
+    wanted = [
+        f"RPC_{core}.XML",
+        f"RPC_{core}_P.XML",
+        f"{stem}_RPC.XML",
+        f"{stem}.XML",
+        f"{stem}.RPB",
+        f"{stem}_RPC.TXT",
+        f"{stem}.RPC",
+        f"{stem}.geom",
+        f"{stem}.JSON",
+    ]
     there = names_beside(image)
     names = [name for key in dict.fromkeys(name.lower() for name in wanted) for name in there.get(key, ())]
     return [str(image.with_name(name)) for name in names if name != image.name]
@@ -202,11 +218,14 @@ def _agree(name: str, rpc: Rpc, other_name: str, other: Rpc) -> None:
     with np.errstate(all="ignore"):
         apart = np.abs(rpc.project(ground) - other.project(ground)).max(initial=0.0)
     if not apart <= _AGREE_PX:
-        raise RpcInvalidError(f"{name} and {other_name} differ by {apart:.3g} px: name the right one in RPCS (the "
-                              "image itself stands for its tags), or remove the other.")
+        raise RpcInvalidError(
+            f"{name} and {other_name} differ by {apart:.3g} px: name the right one in RPCS (the "
+            "image itself stands for its tags), or remove the other."
+        )
 
 
 # --- which pixels ---------------------------------------------------------------------------------------------------
+
 
 def _placed(found: Found, dataset: gdal.Dataset, path: str) -> Rpc:
     """A file's RPC, moved to the pixels of an image that is a tile or a crop of what the file describes."""
@@ -231,8 +250,10 @@ def _tile_origin(image: Path) -> Tuple[int, int]:
             size = tile_size(str(image.with_name(name)))
             if size is not None:
                 return (col - 1) * size[0], (row - 1) * size[1]
-    raise RpcInvalidError(f"the image is tile R{row}C{col} of its product and 'DIM_{core}.XML', which says where it "
-                          "lies, is not beside it: put it there, or choose that file as the image.")
+    raise RpcInvalidError(
+        f"the image is tile R{row}C{col} of its product and 'DIM_{core}.XML', which says where it "
+        "lies, is not beside it: put it there, or choose that file as the image."
+    )
 
 
 def _crop_origin(dataset: gdal.Dataset, rpc: Rpc) -> Tuple[float, float]:

@@ -15,6 +15,7 @@ from typing import Callable, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame
 from ..scene import View
@@ -30,22 +31,21 @@ from .control_noise import (
 from .ground_control import Gcp
 from .tie_points import PairMatches
 
-FloatArray = NDArray[np.float64]
 Weights = Callable[[FloatArray, float], FloatArray]
 
 MODELS = ("auto", "shift", "affine")
 
 _ROUNDS = 10
 _HUBER_PX = 0.7
-_TUKEY = 4.685      # standard deviations from which on residuals are wrong matches, and count for nothing in the end
+_TUKEY = 4.685  # standard deviations from which on residuals are wrong matches, and count for nothing in the end
 _LEAST_SIGMA_PX = 0.05
 _AFFINE_TIES = 60
-_AFFINE_COVER = 0.4     # of an image's width and height that the ties must span
-_AFFINE_CONTROL = 6     # control points that may ask for it where ties do not
-_AFFINE_GAIN = 0.9      # of the shifts' residual that the affine correction must get below
-_RANK = 1e-6        # of the largest eigenvalue: what lies below, the ties do not tell
-_KNOWN_PX = 0.25    # nor do they tell what they would tell with a larger standard deviation
-_CONTROL_KNOWN_PX = 1.0     # vendors know no better than that what only control points tell
+_AFFINE_COVER = 0.4  # of an image's width and height that the ties must span
+_AFFINE_CONTROL = 6  # control points that may ask for it where ties do not
+_AFFINE_GAIN = 0.9  # of the shifts' residual that the affine correction must get below
+_RANK = 1e-6  # of the largest eigenvalue: what lies below, the ties do not tell
+_KNOWN_PX = 0.25  # nor do they tell what they would tell with a larger standard deviation
+_CONTROL_KNOWN_PX = 1.0  # vendors know no better than that what only control points tell
 
 
 @dataclass(frozen=True)
@@ -127,12 +127,16 @@ def tracks_from(matches: Sequence[PairMatches]) -> List[Track]:
     members: Dict[Tuple[str, int, int], List[Tuple[str, int, int]]] = {}
     for node in parent:
         members.setdefault(root(node), []).append(node)
-    return [Track({node[0]: pixels[node] for node in nodes}) for nodes in members.values()
-            if len({node[0] for node in nodes}) == len(nodes) >= 2]
+    return [
+        Track({node[0]: pixels[node] for node in nodes})
+        for nodes in members.values()
+        if len({node[0] for node in nodes}) == len(nodes) >= 2
+    ]
 
 
-def adjust(views: Sequence[View], tracks: Sequence[Track], altitude: float, model: str = "shift",
-           gcps: Sequence[Gcp] = ()) -> Adjustment:
+def adjust(
+    views: Sequence[View], tracks: Sequence[Track], altitude: float, model: str = "shift", gcps: Sequence[Gcp] = ()
+) -> Adjustment:
     """Gauss-Newton with the ground points eliminated; Huber weights first, then Tukey's, which forget wrong matches.
 
     Parameters
@@ -164,8 +168,9 @@ def adjust(views: Sequence[View], tracks: Sequence[Track], altitude: float, mode
     return better.adjustment(reason)
 
 
-def with_shifts(views: Sequence[View], tracks: Sequence[Track], altitude: float, shifts: Dict[str, FloatArray],
-                reason: str) -> Adjustment:
+def with_shifts(
+    views: Sequence[View], tracks: Sequence[Track], altitude: float, shifts: Dict[str, FloatArray], reason: str
+) -> Adjustment:
     """The ground points and residuals of shifts, (2,) px a view, that were found otherwise."""
     return _Solution(views, tracks, altitude, "shift", ()).with_shifts(shifts).adjustment(reason)
 
@@ -174,28 +179,36 @@ def _compared(shift: "_Solution", affine: "_Solution") -> Tuple["_Solution", str
     """Shift or affine, and why: control points have a say beside the ties, for a tilt of the whole no tie sees."""
     cover = min(shift.cover)
     if len(shift.tracks) < _AFFINE_TIES or cover < _AFFINE_COVER:
-        return shift, (f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides carry no affine "
-                       "correction")
+        return shift, (
+            f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides carry no affine correction"
+        )
     # What either calls wrong, both are spared.
     good = [gcp for gcp in shift.control if gcp in affine.control]
     criterion = affine.criterion(3.0 * shift.typical_px, good) - shift.criterion(3.0 * shift.typical_px, good)
     told = f"(information criterion {criterion:+.0f})"
     if criterion < 0 and affine.typical_px < _AFFINE_GAIN * max(shift.typical_px, 1e-9):
-        return affine, (f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px "
-                        f"with affine corrections {told}")
+        return affine, (
+            f"residuals show a trend: {shift.typical_px:.3f} px with shifts, {affine.typical_px:.3f} px "
+            f"with affine corrections {told}"
+        )
     misses = [solution.control_misses(good) for solution in (shift, affine)]
     if criterion < 0 and len(good) >= _AFFINE_CONTROL and misses[1] < _AFFINE_GAIN * misses[0]:
-        return affine, (f"control points show a trend: {misses[0]:.3f} px with shifts, {misses[1]:.3f} px with affine "
-                        f"corrections {told}")
-    return shift, (f"an affine correction gains nothing: {shift.typical_px:.3f} px with shifts, "
-                   f"{affine.typical_px:.3f} px affine {told}")
+        return affine, (
+            f"control points show a trend: {misses[0]:.3f} px with shifts, {misses[1]:.3f} px with affine "
+            f"corrections {told}"
+        )
+    return shift, (
+        f"an affine correction gains nothing: {shift.typical_px:.3f} px with shifts, "
+        f"{affine.typical_px:.3f} px affine {told}"
+    )
 
 
 class _Solution:
     """The adjusted corrections of one model, ``parameters`` (views, p): px over normalised pixels."""
 
-    def __init__(self, views: Sequence[View], tracks: Sequence[Track], altitude: float, model: str,
-                 gcps: Sequence[Gcp]) -> None:
+    def __init__(
+        self, views: Sequence[View], tracks: Sequence[Track], altitude: float, model: str, gcps: Sequence[Gcp]
+    ) -> None:
         self.views = [view.with_pointing(np.eye(2, 3)) for view in views]
         self.tracks, self.model = tracks, model
         self.control = [gcp for gcp in gcps if gcp.role == "control" and gcp.pixels]
@@ -240,8 +253,17 @@ class _Solution:
         while True:
             self.control = [gcp for k, gcp in enumerate(everyone) if k not in outside]
             self._solve(_tukey)
-            wrong = [k for k in outside if contradicts(self._equations(everyone[k]), self._covariance,
-                                                       self.control_noise_px, self._redundancy, len(everyone))]
+            wrong = [
+                k
+                for k in outside
+                if contradicts(
+                    self._equations(everyone[k]),
+                    self._covariance,
+                    self.control_noise_px,
+                    self._redundancy,
+                    len(everyone),
+                )
+            ]
             if len(wrong) == len(outside):
                 break
             outside = wrong
@@ -255,7 +277,7 @@ class _Solution:
             if view.name in gcp.pixels:
                 base = view.project(gcp.lon_lat_h)
                 rows = np.zeros((2, count * p))
-                rows[:, i * p:(i + 1) * p] = self._basis(view, base)
+                rows[:, i * p : (i + 1) * p] = self._basis(view, base)
                 design.append(rows)
                 misclosure.append(gcp.pixels[view.name] - base - self._correction(i, base))
         return ControlEquations(np.concatenate(misclosure), np.concatenate(design))
@@ -267,8 +289,8 @@ class _Solution:
             centre = (np.array(view.size) - 1) / 2
             one = np.concatenate([one, (pixels - centre) / np.maximum(centre, 1)], axis=-1)
         result = np.zeros(one.shape[:-1] + (2, 2 * one.shape[-1]))
-        result[..., 0, :one.shape[-1]] = one
-        result[..., 1, one.shape[-1]:] = one
+        result[..., 0, : one.shape[-1]] = one
+        result[..., 1, one.shape[-1] :] = one
         return result
 
     def _correction(self, i: int, pixels: FloatArray) -> FloatArray:
@@ -310,12 +332,12 @@ class _Solution:
         values, vectors = np.linalg.eigh(normal)
         # Before the first corrections residuals are no noise, and tell nothing of what the ties can tell.
         noise = 0.0 if weights is _huber else sigma / (_CONTROL_KNOWN_PX if control else _KNOWN_PX)
-        enough = values > max(_RANK * values[-1], noise ** 2)
+        enough = values > max(_RANK * values[-1], noise**2)
         known = vectors[:, enough]
         # All of the corrections is solved for, not only the step: they are to be the smallest that do.
         whole = right + normal @ self.parameters.ravel()
         step = known @ ((known.T @ whole) / values[enough]) - self.parameters.ravel()
-        self._covariance = sigma ** 2 * (known / values[enough]) @ known.T
+        self._covariance = sigma**2 * (known / values[enough]) @ known.T
         if control:
             self._note_control(control, share, step, robust)
         return step.reshape(count, p)
@@ -336,14 +358,15 @@ class _Solution:
             right[columns] += weighted.reshape(flat.shape).T @ reduced.ravel()
         return normal, right, sigma
 
-    def _note_control(self, control: Sequence[ControlEquations], share: Sequence[float], step: FloatArray,
-                      robust: bool) -> None:
+    def _note_control(
+        self, control: Sequence[ControlEquations], share: Sequence[float], step: FloatArray, robust: bool
+    ) -> None:
         """Estimate the control points' noise and its redundancy anew."""
         residuals = [point.after(step) for point in control]
-        self._redundancy = sum(point.redundancy(self._covariance, self.control_noise_px, part)
-                               for point, part in zip(control, share))
-        self.control_noise_px = (first_noise(residuals) if robust
-                                 else variance_component(residuals, self._redundancy))
+        self._redundancy = sum(
+            point.redundancy(self._covariance, self.control_noise_px, part) for point, part in zip(control, share)
+        )
+        self.control_noise_px = first_noise(residuals) if robust else variance_component(residuals, self._redundancy)
 
     def _reduced(self, group: _Group) -> Tuple[FloatArray, FloatArray]:
         """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, free of any move of the ground."""
@@ -352,7 +375,7 @@ class _Solution:
         # What no move of the ground point reaches: I - J J^+.
         projector = np.eye(residual.shape[1]) - jacobian @ _pseudo_inverse(jacobian)
         reduced = np.einsum("nij,nj->ni", projector, residual)
-        design = np.concatenate([projector[:, :, 2 * k:2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
+        design = np.concatenate([projector[:, :, 2 * k : 2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
         return reduced, design
 
     def _residuals(self) -> FloatArray:
@@ -380,7 +403,7 @@ class _Solution:
         count, fit = len(square), len(square) * _log_mean(square)
         if control:
             off = np.concatenate([self._equations(gcp).misclosure for gcp in control])
-            count, fit = count + len(off), fit + len(off) * _log_mean(off ** 2 + LEAST_NOISE_PX ** 2)
+            count, fit = count + len(off), fit + len(off) * _log_mean(off**2 + LEAST_NOISE_PX**2)
         return fit + self.parameters.size * math.log(count)
 
     def control_misses(self, control: Sequence[Gcp]) -> float:
@@ -406,8 +429,17 @@ class _Solution:
             ground[group.members] = group.ground
         pointing = {view.name: self._pointing(i) for i, view in enumerate(self.views)}
         noise = self.control_noise_px if self.control else None
-        return Adjustment(pointing, self.model, reason, ground, self._residuals(), self.before, self.rejected, noise,
-                          {view.name: view.size for view in self.views})
+        return Adjustment(
+            pointing,
+            self.model,
+            reason,
+            ground,
+            self._residuals(),
+            self.before,
+            self.rejected,
+            noise,
+            {view.name: view.size for view in self.views},
+        )
 
     def _pointing(self, i: int) -> FloatArray:
         """(2, 3) affine map from the vendor's pixel to the real one."""
@@ -427,8 +459,7 @@ def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> 
     groups = []
     for seen, members in sorted(by_views.items()):
         pixels = np.array([[tracks[k].pixels[views[i].name] for i in seen] for k in members])
-        groups.append(_Group(list(seen), np.array(members), pixels,
-                             views[seen[0]].localise(pixels[:, 0], altitude)))
+        groups.append(_Group(list(seen), np.array(members), pixels, views[seen[0]].localise(pixels[:, 0], altitude)))
     return groups
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import ogr
 
+from ..arrays import FloatArray
 from ..geometry.footprints import bounds_of
 from ..geometry.footprints import box as rectangle
 from ..imagery.acquisition import apart_text
@@ -15,20 +16,18 @@ from ..progress import counted
 from ..scene import Scene
 from .view_pairs import NARROW, WIDE, ViewPair, days_off_season, sun_over
 
-FloatArray = NDArray[np.float64]
-
 MATCHING_PX = 0.25
 """What dense matching is good for, px: the expected height accuracy of a pair is so many pixels of its parallax."""
 
-_SUN_DEG = 10.0     # 40 minutes of a day, or four weeks in spring and autumn
+_SUN_DEG = 10.0  # 40 minutes of a day, or four weeks in spring and autumn
 _SEASON_DAYS, _OLD_DAYS = 60.0, 365.0
 _BUILDING_M = 10.0
 _MOST_NAMED = 6
 _PARTS = (("north-west", "north", "north-east"), ("west", "middle", "east"), ("south-west", "south", "south-east"))
-_FEW_TIES = 5       # in a tile's neighbourhood
-_LEAST_PART = 0.1   # of a ninth of the area's bounds: less of it is a corner
-_CELLS = 5          # a side of the scene: ties are looked for in a patch of each
-_UNCERTAIN_M, _UNCERTAIN_GSD = 5.0, 10.0     # two standard deviations
+_FEW_TIES = 5  # in a tile's neighbourhood
+_LEAST_PART = 0.1  # of a ninth of the area's bounds: less of it is a corner
+_CELLS = 5  # a side of the scene: ties are looked for in a patch of each
+_UNCERTAIN_M, _UNCERTAIN_GSD = 5.0, 10.0  # two standard deviations
 
 
 def ties_by_tile(scene: Scene, xy: FloatArray) -> List[Dict[str, Any]]:
@@ -74,9 +73,11 @@ def advice(scene: Scene, pairs: Sequence[ViewPair], figures: Mapping[str, Any]) 
     said += _thin(scene, figures["tiles"], figures.get("parts", ()))
     uncertain = figures.get("height_uncertainty_m", 0.0)
     if uncertain > max(_UNCERTAIN_M, _UNCERTAIN_GSD * scene.gsd_m):
-        said.append(f"The vendors' RPCs disagree so much that the absolute height is uncertain by some {uncertain:.1f} "
-                    "m: give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
-                    "reference', ALIGN=3d).")
+        said.append(
+            f"The vendors' RPCs disagree so much that the absolute height is uncertain by some {uncertain:.1f} "
+            "m: give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
+            "reference', ALIGN=3d)."
+        )
     return said
 
 
@@ -84,12 +85,16 @@ def _geometry(pair: ViewPair, gsd_m: float) -> List[str]:
     """A pair that is too narrow or too wide."""
     looks = f"(B/H {pair.base_to_height:.2f}, {pair.angle_deg:.1f} degrees)"
     if pair.base_to_height < NARROW:
-        return [f"{pair.first} and {pair.second} look from nearly one direction {looks}: heights of this pair are good "
-                f"to some {MATCHING_PX * gsd_m / pair.base_to_height:.1f} m only; add an image from farther away, or "
-                "leave one of the two out."]
+        return [
+            f"{pair.first} and {pair.second} look from nearly one direction {looks}: heights of this pair are good "
+            f"to some {MATCHING_PX * gsd_m / pair.base_to_height:.1f} m only; add an image from farther away, or "
+            "leave one of the two out."
+        ]
     if pair.base_to_height > WIDE:
-        return [f"{pair.first} and {pair.second} look from very different directions {looks}: walls and trees will not "
-                "match; add an image from between."]
+        return [
+            f"{pair.first} and {pair.second} look from very different directions {looks}: walls and trees will not "
+            "match; add an image from between."
+        ]
     return []
 
 
@@ -97,8 +102,14 @@ def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Views that no pair uses."""
     used = {name for pair in pairs for name in (pair.first, pair.second)}
     names = [view.name for view in scene.views if view.name not in used]
-    return [f"{_listed(names)}: not used, for no other image that sees the same ground looks from a direction at least "
-            "3 degrees away; leave it out, or add an image from farther away."] if names else []
+    return (
+        [
+            f"{_listed(names)}: not used, for no other image that sees the same ground looks from a direction at least "
+            "3 degrees away; leave it out, or add an image from farther away."
+        ]
+        if names
+        else []
+    )
 
 
 def _groups(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
@@ -108,27 +119,50 @@ def _groups(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
         joined = [group for group in groups if group & {pair.first, pair.second}]
         groups = [group for group in groups if group not in joined] + [set().union(*joined)]
     names = [", ".join(sorted(group)) for group in groups if len(group) > 1]
-    return [f"The images fall into {len(names)} groups that no pair connects ({_listed(names, '; ')}): their heights "
+    return (
+        [
+            f"The images fall into {len(names)} groups that no pair connects ({_listed(names, '; ')}): their heights "
             "may differ by metres; add an image that overlaps both, give ground control points (GCPS), or work on each "
-            "group by itself."] if len(names) > 1 else []
+            "group by itself."
+        ]
+        if len(names) > 1
+        else []
+    )
 
 
 def _at_night(scene: Scene) -> List[str]:
     """Times at which no satellite takes pictures."""
-    names = [f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)" for view in scene.views
-             if view.time is not None and sun_over(scene, view)[1] <= 0]
-    return [f"{_listed(names)}: the sun had set at the time that the product's files tell, so that only its date was "
-            "used; check the files beside the image."] if names else []
+    names = [
+        f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)"
+        for view in scene.views
+        if view.time is not None and sun_over(scene, view)[1] <= 0
+    ]
+    return (
+        [
+            f"{_listed(names)}: the sun had set at the time that the product's files tell, so that only its date was "
+            "used; check the files beside the image."
+        ]
+        if names
+        else []
+    )
 
 
 def _suns(pairs: Sequence[ViewPair]) -> List[str]:
     """Pairs whose shadows lie elsewhere."""
-    named = [f"{pair.first} and {pair.second} ({apart_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: "
-             f"the shadow of a {_BUILDING_M:.0f} m building ends {_BUILDING_M * pair.shadow:.0f} m elsewhere)"
-             for pair in pairs if _other_sun(pair)]
-    return [f"The sun stood differently over {_listed(named)}: shadows' edges match as if they were ground, and ground "
+    named = [
+        f"{pair.first} and {pair.second} ({apart_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: "
+        f"the shadow of a {_BUILDING_M:.0f} m building ends {_BUILDING_M * pair.shadow:.0f} m elsewhere)"
+        for pair in pairs
+        if _other_sun(pair)
+    ]
+    return (
+        [
+            f"The sun stood differently over {_listed(named)}: shadows' edges match as if they were ground, and ground "
             "in shadow does not match; take images of one pass or of alike suns, or leave the odd one out."
-            ] if named else []
+        ]
+        if named
+        else []
+    )
 
 
 def _other_sun(pair: ViewPair) -> bool:
@@ -137,11 +171,21 @@ def _other_sun(pair: ViewPair) -> bool:
 
 def _dates(pairs: Sequence[ViewPair]) -> List[str]:
     """Pairs of other seasons or years; those of other suns have been named already."""
-    named = [f"{pair.first} and {pair.second} ({apart_text(pair.days)})" for pair in pairs
-             if pair.days is not None and not _other_sun(pair)
-             and (days_off_season(pair.days) > _SEASON_DAYS or pair.days > _OLD_DAYS)]
-    return [f"Seasons or years lie between {_listed(named)}: fields, leaves, snow and building sites have changed, and "
-            "leave gaps or wrong heights; take images of one pass, or leave the odd one out."] if named else []
+    named = [
+        f"{pair.first} and {pair.second} ({apart_text(pair.days)})"
+        for pair in pairs
+        if pair.days is not None
+        and not _other_sun(pair)
+        and (days_off_season(pair.days) > _SEASON_DAYS or pair.days > _OLD_DAYS)
+    ]
+    return (
+        [
+            f"Seasons or years lie between {_listed(named)}: fields, leaves, snow and building sites have changed, and "
+            "leave gaps or wrong heights; take images of one pass, or leave the odd one out."
+        ]
+        if named
+        else []
+    )
 
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:
@@ -153,16 +197,17 @@ def _thin(scene: Scene, tiles: Sequence[Mapping[str, Any]], parts: Sequence[Mapp
     """Where the area has hardly any tie."""
     total = sum(entry["ties"] for entry in parts)
     # With few ties in all, every part has few; then none is worse than the others.
-    bare = [entry["part"] for entry in parts
-            if entry["ties"] < min(_FEW_TIES, 0.25 * total / len(parts))]
+    bare = [entry["part"] for entry in parts if entry["ties"] < min(_FEW_TIES, 0.25 * total / len(parts))]
     few = [entry["tile"] for entry in tiles if entry["ties"] < _FEW_TIES] if len(tiles) > 1 else []
     if not few and not bare:
         return []
     where = _listed([*bare, *dict.fromkeys(_part_of(scene, tile) for tile in few if _part_of(scene, tile) not in bare)])
     names = f" ({counted(len(few), 'tile')} of {len(tiles)}: {_listed(few)})" if few else ""
-    return [f"Hardly any tie point in the {where} of the overlap{names}: water, cloud or shadow, or the images differ "
-            "there, and the pointing comes from the rest of the scene; look at the arrows of the tie points around it "
-            "(their field 'row') and at its rows in 'Height maps', or leave it out with EXTENT."]
+    return [
+        f"Hardly any tie point in the {where} of the overlap{names}: water, cloud or shadow, or the images differ "
+        "there, and the pointing comes from the rest of the scene; look at the arrows of the tie points around it "
+        "(their field 'row') and at its rows in 'Height maps', or leave it out with EXTENT."
+    ]
 
 
 def _part_of(scene: Scene, tile_id: str) -> str:

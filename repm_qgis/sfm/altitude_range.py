@@ -14,6 +14,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.tiles import pixel_window
@@ -24,12 +25,10 @@ from ..imagery.sampling import box_mean, sample, upsample_grid
 from ..progress import Progress
 from ..scene import View
 
-FloatArray = NDArray[np.float64]
-
-_REDUCTION = 8          # image px a cell
-_CELLS = 160            # cells a side of a patch
-_PATCHES = 3            # patches a side of the area, at most
-_WINDOW = 5             # radius of the correlation window, cells
+_REDUCTION = 8  # image px a cell
+_CELLS = 160  # cells a side of a patch
+_PATCHES = 3  # patches a side of the area, at most
+_WINDOW = 5  # radius of the correlation window, cells
 _MIN_CORRELATION = 0.7
 _MIN_CELLS = 60
 _MAX_PLANES = 180
@@ -45,8 +44,13 @@ class SweepResult:
     step_m: float
 
 
-def sweep_altitudes(views: Sequence[View], crs: str, bounds: Tuple[float, float, float, float],
-                    search: Tuple[float, float], progress: Progress) -> Optional[SweepResult]:
+def sweep_altitudes(
+    views: Sequence[View],
+    crs: str,
+    bounds: Tuple[float, float, float, float],
+    search: Tuple[float, float],
+    progress: Progress,
+) -> Optional[SweepResult]:
     """Find the altitude range of the ground within ``bounds`` (in ``crs``), inside ``search`` metres.
 
     None where the images do not say (no texture, too narrow a pair, no overlap).
@@ -74,12 +78,17 @@ def sweep_altitudes(views: Sequence[View], crs: str, bounds: Tuple[float, float,
     low, high = np.percentile(heights, (0.5, 99.5))
     margin = max(15.0, 1.5 * step, 0.1 * (high - low))
     # Buildings are too small to show in cells of several metres: leave them room above.
-    return SweepResult((float(max(search[0], low - margin)), float(min(search[1], high + margin + 25.0))),
-                       int(heights.size), cells, float(step))
+    return SweepResult(
+        (float(max(search[0], low - margin)), float(min(search[1], high + margin + 25.0))),
+        int(heights.size),
+        cells,
+        float(step),
+    )
 
 
-def _best_pair(views: Sequence[View], bounds: Tuple[float, float, float, float], crs: str,
-               search: Tuple[float, float]) -> Tuple[View, View, float]:
+def _best_pair(
+    views: Sequence[View], bounds: Tuple[float, float, float, float], crs: str, search: Tuple[float, float]
+) -> Tuple[View, View, float]:
     """The pair with the base-to-height ratio nearest to 0.3: wide enough to tell heights, narrow enough to match."""
     centre = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
     middle = (search[0] + search[1]) / 2
@@ -118,8 +127,14 @@ def _middle(patch: Tuple[float, float, float, float]) -> Tuple[float, float, flo
     return 0.75 * xmin + 0.25 * xmax, 0.75 * ymin + 0.25 * ymax, 0.25 * xmin + 0.75 * xmax, 0.25 * ymin + 0.75 * ymax
 
 
-def _sweep_patch(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],
-                 planes: FloatArray, shift: Tuple[int, int]) -> Tuple[FloatArray, FloatArray]:
+def _sweep_patch(
+    first: View,
+    second: View,
+    crs: str,
+    patch: Tuple[float, float, float, float],
+    planes: FloatArray,
+    shift: Tuple[int, int],
+) -> Tuple[FloatArray, FloatArray]:
     """Best altitude and its correlation for each cell of a patch."""
     shape, lon_lat, images = _reduced_pair(first, second, crs, patch, planes)
     best_score, best_altitude = np.full(shape, -1.0), np.zeros(shape)
@@ -134,15 +149,19 @@ def _sweep_patch(first: View, second: View, crs: str, patch: Tuple[float, float,
     return best_altitude, np.where(inner, best_score, -1.0)
 
 
-def _reduced_pair(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],
-                  planes: FloatArray) -> Tuple[Tuple[int, int], FloatArray, List[Optional["_Reduced"]]]:
+def _reduced_pair(
+    first: View, second: View, crs: str, patch: Tuple[float, float, float, float], planes: FloatArray
+) -> Tuple[Tuple[int, int], FloatArray, List[Optional["_Reduced"]]]:
     """A patch's shape in cells, the lattice of its longitudes and latitudes, and what both views show of it."""
     cell = max(first.gsd_m, second.gsd_m) * _REDUCTION
     shape = (max(8, int((patch[3] - patch[1]) / cell)), max(8, int((patch[2] - patch[0]) / cell)))
     u, v = np.linspace(patch[0], patch[2], 9), np.linspace(patch[3], patch[1], 9)
     lon_lat = geodetic_from_projected(crs, np.stack(np.meshgrid(u, v), axis=-1))
-    return shape, lon_lat, [_Reduced.of(view, crs, patch, (float(planes[0]), float(planes[-1])))
-                            for view in (first, second)]
+    return (
+        shape,
+        lon_lat,
+        [_Reduced.of(view, crs, patch, (float(planes[0]), float(planes[-1]))) for view in (first, second)],
+    )
 
 
 @dataclass(frozen=True)
@@ -154,15 +173,23 @@ class _Reduced:
     window: Tuple[int, int, int, int]
 
     @classmethod
-    def of(cls, view: View, crs: str, patch: Tuple[float, float, float, float],
-           altitudes: Tuple[float, float]) -> Optional["_Reduced"]:
-        window = pixel_window(view.project, lambda xy: geodetic_from_projected(crs, xy), patch, altitudes, view.size,
-                              smallest=8 * _REDUCTION)
+    def of(
+        cls, view: View, crs: str, patch: Tuple[float, float, float, float], altitudes: Tuple[float, float]
+    ) -> Optional["_Reduced"]:
+        window = pixel_window(
+            view.project,
+            lambda xy: geodetic_from_projected(crs, xy),
+            patch,
+            altitudes,
+            view.size,
+            smallest=8 * _REDUCTION,
+        )
         if window is None:
             return None
         with opened_masked(view.image, view.mask) as dataset:
-            pixels = read(dataset, window, view.band,
-                          (max(1, window[2] // _REDUCTION), max(1, window[3] // _REDUCTION)))
+            pixels = read(
+                dataset, window, view.band, (max(1, window[2] // _REDUCTION), max(1, window[3] // _REDUCTION))
+            )
         return cls(view, np.sqrt(np.maximum(pixels, 0)), window)
 
 
@@ -184,18 +211,20 @@ def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatA
     middle_a, middle_b = a[known].mean(), b[known].mean()
     a, b = np.where(known, a - middle_a, np.float32(0)), np.where(known, b - middle_b, np.float32(0))
     count, mean_a, mean_b, var_a, var_b, covariance = (
-        box_mean(part, _WINDOW) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b))
+        box_mean(part, _WINDOW) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b)
+    )
     safe = np.maximum(count, np.float32(1e-6))
     mean_a, mean_b = mean_a / safe, mean_b / safe
-    var_a, var_b = var_a / safe - mean_a ** 2, var_b / safe - mean_b ** 2
+    var_a, var_b = var_a / safe - mean_a**2, var_b / safe - mean_b**2
     covariance = covariance / safe - mean_a * mean_b
     # Contrast below a hundredth of the brightness's root is noise.
-    flat = ((var_a < 1e-4 * (mean_a + middle_a) ** 2) | (var_b < 1e-4 * (mean_b + middle_b) ** 2) | (count < 0.8))
+    flat = (var_a < 1e-4 * (mean_a + middle_a) ** 2) | (var_b < 1e-4 * (mean_b + middle_b) ** 2) | (count < 0.8)
     return np.where(flat, np.float32(-1), covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12))))
 
 
-def _pointing_shift(first: View, second: View, crs: str, patches: Sequence[Tuple[float, float, float, float]],
-                    planes: FloatArray) -> Tuple[int, int]:
+def _pointing_shift(
+    first: View, second: View, crs: str, patches: Sequence[Tuple[float, float, float, float]], planes: FloatArray
+) -> Tuple[int, int]:
     """The whole-cell shift across the parallax that the pointing errors make.
 
     It is the same all over the images: the first patch that agrees well tells it, from the middle on, else the best
@@ -209,8 +238,9 @@ def _pointing_shift(first: View, second: View, crs: str, patches: Sequence[Tuple
     return max(found)[2]
 
 
-def _cross_shift(first: View, second: View, crs: str, patch: Tuple[float, float, float, float],
-                 planes: FloatArray) -> Tuple[float, int, Tuple[int, int]]:
+def _cross_shift(
+    first: View, second: View, crs: str, patch: Tuple[float, float, float, float], planes: FloatArray
+) -> Tuple[float, int, Tuple[int, int]]:
     """The whole-cell shift across the parallax that makes a patch agree best: pointing errors of tens of px.
 
     Gives how well it agrees, and the shift last.
@@ -222,7 +252,7 @@ def _cross_shift(first: View, second: View, crs: str, patch: Tuple[float, float,
     slopes = [ground_slope(view, np.array([lon, lat]), float(planes.mean())) for view in (first, second)]
     parallax = slopes[1] - slopes[0]
     across = np.array([-parallax[1], parallax[0]]) / max(float(np.linalg.norm(parallax)), 1e-9)
-    some = planes[::max(1, len(planes) // 40)]
+    some = planes[:: max(1, len(planes) // 40)]
     stack = [tuple(_on_plane(image, lon_lat, z, shape) for image in images) for z in some]
     scored = []
     for step in (0, -1, 1, -2, 2, -3, 3):
@@ -233,9 +263,15 @@ def _cross_shift(first: View, second: View, crs: str, patch: Tuple[float, float,
     return max(scored)
 
 
-def altitude_range(views: Sequence[View], crs: str, bounds: Tuple[float, float, float, float],
-                   search: Tuple[float, float], given: Tuple[Optional[float], Optional[float]], dem: Optional[str],
-                   progress: Progress) -> Tuple[Tuple[float, float], str]:
+def altitude_range(
+    views: Sequence[View],
+    crs: str,
+    bounds: Tuple[float, float, float, float],
+    search: Tuple[float, float],
+    given: Tuple[Optional[float], Optional[float]],
+    dem: Optional[str],
+    progress: Progress,
+) -> Tuple[Tuple[float, float], str]:
     """The altitude range to work in, and where it comes from.
 
     Best first: what the user gives, a DEM, the images, the RPCs' own range (``search``). A given end replaces that
@@ -246,8 +282,10 @@ def altitude_range(views: Sequence[View], crs: str, bounds: Tuple[float, float, 
     if dem:
         low, high, said = dem_range(dem, crs, bounds)
         if not said:
-            progress.warn(f"The DEM '{dem}' does not say what its heights refer to: they are taken as metres above "
-                          "the WGS 84 ellipsoid.")
+            progress.warn(
+                f"The DEM '{dem}' does not say what its heights refer to: they are taken as metres above "
+                "the WGS 84 ellipsoid."
+            )
         # The ground may have changed and buildings stand on it.
         margin = max(20.0, 0.05 * (high - low))
         found, source = (low - margin, high + margin + 40.0), "DEM"
@@ -256,14 +294,19 @@ def altitude_range(views: Sequence[View], crs: str, bounds: Tuple[float, float, 
         if swept is None:
             for view in views:  # before the altitudes get the blame: does every image show something?
                 view_stretch(view.image, view.band, view.mask)
-            progress.warn(f"The images do not tell the altitude range: the RPCs' own is taken, {search[0]:.0f} to "
-                          f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors.")
+            progress.warn(
+                f"The images do not tell the altitude range: the RPCs' own is taken, {search[0]:.0f} to "
+                f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors."
+            )
             found, source = search, "RPC"
         else:
             found, source = swept.altitudes, "images"
     low = found[0] if given[0] is None else given[0]
     high = found[1] if given[1] is None else given[1]
     if low >= high:
-        raise OptionError("ALTITUDE_MIN" if given[0] is not None else "ALTITUDE_MAX", low if given[0] is not None
-                          else high, f"leaves no range: the ground lies between {found[0]:.0f} and {found[1]:.0f} m")
+        raise OptionError(
+            "ALTITUDE_MIN" if given[0] is not None else "ALTITUDE_MAX",
+            low if given[0] is not None else high,
+            f"leaves no range: the ground lies between {found[0]:.0f} and {found[1]:.0f} m",
+        )
     return (float(low), float(high)), source

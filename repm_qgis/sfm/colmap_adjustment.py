@@ -19,28 +19,28 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import EmptyResultError, MissingPackageError
+from ..exports.model import ExportView
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography
-from ..mvs.pairing import grown, refined_view
 from ..progress import Progress
 from ..scene import Scene, View
+from ..stereo.pairing import grown, refined_view
 from .adjustment import Adjustment, Track, with_shifts
-from .camera_exports.model import ExportView
 from .sharpening import clusters
 
-FloatArray = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LEAST_TIES = 8         # of a patch
-_FIRST_SCALE_PX = 1.0   # of the Cauchy loss, before the residuals are known
-_CAUCHY = 2.385         # standard deviations: 95 % efficient where residuals are Gaussian
-_WRONG = 4.685          # standard deviations from which on a tie is left out
+_LEAST_TIES = 8  # of a patch
+_FIRST_SCALE_PX = 1.0  # of the Cauchy loss, before the residuals are known
+_CAUCHY = 2.385  # standard deviations: 95 % efficient where residuals are Gaussian
+_WRONG = 4.685  # standard deviations from which on a tie is left out
 _LEAST_SIGMA_PX = 0.03
 _MARGIN_PX = 24
-_ROOM_M = 30.0          # below and above the ties, for the cameras
+_ROOM_M = 30.0  # below and above the ties, for the cameras
 _PASSES = 3
 
 
@@ -97,20 +97,29 @@ def adjust_colmap(scene: Scene, tracks: Sequence[Track], progress: Progress) -> 
         if patch is not None:
             found.append(patch)
     if not found:
-        raise EmptyResultError(f"No patch of the scene has {_LEAST_TIES} tie points for COLMAP's adjustment: choose "
-                               "ADJUSTMENT rpc, or an EXTENT with more texture.")
+        raise EmptyResultError(
+            f"No patch of the scene has {_LEAST_TIES} tie points for COLMAP's adjustment: choose "
+            "ADJUSTMENT rpc, or an EXTENT with more texture."
+        )
     shifts = _joined(found, len(views))
     ties = sum(patch.ties for patch in found)
-    return with_shifts(views, tracks, altitude, {view.name: shift for view, shift in zip(views, shifts)},
-                       f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches")
+    return with_shifts(
+        views,
+        tracks,
+        altitude,
+        {view.name: shift for view, shift in zip(views, shifts)},
+        f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches",
+    )
 
 
 def _pycolmap() -> Any:
     try:
         import pycolmap
     except ImportError as error:
-        raise MissingPackageError(f"ADJUSTMENT colmap needs the Python package 'pycolmap', which is not installed "
-                                  f"({error}): run 'make setup' in the plugin's folder, or choose rpc.") from error
+        raise MissingPackageError(
+            f"ADJUSTMENT colmap needs the Python package 'pycolmap', which is not installed "
+            f"({error}): run 'make setup' in the plugin's folder, or choose rpc."
+        ) from error
     return pycolmap
 
 
@@ -119,8 +128,9 @@ def _tile_side(scene: Scene) -> float:
     return max(max(t.bounds[2] - t.bounds[0], t.bounds[3] - t.bounds[1]) for t in scene.tiles)
 
 
-def _adjust_patch(pycolmap: Any, scene: Scene, views: Sequence[View], tracks: Sequence[Track], ground: FloatArray,
-                  xy: FloatArray) -> Optional[_PatchShifts]:
+def _adjust_patch(
+    pycolmap: Any, scene: Scene, views: Sequence[View], tracks: Sequence[Track], ground: FloatArray, xy: FloatArray
+) -> Optional[_PatchShifts]:
     """The shifts that a patch's ties ask for; None where they are too few."""
     if len(tracks) < _LEAST_TIES:
         return None
@@ -140,8 +150,9 @@ def _adjust_patch(pycolmap: Any, scene: Scene, views: Sequence[View], tracks: Se
     return _PatchShifts(indices, (projector @ shifts.ravel()).reshape(-1, 2), projector, model.kept)
 
 
-def _patch_views(scene: Scene, views: Sequence[View], ground: FloatArray,
-                 xy: FloatArray) -> Tuple[Dict[int, _PatchView], FloatArray, float]:
+def _patch_views(
+    scene: Scene, views: Sequence[View], ground: FloatArray, xy: FloatArray
+) -> Tuple[Dict[int, _PatchView], FloatArray, float]:
     """Cameras of all views that see a patch, by index, and the patch's frame: origin (m, scene frame) and unit."""
     low, high = np.percentile(ground[:, 2], (1, 99)) + (-_ROOM_M, _ROOM_M)
     bounds = grown((*map(float, xy.min(axis=0)), *map(float, xy.max(axis=0))), _MARGIN_PX * scene.gsd_m)
@@ -154,16 +165,25 @@ def _patch_views(scene: Scene, views: Sequence[View], ground: FloatArray,
         refined = refined_view(plain, view, bounds, (float(low), float(high)))
         if refined is None:
             continue
-        turned = ExportView(view, refined.camera, refined.to_original.original_from_refined, refined.size, (1.0, 1.0),
-                            refined.error, np.zeros(2), enu).centred()
+        turned = ExportView(
+            view,
+            refined.camera,
+            refined.to_original.original_from_refined,
+            refined.size,
+            (1.0, 1.0),
+            refined.error,
+            np.zeros(2),
+            enu,
+        ).centred()
         homography = turned.camera.K @ turned.camera.R @ np.linalg.inv(refined.camera.K @ refined.camera.R)
         local = PinholeCamera(turned.camera.K, turned.camera.R, (turned.camera.R @ origin + turned.camera.t) / scale)
         seen[index] = _PatchView(view, refined, local, turned.size, homography)
     return seen, origin, scale
 
 
-def _measured(seen: Dict[int, _PatchView], tracks: Sequence[Track]) -> Tuple[List[Dict[int, FloatArray]],
-                                                                            Dict[int, FloatArray]]:
+def _measured(
+    seen: Dict[int, _PatchView], tracks: Sequence[Track]
+) -> Tuple[List[Dict[int, FloatArray]], Dict[int, FloatArray]]:
     """For each track its pixels in the cameras' images by view, and for each view its (N, 2) original pixels."""
     result: List[Dict[int, FloatArray]] = [{} for _ in tracks]
     originals: Dict[int, FloatArray] = {}
@@ -181,8 +201,9 @@ def _measured(seen: Dict[int, _PatchView], tracks: Sequence[Track]) -> Tuple[Lis
 class _Model:
     """A patch as COLMAP has it: one camera a view, poses that stay, points triangulated from them."""
 
-    def __init__(self, pycolmap: Any, seen: Dict[int, _PatchView], measured: Sequence[Dict[int, FloatArray]],
-                 places: FloatArray) -> None:
+    def __init__(
+        self, pycolmap: Any, seen: Dict[int, _PatchView], measured: Sequence[Dict[int, FloatArray]], places: FloatArray
+    ) -> None:
         self._pycolmap, self._seen, self._measured = pycolmap, seen, measured
         self._points = np.array([self._triangulated(pixels, place) for pixels, place in zip(measured, places)])
         self._use = np.ones(len(measured), dtype=bool)
@@ -202,8 +223,11 @@ class _Model:
             sigma = max(1.4826 * float(np.median(residual[self._use])), _LEAST_SIGMA_PX)
             self._use = residual < _WRONG * sigma
             scale = _CAUCHY * sigma
-        return {i: self._centre[i] - self._start[i] for i in self._seen
-                if any(i in pixels for pixels, use in zip(self._measured, self._use) if use)}
+        return {
+            i: self._centre[i] - self._start[i]
+            for i in self._seen
+            if any(i in pixels for pixels, use in zip(self._measured, self._use) if use)
+        }
 
     def _triangulated(self, pixels: Dict[int, FloatArray], fallback: FloatArray) -> FloatArray:
         """(3,) the point that known poses give; the RPCs' own where COLMAP finds none."""
@@ -239,7 +263,7 @@ class _Model:
         options.print_summary = False
         options.ceres.loss_function_type = self._pycolmap.LossFunctionType.CAUCHY
         options.ceres.loss_function_scale = scale_px
-        options.ceres.solver_options.num_threads = 1     # sums in one order: the same result every time
+        options.ceres.solver_options.num_threads = 1  # sums in one order: the same result every time
         options.ceres.solver_options.gradient_tolerance = 1e-10
         options.ceres.solver_options.function_tolerance = 1e-12
         return options
@@ -255,12 +279,19 @@ class _Model:
                 places[i].append(pixel + 0.5)
         for i, view in self._seen.items():
             focal = view.camera.K[0, 0], view.camera.K[1, 1]
-            made.add_camera_with_trivial_rig(pycolmap.Camera(
-                camera_id=i + 1, model="PINHOLE", width=view.size[0], height=view.size[1],
-                params=[*focal, *self._centre[i]]))
+            made.add_camera_with_trivial_rig(
+                pycolmap.Camera(
+                    camera_id=i + 1,
+                    model="PINHOLE",
+                    width=view.size[0],
+                    height=view.size[1],
+                    params=[*focal, *self._centre[i]],
+                )
+            )
             made.add_image_with_trivial_frame(
                 pycolmap.Image(view.view.name, np.array(places[i]).reshape(-1, 2), i + 1, i + 1),
-                pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t))
+                pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t),
+            )
         for k in np.flatnonzero(self._use):
             track = pycolmap.Track([pycolmap.TrackElement(i + 1, place) for i, place in elements[k]])
             made.add_point3D_with_id(int(k) + 1, pycolmap.Point3D(xyz=self._points[k], track=track))

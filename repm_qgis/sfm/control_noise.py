@@ -14,15 +14,14 @@ from statistics import NormalDist
 from typing import List, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from ..arrays import FloatArray
 
-_PRIOR_PX = 0.1         # the noise that one observation more speaks for, where a single point has no redundancy
-LEAST_NOISE_PX = 0.02   # below that, RPCs themselves are no better
-_WRONG_PX = 0.5         # nobody need be told of less
-_FALSE_ALARM = 0.01     # chance that any good point of a table is called wrong
-_SUSPECT = 2.5          # robust standard deviations from which on a point has to prove itself
+_PRIOR_PX = 0.1  # the noise that one observation more speaks for, where a single point has no redundancy
+LEAST_NOISE_PX = 0.02  # below that, RPCs themselves are no better
+_WRONG_PX = 0.5  # nobody need be told of less
+_FALSE_ALARM = 0.01  # chance that any good point of a table is called wrong
+_SUSPECT = 2.5  # robust standard deviations from which on a point has to prove itself
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class ControlEquations:
 
     def redundancy(self, covariance: FloatArray, noise_px: float, weight: float = 1.0) -> float:
         """How many of the observations the parameters do not take up; ``covariance`` of the parameters in px²."""
-        taken = float(np.sum((self.design @ covariance) * self.design)) * weight / noise_px ** 2
+        taken = float(np.sum((self.design @ covariance) * self.design)) * weight / noise_px**2
         return len(self.misclosure) - taken
 
 
@@ -50,7 +49,7 @@ def first_noise(residuals: Sequence[FloatArray]) -> float:
 def variance_component(residuals: Sequence[FloatArray], redundancy: float) -> float:
     """A coordinate's standard deviation from squared residuals and their redundancy, px."""
     square = sum(float(residual @ residual) for residual in residuals)
-    return max(float(np.sqrt((square + _PRIOR_PX ** 2) / (max(redundancy, 0.0) + 1.0))), LEAST_NOISE_PX)
+    return max(float(np.sqrt((square + _PRIOR_PX**2) / (max(redundancy, 0.0) + 1.0))), LEAST_NOISE_PX)
 
 
 def robust_weight(residual: FloatArray, noise_px: float) -> float:
@@ -62,11 +61,12 @@ def suspects(residuals: Sequence[FloatArray], noise_px: float) -> List[int]:
     """The points that a robust adjustment leaves far away, worst first; half of them at most, and two stay."""
     size = np.array([_size(residual) for residual in residuals])
     far = [int(k) for k in np.argsort(-size, kind="stable") if size[k] > _SUSPECT * noise_px]
-    return far[:max(min(len(size) // 2, len(size) - 2), 0)]
+    return far[: max(min(len(size) // 2, len(size) - 2), 0)]
 
 
-def contradicts(point: ControlEquations, covariance: FloatArray, noise_px: float, redundancy: float,
-                points: int) -> bool:
+def contradicts(
+    point: ControlEquations, covariance: FloatArray, noise_px: float, redundancy: float, points: int
+) -> bool:
     """Whether a point that took no part lies where an adjustment from the others cannot put it (an F test).
 
     ``covariance`` of the others' parameters in px², ``noise_px`` theirs with its ``redundancy``; ``points`` is the
@@ -75,7 +75,7 @@ def contradicts(point: ControlEquations, covariance: FloatArray, noise_px: float
     off = point.misclosure
     if _largest(off) < _WRONG_PX:
         return False
-    expected = noise_px ** 2 * np.eye(len(off)) + point.design @ covariance @ point.design.T
+    expected = noise_px**2 * np.eye(len(off)) + point.design @ covariance @ point.design.T
     statistic = float(off @ np.linalg.solve(expected, off)) / len(off)
     return statistic > f_quantile(1.0 - _FALSE_ALARM / max(points, 1), len(off), max(redundancy, 0.0) + 1.0)
 
@@ -85,15 +85,15 @@ def f_quantile(probability: float, first: float, second: float) -> float:
     to tell anything (some 2)."""
     z = NormalDist().inv_cdf(probability)
     a, b = 2.0 / (9.0 * first), 2.0 / (9.0 * second)
-    lead = (1.0 - b) ** 2 - b * z ** 2
+    lead = (1.0 - b) ** 2 - b * z**2
     if lead <= 0.0:
         return math.inf
-    root = ((1.0 - a) * (1.0 - b) + z * math.sqrt(b * (1.0 - a) ** 2 + a * (1.0 - b) ** 2 - a * b * z ** 2)) / lead
-    return root ** 3
+    root = ((1.0 - a) * (1.0 - b) + z * math.sqrt(b * (1.0 - a) ** 2 + a * (1.0 - b) ** 2 - a * b * z**2)) / lead
+    return root**3
 
 
 def _size(residual: FloatArray) -> float:
-    return float(np.sqrt(np.mean(residual ** 2)))
+    return float(np.sqrt(np.mean(residual**2)))
 
 
 def _largest(residual: FloatArray) -> float:

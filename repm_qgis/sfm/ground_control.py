@@ -10,15 +10,13 @@ from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Seque
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 from osgeo import gdal, ogr
 
+from ..arrays import FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
-
-FloatArray = NDArray[np.float64]
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
@@ -50,7 +48,7 @@ class Gcp:
 def points_file(path: str) -> Tuple[str, str]:
     """The file and the layer ("": the first) of a name as QGIS writes it: ``points.gpkg|layername=gcps``."""
     file, *rest = path.split("|")
-    return file, next((part[len("layername="):] for part in rest if part.startswith("layername=")), "")
+    return file, next((part[len("layername=") :] for part in rest if part.startswith("layername=")), "")
 
 
 def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
@@ -68,24 +66,31 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     file, layer = points_file(path)
     rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
     points: Dict[str, Gcp] = {}
-    names = {alias: view.name for view in views or ()
-             for alias in (view.name, Path(view.image).name, Path(view.image).stem)}
+    names = {
+        alias: view.name for view in views or () for alias in (view.name, Path(view.image).name, Path(view.image).stem)
+    }
     for line, row in rows:
         gcp = _point(path, line, row)
         known = points.setdefault(gcp.id, gcp)
         if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
-            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an "
-                                  "earlier row; give each point one place and one role.")
+            raise InputTableError(
+                f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an "
+                "earlier row; give each point one place and one role."
+            )
         view = str(row.get("view") or "").strip()
         if not view or views is None:
             continue
         if view not in names:
-            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of "
-                                  f"the images ({', '.join(v.name for v in views)}); use the images' file names.")
+            raise InputTableError(
+                f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of "
+                f"the images ({', '.join(v.name for v in views)}); use the images' file names."
+            )
         pixel = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
         if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
-            raise InputTableError(f"'{path}', row {line}: point '{gcp.id}' has another pixel in '{view}' than in an "
-                                  "earlier row; give each point one row an image.")
+            raise InputTableError(
+                f"'{path}', row {line}: point '{gcp.id}' has another pixel in '{view}' than in an "
+                "earlier row; give each point one row an image."
+            )
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
     return _ellipsoidal(list(points.values()), vertical, path)
@@ -97,12 +102,15 @@ def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
         raise InputTableError(f"'{path}', row {line}: the field 'id' is empty; name every point.")
     role = str(row.get("role") or "control").strip().lower()
     if role not in ROLES:
-        raise InputTableError(f"'{path}', row {line}: the role of point '{identity}' is '{role}'; it must be control "
-                              "or check.")
+        raise InputTableError(
+            f"'{path}', row {line}: the role of point '{identity}' is '{role}'; it must be control or check."
+        )
     lon, lat, height = (_number(path, line, row, name) for name in ("lon", "lat", "height"))
     if not (-360 <= lon <= 360 and -90 <= lat <= 90 and -12000 < height < 10000):
-        raise InputTableError(f"'{path}', row {line}: point '{identity}' lies at longitude {lon:g}, latitude {lat:g}, "
-                              f"height {height:g} m; give degrees (WGS 84) and metres.")
+        raise InputTableError(
+            f"'{path}', row {line}: point '{identity}' lies at longitude {lon:g}, latitude {lat:g}, "
+            f"height {height:g} m; give degrees (WGS 84) and metres."
+        )
     return Gcp(identity, lon, lat, height, role, {})
 
 
@@ -135,8 +143,10 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
     needed = [name for name in ("id", "lon", "lat", "height") if not (with_place and name in ("lon", "lat"))]
     missing = [name for name in needed if name not in fields]
     if missing:
-        raise InputTableError(f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a "
-                              f"table of points needs {', '.join(FIELDS)}.")
+        raise InputTableError(
+            f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a "
+            f"table of points needs {', '.join(FIELDS)}."
+        )
 
 
 def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
@@ -179,12 +189,16 @@ def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> 
     name = vertical.name
     if not group.transformers:
         grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
-        raise InputTableError(f"PROJ cannot bring the heights of '{path}' from {name} to the ellipsoid: {grids}. "
-                              "Install it (package proj-data, or 'projsync --file NAME'), or give ellipsoidal heights.")
+        raise InputTableError(
+            f"PROJ cannot bring the heights of '{path}' from {name} to the ellipsoid: {grids}. "
+            "Install it (package proj-data, or 'projsync --file NAME'), or give ellipsoidal heights."
+        )
     heights = np.asarray(group.transformers[0].transform(*places.T)[2])
     if not np.isfinite(heights).all():
-        raise InputTableError(f"PROJ's grid for {name} does not cover all points of '{path}': check their places, or "
-                              "give heights above the ellipsoid.")
+        raise InputTableError(
+            f"PROJ's grid for {name} does not cover all points of '{path}': check their places, or "
+            "give heights above the ellipsoid."
+        )
     return [replace(gcp, height=float(height)) for gcp, height in zip(gcps, heights)]
 
 

@@ -20,22 +20,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import environment
+from ..arrays import FloatArray
 from ..errors import EmptyResultError, RepmError
 from ..progress import Progress
 
-FloatArray = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 T = TypeVar("T")
 
-_CONTRAST = 0.02        # least contrast of a keypoint, as OpenCV counts it: over the layers of an octave
-_LAYERS = 3             # of an octave
-_MOST_COLMAP = 32768    # keypoints of an image that COLMAP may give: above that it keeps the coarse ones, not ours
-_COLMAP_CORNER = 0.5    # COLMAP's first pixel has its centre at (0.5, 0.5)
+_CONTRAST = 0.02  # least contrast of a keypoint, as OpenCV counts it: over the layers of an octave
+_LAYERS = 3  # of an octave
+_MOST_COLMAP = 32768  # keypoints of an image that COLMAP may give: above that it keeps the coarse ones, not ours
+_COLMAP_CORNER = 0.5  # COLMAP's first pixel has its centre at (0.5, 0.5)
 _COLMAP_WARNINGS = 1
 _STRENGTH_WINDOW = 5
-_GPU_WORKERS = 4        # processes that share a GPU: each holds a context of some hundred MiB there
+_GPU_WORKERS = 4  # processes that share a GPU: each holds a context of some hundred MiB there
 _ANSWER_SECONDS = 120
-_BLOB_PX = 0.35         # by which a detector may miss the middle of a blob in the self-test
+_BLOB_PX = 0.35  # by which a detector may miss the middle of a blob in the self-test
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,7 @@ class OpenCvSift:
     def detect(self, grey: Grey, mask: NDArray[np.uint8], most: int, choose: Choice = everything) -> Keypoints:
         """See Detector; the strongest ``most``, by contrast."""
         # Without the precise doubling of the image all keypoints lie a quarter of a pixel right and below.
-        sift = cv2.SIFT_create(most, nOctaveLayers=_LAYERS, contrastThreshold=_CONTRAST,
-                               enable_precise_upscale=True)
+        sift = cv2.SIFT_create(most, nOctaveLayers=_LAYERS, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
         points = sift.detect(grey, mask)
         if not points:
             return Keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32))
@@ -187,12 +186,19 @@ def with_best_detector(work: Callable[[Detector], T], progress: Progress) -> Tup
 
 def _answers(device: str) -> bool:
     """Whether a device finds known blobs where they are; asked in a process of its own, which a bad driver may end."""
-    code = (f"import sys; sys.path.insert(0, {str(Path(__file__).resolve().parents[2])!r}); "
-            f"from repm_qgis.sfm.keypoints import self_test; sys.exit(0 if self_test({device!r}) else 1)")
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).resolve().parents[2])!r}); "
+        f"from repm_qgis.sfm.keypoints import self_test; sys.exit(0 if self_test({device!r}) else 1)"
+    )
     try:
-        done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
-                              stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=_ANSWER_SECONDS,
-                              check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            timeout=_ANSWER_SECONDS,
+            check=False,
+        )
     except (OSError, subprocess.TimeoutExpired):
         return False
     return done.returncode == 0

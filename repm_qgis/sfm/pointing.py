@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Dict, List, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
@@ -22,10 +22,8 @@ from .sharpening import sharpen
 from .tie_points import PairMatches, find_ties
 from .view_pairs import ViewPair
 
-FloatArray = NDArray[np.float64]
-
 LEAST_TIES = 20
-_USUAL_PX = 2.0     # by which two vendor RPCs of one pass disagree, in each direction
+_USUAL_PX = 2.0  # by which two vendor RPCs of one pass disagree, in each direction
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,16 @@ class Pointing:
     figures: Dict[str, Any]
 
 
-def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], model: str,
-                gcps: Sequence[Gcp], progress: Progress, workers: int = 0, route: str = "rpc") -> Pointing:
+def point_views(
+    scene: Scene,
+    pairs: Sequence[ViewPair],
+    stretches: Dict[str, Stretch],
+    model: str,
+    gcps: Sequence[Gcp],
+    progress: Progress,
+    workers: int = 0,
+    route: str = "rpc",
+) -> Pointing:
     """Find ties and adjust the views' pointing; the scene's views are replaced by the corrected ones.
 
     ``workers`` 0 means one a core. ``route`` is ``rpc`` (ours) or ``colmap`` (principal points only: ``model`` and
@@ -49,11 +55,14 @@ def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, St
     """
     names = [(pair.first, pair.second) for pair in pairs]
     matches, detector = with_best_detector(
-        lambda best: find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, best), progress)
+        lambda best: find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, best), progress
+    )
     tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95), workers)
     if len(tracks) < LEAST_TIES:
-        raise EmptyResultError(f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
-                               "images in focus, of one season, and free of clouds?")
+        raise EmptyResultError(
+            f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
+            "images in focus, of one season, and free of clouds?"
+        )
     if route == "colmap":
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0))
     else:
@@ -62,11 +71,16 @@ def point_views(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, St
     scene.views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
     after = {(pair.first, pair.second): _rows(scene, pair, tracks, adjusted.ground) for pair in pairs}
     figures = {
-        "count": len(tracks), "detector": detector.name, "before_px": float(np.median(adjusted.before_px)),
-        "after_px": float(np.median(adjusted.residual_px)), "model": adjusted.model, "reason": adjusted.reason,
+        "count": len(tracks),
+        "detector": detector.name,
+        "before_px": float(np.median(adjusted.before_px)),
+        "after_px": float(np.median(adjusted.residual_px)),
+        "model": adjusted.model,
+        "reason": adjusted.reason,
         "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
         "pairs": [_pair_figures(match, before, after) for match in matches],
-        **_absolute(scene, pairs, before, gcps, adjusted)}
+        **_absolute(scene, pairs, before, gcps, adjusted),
+    }
     _tell(figures, progress)
     return Pointing(tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
 
@@ -83,24 +97,38 @@ def _rows(scene: Scene, pair: ViewPair, tracks: Sequence[Track], ground: FloatAr
 
 def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> Dict[str, Any]:
     key = (match.first, match.second)
-    return {"pair": list(key), "candidates": len(match.rows_px), "count": len(after[key]),
-            "rows_before_px": _median(before[key]), "rows_after_px": _median(np.abs(after[key])),
-            "rows_spread_px": 1.4826 * _median(np.abs(after[key] - _median(after[key])))}
+    return {
+        "pair": list(key),
+        "candidates": len(match.rows_px),
+        "count": len(after[key]),
+        "rows_before_px": _median(before[key]),
+        "rows_after_px": _median(np.abs(after[key])),
+        "rows_spread_px": 1.4826 * _median(np.abs(after[key] - _median(after[key]))),
+    }
 
 
 def _median(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def _absolute(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray], gcps: Sequence[Gcp],
-              adjusted: Adjustment) -> Dict[str, Any]:
+def _absolute(
+    scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray], gcps: Sequence[Gcp], adjusted: Adjustment
+) -> Dict[str, Any]:
     """How far the absolute height can be trusted: by ground control, or by how much the vendors' RPCs disagree."""
     points = []
     for gcp in gcps:
         offset = intersect(gcp, scene.views)
         if offset is not None:
-            points.append({"id": gcp.id, "role": gcp.role, "rejected": gcp.id in adjusted.rejected,
-                           "east_m": float(offset[0]), "north_m": float(offset[1]), "up_m": float(offset[2])})
+            points.append(
+                {
+                    "id": gcp.id,
+                    "role": gcp.role,
+                    "rejected": gcp.id in adjusted.rejected,
+                    "east_m": float(offset[0]),
+                    "north_m": float(offset[1]),
+                    "up_m": float(offset[2]),
+                }
+            )
     figures: Dict[str, Any] = {"gcps": points, "rejected_gcps": list(adjusted.rejected)} if gcps else {}
     if any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         return {**figures, "control_noise_px": adjusted.control_noise_px}
@@ -115,22 +143,30 @@ def _height_uncertainty(scene: Scene, pairs: Sequence[ViewPair], before: Dict[An
     widest base tells the height best.
     """
     seen = [_median(rows) for rows in before.values() if len(rows)]
-    deviation = np.sqrt((_USUAL_PX ** 2 + sum(row ** 2 for row in seen)) / (1 + len(seen)))
+    deviation = np.sqrt((_USUAL_PX**2 + sum(row**2 for row in seen)) / (1 + len(seen)))
     return float(2.0 * deviation * scene.gsd_m / max(pair.base_to_height for pair in pairs))
 
 
 def _tell(figures: Dict[str, Any], progress: Progress) -> None:
     shifts = ", ".join(f"{name} ({c:+.2f}, {r:+.2f})" for name, (c, r) in figures["shifts_px"].items())
-    progress.info(f"{figures['count']} tie points; pointing corrected by {shifts} px ({figures['model']}: "
-                  f"{figures['reason']}); their median residual fell from {figures['before_px']:.2f} to "
-                  f"{figures['after_px']:.2f} px.")
+    progress.info(
+        f"{figures['count']} tie points; pointing corrected by {shifts} px ({figures['model']}: "
+        f"{figures['reason']}); their median residual fell from {figures['before_px']:.2f} to "
+        f"{figures['after_px']:.2f} px."
+    )
     if figures.get("control_noise_px") is not None:
-        progress.info(f"The control points fit to {figures['control_noise_px']:.2f} px in each direction: that gives "
-                      "them their weight beside the tie points.")
+        progress.info(
+            f"The control points fit to {figures['control_noise_px']:.2f} px in each direction: that gives "
+            "them their weight beside the tie points."
+        )
     for identity in figures.get("rejected_gcps", []):
-        progress.warn(f"The control point {identity} contradicts all others and was left out: check its coordinates, "
-                      "its height's datum, and its pixels.")
+        progress.warn(
+            f"The control point {identity} contradicts all others and was left out: check its coordinates, "
+            "its height's datum, and its pixels."
+        )
     if "height_uncertainty_m" in figures:
-        progress.info("Without ground control points the absolute height is as good as the vendors' RPCs: uncertain by "
-                      f"{figures['height_uncertainty_m']:.1f} m (two standard deviations); relative heights are not "
-                      "affected.")
+        progress.info(
+            "Without ground control points the absolute height is as good as the vendors' RPCs: uncertain by "
+            f"{figures['height_uncertainty_m']:.1f} m (two standard deviations); relative heights are not "
+            "affected."
+        )

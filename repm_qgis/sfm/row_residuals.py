@@ -10,17 +10,16 @@ from itertools import combinations
 from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..geometry.frames import EnuFrame
 from ..scene import View
 from .adjustment import Track
 
-FloatArray = NDArray[np.float64]
 
-
-def row_residuals(views: Tuple[View, View], pixels: Tuple[FloatArray, FloatArray],
-                  ground: FloatArray) -> Tuple[FloatArray, FloatArray]:
+def row_residuals(
+    views: Tuple[View, View], pixels: Tuple[FloatArray, FloatArray], ground: FloatArray
+) -> Tuple[FloatArray, FloatArray]:
     """(N,) the first view's row less the second's, px, and (N,) where that row grows to on the ground.
 
     Parameters
@@ -42,8 +41,9 @@ def row_residuals(views: Tuple[View, View], pixels: Tuple[FloatArray, FloatArray
     enu = frame.from_geodetic(ground)
     base = [view.project(ground) for view in views]
     moved = [frame.to_geodetic(enu + delta) for delta in np.eye(3)]
-    jacobian = np.concatenate([np.stack([view.project(place) - at for place in moved], axis=-1)
-                               for view, at in zip(views, base)], axis=1)
+    jacobian = np.concatenate(
+        [np.stack([view.project(place) - at for place in moved], axis=-1) for view, at in zip(views, base)], axis=1
+    )
     across = np.linalg.svd(jacobian)[0][:, :, 3]
     # Signed so that "down" (or right, where the parallax runs along columns) in the first image is positive.
     leading = np.take_along_axis(across[:, :2], np.abs(across[:, :2]).argmax(axis=1)[:, None], axis=1)

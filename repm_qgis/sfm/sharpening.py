@@ -15,33 +15,33 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, warp
-from ..mvs.pairing import grown, rectified_pair
-from ..mvs.rectification import RectifiedPair
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
+from ..stereo.pairing import grown, rectified_pair
+from ..stereo.rectification import RectifiedPair
 from .adjustment import Track
 
-FloatArray = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _WINDOW = 11
 _MARGIN_PX = 24
-_PATCH_PX = 1700        # images are aligned in patches of at most so many px a side
-_GAP = 0.1              # of that side: nothing is aligned between ties that are farther apart
-_FARTHEST_PX = 1.5      # SIFT is never so wrong: what moves farther has found something else
-_RETURN_PX = 0.1        # from the first image to the second and back
-_MOST_ALIKE = 0.7       # of a patch's ties, those whose neighbourhoods differ least
-_ENOUGH = 30            # with fewer ties in a patch, none is dropped for looking less alike
-_EVEN_PX = 5.0          # standard deviation of the neighbourhood in which brightness and contrast are made even
-_EVEN_CONTRAST = 40.0   # standard deviation of grey values afterwards
-_NOISE = 0.012          # contrast of the stretched image, 0..1, that is as likely noise and is not made even
-_LEAST_TEXTURE = 1e-3   # smallest eigenvalue of the gradients' matrix, as OpenCV normalises it
+_PATCH_PX = 1700  # images are aligned in patches of at most so many px a side
+_GAP = 0.1  # of that side: nothing is aligned between ties that are farther apart
+_FARTHEST_PX = 1.5  # SIFT is never so wrong: what moves farther has found something else
+_RETURN_PX = 0.1  # from the first image to the second and back
+_MOST_ALIKE = 0.7  # of a patch's ties, those whose neighbourhoods differ least
+_ENOUGH = 30  # with fewer ties in a patch, none is dropped for looking less alike
+_EVEN_PX = 5.0  # standard deviation of the neighbourhood in which brightness and contrast are made even
+_EVEN_CONTRAST = 40.0  # standard deviation of grey values afterwards
+_NOISE = 0.012  # contrast of the stretched image, 0..1, that is as likely noise and is not made even
+_LEAST_TEXTURE = 1e-3  # smallest eigenvalue of the gradients' matrix, as OpenCV normalises it
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,9 @@ class _Task:
     stretches: Dict[str, Stretch]
 
 
-def sharpen(scene: Scene, tracks: Sequence[Track], stretches: Dict[str, Stretch], progress: Progress,
-            workers: int = 0) -> List[Track]:
+def sharpen(
+    scene: Scene, tracks: Sequence[Track], stretches: Dict[str, Stretch], progress: Progress, workers: int = 0
+) -> List[Track]:
     """Align each track's pixels with those of its first view (which stay); a pixel that finds no hold is dropped.
 
     Tracks that keep fewer than two views are dropped too.
@@ -73,9 +74,17 @@ def sharpen(scene: Scene, tracks: Sequence[Track], stretches: Dict[str, Stretch]
             for other in seen[number][1:]:
                 pairs.setdefault((seen[number][0], other), []).append(number)
         low, high = xy[members].min(axis=0), xy[members].max(axis=0)
-        tasks.append(_Task(lean, (*map(float, low), *map(float, high)), {
-            pair: (np.array(numbers), *(np.array([tracks[k].pixels[name] for k in numbers]) for name in pair))
-            for pair, numbers in sorted(pairs.items())}, stretches))
+        tasks.append(
+            _Task(
+                lean,
+                (*map(float, low), *map(float, high)),
+                {
+                    pair: (np.array(numbers), *(np.array([tracks[k].pixels[name] for k in numbers]) for name in pair))
+                    for pair, numbers in sorted(pairs.items())
+                },
+                stretches,
+            )
+        )
     sharp: Dict[Tuple[int, str], FloatArray] = {}
     for found in run_tasks(_sharpen_patch, tasks, workers, progress, lambda _: "sharpening tie points"):
         sharp.update(found)
@@ -135,34 +144,51 @@ def _sharpen_patch(task: _Task) -> Dict[Tuple[int, str], FloatArray]:
     return result
 
 
-def _registered(pair: RectifiedPair, views: Tuple[View, View], stretches: Tuple[Stretch, Stretch], a: FloatArray,
-                b: FloatArray) -> Tuple[FloatArray, NDArray[np.bool_]]:
+def _registered(
+    pair: RectifiedPair, views: Tuple[View, View], stretches: Tuple[Stretch, Stretch], a: FloatArray, b: FloatArray
+) -> Tuple[FloatArray, NDArray[np.bool_]]:
     """(N, 2) positions in the second image that look like ``a`` in the first, and which of them hold."""
     # Each image in a frame that just holds its points, wherever the RPCs' errors put them.
     corners = [np.floor(points.min(axis=0)) - _MARGIN_PX for points in (a, b)]
     size = np.max([np.ceil(points.max(axis=0) - corner) for points, corner in zip((a, b), corners)], axis=0)
     size = (int(size[0]) + _MARGIN_PX, int(size[1]) + _MARGIN_PX)
-    frames = RectifiedPair(pair.first, pair.second, translation(*-corners[0]) @ pair.h_first,
-                           translation(*-corners[1]) @ pair.h_second, size)
-    images = [_grey(view, stretch, to_original, size) for view, stretch, to_original in
-              zip(views, stretches, (frames.first_original, frames.second_original))]
+    frames = RectifiedPair(
+        pair.first,
+        pair.second,
+        translation(*-corners[0]) @ pair.h_first,
+        translation(*-corners[1]) @ pair.h_second,
+        size,
+    )
+    images = [
+        _grey(view, stretch, to_original, size)
+        for view, stretch, to_original in zip(views, stretches, (frames.first_original, frames.second_original))
+    ]
     here, there = (points.astype(np.float32)[:, None] for points in (a - corners[0], b - corners[1]))
     found, status, error = _aligned(images[0], images[1], here, there)
     back, returned, _ = _aligned(images[1], images[0], found, here)
-    good = ((status > 0) & (returned > 0) & (_distance(found, there) < _FARTHEST_PX)
-            & (_distance(back, here) < _RETURN_PX))
+    good = (
+        (status > 0) & (returned > 0) & (_distance(found, there) < _FARTHEST_PX) & (_distance(back, here) < _RETURN_PX)
+    )
     if good.sum() >= _ENOUGH:
         good &= error <= np.quantile(error[good], _MOST_ALIKE)
     return found[:, 0].astype(np.float64) + corners[1], good
 
 
-def _aligned(source: NDArray[np.uint8], target: NDArray[np.uint8], points: NDArray[np.float32],
-             start: NDArray[np.float32]) -> Tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
+def _aligned(
+    source: NDArray[np.uint8], target: NDArray[np.uint8], points: NDArray[np.float32], start: NDArray[np.float32]
+) -> Tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.float32]]:
     """(N, 1, 2) positions in the target, (N,) whether found, (N,) mean difference of the neighbourhoods."""
     found, status, error = cv2.calcOpticalFlowPyrLK(
-        source, target, points, start.copy(), winSize=(_WINDOW, _WINDOW), maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005), flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        minEigThreshold=_LEAST_TEXTURE)
+        source,
+        target,
+        points,
+        start.copy(),
+        winSize=(_WINDOW, _WINDOW),
+        maxLevel=0,
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.005),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        minEigThreshold=_LEAST_TEXTURE,
+    )
     return found, status[:, 0], error[:, 0]
 
 

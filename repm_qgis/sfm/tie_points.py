@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import ogr
 
+from ..arrays import FloatArray
 from ..errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.footprints import box
@@ -24,41 +25,40 @@ from ..geometry.tiles import enclosing
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read
 from ..imagery.warping import warp
-from ..mvs.pairing import ground_points, grown, rectify_over, refined_view
-from ..mvs.rectification import RectifiedPair
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
 from ..scene import Scene, View
+from ..stereo.pairing import ground_points, grown, rectify_over, refined_view
+from ..stereo.rectification import RectifiedPair
 from .keypoints import CPU_DETECTOR, Detector
 
-FloatArray = NDArray[np.float64]
 Bounds = Tuple[float, float, float, float]
 Pair = Tuple[str, str]
 
-_REDUCTION = 2.0            # SIFT on half-size images: a sixth of the time, ties enough
-_SMALL_PX, _SMALL_PATCH_PX = 500, 300   # images of a scene, of a patch below this side need all their pixels for ties
+_REDUCTION = 2.0  # SIFT on half-size images: a sixth of the time, ties enough
+_SMALL_PX, _SMALL_PATCH_PX = 500, 300  # images of a scene, of a patch below this side need all their pixels for ties
 _FEATURES_PER_MPX = 2500
-_FEATURES = (600, 4000)     # of a scene that is one patch, at least and at most
-_LEAST_FEATURES = 300       # of each of several patches, which share those of a scene
-_SPARE_FEATURES = 3         # times as many to choose an even spread from
-_BUCKETS = 12               # a side of a patch, for an even spread of features
-_WHOLE_PX = 1600            # a scene up to this side is one patch
-_CELLS = 5                  # a side of a larger scene, at most; each cell gives one patch at a time
+_FEATURES = (600, 4000)  # of a scene that is one patch, at least and at most
+_LEAST_FEATURES = 300  # of each of several patches, which share those of a scene
+_SPARE_FEATURES = 3  # times as many to choose an even spread from
+_BUCKETS = 12  # a side of a patch, for an even spread of features
+_WHOLE_PX = 1600  # a scene up to this side is one patch
+_CELLS = 5  # a side of a larger scene, at most; each cell gives one patch at a time
 _LEAST_CELLS = 3
-_CELL_PATCHES = 3           # patches a side of a cell, at least: ties of a ninth of a scene are enough
-_PATCH_PX = (300, 500)      # a side of a patch: a sixth of the scene, within these
-_PLACES = 6                 # a side of a cell, at most, that are looked at for the best patch
+_CELL_PATCHES = 3  # patches a side of a cell, at least: ties of a ninth of a scene are enough
+_PATCH_PX = (300, 500)  # a side of a patch: a sixth of the scene, within these
+_PLACES = 6  # a side of a cell, at most, that are looked at for the best patch
 _MARGIN_PX = 24
-_TOLERANCE_PX = 64.0        # vendor RPCs are off by up to tens of px, each view in its own way
-_NEAR_PX = 8.0              # of a patch's row difference, once that is known
-_CLOSE_PX = 2.5             # of a patch's trend of row differences, at last
-_LIKELY_PX = 6.0            # of the scene's row difference: trends over the images are smaller
+_TOLERANCE_PX = 64.0  # vendor RPCs are off by up to tens of px, each view in its own way
+_NEAR_PX = 8.0  # of a patch's row difference, once that is known
+_CLOSE_PX = 2.5  # of a patch's trend of row differences, at last
+_LIKELY_PX = 6.0  # of the scene's row difference: trends over the images are smaller
 _NEIGHBOURS, _SUPPORT = 10, 3
-_KD_TREE, _ALL = 4, -1      # FLANN's single tree, which finds the nearest ones exactly where it may look at all
-_STEP_PX, _SLOPE = 6.0, 0.4     # of disparity between neighbours: a house, and a share of their distance
+_KD_TREE, _ALL = 4, -1  # FLANN's single tree, which finds the nearest ones exactly where it may look at all
+_STEP_PX, _SLOPE = 6.0, 0.4  # of disparity between neighbours: a house, and a share of their distance
 _RATIO = 0.85
 _MIN_TIES = 12
-_ENOUGH_TIES = 100          # with fewer, more patches are searched
+_ENOUGH_TIES = 100  # with fewer, more patches are searched
 _ROUNDS = 5
 
 
@@ -96,8 +96,14 @@ class _PatchTask:
     features: int
 
 
-def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch], progress: Progress,
-              workers: int = 0, detector: Detector = CPU_DETECTOR) -> List[PairMatches]:
+def find_ties(
+    scene: Scene,
+    pairs: Sequence[Pair],
+    stretches: Dict[str, Stretch],
+    progress: Progress,
+    workers: int = 0,
+    detector: Detector = CPU_DETECTOR,
+) -> List[PairMatches]:
     """Match pairs of views on patches spread over the scene; more patches where the first give too few.
 
     ``workers`` 0 means one a core. Raises DetectorError where the detector's device fails, and EmptyResultError with
@@ -110,12 +116,16 @@ def find_ties(scene: Scene, pairs: Sequence[Pair], stretches: Dict[str, Stretch]
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
     lean, small_px = scene.lean(), _SMALL_PX if len(cells) == 1 else _SMALL_PATCH_PX
     for number in range(_ROUNDS):
-        tasks = [_PatchTask(lean, cell[number], wanted, used, detector, small_px,
-                            max(_LEAST_FEATURES, _FEATURES[1] // len(cells)))
-                 for cell in cells if number < len(cell)]
+        tasks = [
+            _PatchTask(
+                lean, cell[number], wanted, used, detector, small_px, max(_LEAST_FEATURES, _FEATURES[1] // len(cells))
+            )
+            for cell in cells
+            if number < len(cell)
+        ]
         if not tasks:
             break
-        part = Part(progress, 1 - 0.5 ** number, 1 - 0.5 ** (number + 1), "tie points")
+        part = Part(progress, 1 - 0.5**number, 1 - 0.5 ** (number + 1), "tie points")
         for found in run_tasks(_match_patch, tasks, detector.workers(workers), part, lambda _: "patch"):
             for pair, matches in found.items():
                 parts[pair].append(matches)
@@ -165,6 +175,7 @@ def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progr
 
 def _places(corner: FloatArray, step: FloatArray, side: float) -> List[Bounds]:
     """Squares of a side (or less) evenly over a cell, its middle first."""
+
     def starts(low: float, length: float) -> List[float]:
         if length <= side:
             return [low]
@@ -172,8 +183,11 @@ def _places(corner: FloatArray, step: FloatArray, side: float) -> List[Bounds]:
         return list(np.linspace(low, low + length - side, count))
 
     width, height = min(side, step[0]), min(side, step[1])
-    places = [(float(x), float(y), float(x + width), float(y + height))
-              for x in starts(corner[0], step[0]) for y in starts(corner[1], step[1])]
+    places = [
+        (float(x), float(y), float(x + width), float(y + height))
+        for x in starts(corner[0], step[0])
+        for y in starts(corner[1], step[1])
+    ]
     middle = corner + step / 2
     return sorted(places, key=lambda p: math.hypot((p[0] + p[2]) / 2 - middle[0], (p[1] + p[3]) / 2 - middle[1]))
 
@@ -206,7 +220,7 @@ def _texture(scene: Scene, stretches: Dict[str, Stretch], place: Bounds) -> floa
             pixels = read(dataset, window, view.band, (window[2] // 2, window[3] // 2))
         grey = np.nan_to_num(stretch.apply(pixels), nan=0.0)
         values.append(float(np.quantile(np.sqrt(np.maximum(cv2.cornerMinEigenVal(grey, 5), 0)), 0.9)))
-    return 0.0 if len(values) < 2 else min(values) * 0.5 ** missed
+    return 0.0 if len(values) < 2 else min(values) * 0.5**missed
 
 
 def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
@@ -246,8 +260,9 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     mask = cv2.erode((~missing).astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
     usual = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
     most = min(usual, task.features)
-    found = task.detector.detect(grey, mask, _SPARE_FEATURES * most,
-                                 lambda points, strength: _even(points, strength, size, most))
+    found = task.detector.detect(
+        grey, mask, _SPARE_FEATURES * most, lambda points, strength: _even(points, strength, size, most)
+    )
     if len(found.points) < 8:
         return None
     return _Features(view, camera, (found.points + 0.5) * factor - 0.5, found.descriptors)
@@ -280,7 +295,7 @@ def _match(scene: Scene, first: _Features, second: _Features, bounds: Bounds) ->
     distance = np.sqrt(np.maximum(2.0 - 2.0 * (first.descriptors @ second.descriptors.T), 0.0))
     distance[(difference[..., 0] < low - _TOLERANCE_PX) | (difference[..., 0] > high + _TOLERANCE_PX)] = np.inf
     index = _guided_matches(distance, np.abs(difference[..., 1]) <= _TOLERANCE_PX)
-    rows = (a[index[:, 0], 1] - b[index[:, 1], 1])
+    rows = a[index[:, 0], 1] - b[index[:, 1], 1]
     if len(rows) >= _MIN_TIES:
         middle = _mode(rows, 2.0)
         if (np.abs(rows - middle) < 2.0).sum() >= max(_MIN_TIES, 0.15 * len(rows)):
@@ -290,13 +305,18 @@ def _match(scene: Scene, first: _Features, second: _Features, bounds: Bounds) ->
     if not len(index):
         return None
     i, j = index[:, 0], index[:, 1]
-    return PairMatches(first.view.name, second.view.name,
-                       first.camera.to_original.original_from_refined(first.points[i]),
-                       second.camera.to_original.original_from_refined(second.points[j]), a[i, 1] - b[j, 1])
+    return PairMatches(
+        first.view.name,
+        second.view.name,
+        first.camera.to_original.original_from_refined(first.points[i]),
+        second.camera.to_original.original_from_refined(second.points[j]),
+        a[i, 1] - b[j, 1],
+    )
 
 
-def _closer(distance: NDArray[np.float32], difference: NDArray[np.float32], a: FloatArray,
-            index: NDArray[np.intp]) -> NDArray[np.intp]:
+def _closer(
+    distance: NDArray[np.float32], difference: NDArray[np.float32], a: FloatArray, index: NDArray[np.intp]
+) -> NDArray[np.intp]:
     """Matches searched once more, within a band as wide as what is left around the trend of the rows found."""
     rows = difference[index[:, 0], index[:, 1], 1].astype(np.float64)
     trend = _row_trend(a[index[:, 0]], rows, a)
@@ -314,7 +334,8 @@ def _supported(points: FloatArray, disparity: FloatArray) -> NDArray[np.bool_]:
         return np.ones(len(points), dtype=bool)
     places = points.astype(np.float32)
     nearest, squares = cv2.flann_Index(places, {"algorithm": _KD_TREE}).knnSearch(
-        places, _NEIGHBOURS + 1, params={"checks": _ALL})
+        places, _NEIGHBOURS + 1, params={"checks": _ALL}
+    )
     away = np.sqrt(squares)
     step = np.abs(disparity[nearest] - disparity[:, None])
     return (step <= _STEP_PX + _SLOPE * away).sum(axis=1) - 1 >= _SUPPORT
@@ -351,8 +372,9 @@ def _agreeing(first: str, second: str, parts: Sequence[PairMatches]) -> Tuple[Fl
     """
     if not parts:
         return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
-    a, b, rows = (np.concatenate([getattr(part, name) for part in parts])
-                  for name in ("first_px", "second_px", "rows_px"))
+    a, b, rows = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("first_px", "second_px", "rows_px")
+    )
     patch = np.repeat(np.arange(len(parts)), [len(part.rows_px) for part in parts])
     off = rows - _row_trend(a, rows)
     kept = np.zeros(len(rows), dtype=bool)
@@ -393,7 +415,8 @@ def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMa
             f"{first} and {second} have only {len(agreed[0])} tie points that agree, of "
             f"{sum(len(part.rows_px) for part in parts)} candidates on {counted(len(parts), 'patch')} (needed: "
             f"{_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT with more "
-            "texture, or another pair, may do.")
+            "texture, or another pair, may do."
+        )
     return PairMatches(first, second, *agreed)
 
 
@@ -402,4 +425,4 @@ def _mode(values: FloatArray, width: float = 1.0) -> float:
     ordered = np.sort(values)
     ends = np.searchsorted(ordered, ordered + width, side="right")
     start = int(np.argmax(ends - np.arange(len(ordered))))
-    return float(np.median(ordered[start:ends[start]]))
+    return float(np.median(ordered[start : ends[start]]))

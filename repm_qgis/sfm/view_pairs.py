@@ -14,18 +14,18 @@ from ..errors import EmptyResultError
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
-from ..mvs.pairing import convergence
 from ..scene import Scene, View
+from ..stereo.pairing import convergence
 
 NARROW, WIDE = 0.1, 0.9
 """Base-to-height ratios between which a pair is good: 5.7 to 48 degrees about the vertical."""
 
-_BEST_RATIO, _BEST_DEG = 0.35, 20.0     # the same about the vertical
+_BEST_RATIO, _BEST_DEG = 0.35, 20.0  # the same about the vertical
 _LEAST_RATIO = 0.05
-_LEAST_GOOD_DEG = 5.0                   # slanting looks have a fair ratio at angles too small to tell heights well
-_ALL_UP_TO = 3      # views: up to so many, all pairs
-_WANTED = 3         # pairs a view
-_BUSIEST = 5        # pairs a view that is a good partner to many; more only where it takes that to connect all views
+_LEAST_GOOD_DEG = 5.0  # slanting looks have a fair ratio at angles too small to tell heights well
+_ALL_UP_TO = 3  # views: up to so many, all pairs
+_WANTED = 3  # pairs a view
+_BUSIEST = 5  # pairs a view that is a good partner to many; more only where it takes that to connect all views
 
 _YEAR = 365.25
 _DECADE_COST, _SEASON_COST, _SUN_COST_DEG = 0.25, 0.5, 30.0
@@ -64,8 +64,10 @@ def choose_pairs(scene: Scene) -> List[ViewPair]:
     if not usable:
         angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
         angles = angles or "they share no tile"
-        raise EmptyResultError(f"No pair of images can tell heights ({angles}): choose images that look at the ground "
-                               "from directions at least 3 degrees apart.")
+        raise EmptyResultError(
+            f"No pair of images can tell heights ({angles}): choose images that look at the ground "
+            "from directions at least 3 degrees apart."
+        )
     if len(scene.views) <= _ALL_UP_TO:
         return sorted(usable, key=lambda pair: abs(math.log(pair.base_to_height / _BEST_RATIO)))
     unknown = usual_change(usable)
@@ -88,8 +90,11 @@ def badness(pair: ViewPair, unknown: float = 0.0) -> float:
     those with angles of 15 to 25 degrees still differ much in accuracy; the difference of the suns decides.
     """
     cost = change_cost(pair)
-    return (abs(math.log(pair.angle_deg / _BEST_DEG)) - math.log(max(pair.share, _LEAST_SHARE))
-            + (unknown if cost is None else cost))
+    return (
+        abs(math.log(pair.angle_deg / _BEST_DEG))
+        - math.log(max(pair.share, _LEAST_SHARE))
+        + (unknown if cost is None else cost)
+    )
 
 
 def is_good(pair: ViewPair) -> bool:
@@ -106,8 +111,7 @@ def change_cost(pair: ViewPair) -> Optional[float]:
     if pair.days is None:
         return None
     season = (1.0 - math.cos(2.0 * math.pi * pair.days / _YEAR)) / 2.0
-    return (_DECADE_COST * math.log10(1.0 + pair.days) + _SEASON_COST * season
-            + (pair.sun_deg or 0.0) / _SUN_COST_DEG)
+    return _DECADE_COST * math.log10(1.0 + pair.days) + _SEASON_COST * season + (pair.sun_deg or 0.0) / _SUN_COST_DEG
 
 
 def usual_change(pairs: Sequence[ViewPair]) -> float:
@@ -130,18 +134,27 @@ def sun_over(scene: Scene, view: View) -> Optional[Tuple[float, float]]:
 def _candidates(scene: Scene) -> List[ViewPair]:
     """All pairs that share a tile."""
     altitude = sum(scene.altitudes) / 2
-    outlines = {view.name: geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size,
-                                                                                    altitude)))
-                for view in scene.views}
+    outlines = {
+        view.name: geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size, altitude)))
+        for view in scene.views
+    }
     area = ogr.CreateGeometryFromWkt(scene.area) if scene.area else None
     found: List[ViewPair] = []
     for first, second in combinations(scene.views, 2):
         shared = sum(first.name in tile.views and second.name in tile.views for tile in scene.tiles)
         if shared:
             angle, ratio = convergence(first, second, scene.frame.lon, scene.frame.lat, altitude)
-            found.append(ViewPair(first.name, second.name, angle, ratio, shared,
-                                  _share(outlines[first.name], outlines[second.name], area),
-                                  *_apart(scene, first, second)))
+            found.append(
+                ViewPair(
+                    first.name,
+                    second.name,
+                    angle,
+                    ratio,
+                    shared,
+                    _share(outlines[first.name], outlines[second.name], area),
+                    *_apart(scene, first, second),
+                )
+            )
     return found
 
 

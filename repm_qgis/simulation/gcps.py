@@ -72,8 +72,9 @@ class Gcp:
     role: str
 
 
-def choose_gcps(surface: Surface, views: Sequence[PushbroomView], square: Tuple[int, int, int], step: int,
-                seed: int) -> List[Gcp]:
+def choose_gcps(
+    surface: Surface, views: Sequence[PushbroomView], square: Tuple[int, int, int], step: int, seed: int
+) -> List[Gcp]:
     """Flat, visible places spread over the common square, measured in the real sensor with noise of 0.3 px.
 
     In each of 4 x 3 fields of the square, the candidate seen by most views, among flat ground and roofs if there are
@@ -131,6 +132,16 @@ def write_gcps(path: str, gcps: Sequence[Gcp]) -> None:
     table = csv.writer(text, lineterminator="\n")
     table.writerow([field.name for field in dataclasses.fields(Gcp)])
     for gcp in gcps:
-        table.writerow([gcp.id, f"{gcp.lon:.10f}", f"{gcp.lat:.10f}", f"{gcp.height:.4f}", gcp.view,
-                        f"{gcp.col:.4f}", f"{gcp.row:.4f}", gcp.role])
+        table.writerow(
+            [
+                gcp.id,
+                f"{gcp.lon:.10f}",
+                f"{gcp.lat:.10f}",
+                f"{gcp.height:.4f}",
+                gcp.view,
+                f"{gcp.col:.4f}",
+                f"{gcp.row:.4f}",
+                gcp.role,
+            ]
+        )
     write_text(path, text.getvalue())

@@ -168,20 +168,38 @@ class Rays:
     span: float
 
     def flat(self) -> Rays:
-        return self.pick(slice(None)) if self.left.ndim == 1 else Rays(
-            *(a.reshape(-1) for a in (self.left, self.top, self.right, self.down)),
-            self.bend_right, self.bend_down, self.low, self.span)
+        return (
+            self.pick(slice(None))
+            if self.left.ndim == 1
+            else Rays(
+                *(a.reshape(-1) for a in (self.left, self.top, self.right, self.down)),
+                self.bend_right,
+                self.bend_down,
+                self.low,
+                self.span,
+            )
+        )
 
     def pick(self, which) -> Rays:
-        return Rays(self.left[which], self.top[which], self.right[which], self.down[which],
-                    self.bend_right, self.bend_down, self.low, self.span)
+        return Rays(
+            self.left[which],
+            self.top[which],
+            self.right[which],
+            self.down[which],
+            self.bend_right,
+            self.bend_down,
+            self.low,
+            self.span,
+        )
 
     def at(self, height: FloatArray | float, which) -> Tuple[FloatArray, FloatArray]:
         """Fractional columns and rows of the chosen rays at heights."""
         share = (height - self.low) / self.span
         sag = share * (share - 1.0)
-        return (self.left[which] + share * self.right[which] + sag * self.bend_right,
-                self.top[which] + share * self.down[which] + sag * self.bend_down)
+        return (
+            self.left[which] + share * self.right[which] + sag * self.bend_right,
+            self.top[which] + share * self.down[which] + sag * self.bend_down,
+        )
 
 
 def _sub_step(rays: Rays) -> float:
@@ -220,6 +238,7 @@ def _coarse_maxima(ceiling: Float32Array) -> Float32Array:
 
 def _ray_splines(surface: Surface, view: PushbroomView, heights: Sequence[float]):
     """For each height, splines of the grid column and row at which a view's pixels see it: f(rows, cols)."""
+
     def nodes(count: int) -> FloatArray:
         return np.linspace(-8.0, count + 7.0, max(int(math.ceil(count / _NODE_PX)) + 1, 6))
 
@@ -233,8 +252,9 @@ def _ray_splines(surface: Surface, view: PushbroomView, heights: Sequence[float]
     return splines
 
 
-def render_view(surface: Surface, view: PushbroomView, seed: int, progress: Progress = SILENT,
-                oversample: int = 2) -> Iterator[Tuple[int, NDArray[np.uint16]]]:
+def render_view(
+    surface: Surface, view: PushbroomView, seed: int, progress: Progress = SILENT, oversample: int = 2
+) -> Iterator[Tuple[int, NDArray[np.uint16]]]:
     """Expose an image, a strip of rows at a time.
 
     Parameters
@@ -258,8 +278,9 @@ def render_view(surface: Surface, view: PushbroomView, seed: int, progress: Prog
         yield first, _expose(fine, view, np.random.default_rng([seed, first]), oversample)
 
 
-def render_views(surface: Surface, views: Sequence[PushbroomView], seed: int,
-                 progress: Progress = SILENT) -> Iterator[Tuple[PushbroomView, NDArray[np.uint16]]]:
+def render_views(
+    surface: Surface, views: Sequence[PushbroomView], seed: int, progress: Progress = SILENT
+) -> Iterator[Tuple[PushbroomView, NDArray[np.uint16]]]:
     """Whole images of several views, for use in memory: yields each view and its (rows, columns) uint16 image."""
     for number, view in enumerate(views):
         part = Part(progress, number / len(views), (number + 1) / len(views), view.name)
@@ -268,6 +289,7 @@ def render_views(surface: Surface, views: Sequence[PushbroomView], seed: int,
 
 def _fine_strip(caster: RayCaster, first: int, last: int, oversample: int, progress: Progress) -> Float32Array:
     """Noise-free, sharp digital numbers of rows first..last with a halo all around, ``oversample`` times denser."""
+
     def places(begin: int, end: int) -> FloatArray:
         count = (end - begin) * oversample
         return begin - 0.5 + (np.arange(count) + 0.5) / oversample
@@ -293,7 +315,7 @@ def _expose(fine: Float32Array, view: PushbroomView, rng: np.random.Generator, o
     blurred = blurred[edge:-edge, edge:-edge]
     rows, cols = (n // oversample for n in blurred.shape)
     signal = blurred.reshape(rows, oversample, cols, oversample).mean(axis=(1, 3))
-    deviation = np.sqrt(view.sensor.read_noise_dn ** 2 + view.sensor.photon_gain * np.maximum(signal, 0))
+    deviation = np.sqrt(view.sensor.read_noise_dn**2 + view.sensor.photon_gain * np.maximum(signal, 0))
     noisy = signal + deviation * rng.standard_normal(signal.shape, dtype=np.float32)
     # Zero is left to mean "no data", as vendors do.
-    return np.clip(np.rint(noisy), 1, 2 ** view.sensor.bits - 1).astype(np.uint16)
+    return np.clip(np.rint(noisy), 1, 2**view.sensor.bits - 1).astype(np.uint16)

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from typing import Callable, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import RpcInvalidError
 from ..rpc.model import Rpc, _monomials
 
-FloatArray = NDArray[np.float64]
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
 
 _RIDGE = 1e-6  # relative to the largest singular value: costs under 1e-3 px, and keeps denominators near one
@@ -31,23 +30,30 @@ class RpcFit:
     rms_px: float
 
 
-def virtual_grid(size: Tuple[int, int], heights: Tuple[float, float], nodes: Tuple[int, int, int],
-                 inset: float = 0.0) -> Tuple[FloatArray, FloatArray]:
+def virtual_grid(
+    size: Tuple[int, int], heights: Tuple[float, float], nodes: Tuple[int, int, int], inset: float = 0.0
+) -> Tuple[FloatArray, FloatArray]:
     """Pixels (N, 2) and heights (N,) of a regular grid of columns, rows, heights over image and height range.
 
     ``inset`` moves the grid's ends inwards by that share of a grid step, so that grids do not share nodes.
     """
+
     def axis(low: float, high: float, count: int) -> FloatArray:
         step = inset * (high - low) / max(count - 1, 1)
         return np.linspace(low + step, high - step, count)
 
-    col, row, height = np.meshgrid(axis(-0.5, size[0] - 0.5, nodes[0]), axis(-0.5, size[1] - 0.5, nodes[1]),
-                                   axis(heights[0], heights[1], nodes[2]), indexing="ij")
+    col, row, height = np.meshgrid(
+        axis(-0.5, size[0] - 0.5, nodes[0]),
+        axis(-0.5, size[1] - 0.5, nodes[1]),
+        axis(heights[0], heights[1], nodes[2]),
+        indexing="ij",
+    )
     return np.stack([col.ravel(), row.ravel()], axis=1), height.ravel()
 
 
-def fit_rpc(localise: Localise, size: Tuple[int, int], heights: Tuple[float, float],
-            nodes: Tuple[int, int, int] = (16, 16, 7)) -> RpcFit:
+def fit_rpc(
+    localise: Localise, size: Tuple[int, int], heights: Tuple[float, float], nodes: Tuple[int, int, int] = (16, 16, 7)
+) -> RpcFit:
     """Fit an RPC to a sensor model.
 
     Parameters
@@ -75,14 +81,26 @@ def fit_rpc(localise: Localise, size: Tuple[int, int], heights: Tuple[float, flo
     terms = _monomials(*((ground - offset) / scale).T, np.empty((20, ground.shape[0]))).T
     col, row = ((pixels - pixel_offset) / pixel_scale).T
     (col_num, col_den), (row_num, row_den) = _rational(terms, col), _rational(terms, row)
-    rpc = Rpc(row_off=pixel_offset[1], row_scale=pixel_scale[1], col_off=pixel_offset[0], col_scale=pixel_scale[0],
-              lat_off=offset[1], lat_scale=scale[1], lon_off=offset[0], lon_scale=scale[0],
-              height_off=offset[2], height_scale=scale[2],
-              row_num=tuple(row_num), row_den=tuple(row_den), col_num=tuple(col_num), col_den=tuple(col_den))
+    rpc = Rpc(
+        row_off=pixel_offset[1],
+        row_scale=pixel_scale[1],
+        col_off=pixel_offset[0],
+        col_scale=pixel_scale[0],
+        lat_off=offset[1],
+        lat_scale=scale[1],
+        lon_off=offset[0],
+        lon_scale=scale[0],
+        height_off=offset[2],
+        height_scale=scale[2],
+        row_num=tuple(row_num),
+        row_den=tuple(row_den),
+        col_num=tuple(col_num),
+        col_den=tuple(col_den),
+    )
     dense = (2 * nodes[0] + 1, 2 * nodes[1] + 1, 2 * nodes[2] + 1)
     check, check_height = virtual_grid(size, heights, dense, inset=0.3)
     error = np.linalg.norm(rpc.project(localise(check, check_height)) - check, axis=1)
-    return RpcFit(rpc, float(error.max()), float(np.sqrt(np.mean(error ** 2))))
+    return RpcFit(rpc, float(error.max()), float(np.sqrt(np.mean(error**2))))
 
 
 def _normaliser(values: FloatArray) -> Tuple[FloatArray, FloatArray]:
@@ -101,7 +119,7 @@ def _rational(terms: FloatArray, value: FloatArray) -> Tuple[FloatArray, FloatAr
     weight = np.ones_like(value)
     for _ in range(_REWEIGHTS):
         left, singular, right = np.linalg.svd(design * weight[:, None], full_matrices=False)
-        damped = singular / (singular ** 2 + (_RIDGE * singular[0]) ** 2)
+        damped = singular / (singular**2 + (_RIDGE * singular[0]) ** 2)
         solution = right.T @ (damped * (left.T @ (value * weight)))
         denominator = np.concatenate([[1.0], solution[20:]])
         weight = 1.0 / (terms @ denominator)

@@ -67,8 +67,18 @@ class SceneSpec:
         if kind == "urban":
             return cls(kind, size, seed, PLEIADES, cell_m=0.5, surface_step=2, base_m=190.0, relief_m=0.0)
         if kind == "mountains":
-            return cls(kind, size, seed, PLEIADES.at_gsd(1.0), cell_m=1.0, surface_step=1, base_m=900.0,
-                       relief_m=min(0.3 * size, 2000.0), lon=6.65, lat=44.38)
+            return cls(
+                kind,
+                size,
+                seed,
+                PLEIADES.at_gsd(1.0),
+                cell_m=1.0,
+                surface_step=1,
+                base_m=900.0,
+                relief_m=min(0.3 * size, 2000.0),
+                lon=6.65,
+                lat=44.38,
+            )
         raise OptionError("KIND", kind, "must be one of urban, mountains")
 
     @property
@@ -88,8 +98,18 @@ def make_views(spec: SceneSpec) -> List[PushbroomView]:
     """The spec's sensor, aimed at its middle by each of the sensor's looks."""
     low, high = spec.height_bounds
     middle = (spec.lon, spec.lat, 0.5 * (low + high) if spec.kind == "mountains" else spec.base_m)
-    return [aim(spec.sensor, look, middle, (spec.size, spec.size), spec.heading_deg, spec.seed + 101 * number,
-                f"img_{number:02d}") for number, look in enumerate(spec.sensor.looks, start=1)]
+    return [
+        aim(
+            spec.sensor,
+            look,
+            middle,
+            (spec.size, spec.size),
+            spec.heading_deg,
+            spec.seed + 101 * number,
+            f"img_{number:02d}",
+        )
+        for number, look in enumerate(spec.sensor.looks, start=1)
+    ]
 
 
 def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
@@ -129,8 +149,17 @@ def rpc_tags(rpc: Rpc) -> Dict[str, str]:
 def write_image(path: str, view: PushbroomView, rpc: Rpc, surface: Surface, seed: int, progress: Progress) -> None:
     """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
     _drop_side_file(path)
-    with created(path, (view.size[1], view.size[0]), np.dtype(np.uint16), 1, None, "", nodata=None,
-                 descriptions=("panchromatic",), compress=False) as dataset:
+    with created(
+        path,
+        (view.size[1], view.size[0]),
+        np.dtype(np.uint16),
+        1,
+        None,
+        "",
+        nodata=None,
+        descriptions=("panchromatic",),
+        compress=False,
+    ) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
         for first, strip in render_view(surface, view, seed, progress):
             dataset.write(strip, 0, first)
@@ -142,16 +171,30 @@ def write_truth(path: str, surface: Surface, square: Tuple[int, int, int], step:
     cell = step * surface.cell
     reference = osr.SpatialReference()
     reference.SetFromUserInput(surface.crs)
-    corner = (surface.west + col * surface.cell - cell / 2, cell, 0.0,
-              surface.north - row * surface.cell + cell / 2, 0.0, -cell)
+    corner = (
+        surface.west + col * surface.cell - cell / 2,
+        cell,
+        0.0,
+        surface.north - row * surface.cell + cell / 2,
+        0.0,
+        -cell,
+    )
     _drop_side_file(path)
-    with created(path, (count, count), np.dtype(np.float32), 1, corner, reference.ExportToWkt(),
-                 descriptions=("height above the WGS 84 ellipsoid (m)",), unit="m",
-                 metadata={"VERTICAL_DATUM": "WGS 84 ellipsoid"}) as dataset:
+    with created(
+        path,
+        (count, count),
+        np.dtype(np.float32),
+        1,
+        corner,
+        reference.ExportToWkt(),
+        descriptions=("height above the WGS 84 ellipsoid (m)",),
+        unit="m",
+        metadata={"VERTICAL_DATUM": "WGS 84 ellipsoid"},
+    ) as dataset:
         for first in range(0, count, _STRIP_ROWS):
             last = min(first + _STRIP_ROWS, count)
             rows = slice(row + first * step, row + (last - 1) * step + 1, step)
-            dataset.write(surface.height[rows, col:col + (count - 1) * step + 1:step], 0, first)
+            dataset.write(surface.height[rows, col : col + (count - 1) * step + 1 : step], 0, first)
 
 
 def _drop_side_file(path: str) -> None:
@@ -174,8 +217,14 @@ def pointing_errors(count: int, seed: int) -> FloatArray:
     return common + rng.uniform(-_VIEW_POINTING_PX, _VIEW_POINTING_PX, (count, 2))
 
 
-def _record(spec: SceneSpec, views: Sequence[PushbroomView], fits: Sequence[RpcFit], biases: FloatArray,
-            surface: Surface, gcps: Sequence[Gcp]) -> Dict[str, Any]:
+def _record(
+    spec: SceneSpec,
+    views: Sequence[PushbroomView],
+    fits: Sequence[RpcFit],
+    biases: FloatArray,
+    surface: Surface,
+    gcps: Sequence[Gcp],
+) -> Dict[str, Any]:
     """What truth.json says."""
     low, high = surface.height_range()
     return {
@@ -188,10 +237,19 @@ def _record(spec: SceneSpec, views: Sequence[PushbroomView], fits: Sequence[RpcF
         "gcp_noise_px": GCP_NOISE_PX,
         "gcp_points": len({gcp.id for gcp in gcps}),
         "rpc_bias_note": "projection with the file's RPC minus the true projection, px",
-        "views": [{"name": view.name, "pitch_deg": view.look.pitch_deg, "roll_deg": view.look.roll_deg,
-                   "gsd_m": view.look.gsd_m, "rpc_bias_px": {"col": float(bias[0]), "row": float(bias[1])},
-                   "rpc_fit_max_px": fit.max_px, "rpc_fit_rms_px": fit.rms_px, "true_rpc": fit.rpc.to_mapping()}
-                  for view, fit, bias in zip(views, fits, biases)],
+        "views": [
+            {
+                "name": view.name,
+                "pitch_deg": view.look.pitch_deg,
+                "roll_deg": view.look.roll_deg,
+                "gsd_m": view.look.gsd_m,
+                "rpc_bias_px": {"col": float(bias[0]), "row": float(bias[1])},
+                "rpc_fit_max_px": fit.max_px,
+                "rpc_fit_rms_px": fit.rms_px,
+                "true_rpc": fit.rpc.to_mapping(),
+            }
+            for view, fit, bias in zip(views, fits, biases)
+        ],
     }
 
 
@@ -228,5 +286,10 @@ def make_scene(spec: SceneSpec, folder: str, progress: Progress) -> Dict[str, An
     record = json.dumps(_record(spec, views, fits, biases, surface, gcps), indent=1, allow_nan=False)
     write_text(paths["truth.json"], record + "\n")
     progress.step(1.0, "done")
-    return {"folder": folder, "images": images, "truth": paths["truth.tif"], "gcps": paths["gcps.csv"],
-            "rpc_fit_max_px": max(fit.max_px for fit in fits)}
+    return {
+        "folder": folder,
+        "images": images,
+        "truth": paths["truth.tif"],
+        "gcps": paths["gcps.csv"],
+        "rpc_fit_max_px": max(fit.max_px for fit in fits),
+    }

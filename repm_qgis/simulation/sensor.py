@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import ecef_from_geodetic, geodetic_from_ecef
-
-FloatArray = NDArray[np.float64]
 
 EARTH_GM = 3.986004418e14  # m^3 / s^2
 _STEPS = 30
@@ -91,7 +89,7 @@ class PushbroomView:
     @property
     def _rate(self) -> float:
         """The orbit's angular rate, rad / s."""
-        return math.sqrt(EARTH_GM / self.radius_m ** 3)
+        return math.sqrt(EARTH_GM / self.radius_m**3)
 
     def _time(self, row: FloatArray) -> FloatArray:
         return (np.asarray(row, dtype=np.float64) - (self.size[1] - 1) / 2) * self.line_period_s
@@ -116,7 +114,7 @@ class PushbroomView:
         offset = np.asarray(col, dtype=np.float64) - (self.size[0] - 1) / 2
         place = offset / (self.sensor.detectors / 2)
         bend = self.sensor.distortion_px * self.ifov_rad
-        return 0.5 * bend * place ** 2, -(offset * self.ifov_rad + bend * place ** 3)
+        return 0.5 * bend * place**2, -(offset * self.ifov_rad + bend * place**3)
 
     def rays(self, col_row: FloatArray) -> Tuple[FloatArray, FloatArray]:
         """Where the satellite is and where each pixel looks: (N, 3) ECEF positions and unit directions."""
@@ -187,8 +185,10 @@ class PushbroomView:
         time = self._time(pixels[:, 1])
         up, along = self._axes(time)
         sight = ground - up * self.radius_m
-        orbital = np.stack([np.einsum("ni,ni->n", sight, along), sight @ np.array(self.across),
-                            -np.einsum("ni,ni->n", sight, up)], axis=1)
+        orbital = np.stack(
+            [np.einsum("ni,ni->n", sight, along), sight @ np.array(self.across), -np.einsum("ni,ni->n", sight, up)],
+            axis=1,
+        )
         body = orbital @ np.array(self.orbital_from_body)
         body = body - np.cross(self._wobble(time), body)
         forward, right = self._detector(pixels[:, 0])
@@ -198,8 +198,11 @@ class PushbroomView:
 
 def _rotated(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
     """Rodrigues' rotation of a vector about a unit axis."""
-    return (vector * math.cos(angle) + np.cross(axis, vector) * math.sin(angle)
-            + axis * (axis @ vector) * (1 - math.cos(angle)))
+    return (
+        vector * math.cos(angle)
+        + np.cross(axis, vector) * math.sin(angle)
+        + axis * (axis @ vector) * (1 - math.cos(angle))
+    )
 
 
 def _camera_axes(sight: FloatArray) -> FloatArray:
@@ -209,8 +212,9 @@ def _camera_axes(sight: FloatArray) -> FloatArray:
     return np.stack([np.cross(right, sight), right, sight], axis=1)
 
 
-def aim(sensor: Sensor, look: Look, target: Sequence[float], size: Tuple[int, int], heading_deg: float,
-        seed: int, name: str) -> PushbroomView:
+def aim(
+    sensor: Sensor, look: Look, target: Sequence[float], size: Tuple[int, int], heading_deg: float, seed: int, name: str
+) -> PushbroomView:
     """Point a camera so that the middle of its image sees a target.
 
     Parameters
@@ -244,9 +248,19 @@ def aim(sensor: Sensor, look: Look, target: Sequence[float], size: Tuple[int, in
     sight = ground - up * orbit
     distance = float(np.linalg.norm(sight))
     sight = np.array([sight @ along, sight @ across, -(sight @ up)]) / distance
-    rate = math.sqrt(EARTH_GM / orbit ** 3)
+    rate = math.sqrt(EARTH_GM / orbit**3)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (3, len(sensor.wobble_periods_s)))
     return PushbroomView(
-        name=name, sensor=sensor, look=look, size=size, along=tuple(along), across=tuple(across), up=tuple(up),
-        radius_m=orbit, orbital_from_body=tuple(map(tuple, _camera_axes(sight))), ifov_rad=look.gsd_m / distance,
-        line_period_s=look.gsd_m / (rate * radius), phases=tuple(map(tuple, phases)))
+        name=name,
+        sensor=sensor,
+        look=look,
+        size=size,
+        along=tuple(along),
+        across=tuple(across),
+        up=tuple(up),
+        radius_m=orbit,
+        orbital_from_body=tuple(map(tuple, _camera_axes(sight))),
+        ifov_rad=look.gsd_m / distance,
+        line_period_s=look.gsd_m / (rate * radius),
+        phases=tuple(map(tuple, phases)),
+    )

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ..arrays import FloatArray
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..progress import Progress, Silent
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 Bounds = Tuple[float, float, float, float]
 
@@ -118,12 +118,18 @@ def _doubled(values: Float32Array, shape: Tuple[int, int]) -> Float32Array:
         fine = np.empty((2 * inner.shape[0],) + values.shape[1:], np.float32)
         fine[0::2] = 0.75 * inner + 0.25 * near
         fine[1::2] = 0.75 * inner + 0.25 * far
-        values = np.moveaxis(fine[:shape[axis]], 0, axis)
+        values = np.moveaxis(fine[: shape[axis]], 0, axis)
     return values
 
 
-def fractal(rng: np.random.Generator, shape: Tuple[int, int], cell: float, longest: float, shortest: float = 0.0,
-            roughness: float = 1.0) -> Float32Array:
+def fractal(
+    rng: np.random.Generator,
+    shape: Tuple[int, int],
+    cell: float,
+    longest: float,
+    shortest: float = 0.0,
+    roughness: float = 1.0,
+) -> Float32Array:
     """Band-limited fractal noise of zero mean and unit standard deviation.
 
     Parameters
@@ -138,10 +144,11 @@ def fractal(rng: np.random.Generator, shape: Tuple[int, int], cell: float, longe
     values = rng.standard_normal(shapes[-1], dtype=np.float32)
     for octave in range(octaves - 1, -1, -1):
         values = _doubled(values, shapes[octave])
-        wavelength = 4.0 * cell * 2 ** octave
+        wavelength = 4.0 * cell * 2**octave
         if wavelength >= shortest:
             values += np.float32((wavelength / longest) ** roughness) * rng.standard_normal(
-                shapes[octave], dtype=np.float32)
+                shapes[octave], dtype=np.float32
+            )
     values -= values.mean(dtype=np.float64)
     return values / np.float32(max(values.std(dtype=np.float64), 1e-12))
 
@@ -195,8 +202,14 @@ def slopes(height: Float32Array, cell: float, edges: bool) -> Tuple[Float32Array
     return result[0], result[1]
 
 
-def illuminate(height: Float32Array, albedo: Float32Array, cell: float, sun: Sun, wall_m: float,
-               wall_albedo: Optional[Float32Array] = None) -> Tuple[Float32Array, Float32Array, Float32Array]:
+def illuminate(
+    height: Float32Array,
+    albedo: Float32Array,
+    cell: float,
+    sun: Sun,
+    wall_m: float,
+    wall_albedo: Optional[Float32Array] = None,
+) -> Tuple[Float32Array, Float32Array, Float32Array]:
     """Radiance, shade and facade of a :class:`Surface` with a given albedo (0..1), all (R, C) float32."""
     east, north, up = map(np.float32, sun.direction())
     walls = math.isfinite(wall_m)
@@ -269,8 +282,9 @@ class Ground:
         return Surface(crs, self.west, self.north, self.cell, wall_m, self.height, *light)
 
 
-def build_mountains(bounds: Bounds, cell: float, crs: str, base: float, relief: float, sun: Sun, seed: int,
-                    progress: Progress = SILENT) -> Surface:
+def build_mountains(
+    bounds: Bounds, cell: float, crs: str, base: float, relief: float, sun: Sun, seed: int, progress: Progress = SILENT
+) -> Surface:
     """Mountains from ``base`` to ``base + relief`` metres: ridges and valleys, rock, meadows, woods and snow.
 
     Deterministic for the same arguments. Meadows and snow have little texture.
@@ -315,8 +329,9 @@ def build_mountains(bounds: Bounds, cell: float, crs: str, base: float, relief: 
     return ground.finish(crs, sun, math.inf)
 
 
-def build_urban(bounds: Bounds, cell: float, crs: str, base: float, sun: Sun, seed: int,
-                progress: Progress = SILENT) -> Surface:
+def build_urban(
+    bounds: Bounds, cell: float, crs: str, base: float, sun: Sun, seed: int, progress: Progress = SILENT
+) -> Surface:
     """A town on gentle ground around ``base`` metres: blocks, streets, houses, halls, towers, parks and a field.
 
     Deterministic for the same arguments. Plain roofs and fields have little texture.
@@ -331,4 +346,3 @@ def build_urban(bounds: Bounds, cell: float, crs: str, base: float, sun: Sun, se
     Town(ground, rng, progress).build()
     progress.step(0.7, "sunlight")
     return ground.finish(crs, sun, 0.9)
-

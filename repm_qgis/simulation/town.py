@@ -6,12 +6,9 @@ import math
 from typing import Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..progress import Progress
 from .surface import Ground, fractal
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK_M = (86.0, 62.0)  # from street to street
 _STREET_M = 11.0
@@ -48,8 +45,10 @@ class Town:
 
     def _map(self, u: float, v: float) -> Tuple[float, float]:
         """Easting and northing of a place in the town's turned axes."""
-        return (self._east + u * math.cos(_TURN_RAD) - v * math.sin(_TURN_RAD),
-                self._north + u * math.sin(_TURN_RAD) + v * math.cos(_TURN_RAD))
+        return (
+            self._east + u * math.cos(_TURN_RAD) - v * math.sin(_TURN_RAD),
+            self._north + u * math.sin(_TURN_RAD) + v * math.cos(_TURN_RAD),
+        )
 
     def _open_ground(self) -> None:
         """Yards and gardens everywhere, streets with kerbs and lane marks over them."""
@@ -61,10 +60,18 @@ class Town:
         street = np.zeros((rows, cols), bool)
         pavement = np.zeros((rows, cols), bool)
         marks = np.zeros((rows, cols), bool)
-        for size, place, other in ((_BLOCK_M[0], x * math.cos(_TURN_RAD) + y * math.sin(_TURN_RAD),
-                                    y * math.cos(_TURN_RAD) - x * math.sin(_TURN_RAD)),
-                                   (_BLOCK_M[1], y * math.cos(_TURN_RAD) - x * math.sin(_TURN_RAD),
-                                    x * math.cos(_TURN_RAD) + y * math.sin(_TURN_RAD))):
+        for size, place, other in (
+            (
+                _BLOCK_M[0],
+                x * math.cos(_TURN_RAD) + y * math.sin(_TURN_RAD),
+                y * math.cos(_TURN_RAD) - x * math.sin(_TURN_RAD),
+            ),
+            (
+                _BLOCK_M[1],
+                y * math.cos(_TURN_RAD) - x * math.sin(_TURN_RAD),
+                x * math.cos(_TURN_RAD) + y * math.sin(_TURN_RAD),
+            ),
+        ):
             away = np.abs(np.mod(place + size / 2, size) - size / 2)
             street |= away < _ROADWAY_M
             pavement |= away < _STREET_M / 2
@@ -109,8 +116,10 @@ class Town:
                     self._flat(place, (max(width - gap, 6) / 2, depth / 2), float(rng.uniform(6, 21)))
                 edge += width
         for _ in range(int(rng.integers(4, 12))):
-            self._tree(centre[0] + float(rng.uniform(-0.46, 0.46)) * inner[0],
-                       centre[1] + float(rng.uniform(-0.12, 0.12)) * inner[1])
+            self._tree(
+                centre[0] + float(rng.uniform(-0.46, 0.46)) * inner[0],
+                centre[1] + float(rng.uniform(-0.12, 0.12)) * inner[1],
+            )
         if rng.random() < 0.6:
             shed = (centre[0] + float(rng.uniform(-25, 25)), centre[1] + float(rng.uniform(-5, 5)))
             self._gabled(shed, (float(rng.uniform(3, 6)), float(rng.uniform(2.5, 4))), 2.8)
@@ -118,8 +127,10 @@ class Town:
     def _park(self, centre, inner) -> None:
         self._paint(centre, (inner[0] / 2, inner[1] / 2), 0.11, 0.012)
         for _ in range(70):
-            self._tree(centre[0] + float(self._rng.uniform(-0.48, 0.48)) * inner[0],
-                       centre[1] + float(self._rng.uniform(-0.48, 0.48)) * inner[1])
+            self._tree(
+                centre[0] + float(self._rng.uniform(-0.48, 0.48)) * inner[0],
+                centre[1] + float(self._rng.uniform(-0.48, 0.48)) * inner[1],
+            )
         self._paint(centre, (inner[0] / 2, 1.5), 0.26, 0.01)
 
     def _field(self, centre, inner) -> None:
@@ -149,9 +160,10 @@ class Town:
             half = (float(self._rng.uniform(8, 12)), float(self._rng.uniform(7, 11)))
             self._flat(place, half, float(self._rng.uniform(24, 52)))
         for _ in range(22):
-            self._tree(centre[0] + float(self._rng.uniform(-0.48, 0.48)) * inner[0],
-                       centre[1] + (0.40 if self._rng.random() < 0.5 else -0.40) * inner[1]
-                       + float(self._rng.uniform(-2, 2)))
+            self._tree(
+                centre[0] + float(self._rng.uniform(-0.48, 0.48)) * inner[0],
+                centre[1] + (0.40 if self._rng.random() < 0.5 else -0.40) * inner[1] + float(self._rng.uniform(-2, 2)),
+            )
 
     def _street_life(self, centre) -> None:
         """Parked cars and trees along the block's streets."""
@@ -239,7 +251,7 @@ class Town:
         ground, terrain = self._ground, self._terrain[area]
         if float((ground.height[area] - terrain).max()) > 2.0:
             return
-        dome = 1.0 - (x * x + y * y) / radius ** 2
+        dome = 1.0 - (x * x + y * y) / radius**2
         inside = dome > 0
         skin = tall - radius + radius * np.sqrt(np.maximum(dome, 0)) + 0.35 * scale * self._fine[area]
         ground.height[area] = np.where(inside, terrain + np.maximum(skin, 0.5), ground.height[area])

@@ -41,16 +41,23 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
         with opened(options.dsm) as dsm:
             measure_dsm(found, dsm, options.gcps)
         if not np.isfinite(found.dsm_heights).any():
-            raise EmptyResultError(f"None of the {counted(len(found.gcps), 'point')} of '{options.gcps}' lies where "
-                                   f"the DSM '{options.dsm}' has a height: choose the points of that place.")
+            raise EmptyResultError(
+                f"None of the {counted(len(found.gcps), 'point')} of '{options.gcps}' lies where "
+                f"the DSM '{options.dsm}' has a height: choose the points of that place."
+            )
     for text in found.warnings:
         progress.warn(text)
     if options.output:
         _write_points(scene, found, options.output)
     if options.report:
         gcp_page(found, options).write(options.report)
-    result = {"output": options.output, "report": options.report, "points": len(found.gcps),
-              "wrong": list(found.wrong), **_numbers(found)}
+    result = {
+        "output": options.output,
+        "report": options.report,
+        "points": len(found.gcps),
+        "wrong": list(found.wrong),
+        **_numbers(found),
+    }
     _tell(found, progress)
     progress.step(1.0, "points checked")
     return result
@@ -60,11 +67,15 @@ def _locate(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None
     if any(gcp.pixels for gcp in found.gcps):
         locate(found, scene.views)
         if "compensated" not in found.errors:
-            found.warnings.append(f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role "
-                                  "control: there is no image-space compensation to show.")
+            found.warnings.append(
+                f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role "
+                "control: there is no image-space compensation to show."
+            )
     elif not options.dsm:
-        raise EmptyResultError(f"No point of '{options.gcps}' was measured in an image: fill the fields view, col and "
-                               "row, or give a DSM to check its heights.")
+        raise EmptyResultError(
+            f"No point of '{options.gcps}' was measured in an image: fill the fields view, col and "
+            "row, or give a DSM to check its heights."
+        )
     else:
         found.warnings.append(f"No point of '{options.gcps}' was measured in an image: only the DSM is checked.")
 
@@ -86,8 +97,10 @@ def _tell(found: GcpAccuracy, progress: Progress) -> None:
     for column in found.errors:
         errors = found.summary(column, "height")
         if errors.count:
-            progress.info(f"{COLUMNS[column]}: heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max "
-                          f"{errors.max:.3f} m of {counted(errors.count, 'point')}{_checked(found, column)}.")
+            progress.info(
+                f"{COLUMNS[column]}: heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max "
+                f"{errors.max:.3f} m of {counted(errors.count, 'point')}{_checked(found, column)}."
+            )
 
 
 def _checked(found: GcpAccuracy, column: str) -> str:
@@ -111,8 +124,9 @@ def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None
     for column in ("rpc", "compensated", "scene"):
         fields.update({f"{column}_{_SHORT[name]}": float for name in COMPONENTS})
         fields[f"{column}_px"] = float
-    fields.update({"dsm_height": float, "dsm_error": float, "shown": str, "east": float, "north": float,
-                   "height_error": float})
+    fields.update(
+        {"dsm_height": float, "dsm_error": float, "shown": str, "east": float, "north": float, "height_error": float}
+    )
 
     def features() -> Any:
         for row, (x, y) in enumerate(projected_from_geodetic(crs, places)):
@@ -144,8 +158,14 @@ def _values(found: GcpAccuracy, row: int) -> List[Any]:
     shown = _shown(found)
     planimetric = _known(found, shown, row) if shown else (None,) * 3
     dsm_error = _known(found, "dsm", row)[2]
-    values += [_number(found.dsm_heights[row]) if found.dsm_heights is not None else None, dsm_error, shown,
-               planimetric[0], planimetric[1], dsm_error if found.dsm_heights is not None else planimetric[2]]
+    values += [
+        _number(found.dsm_heights[row]) if found.dsm_heights is not None else None,
+        dsm_error,
+        shown,
+        planimetric[0],
+        planimetric[1],
+        dsm_error if found.dsm_heights is not None else planimetric[2],
+    ]
     return values
 
 

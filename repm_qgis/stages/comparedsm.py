@@ -42,9 +42,13 @@ def run(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
             "of the reference's cells have a height.".format(f"'{path}': " if options.others else "", **_figures(one))
         )
     progress.step(1.0, "Done")
-    return {"error": options.error, "report": options.report, **_figures(found[0]),
-            "by_class": {name: _accuracy(metrics) for name, metrics in found[0].by_class},
-            "others": [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])]}
+    return {
+        "error": options.error,
+        "report": options.report,
+        **_figures(found[0]),
+        "by_class": {name: _accuracy(metrics) for name, metrics in found[0].by_class},
+        "others": [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])],
+    }
 
 
 def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comparison:

@@ -42,12 +42,15 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     if options.ept:
         require_ept_place(options.ept)
     layout = Layout.of(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
-    radius = automatic_radius(layout.grid.cell, scene.gsd_m) if options.outlier_radius is None else \
-        options.outlier_radius
+    radius = (
+        automatic_radius(layout.grid.cell, scene.gsd_m) if options.outlier_radius is None else options.outlier_radius
+    )
     options = replace(options, outlier_radius=radius)
     rows, columns = layout.grid.shape
-    progress.info(f"DSM of {columns} x {rows} cells of {layout.grid.cell:g} m in {crs}, heights above the "
-                  f"{datum.name}; outlier radius {radius:g} m.")
+    progress.info(
+        f"DSM of {columns} x {rows} cells of {layout.grid.cell:g} m in {crs}, heights above the "
+        f"{datum.name}; outlier radius {radius:g} m."
+    )
     pairs = _pairs(tiles) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
     folder = temporary_name(str(scene.path.with_name("fusion")))
@@ -63,22 +66,53 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         shutil.rmtree(folder, ignore_errors=True)
     _tell(facts, radius, needed, options, progress)
     progress.step(1.0, "DSM fused")
-    return {"output": options.output, "confidence": options.confidence, "ortho": options.ortho,
-            "cloud": options.cloud, **shown, "view_heights": options.view_heights, "vertical_datum": datum.name,
-            "seconds": round(time.monotonic() - start, 3), **facts}
+    return {
+        "output": options.output,
+        "confidence": options.confidence,
+        "ortho": options.ortho,
+        "cloud": options.cloud,
+        **shown,
+        "view_heights": options.view_heights,
+        "vertical_datum": datum.name,
+        "seconds": round(time.monotonic() - start, 3),
+        **facts,
+    }
 
 
-def _fused(options: DsmFuseOptions, scene: Scene, tiles: List[Tile], layout: Layout, datum: HeightDatum, folder: str,
-           progress: Progress) -> Tuple[Dict[str, Any], List[int]]:
+def _fused(
+    options: DsmFuseOptions,
+    scene: Scene,
+    tiles: List[Tile],
+    layout: Layout,
+    datum: HeightDatum,
+    folder: str,
+    progress: Progress,
+) -> Tuple[Dict[str, Any], List[int]]:
     """Fuse tile by tile and write the products; gives what was counted, and how many neighbours each tile asked for."""
     views = tuple(nadir_first(scene)) if options.ortho else ()
-    tasks = [FuseTask(scene.lean(), tile.bounds, tuple(tile.heights), layout.grid, window, layout.crs, options.method,
-                      options.fill, options.outlier_radius, views, bool(options.cloud or options.ept))
-             for tile, window in zip(tiles, layout.windows)]
+    tasks = [
+        FuseTask(
+            scene.lean(),
+            tile.bounds,
+            tuple(tile.heights),
+            layout.grid,
+            window,
+            layout.crs,
+            options.method,
+            options.fill,
+            options.outlier_radius,
+            views,
+            bool(options.cloud or options.ept),
+        )
+        for tile, window in zip(tiles, layout.windows)
+    ]
     stored: List[StoredTile] = run_tasks(
-        fuse_to_disk, [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)],
-        _workers(options, scene, tiles, layout.windows, progress), progress,
-        lambda work: f"fusing {work[0].records[0]['tile']}")
+        fuse_to_disk,
+        [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)],
+        _workers(options, scene, tiles, layout.windows, progress),
+        progress,
+        lambda work: f"fusing {work[0].records[0]['tile']}",
+    )
     facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, datum, stored, folder)
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
         if path:
@@ -91,29 +125,66 @@ def _pairs(tiles: List[Tile]) -> List[Tuple[str, str]]:
     return sorted({tuple(record["pair"]) for tile in tiles for record in tile.heights})
 
 
-def _one_pair(options: DsmFuseOptions, pair: Tuple[str, str], scene: Scene, tiles: List[Tile], layout: Layout,
-              datum: HeightDatum, folder: str, progress: Progress) -> None:
+def _one_pair(
+    options: DsmFuseOptions,
+    pair: Tuple[str, str],
+    scene: Scene,
+    tiles: List[Tile],
+    layout: Layout,
+    datum: HeightDatum,
+    folder: str,
+    progress: Progress,
+) -> None:
     """The surface that one pair alone sees, with its confidence, on the DSM's cells: what the DSM was made of."""
-    own = [(replace(tile, heights=tuple(r for r in tile.heights if tuple(r["pair"]) == pair)), window)
-           for tile, window in zip(tiles, layout.windows)]
+    own = [
+        (replace(tile, heights=tuple(r for r in tile.heights if tuple(r["pair"]) == pair)), window)
+        for tile, window in zip(tiles, layout.windows)
+    ]
     own = [(tile, window) for tile, window in own if tile.heights]
     name = re.sub(r"[^\w.-]", "_", "_".join(pair))
     target = ensure_folder(str(options.view_heights))
-    alone = replace(options, output=str(target / f"{name}.tif"), confidence=str(target / f"{name}_confidence.tif"),
-                    fill="none", ortho=None, cloud=None, ept=None, mesh=None, view_heights=None)
+    alone = replace(
+        options,
+        output=str(target / f"{name}.tif"),
+        confidence=str(target / f"{name}_confidence.tif"),
+        fill="none",
+        ortho=None,
+        cloud=None,
+        ept=None,
+        mesh=None,
+        view_heights=None,
+    )
     try:
-        _fused(alone, scene, [tile for tile, _ in own], replace(layout, windows=[window for _, window in own]), datum,
-               folder, progress)
+        _fused(
+            alone,
+            scene,
+            [tile for tile, _ in own],
+            replace(layout, windows=[window for _, window in own]),
+            datum,
+            folder,
+            progress,
+        )
     except EmptyResultError:
-        progress.warn(f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{Path(alone.output).name}' is not "
-                      "written.")
+        progress.warn(
+            f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{Path(alone.output).name}' is not written."
+        )
 
 
-def _workers(options: DsmFuseOptions, scene: Scene, tiles: List[Tile], windows: List[Tuple[int, int, int, int]],
-             progress: Progress) -> int:
+def _workers(
+    options: DsmFuseOptions,
+    scene: Scene,
+    tiles: List[Tile],
+    windows: List[Tuple[int, int, int, int]],
+    progress: Progress,
+) -> int:
     """How many workers the memory allows, by the tile that takes most."""
-    each, tile = max(((fusing_mib([r["size"][0] * r["size"][1] for r in tile.heights], window[2] * window[3]), tile)
-                      for tile, window in zip(tiles, windows)), key=lambda pair: pair[0])
+    each, tile = max(
+        (
+            (fusing_mib([r["size"][0] * r["size"][1] for r in tile.heights], window[2] * window[3]), tile)
+            for tile, window in zip(tiles, windows)
+        ),
+        key=lambda pair: pair[0],
+    )
     side = max(tile.bounds[2] - tile.bounds[0], tile.bounds[3] - tile.bounds[1]) / scene.gsd_m
     return workers_within(options.workers, each, options.memory, math.ceil(side), progress)
 
@@ -142,20 +213,27 @@ def _write_for_display(options: DsmFuseOptions, cloud: Optional[str], crs: str, 
     return made
 
 
-def _tell(facts: Dict[str, Any], radius: float, needed: List[int], options: DsmFuseOptions,
-          progress: Progress) -> None:
+def _tell(facts: Dict[str, Any], radius: float, needed: List[int], options: DsmFuseOptions, progress: Progress) -> None:
     """What was filtered and filled, in the log."""
     if radius > 0:
         asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
-        progress.info(f"{facts['removed']} cells removed that have fewer neighbours within {radius:g} m than a "
-                      f"fifth of what is usual ({asked}).")
+        progress.info(
+            f"{facts['removed']} cells removed that have fewer neighbours within {radius:g} m than a "
+            f"fifth of what is usual ({asked})."
+        )
     shares = {name: 100.0 * facts[name] / facts["cells"] for name in ("matched", "background", "interpolated")}
-    progress.info(f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover: "
-                  f"{shares['matched']:.1f} % matched, {shares['background']:.1f} % from the background of occlusions, "
-                  f"{shares['interpolated']:.1f} % interpolated.")
+    progress.info(
+        f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover: "
+        f"{shares['matched']:.1f} % matched, {shares['background']:.1f} % from the background of occlusions, "
+        f"{shares['interpolated']:.1f} % interpolated."
+    )
     if facts["interpolated"] and not options.confidence:
-        progress.warn(f"{facts['interpolated']} cells of '{options.output}' are interpolated, not measured: ask for "
-                      "CONFIDENCE to see which (band 4).")
+        progress.warn(
+            f"{facts['interpolated']} cells of '{options.output}' are interpolated, not measured: ask for "
+            "CONFIDENCE to see which (band 4)."
+        )
     if facts["valid_percent"] < 20:
-        progress.warn(f"Only {facts['valid_percent']:.0f} % of the cells have a height: look at the confidence and at "
-                      "the reconstruction's report before you use this DSM.")
+        progress.warn(
+            f"Only {facts['valid_percent']:.0f} % of the cells have a height: look at the confidence and at "
+            "the reconstruction's report before you use this DSM."
+        )

@@ -40,24 +40,36 @@ def _report(found: Dict[str, Any]) -> Report:
     page.section("Packages")
     page.facts([("Engine interpreter", found["interpreter"]), ("Python", found["python"])])
     purposes = {package.distribution: package.purpose for package in PACKAGES}
-    page.table(["Package", "Version", "For"],
-               [[name, version or "missing", purposes[name]] for name, version in found["versions"].items()])
+    page.table(
+        ["Package", "Version", "For"],
+        [[name, version or "missing", purposes[name]] for name, version in found["versions"].items()],
+    )
     page.section("Machine")
     memory = found["memory"]
-    page.facts([("Cores", found["cores"]), ("Memory", _gib(memory["total_bytes"])),
-                ("Memory available", _gib(memory["available_bytes"])),
-                ("Disk free for temporary files", _gib(found["disk_free_bytes"])), ("CUDA", _cuda(found["cuda"]))])
+    page.facts(
+        [
+            ("Cores", found["cores"]),
+            ("Memory", _gib(memory["total_bytes"])),
+            ("Memory available", _gib(memory["available_bytes"])),
+            ("Disk free for temporary files", _gib(found["disk_free_bytes"])),
+            ("CUDA", _cuda(found["cuda"])),
+        ]
+    )
     if not found["cuda"]["usable"]:
-        page.paragraph(f"Dense matching with COLMAP on a GPU (BACKEND colmap) cannot run: {found['cuda']['remedy']}. "
-                       "Everything else does without.")
+        page.paragraph(
+            f"Dense matching with COLMAP on a GPU (BACKEND colmap) cannot run: {found['cuda']['remedy']}. "
+            "Everything else does without."
+        )
     _proj(page, found["proj"])
     return page
 
 
 def _cuda(found: Dict[str, Any]) -> str:
     devices = "; ".join(found["devices"]) or "no CUDA device answers"
-    return f"{'usable' if found['usable'] else 'not used'} ({devices}; pycolmap was built " \
-           f"{'with' if found['built'] else 'without'} it)"
+    return (
+        f"{'usable' if found['usable'] else 'not used'} ({devices}; pycolmap was built "
+        f"{'with' if found['built'] else 'without'} it)"
+    )
 
 
 def _proj(page: Report, found: Optional[Dict[str, Any]]) -> None:
@@ -65,13 +77,21 @@ def _proj(page: Report, found: Optional[Dict[str, Any]]) -> None:
     if found is None:
         page.paragraph("pyproj is missing.")
         return
-    page.facts([("PROJ", found["version"]), ("Data", os.pathsep.join(found["folders"])),
-                ("Downloads missing grids", found["network"])])
+    page.facts(
+        [
+            ("PROJ", found["version"]),
+            ("Data", os.pathsep.join(found["folders"])),
+            ("Downloads missing grids", found["network"]),
+        ]
+    )
     page.table(["Grid", "For", "Installed"], [[name, use, found["grids"][name]] for name, use in GRIDS])
     if not any(found["grids"].values()) and not found["network"]:
-        page.warning("No geoid grid is installed: DEMs whose heights are above a geoid cannot be brought to the "
-                     "ellipsoid exactly.", "install one of these grids into one of the folders above, for example "
-                     "with: projsync --file us_nga_egm08_25.tif")
+        page.warning(
+            "No geoid grid is installed: DEMs whose heights are above a geoid cannot be brought to the "
+            "ellipsoid exactly.",
+            "install one of these grids into one of the folders above, for example "
+            "with: projsync --file us_nga_egm08_25.tif",
+        )
 
 
 def _gib(size: Optional[int]) -> str:

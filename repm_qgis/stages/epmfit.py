@@ -38,20 +38,28 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
     key = _key(options)
     scene = reusable(scene_path, "epmfit", key)
     if scene is not None:
-        progress.info(f"Reused the cameras of {counted(len(scene.tiles), 'tile')} in '{scene_path}': images and "
-                      "options are unchanged.")
+        progress.info(
+            f"Reused the cameras of {counted(len(scene.tiles), 'tile')} in '{scene_path}': images and "
+            "options are unchanged."
+        )
     else:
         notes = Recorder(progress)
         scene = _fit(options, notes)
-        scene.record("epmfit", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
-                     notes=notes.notes)
+        scene.record(
+            "epmfit", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings, notes=notes.notes
+        )
         scene.save(scene_path)
     write_tiles(scene, tiles_path)
     fit_report(scene).write(report_path)
     errors = [view.error for tile in scene.tiles for view in tile.views.values()]
     progress.step(1.0, "cameras fitted")
-    return {"scene": scene_path, "tiles": tiles_path, "report": report_path,
-            "rmse": float(np.sqrt(np.mean([e.rmse ** 2 for e in errors]))), "max_error": max(e.max for e in errors)}
+    return {
+        "scene": scene_path,
+        "tiles": tiles_path,
+        "report": report_path,
+        "rmse": float(np.sqrt(np.mean([e.rmse**2 for e in errors]))),
+        "max_error": max(e.max for e in errors),
+    }
 
 
 def _key(options: EpmFitOptions) -> str:
@@ -59,20 +67,34 @@ def _key(options: EpmFitOptions) -> str:
     named = options.rpcs or ("",) * len(options.images)
     beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_files_beside(image))]
     beside += [path for image in options.images for path in time_files_beside(image) if path not in beside]
-    files = [file_identity(path) for path in (*options.images, *beside, *([options.dem] if options.dem else []),
-                                              *filter(None, options.masks))]
+    files = [
+        file_identity(path)
+        for path in (*options.images, *beside, *([options.dem] if options.dem else []), *filter(None, options.masks))
+    ]
     return fingerprint("epmfit", wanted, files)
 
 
 def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs, options.masks)
-    progress.info("; ".join(f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m"
-                            + (f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "") for v in views))
+    progress.info(
+        "; ".join(
+            f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m"
+            + (f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "")
+            for v in views
+        )
+    )
     crs = _crs(options, views)
     search = _common_heights(views)
     area = _area(views, crs, search, options)
-    altitudes, source = altitude_range(views, crs, bounds_of(area), search, (options.altitude_min,
-                                       options.altitude_max), options.dem, Part(progress, 0.0, 0.6))
+    altitudes, source = altitude_range(
+        views,
+        crs,
+        bounds_of(area),
+        search,
+        (options.altitude_min, options.altitude_max),
+        options.dem,
+        Part(progress, 0.0, 0.6),
+    )
     progress.info(f"Altitudes {altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid (from: {source}).")
     area = _area(views, crs, altitudes, options)
     xmin, ymin, xmax, ymax = bounds_of(area)
@@ -107,12 +129,15 @@ def _common_heights(views: Sequence[View]) -> Tuple[float, float]:
 
 def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], options: EpmFitOptions) -> ogr.Geometry:
     """The ground that two views see at some altitude of the range, within the extent asked for."""
-    outlines = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views]
-                for z in np.linspace(*altitudes, 5)]
+    outlines = [
+        [projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views]
+        for z in np.linspace(*altitudes, 5)
+    ]
     area = seen_twice(outlines)
     if area.IsEmpty() or area.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
-        places = "; ".join(f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}"
-                           for v in views)
+        places = "; ".join(
+            f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views
+        )
         raise OverlapError(f"The images do not overlap on the ground: {places}. Choose images of one place.")
     if options.extent is None:
         return area
@@ -122,7 +147,8 @@ def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], optio
         back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
         raise OverlapError(
             f"EXTENT {_range_text(options.extent)} ({options.extent_crs}) lies outside what two images see: "
-            f"{_range_text(back.transform_bounds(*bounds_of(area)))}. Draw it there, or leave it empty.")
+            f"{_range_text(back.transform_bounds(*bounds_of(area)))}. Draw it there, or leave it empty."
+        )
     return common
 
 
@@ -150,15 +176,20 @@ def _automatic_size(scene: Scene, area: ogr.Geometry, budget: float, progress: P
     def error_of(size: int) -> float:
         half = size * scene.gsd_m / 2
         fitted = (fit_tile(scene, GroundTile("", (x - half, y - half, x + half, y + half))) for x, y in places)
-        errors = [refine_pinhole("polynomial", view.camera, grid, view.window).error.rmse
-                  for tile, grids in fitted for view, grid in zip(tile.views.values(), grids)]
+        errors = [
+            refine_pinhole("polynomial", view.camera, grid, view.window).error.rmse
+            for tile, grids in fitted
+            for view, grid in zip(tile.views.values(), grids)
+        ]
         return max(errors, default=0.0)
 
     size, error = largest_within(budget, _TILE_SIZES, error_of)
     if error > budget:
-        progress.warn(f"Even tiles of {size} px leave {error:.2f} px of equivalent error after refinement (budget "
-                      f"{budget:g} px) over {scene.altitudes[1] - scene.altitudes[0]:.0f} m of altitude; heights are "
-                      "computed with the RPCs and stay exact.")
+        progress.warn(
+            f"Even tiles of {size} px leave {error:.2f} px of equivalent error after refinement (budget "
+            f"{budget:g} px) over {scene.altitudes[1] - scene.altitudes[0]:.0f} m of altitude; heights are "
+            "computed with the RPCs and stay exact."
+        )
     return size
 
 
@@ -177,11 +208,13 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
     return tile, grids
 
 
-def view_window(scene: Scene, view: View, bounds: Tuple[float, float, float, float],
-                altitudes: Tuple[float, float], margin: int = 0) -> Optional[Tuple[int, int, int, int]]:
+def view_window(
+    scene: Scene, view: View, bounds: Tuple[float, float, float, float], altitudes: Tuple[float, float], margin: int = 0
+) -> Optional[Tuple[int, int, int, int]]:
     """The pixel window of a view that sees a ground rectangle at all of these altitudes; None where it does not."""
-    return pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size,
-                        margin)
+    return pixel_window(
+        view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size, margin
+    )
 
 
 def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> List[Tile]:
@@ -203,8 +236,15 @@ def write_tiles(scene: Scene, path: str) -> None:
 
     fields: Dict[str, type] = {"tile": str, "worst_rmse": float, "worst_max": float}
     for number in range(1, max(len(tile.views) for tile in scene.tiles) + 1):
-        fields.update({f"view_{number}": str, f"samp_{number}": float, f"line_{number}": float,
-                       f"rmse_{number}": float, f"max_{number}": float})
+        fields.update(
+            {
+                f"view_{number}": str,
+                f"samp_{number}": float,
+                f"line_{number}": float,
+                f"rmse_{number}": float,
+                f"max_{number}": float,
+            }
+        )
     rows = []
     for tile in scene.tiles:
         errors = [view.error for view in tile.views.values()]

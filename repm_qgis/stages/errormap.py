@@ -7,8 +7,8 @@ from typing import Any, Dict, Tuple
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..dsm.grid import CellGrid
 from ..errors import OptionError
 from ..evaluation.stage_reports import errormap_report
@@ -21,11 +21,9 @@ from ..options import ErrorMapOptions
 from ..progress import Progress
 from ..scene import Scene, Tile, View
 
-FloatArray = NDArray[np.float64]
-
 _BANDS = ("magnitude (px)", "column (px)", "row (px)", "worst over the altitudes (px)")
-_CELLS = 1000       # cells along the longer side of the map
-_NODE_STEP = 8      # cells between exact errors; the error is smooth
+_CELLS = 1000  # cells along the longer side of the map
+_NODE_STEP = 8  # cells between exact errors; the error is smooth
 _LEVELS = 5
 
 
@@ -36,8 +34,12 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     view = scene.view(options.view) if options.view else scene.views[0]
     altitude = sum(scene.altitudes) / 2 if options.altitude is None else options.altitude
     if not scene.altitudes[0] - 1.0 <= altitude <= scene.altitudes[1] + 1.0:
-        raise OptionError("ALTITUDE", altitude, f"must lie in the scene's range, {scene.altitudes[0]:.0f} to "
-                          f"{scene.altitudes[1]:.0f} m above the ellipsoid: cameras were fitted there")
+        raise OptionError(
+            "ALTITUDE",
+            altitude,
+            f"must lie in the scene's range, {scene.altitudes[0]:.0f} to "
+            f"{scene.altitudes[1]:.0f} m above the ellipsoid: cameras were fitted there",
+        )
     tiles = [tile for tile in scene.tiles if view.name in tile.views]
     if not tiles:
         raise OptionError("VIEW", view.name, "sees none of the scene's tiles: choose another view")
@@ -45,10 +47,21 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     cell = max(scene.gsd_m, float(f"{max(whole[2] - whole[0], whole[3] - whole[1]) / _CELLS:.1g}"))
     grid = CellGrid.covering(whole, cell)
     squares, count, worst = 0.0, 0, 0.0
-    with created(options.output, grid.shape, np.dtype(np.float32), 4, grid.geotransform,
-                 pyproj.CRS.from_user_input(scene.crs).to_wkt(), descriptions=_BANDS, unit="px",
-                 metadata={"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude,
-                           "REPM_REFINEMENT": scene.refinement or "uncorrected"}) as raster:
+    with created(
+        options.output,
+        grid.shape,
+        np.dtype(np.float32),
+        4,
+        grid.geotransform,
+        pyproj.CRS.from_user_input(scene.crs).to_wkt(),
+        descriptions=_BANDS,
+        unit="px",
+        metadata={
+            "REPM_VIEW": view.name,
+            "REPM_ALTITUDE_M": altitude,
+            "REPM_REFINEMENT": scene.refinement or "uncorrected",
+        },
+    ) as raster:
         for index, tile in enumerate(tiles):
             progress.check_cancelled()
             progress.step(index / len(tiles), f"error of tile {index + 1} of {len(tiles)}")
@@ -59,7 +72,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
             for band, values in enumerate(error, start=1):
                 raster.write(values.astype(np.float32), window[0], window[1], band)
             known = error[0][np.isfinite(error[0])]
-            squares, count = squares + float((known ** 2).sum()), count + known.size
+            squares, count = squares + float((known**2).sum()), count + known.size
             worst = max(worst, float(known.max(initial=0.0)))
     if not count:
         raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
@@ -69,14 +82,17 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
         errormap_report(scene, view, options.output, facts).write(options.report)
-    progress.info(f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px "
-                  f"({scene.refinement or 'uncorrected'}).")
+    progress.info(
+        f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px "
+        f"({scene.refinement or 'uncorrected'})."
+    )
     progress.step(1.0, "error mapped")
     return {"output": options.output, "report": options.report, **facts}
 
 
-def _tile_error(scene: Scene, view: View, tile: Tile, grid: CellGrid,
-                altitude: float) -> Tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _tile_error(
+    scene: Scene, view: View, tile: Tile, grid: CellGrid, altitude: float
+) -> Tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Magnitude, column and row at the altitude, and the worst magnitude over the tile's altitudes; NaN outside."""
     xs, ys = grid.centres()
     nodes = tuple(max(2, n // _NODE_STEP + 1) for n in grid.shape)
@@ -91,8 +107,7 @@ def _tile_error(scene: Scene, view: View, tile: Tile, grid: CellGrid,
     return magnitude, column, row, worst
 
 
-def _on_cells(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float,
-              grid: CellGrid) -> FloatArray:
+def _on_cells(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float, grid: CellGrid) -> FloatArray:
     """(rows, columns, 2) errors of all cells, interpolated from the nodes; NaN where the image does not see a cell."""
     both = upsample_grid(np.concatenate(_error(scene, view, tile, lon_lat, altitude), axis=-1), grid.shape)
     pixels = both[..., 2:]
@@ -100,8 +115,7 @@ def _on_cells(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitud
     return np.where(inside, both[..., :2], np.nan)
 
 
-def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray,
-           altitude: float) -> Tuple[FloatArray, FloatArray]:
+def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float) -> Tuple[FloatArray, FloatArray]:
     """(..., 2) pinhole minus RPC pixel at ground nodes, the refined camera's where there is one; and the RPC pixel."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
     # The vendor's RPC: pointing corrections, found later, are no fault of the camera.

@@ -11,15 +11,15 @@ import numpy as np
 
 from .. import __version__
 from ..errors import OptionError, SceneError, WorkspaceError
+from ..exports import LAYOUTS
+from ..exports.images import write_image
+from ..exports.layout import Layout
+from ..exports.model import TileModel, tile_model
+from ..exports.ties import tie_points
 from ..imagery.enhancement import Stretch, view_stretch
 from ..options import ExportCamerasOptions
 from ..progress import Progress
 from ..scene import Scene, Tile
-from ..sfm.camera_exports import LAYOUTS
-from ..sfm.camera_exports.images import write_image
-from ..sfm.camera_exports.layout import Layout
-from ..sfm.camera_exports.model import TileModel, tile_model
-from ..sfm.camera_exports.ties import tie_points
 from ..workspace import ensure_folder, whole_folder, write_text
 
 _MARK = "repm-cameras"
@@ -40,26 +40,40 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     for place in places:
         _check_place(place, options.format)
     names = {view.name for model in models for view in model.views}
-    stretches = {name: view_stretch(scene.view(name).image, scene.view(name).band) for name in sorted(names)} \
-        if options.bits == "8" else {}
+    stretches = (
+        {name: view_stretch(scene.view(name).image, scene.view(name).band) for name in sorted(names)}
+        if options.bits == "8"
+        else {}
+    )
     count, done = sum(len(model.views) for model in models), 0
     for model, place in zip(models, places):
         points, residuals = tie_points(scene, model.tile)
-        _write_model(replace(model, points=points, residuals_px=residuals), layout, place, options, stretches,
-                     progress, (done, count))
+        _write_model(
+            replace(model, points=points, residuals_px=residuals),
+            layout,
+            place,
+            options,
+            stretches,
+            progress,
+            (done, count),
+        )
         done += len(model.views)
     error = max(view.error.max for model in models for view in model.views)
-    rmse = float(np.sqrt(np.mean([view.error.rmse ** 2 for model in models for view in model.views])))
-    progress.info(f"{count} images with cameras in '{folder}', for {options.format}; the cameras hold to RMSE "
-                  f"{rmse:.3f} px, max {error:.3f} px.")
+    rmse = float(np.sqrt(np.mean([view.error.rmse**2 for model in models for view in model.views])))
+    progress.info(
+        f"{count} images with cameras in '{folder}', for {options.format}; the cameras hold to RMSE "
+        f"{rmse:.3f} px, max {error:.3f} px."
+    )
     progress.step(1.0, "cameras exported")
     return {"folder": str(folder), "models": [str(place) for place in places], "images": count}
 
 
 def _tiles(scene: Scene, name: str) -> List[Tile]:
     if not scene.refinement:
-        raise SceneError(f"The scene '{scene.path}' is not refined: run 'Refine the images' first, and export the "
-                         "scene that it writes.")
+        raise SceneError(
+            f"The scene '{scene.path}' is not refined: run 'Refine the images' first, and export the "
+            "scene that it writes."
+        )
     tiles = [tile for tile in scene.tiles if name in ("", tile.id)]
     if not tiles:
         raise OptionError("TILE", name, f"must be one of {', '.join(tile.id for tile in scene.tiles)}, or empty")
@@ -82,12 +96,20 @@ def _check_place(place: Path, layout: str) -> None:
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         ours = False
     if not ours:
-        raise WorkspaceError(f"'{place}' is there already and is no export for {layout}: choose another FOLDER, or "
-                             "remove it.")
+        raise WorkspaceError(
+            f"'{place}' is there already and is no export for {layout}: choose another FOLDER, or remove it."
+        )
 
 
-def _write_model(model: TileModel, layout: Layout, place: Path, options: ExportCamerasOptions,
-                 stretches: Dict[str, Stretch], progress: Progress, done: Tuple[int, int]) -> None:
+def _write_model(
+    model: TileModel,
+    layout: Layout,
+    place: Path,
+    options: ExportCamerasOptions,
+    stretches: Dict[str, Stretch],
+    progress: Progress,
+    done: Tuple[int, int],
+) -> None:
     """One tile's folder, whole or not at all."""
     images = layout.images(model, options.bits)
     with whole_folder(str(place)) as folder:
@@ -95,8 +117,14 @@ def _write_model(model: TileModel, layout: Layout, place: Path, options: ExportC
             progress.check_cancelled()
             progress.step((done[0] + index) / done[1], f"tile {model.tile.id}, {view.name}")
             mask: Optional[str] = layout.mask(image)
-            write_image(view, folder / image, folder / mask if mask else None, stretches.get(view.name),
-                        options.kernel, progress)
+            write_image(
+                view,
+                folder / image,
+                folder / mask if mask else None,
+                stretches.get(view.name),
+                options.kernel,
+                progress,
+            )
         layout.write(model, images, folder)
         write_text(str(folder / _FRAME_FILE), json.dumps(_frame(model, images, options), indent=1, allow_nan=False))
 
@@ -104,11 +132,28 @@ def _write_model(model: TileModel, layout: Layout, place: Path, options: ExportC
 def _frame(model: TileModel, images: Tuple[str, ...], options: ExportCamerasOptions) -> Dict[str, Any]:
     """Where the cameras' world lies on the earth, and what became of each image."""
     return {
-        "format": _MARK, "layout": options.format, "engine": __version__, "tile": model.tile.id,
-        "world": {"axes": "east, north, up in metres on WGS 84", "origin": model.frame.to_mapping(),
-                  "ecef_from_world": model.frame.ecef_from_enu.tolist()},
-        "crs": model.crs, "bounds": list(model.tile.bounds), "altitudes_m": list(model.tile.altitudes),
+        "format": _MARK,
+        "layout": options.format,
+        "engine": __version__,
+        "tile": model.tile.id,
+        "world": {
+            "axes": "east, north, up in metres on WGS 84",
+            "origin": model.frame.to_mapping(),
+            "ecef_from_world": model.frame.ecef_from_enu.tolist(),
+        },
+        "crs": model.crs,
+        "bounds": list(model.tile.bounds),
+        "altitudes_m": list(model.tile.altitudes),
         "points": len(model.points),
-        "images": [{"file": image, "view": view.name, "original": view.view.image, "depths_m": list(view.depths),
-                    "equivalent_error_px": view.error.to_mapping(), "pointing_px": view.shift_px.tolist()}
-                   for view, image in zip(model.views, images)]}
+        "images": [
+            {
+                "file": image,
+                "view": view.name,
+                "original": view.view.image,
+                "depths_m": list(view.depths),
+                "equivalent_error_px": view.error.to_mapping(),
+                "pointing_px": view.shift_px.tolist(),
+            }
+            for view, image in zip(model.views, images)
+        ],
+    }

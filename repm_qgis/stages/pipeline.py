@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict
 from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
-from ..mvs.backends import resolve
+from ..matching.backends import resolve
 from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
 from ..parallel import kept_workers
 from ..progress import Part, Progress
@@ -32,8 +32,15 @@ def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     if options.backend == "colmap":  # refused, if at all, before any work
         resolve(options.backend)
     folder = ensure_folder(options.workspace)
-    for path in (options.output, options.confidence, options.ortho, options.cloud, options.ept, options.mesh,
-                 options.report):
+    for path in (
+        options.output,
+        options.confidence,
+        options.ortho,
+        options.cloud,
+        options.ept,
+        options.mesh,
+        options.report,
+    ):
         if path:  # hours of matching are not to end at a folder that cannot be written
             ensure_folder(str(Path(path).parent))
     if options.ept:
@@ -60,25 +67,81 @@ def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
     surface = options.dem if options.model == "terrain" else None
     # Without a DEM the surface is that of the coarse level, which needs the pointing: the next stage refines on it.
     own = options.model == "terrain" and not surface
-    stage("refine", "Refinement", lambda p: refine.run(RefineOptions(
-        fitted, refined, "polynomial" if own else options.model, surface, options.order, write_images=False), p))
-    heights = stage("reconstruct", "Reconstruction", lambda p: reconstruct.run(
-        ReconstructOptions(
-            refined, scene_path, options.backend, options.gcps, options.gcp_datum, options.pointing, options.tie_points,
-            workers=options.workers, adjustment=options.adjustment, memory=options.memory,
-            geometric=options.geometric, colmap_fusion=options.colmap_fusion, window_radius=options.window_radius,
-            gpu_memory=options.gpu_memory, own_surface=own), p))
-    fused = stage("dsmfuse", "Fusion", lambda p: dsmfuse.run(DsmFuseOptions(
-        scene_path, options.output, options.resolution, options.crs, options.method, options.fill,
-        options.outlier_radius,
-        options.confidence, options.ortho, options.cloud, options.workers, options.vertical_datum, options.memory,
-        options.ept, options.mesh, options.mesh_vertices, options.view_heights), p))
+    stage(
+        "refine",
+        "Refinement",
+        lambda p: refine.run(
+            RefineOptions(
+                fitted, refined, "polynomial" if own else options.model, surface, options.order, write_images=False
+            ),
+            p,
+        ),
+    )
+    heights = stage(
+        "reconstruct",
+        "Reconstruction",
+        lambda p: reconstruct.run(
+            ReconstructOptions(
+                refined,
+                scene_path,
+                options.backend,
+                options.gcps,
+                options.gcp_datum,
+                options.pointing,
+                options.tie_points,
+                workers=options.workers,
+                adjustment=options.adjustment,
+                memory=options.memory,
+                geometric=options.geometric,
+                colmap_fusion=options.colmap_fusion,
+                window_radius=options.window_radius,
+                gpu_memory=options.gpu_memory,
+                own_surface=own,
+            ),
+            p,
+        ),
+    )
+    fused = stage(
+        "dsmfuse",
+        "Fusion",
+        lambda p: dsmfuse.run(
+            DsmFuseOptions(
+                scene_path,
+                options.output,
+                options.resolution,
+                options.crs,
+                options.method,
+                options.fill,
+                options.outlier_radius,
+                options.confidence,
+                options.ortho,
+                options.cloud,
+                options.workers,
+                options.vertical_datum,
+                options.memory,
+                options.ept,
+                options.mesh,
+                options.mesh_vertices,
+                options.view_heights,
+            ),
+            p,
+        ),
+    )
     report_path = options.report or str(folder / "report.html")
-    products = {**fused, "scene": scene_path, "report": report_path, "tiles": first["tiles"],
-                "tie_points": heights["tie_points"], "heights": heights["heights"]}
+    products = {
+        **fused,
+        "scene": scene_path,
+        "report": report_path,
+        "tiles": first["tiles"],
+        "tie_points": heights["tie_points"],
+        "heights": heights["heights"],
+    }
     pipeline_report(Scene.load(scene_path), products, seconds, options.command).write(report_path)
     progress.step(1.0, "done")
-    return {**products, "rmse": first["rmse"], "max_error": first["max_error"],
-            "n_tie_points": heights["n_tie_points"], "seconds": seconds}
-
-
+    return {
+        **products,
+        "rmse": first["rmse"],
+        "max_error": first["max_error"],
+        "n_tie_points": heights["n_tie_points"],
+        "seconds": seconds,
+    }

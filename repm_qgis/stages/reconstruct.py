@@ -15,9 +15,9 @@ from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..imagery.enhancement import Stretch, view_stretch
+from ..matching.backends import resolve
+from ..matching.dense import DenseTask, frame_size, match_tile
 from ..memory import matching_mib, workers_within
-from ..mvs.backends import resolve
-from ..mvs.dense import DenseTask, frame_size, match_tile
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
@@ -33,7 +33,7 @@ from ..vector import write_layer
 from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
 from .refine import refine_tiles, use_surface
 
-_LEAST_SHARE = 0.01     # of matched pixels: below that, nothing was reconstructed
+_LEAST_SHARE = 0.01  # of matched pixels: below that, nothing was reconstructed
 
 
 def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
@@ -44,19 +44,27 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     if not scene.refinement:
         scene.refinement = "polynomial"
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
-    key = fingerprint("reconstruct", scene.fingerprint, backend, options.pointing, options.adjustment,
-                      options.own_surface, control,
-                      [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
-                      *([options.geometric, options.colmap_fusion, options.window_radius] if backend == "colmap"
-                        else []))
+    key = fingerprint(
+        "reconstruct",
+        scene.fingerprint,
+        backend,
+        options.pointing,
+        options.adjustment,
+        options.own_surface,
+        control,
+        [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
+        *([options.geometric, options.colmap_fusion, options.window_radius] if backend == "colmap" else []),
+    )
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
     report_path = str(beside.with_name("reconstruction.html"))
     folder = ensure_folder(options.heights or str(beside.parent / f"{beside.stem}_heights"))
     done = reusable(options.output_scene, "reconstruct", key)
     if done is not None and _complete(done, folder) and Path(ties_path).exists():
-        progress.info(f"Reused {counted(sum(len(t.heights) for t in done.tiles), 'height map')} and the relative "
-                      f"pointing in '{options.output_scene}'.")
+        progress.info(
+            f"Reused {counted(sum(len(t.heights) for t in done.tiles), 'height map')} and the relative "
+            f"pointing in '{options.output_scene}'."
+        )
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene)
@@ -65,14 +73,27 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
         _lay_surface(scene, pairs, stretches, options, Part(notes, 0.35, 0.4))
         _match(scene, pairs, stretches, backend, key, str(folder), options, Part(notes, 0.4, 1.0))
-        scene.record("reconstruct", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings,
-                     backend=backend, ties=ties, pairs=[vars(pair) for pair in pairs])
+        scene.record(
+            "reconstruct",
+            key,
+            options.to_json(),
+            time.monotonic() - start,
+            warnings=notes.warnings,
+            backend=backend,
+            ties=ties,
+            pairs=[vars(pair) for pair in pairs],
+        )
         scene.save(options.output_scene)
         done = scene
     reconstruct_report(done).write(report_path)
     progress.step(1.0, "heights reconstructed")
-    return {"output_scene": options.output_scene, "tie_points": ties_path, "heights": str(folder),
-            "report": report_path, "n_tie_points": done.facts("reconstruct")["ties"]["count"]}
+    return {
+        "output_scene": options.output_scene,
+        "tie_points": ties_path,
+        "heights": str(folder),
+        "report": report_path,
+        "n_tie_points": done.facts("reconstruct")["ties"]["count"],
+    }
 
 
 def _tell_pairs(scene: Scene, pairs: Sequence[ViewPair], progress: Progress) -> None:
@@ -80,8 +101,10 @@ def _tell_pairs(scene: Scene, pairs: Sequence[ViewPair], progress: Progress) -> 
     possible = len(scene.views) * (len(scene.views) - 1) // 2
     if len(pairs) < possible:
         angles = [pair.angle_deg for pair in pairs]
-        progress.info(f"{len(pairs)} of {counted(possible, 'pair')} of images will be matched, at {min(angles):.1f} to "
-                      f"{max(angles):.1f} degrees.")
+        progress.info(
+            f"{len(pairs)} of {counted(possible, 'pair')} of images will be matched, at {min(angles):.1f} to "
+            f"{max(angles):.1f} degrees."
+        )
 
 
 def _complete(scene: Scene, folder: Path) -> bool:
@@ -90,15 +113,22 @@ def _complete(scene: Scene, folder: Path) -> bool:
     return all(file.exists() and file.parent.resolve() == folder.resolve() for file in files)
 
 
-def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], options: ReconstructOptions,
-           ties_path: str, progress: Progress) -> Dict[str, Any]:
+def _point(
+    scene: Scene,
+    pairs: Sequence[ViewPair],
+    stretches: Dict[str, Stretch],
+    options: ReconstructOptions,
+    ties_path: str,
+    progress: Progress,
+) -> Dict[str, Any]:
     """Point the views, narrow the tiles' altitudes, write the ties; gives the figures for the record."""
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
-        progress.warn(f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
-                      "where the vendors put it; fill the fields view, col and row of points with the role control.")
-    found = point_views(scene, pairs, stretches, options.pointing, gcps, progress,
-                        options.workers, options.adjustment)
+        progress.warn(
+            f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
+            "where the vendors put it; fill the fields view, col and row of points with the role control."
+        )
+    found = point_views(scene, pairs, stretches, options.pointing, gcps, progress, options.workers, options.adjustment)
     for tile in scene.tiles:
         tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
     _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)
@@ -108,13 +138,17 @@ def _point(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     return figures
 
 
-def _lay_surface(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch],
-                 options: ReconstructOptions, progress: Progress) -> None:
+def _lay_surface(
+    scene: Scene,
+    pairs: Sequence[ViewPair],
+    stretches: Dict[str, Stretch],
+    options: ReconstructOptions,
+    progress: Progress,
+) -> None:
     """The scene's coarse surface, where tie points do not tell every tile's altitudes or the refinement needs it."""
     if covered_by_ties(scene) and not options.own_surface:
         return
-    surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches,
-                             options.workers, progress)
+    surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches, options.workers, progress)
     for tile in scene.tiles:
         found = surface.altitudes(tile.bounds)
         tile.altitudes = scene.altitudes if found is None else _with_room(*found)
@@ -129,8 +163,13 @@ def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustme
     """The altitudes of the ties in and around a tile, with room for what they miss."""
     xmin, ymin, xmax, ymax = tile.bounds
     reach = 0.25 * max(xmax - xmin, ymax - ymin)
-    near = ((xy[:, 0] > xmin - reach) & (xy[:, 0] < xmax + reach) & (xy[:, 1] > ymin - reach)
-            & (xy[:, 1] < ymax + reach) & (adjusted.residual_px < 1.5))
+    near = (
+        (xy[:, 0] > xmin - reach)
+        & (xy[:, 0] < xmax + reach)
+        & (xy[:, 1] > ymin - reach)
+        & (xy[:, 1] < ymax + reach)
+        & (adjusted.residual_px < 1.5)
+    )
     heights = adjusted.ground[near, 2]
     if len(heights) < LEAST_TIES:
         return scene.altitudes
@@ -150,18 +189,47 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
         for number, (track, (x, y)) in enumerate(zip(tracks, xy)):
             point = ogr.Geometry(ogr.wkbPoint)
             point.AddPoint_2D(float(x), float(y))
-            yield point, (number, ", ".join(sorted(track.pixels)), float(adjusted.ground[number, 2]),
-                          float(adjusted.residual_px[number]), float(adjusted.before_px[number]),
-                          float(rows[number]), float(directions[number]))
+            yield (
+                point,
+                (
+                    number,
+                    ", ".join(sorted(track.pixels)),
+                    float(adjusted.ground[number, 2]),
+                    float(adjusted.residual_px[number]),
+                    float(adjusted.before_px[number]),
+                    float(rows[number]),
+                    float(directions[number]),
+                ),
+            )
 
-    write_layer(path, scene.crs, ogr.wkbPoint,
-                {"track": int, "views": str, "height": float, "residual": float, "before": float, "row": float,
-                 "direction": float}, features())
+    write_layer(
+        path,
+        scene.crs,
+        ogr.wkbPoint,
+        {
+            "track": int,
+            "views": str,
+            "height": float,
+            "residual": float,
+            "before": float,
+            "row": float,
+            "direction": float,
+        },
+        features(),
+    )
     write_style("tie_points", path)
 
 
-def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch], backend: str, key: str,
-           folder: str, options: ReconstructOptions, progress: Progress) -> None:
+def _match(
+    scene: Scene,
+    pairs: Sequence[ViewPair],
+    stretches: Dict[str, Stretch],
+    backend: str,
+    key: str,
+    folder: str,
+    options: ReconstructOptions,
+    progress: Progress,
+) -> None:
     """Match all pairs over all tiles, and note the height maps in the scene."""
     lean = scene.lean()
     records, tiles = [], list(scene.tiles)
@@ -169,15 +237,31 @@ def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
         records, tiles = _match_on_gpus(scene, pairs, stretches, options, key, folder, Part(progress, 0.0, 0.9))
         backend, progress = "sgm", Part(progress, 0.9, 1.0)
     tasks = [
-        DenseTask(lean, tile.id, tile.bounds, tile.altitudes, pair.first, pair.second,
-                  (stretches[pair.first], stretches[pair.second]), backend,
-                  str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
-                  fingerprint(key, tile.id, pair.first, pair.second))
-        for tile in tiles for pair in pairs if pair.first in tile.views and pair.second in tile.views]
+        DenseTask(
+            lean,
+            tile.id,
+            tile.bounds,
+            tile.altitudes,
+            pair.first,
+            pair.second,
+            (stretches[pair.first], stretches[pair.second]),
+            backend,
+            str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
+            fingerprint(key, tile.id, pair.first, pair.second),
+        )
+        for tile in tiles
+        for pair in pairs
+        if pair.first in tile.views and pair.second in tile.views
+    ]
     workers = _workers(tasks, pairs, options, progress)
     try:
-        records += run_tasks(match_tile, tasks, workers, progress,
-                             lambda task: f"matching tile {task.tile}, {task.first} and {task.second}")
+        records += run_tasks(
+            match_tile,
+            tasks,
+            workers,
+            progress,
+            lambda task: f"matching tile {task.tile}, {task.first} and {task.second}",
+        )
     except BaseException:
         for task in tasks:  # a worker that is ended while it writes cannot clean up
             drop_temporary(task.path)
@@ -190,8 +274,9 @@ def _match(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch
     _check(records, progress)
 
 
-def _workers(tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: ReconstructOptions,
-             progress: Progress) -> int:
+def _workers(
+    tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: ReconstructOptions, progress: Progress
+) -> int:
     """How many workers the memory allows; tiles are alike, so the one with the widest altitudes speaks for all."""
     if not tasks:
         return options.workers
@@ -199,20 +284,27 @@ def _workers(tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: Rec
     slope = max(pair.base_to_height for pair in pairs)
     disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.gsd_m
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
-    return workers_within(options.workers, matching_mib(*frame_size(task), disparities), options.memory,
-                          math.ceil(side), progress)
+    return workers_within(
+        options.workers, matching_mib(*frame_size(task), disparities), options.memory, math.ceil(side), progress
+    )
 
 
-def _match_on_gpus(scene: Scene, pairs: Sequence[ViewPair], stretches: Dict[str, Stretch],
-                   options: ReconstructOptions, key: str, folder: str,
-                   progress: Progress) -> Tuple[List[Any], List[Tile]]:
+def _match_on_gpus(
+    scene: Scene,
+    pairs: Sequence[ViewPair],
+    stretches: Dict[str, Stretch],
+    options: ReconstructOptions,
+    key: str,
+    folder: str,
+    progress: Progress,
+) -> Tuple[List[Any], List[Tile]]:
     """Records of the height maps by COLMAP, and the tiles that are left for the CPU: those a GPU failed on, if any.
 
     A tile that fails is named in a warning; where ``colmap`` was asked for by name it stays without heights. Raises
     DeviceError where that is so of all.
     """
-    from ..mvs.colmap_backend import match_tiles
-    from ..mvs.colmap_runner import PatchMatch
+    from ..colmap.backend import match_tiles
+    from ..colmap.runner import PatchMatch
 
     settings = PatchMatch(options.geometric, options.window_radius, options.gpu_memory, options.colmap_fusion)
     records, failed = match_tiles(scene, pairs, stretches, settings, key, folder, progress)
@@ -231,6 +323,9 @@ def _check(records: List[Any], progress: Progress) -> None:
     if valid < max(1000, _LEAST_SHARE * pixels):
         raise EmptyResultError(
             f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs. "
-            "Are the altitudes right, and do the images show the same ground without clouds?")
-    progress.info(f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on "
-                  f"{counted(len(made), 'tile pair')} (the frames' empty corners count).")
+            "Are the altitudes right, and do the images show the same ground without clouds?"
+        )
+    progress.info(
+        f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on "
+        f"{counted(len(made), 'tile pair')} (the frames' empty corners count)."
+    )

@@ -27,8 +27,9 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
     start = time.monotonic()
     scene = Scene.load(options.scene)
     dem = file_identity(options.dem) if options.dem else None
-    key = fingerprint("refine", scene.fingerprint, options.model, options.order, options.kernel, dem,
-                      options.write_images)
+    key = fingerprint(
+        "refine", scene.fingerprint, options.model, options.order, options.kernel, dem, options.write_images
+    )
     report_path = options.report or str(Path(options.output_scene).with_name("refinement.html"))
     done = reusable(options.output_scene, "refine", key)
     if done is not None:
@@ -42,12 +43,18 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
         scene.save(options.output_scene)
     refine_report(scene).write(report_path)
     errors = [view.refined.error for tile in scene.tiles for view in tile.views.values()]
-    rmse = float(np.sqrt(np.mean([e.rmse ** 2 for e in errors])))
-    progress.info(f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max "
-                  f"{max(e.max for e in errors):.3f} px.")
+    rmse = float(np.sqrt(np.mean([e.rmse**2 for e in errors])))
+    progress.info(
+        f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max "
+        f"{max(e.max for e in errors):.3f} px."
+    )
     progress.step(1.0, "images refined")
-    return {"output_scene": options.output_scene, "report": report_path, "rmse": rmse,
-            "max_error": max(e.max for e in errors)}
+    return {
+        "output_scene": options.output_scene,
+        "report": report_path,
+        "rmse": rmse,
+        "max_error": max(e.max for e in errors),
+    }
 
 
 def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> None:
@@ -60,11 +67,14 @@ def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> None:
 def use_surface(scene: Scene, source: str, progress: Progress) -> None:
     """Make the terrain model's surface from heights in a raster, and let the scene refine with it."""
     scene.refinement = "terrain"
-    scene.surface = make_surface(source, lon_lat_bounds(scene), _SURFACE_PX * scene.gsd_m,
-                                 str(scene.folder("surface") / "surface.tif"))
+    scene.surface = make_surface(
+        source, lon_lat_bounds(scene), _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "surface.tif")
+    )
     heights = load_surface(scene.surface).heights
-    progress.info(f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
-                  f"{heights.max():.0f} m, from '{source}'.")
+    progress.info(
+        f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
+        f"{heights.max():.0f} m, from '{source}'."
+    )
 
 
 def refine_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None) -> None:
@@ -75,8 +85,9 @@ def refine_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None)
             progress.check_cancelled()
             rpc = scene.view(name).rpc
             grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, TILE_GRID)
-            tile_view.refined = refine_pinhole(scene.refinement, tile_view.camera, grid, tile_view.window, scene.order,
-                                               scene.terrain(rpc))
+            tile_view.refined = refine_pinhole(
+                scene.refinement, tile_view.camera, grid, tile_view.window, scene.order, scene.terrain(rpc)
+            )
             if kernel:
                 tile_view.image = _write_image(scene, tile.id, name, tile_view, kernel)
 
@@ -87,8 +98,12 @@ def _source(scene: Scene, options: RefineOptions) -> str:
         return options.dem
     if any(tile.heights for tile in scene.tiles):
         return own_surface(scene, _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif"))
-    raise OptionError("MODEL", options.model, "needs a surface: give a DEM, or a scene that has heights already "
-                      "('Reconstruct heights' with another MODEL first); 'Make a DSM' finds the surface by itself")
+    raise OptionError(
+        "MODEL",
+        options.model,
+        "needs a surface: give a DEM, or a scene that has heights already "
+        "('Reconstruct heights' with another MODEL first); 'Make a DSM' finds the surface by itself",
+    )
 
 
 def _write_image(scene: Scene, tile: str, name: str, tile_view: TileView, kernel: str) -> str:
@@ -99,12 +114,23 @@ def _write_image(scene: Scene, tile: str, name: str, tile_view: TileView, kernel
     view = scene.view(name)
     path = str(scene.folder("refined") / f"{tile}_{name}.tif")
     width, height = tile_view.refined.size
-    with opened(view.image) as dataset, created(
-            path, (height, width), np.dtype(np.uint16), 1, None, "", nodata=0,
-            metadata={"REPM_VIEW": name, "REPM_TILE": tile}) as target:
+    with (
+        opened(view.image) as dataset,
+        created(
+            path,
+            (height, width),
+            np.dtype(np.uint16),
+            1,
+            None,
+            "",
+            nodata=0,
+            metadata={"REPM_VIEW": name, "REPM_TILE": tile},
+        ) as target,
+    ):
         to_original = tile_view.refined.to_original.original_from_refined
         for row, pixels in warp_strips(dataset, view.band, to_original, (width, height), kernel):
             known = np.isfinite(pixels)
-            target.write(np.where(known, np.clip(np.rint(np.where(known, pixels, 0)), 1, 65535), 0).astype(np.uint16),
-                         0, row)
+            target.write(
+                np.where(known, np.clip(np.rint(np.where(known, pixels, 0)), 1, 65535), 0).astype(np.uint16), 0, row
+            )
     return path

@@ -92,11 +92,16 @@ int cuMemGetInfo_v2(size_t *free, size_t *total) { *free = 7ul << 30; *total = 8
 def test_devices_are_those_that_give_a_context(tmp_path, monkeypatch):
     """A driver of our own with three cards, of which the second is taken by somebody else."""
     (tmp_path / "driver.c").write_text(_DRIVER)
-    subprocess.run(["gcc", "-shared", "-fPIC", "-o", str(tmp_path / "libcuda.so.1"), str(tmp_path / "driver.c")],
-                   check=True, timeout=60)
+    subprocess.run(
+        ["gcc", "-shared", "-fPIC", "-o", str(tmp_path / "libcuda.so.1"), str(tmp_path / "driver.c")],
+        check=True,
+        timeout=60,
+    )
     monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
-    assert environment.gpus() == [environment.Gpu(0, "Card A", 8 << 30, 7 << 30),
-                                  environment.Gpu(2, "Card B", 8 << 30, 7 << 30)]
+    assert environment.gpus() == [
+        environment.Gpu(0, "Card A", 8 << 30, 7 << 30),
+        environment.Gpu(2, "Card B", 8 << 30, 7 << 30),
+    ]
     assert [str(gpu) for gpu in environment.gpus()] == ["Card A, 8 GiB", "Card B, 8 GiB"]
 
 
@@ -123,8 +128,15 @@ def test_proj_grids_are_looked_for_where_proj_looks(found, tmp_path, monkeypatch
 
 
 def test_the_survey_imports_none_of_the_heavy_packages():
-    code = ("import sys; from repm_qgis.environment import survey; survey();"
-            "print(sorted(set(sys.modules) & {'cv2', 'pycolmap', 'laspy', 'lazrs', 'qgis'}))")
-    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=True,
-                          cwd=os.path.dirname(os.path.dirname(environment.__file__)))
+    code = (
+        "import sys; from repm_qgis.environment import survey; survey();"
+        "print(sorted(set(sys.modules) & {'cv2', 'pycolmap', 'laspy', 'lazrs', 'qgis'}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+        cwd=os.path.dirname(os.path.dirname(environment.__file__)),
+    )
     assert done.stdout.strip() == "[]"

@@ -17,15 +17,18 @@ MODULES = sorted(info.name for info in pkgutil.walk_packages([str(ENGINE)], "rep
 
 
 def python(code):
-    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, stdout=subprocess.PIPE,
-                          stderr=subprocess.PIPE, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False
+    )
 
 
 def test_every_module_imports_without_qgis():
     assert len(MODULES) > 50 and "repm_qgis.stages.pipeline" in MODULES
-    done = python("import importlib, sys\nfor name in ('qgis', 'PyQt5', 'PyQt6', 'processing'):\n"
-                  "    sys.modules[name] = None\n"
-                  f"for name in {MODULES!r}:\n    importlib.import_module(name)")
+    done = python(
+        "import importlib, sys\nfor name in ('qgis', 'PyQt5', 'PyQt6', 'processing'):\n"
+        "    sys.modules[name] = None\n"
+        f"for name in {MODULES!r}:\n    importlib.import_module(name)"
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "" and "Error" not in done.stderr
 
@@ -33,15 +36,19 @@ def test_every_module_imports_without_qgis():
 @pytest.mark.parametrize("stage", ("epmfit", "errormap", "comparedsm", "checkgcps", "environment"))
 def test_light_stages_need_only_what_qgis_ships(stage):
     """numpy, GDAL and pyproj: these stages run in QGIS's own process, where the wheels may be missing."""
-    done = python("import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"
-                  f"    sys.modules[name] = None\nimport repm_qgis.stages.{stage}")
+    done = python(
+        "import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"
+        f"    sys.modules[name] = None\nimport repm_qgis.stages.{stage}"
+    )
     assert done.returncode == 0, done.stderr
 
 
 def test_heavy_packages_are_imported_only_where_they_are_used():
-    done = python("import sys\nimport repm_qgis, repm_qgis.options, repm_qgis.stages, repm_qgis.scene\n"
-                  "import repm_qgis.stages.epmfit\n"
-                  "print([n for n in ('cv2', 'pycolmap', 'laspy', 'open3d', 'scipy') if n in sys.modules])")
+    done = python(
+        "import sys\nimport repm_qgis, repm_qgis.options, repm_qgis.stages, repm_qgis.scene\n"
+        "import repm_qgis.stages.epmfit\n"
+        "print([n for n in ('cv2', 'pycolmap', 'laspy', 'open3d', 'scipy') if n in sys.modules])"
+    )
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
@@ -55,8 +62,9 @@ def test_no_file_prints_exits_or_reaches_for_qgis():
                 found.append(f"{path.name}: {name}")
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
-                found += [f"{path.name}: {n}" for n in names if n.split(".")[0] in ("qgis", "PyQt5", "random",
-                                                                                    "pickle")]
+                found += [
+                    f"{path.name}: {n}" for n in names if n.split(".")[0] in ("qgis", "PyQt5", "random", "pickle")
+                ]
             if isinstance(node, ast.Assert):
                 found.append(f"{path.name}: assert")
             if isinstance(node, ast.Attribute) and node.attr == "exit" and path.name != "__main__.py":
@@ -67,10 +75,12 @@ def test_no_file_prints_exits_or_reaches_for_qgis():
 def test_the_command_line_counts_a_bug_as_2(tmp_path):
     """An exception that is not ours: code 2 and the traceback as a message."""
     (tmp_path / "job.json").write_text("{}")
-    done = python("import sys\nimport repm_qgis.stages as s\n"
-                  "def broken(*a):\n    raise ZeroDivisionError('a bug')\n"
-                  "s.run_stage = broken\nfrom repm_qgis.__main__ import main\n"
-                  f"sys.exit(main(['environment', {str(tmp_path / 'job.json')!r}]))")
+    done = python(
+        "import sys\nimport repm_qgis.stages as s\n"
+        "def broken(*a):\n    raise ZeroDivisionError('a bug')\n"
+        "s.run_stage = broken\nfrom repm_qgis.__main__ import main\n"
+        f"sys.exit(main(['environment', {str(tmp_path / 'job.json')!r}]))"
+    )
     assert done.returncode == 2
     last = json.loads(done.stdout.splitlines()[-1])
     assert last["type"] == "bug" and "ZeroDivisionError: a bug" in last["text"]
@@ -78,11 +88,17 @@ def test_the_command_line_counts_a_bug_as_2(tmp_path):
 
 def test_the_command_line_runs_a_pipeline(urban, tmp_path):
     """One heavy stage as QGIS starts it: JSON lines alone, rising progress, the result last."""
-    (tmp_path / "job.json").write_text(json.dumps({
-        "images": urban.images[:2], "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")}))
-    done = subprocess.run([sys.executable, "-m", "repm_qgis", "pipeline", str(tmp_path / "job.json")], cwd=ROOT,
-                          text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False)
+    (tmp_path / "job.json").write_text(
+        json.dumps({"images": urban.images[:2], "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")})
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "repm_qgis", "pipeline", str(tmp_path / "job.json")],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     said = [json.loads(line) for line in done.stdout.splitlines()]
     fractions = [message["fraction"] for message in said if message["type"] == "progress"]

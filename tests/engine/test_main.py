@@ -14,8 +14,15 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 def engine(*arguments, **keywords):
-    return subprocess.run([sys.executable, "-m", "repm_qgis", *map(str, arguments)], cwd=ROOT, text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False, **keywords)
+    return subprocess.run(
+        [sys.executable, "-m", "repm_qgis", *map(str, arguments)],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        check=False,
+        **keywords,
+    )
 
 
 def messages(done):
@@ -41,11 +48,12 @@ def test_expected_failures_are_sentences_and_code_1(tmp_path):
     broken = tmp_path / "broken.json"
     broken.write_text('{"report": ')
     for arguments, words in (
-            (["environment"], "must be a STAGE and a JOB.json"),
-            (["nonsense", job(tmp_path)], "must be one of epmfit"),
-            (["environment", broken], "must be a readable JSON file"),
-            (["environment", tmp_path / "gone.json"], "must be a readable JSON file"),
-            (["environment", job(tmp_path, colour="red")], "is not an option of this stage")):
+        (["environment"], "must be a STAGE and a JOB.json"),
+        (["nonsense", job(tmp_path)], "must be one of epmfit"),
+        (["environment", broken], "must be a readable JSON file"),
+        (["environment", tmp_path / "gone.json"], "must be a readable JSON file"),
+        (["environment", job(tmp_path, colour="red")], "is not an option of this stage"),
+    ):
         done = engine(*arguments)
         assert done.returncode == 1
         assert messages(done)[-1]["type"] == "error"
@@ -55,9 +63,13 @@ def test_expected_failures_are_sentences_and_code_1(tmp_path):
 
 def test_sigterm_cancels_and_cleans_up(tmp_path):
     folder = tmp_path / "scene"
-    running = subprocess.Popen([sys.executable, "-m", "repm_qgis", "sampledata",
-                                str(job(tmp_path, folder=str(folder), size=2000))], cwd=ROOT, text=True,
-                               stdout=subprocess.PIPE, start_new_session=True)
+    running = subprocess.Popen(
+        [sys.executable, "-m", "repm_qgis", "sampledata", str(job(tmp_path, folder=str(folder), size=2000))],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
     running.stdout.readline()  # it has begun
     time.sleep(0.5)
     os.killpg(running.pid, signal.SIGTERM)
@@ -67,8 +79,15 @@ def test_sigterm_cancels_and_cleans_up(tmp_path):
 
 
 def test_the_engine_runs_where_qgis_cannot_be_imported(tmp_path):
-    code = ("import sys; sys.modules['qgis'] = None; sys.modules['PyQt5'] = None; "
-            "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))")
-    done = subprocess.run([sys.executable, "-c", code, "environment", str(job(tmp_path))], cwd=ROOT, text=True,
-                          stdout=subprocess.PIPE, check=False)
+    code = (
+        "import sys; sys.modules['qgis'] = None; sys.modules['PyQt5'] = None; "
+        "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "environment", str(job(tmp_path))],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        check=False,
+    )
     assert done.returncode == 0 and messages(done)[-1]["type"] == "result"

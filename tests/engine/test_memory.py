@@ -15,7 +15,7 @@ from repm_qgis.errors import OptionError
 from repm_qgis.memory import free_mib, fusing_mib, largest_tile, matching_mib, workers_within
 
 ROOT = Path(__file__).resolve().parents[2]
-BEGIN = '''
+BEGIN = """
 import json, sys
 from repm_qgis.parallel import _bound_threads
 _bound_threads()
@@ -26,10 +26,12 @@ tile = scene.tiles[0]
 def end(*facts):
     peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
     print(json.dumps([int(peak.split()[1]) / 1024, *facts]))
-'''
-MATCHING = BEGIN + '''
+"""
+MATCHING = (
+    BEGIN
+    + """
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.mvs.dense import DenseTask, frame_size, match_tile
+from repm_qgis.matching.dense import DenseTask, frame_size, match_tile
 x, y = (tile.bounds[0] + tile.bounds[2]) / 2, (tile.bounds[1] + tile.bounds[3]) / 2
 half = side * scene.gsd_m / 2
 first, second = scene.views[:2]
@@ -38,8 +40,11 @@ task = DenseTask(scene.lean(), "t", (x - half, y - half, x + half, y + half),
                  tuple(view_stretch(v.image, v.band) for v in (first, second)), "sgm", f"{out}{side}{extra}.tif", "key")
 record = match_tile(task)
 end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record["metres_per_px"])
-'''
-FUSING = BEGIN + '''
+"""
+)
+FUSING = (
+    BEGIN
+    + """
 from repm_qgis.dsm.fusion import FuseTask, fuse_to_disk
 from repm_qgis.dsm.products import Layout
 records = tuple(tile.heights[:1] * int(extra))
@@ -48,7 +53,8 @@ grid, windows = layout.grid, layout.windows
 fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, "median", "occlusions", 1.5, (),
                        False), out + ".npz"))
 end([record["size"][0] * record["size"][1] for record in records], grid.shape[0] * grid.shape[1])
-'''
+"""
+)
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak is told by Linux")
 
 
@@ -57,12 +63,18 @@ def measured(shared_data, pipeline, tmp_path_factory):
     """measured(code, side, extra): the peak of a process that does one task on truth_urban, MiB, and facts of it."""
     folder = tmp_path_factory.mktemp("memory")
     images = [str(shared_data / "truth_urban" / f"img_0{i}.tif") for i in (1, 2)]
-    scene = pipeline(SimpleNamespace(images=images), folder, confidence=None, ortho=None, cloud=None,
-                     workers=1).result["scene"]
+    scene = pipeline(SimpleNamespace(images=images), folder, confidence=None, ortho=None, cloud=None, workers=1).result[
+        "scene"
+    ]
 
     def measure(code, side, extra):
-        done = subprocess.run([sys.executable, "-c", code, scene, str(side), str(extra), str(folder / "made")],
-                              cwd=ROOT, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code, scene, str(side), str(extra), str(folder / "made")],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         return json.loads(done.stdout)
 
     return measure
@@ -91,8 +103,11 @@ def test_a_budget_bounds_the_workers_and_says_so(told):
 
 
 def test_a_tile_that_is_too_large_names_the_remedy(told):
-    with pytest.raises(OptionError, match="MEMORY is 200: it is less than the 420 MiB that one tile of 1600 px takes; "
-                                          "allow more, or choose a TILE_SIZE of 760 px or less"):
+    with pytest.raises(
+        OptionError,
+        match="MEMORY is 200: it is less than the 420 MiB that one tile of 1600 px takes; "
+        "allow more, or choose a TILE_SIZE of 760 px or less",
+    ):
         workers_within(2, 420.0, 200, 1600, told())
     side = largest_tile(1600, matching_mib(1600, 1600, 0), 200.0)
     assert matching_mib(side, side, 0) < 200.0
@@ -124,8 +139,15 @@ def test_free_memory_is_what_the_machine_has(monkeypatch, tmp_path):
 
 def test_a_dsm_does_not_depend_on_the_budget(urban, tmp_path, pipeline):
     """Enough for one worker and for many: the same bytes; too little: a sentence."""
-    options = {"images": urban.images[:2], "resolution": 0.5, "tile_size": 256, "confidence": None, "ortho": None,
-               "cloud": None, "workers": 2}
+    options = {
+        "images": urban.images[:2],
+        "resolution": 0.5,
+        "tile_size": 256,
+        "confidence": None,
+        "ortho": None,
+        "cloud": None,
+        "workers": 2,
+    }
     runs = [pipeline(urban, tmp_path / str(budget), memory=budget, **options) for budget in (200, 4000)]
     assert any("1 instead of 2 workers" in note for note in runs[0].said.notes)
     assert not any("instead of" in note for note in runs[1].said.notes)

@@ -16,7 +16,7 @@ from repm_qgis.parallel import cores, kept_workers, run_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
-WORK = '''
+WORK = """
 import os, signal, time
 from repm_qgis.errors import OptionError
 
@@ -44,7 +44,7 @@ def busy(seconds):
 def who(x):
     time.sleep(0.05)
     return os.getpid()
-'''
+"""
 
 
 @pytest.fixture(scope="module")
@@ -101,9 +101,9 @@ def test_cancel_is_quick_and_leaves_no_process(work, told):
     with pytest.raises(Cancelled):
         run_tasks(work.slow, list(range(8)), 2, told(cancel_at=3), str)
     assert time.monotonic() - start < 5
-    listed = subprocess.run(["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True,
-                            stdout=subprocess.PIPE,
-                            check=False).stdout
+    listed = subprocess.run(
+        ["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True, stdout=subprocess.PIPE, check=False
+    ).stdout
     running = "".join(line for line in listed.splitlines(True) if " Z" not in line)
     assert "spawn_main" not in running and "forkserver" not in running
 

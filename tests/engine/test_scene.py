@@ -19,10 +19,16 @@ from repm_qgis.stages import run_stage
 def fitted(urban, tmp_path_factory, told):
     """The path of a scene with cameras and refinements."""
     folder = tmp_path_factory.mktemp("fitted")
-    result = run_stage("epmfit", {"images": urban.images, "workspace": str(folder), "altitude_min": 150.0,
-                                  "altitude_max": 260.0}, told())
-    return run_stage("refine", {"scene": result["scene"], "output_scene": str(folder / "refined.json"),
-                                "write_images": False}, told())["output_scene"]
+    result = run_stage(
+        "epmfit",
+        {"images": urban.images, "workspace": str(folder), "altitude_min": 150.0, "altitude_max": 260.0},
+        told(),
+    )
+    return run_stage(
+        "refine",
+        {"scene": result["scene"], "output_scene": str(folder / "refined.json"), "write_images": False},
+        told(),
+    )["output_scene"]
 
 
 def test_there_and_back_is_the_same_to_the_last_bit(fitted, tmp_path):
@@ -34,8 +40,10 @@ def test_there_and_back_is_the_same_to_the_last_bit(fitted, tmp_path):
     points = np.random.default_rng(0).uniform(-100, 100, (20, 3))
     for old, new in zip(scene.tiles[0].views.values(), again.tiles[0].views.values()):
         np.testing.assert_array_equal(old.camera.project(points), new.camera.project(points))
-        np.testing.assert_array_equal(old.refined.to_original.original_from_refined(points[:, :2]),
-                                      new.refined.to_original.original_from_refined(points[:, :2]))
+        np.testing.assert_array_equal(
+            old.refined.to_original.original_from_refined(points[:, :2]),
+            new.refined.to_original.original_from_refined(points[:, :2]),
+        )
     assert again.views[0].rpc == scene.views[0].rpc and again.fingerprint == scene.fingerprint
 
 
@@ -87,16 +95,27 @@ def test_pointing_moves_pixels_and_localise_undoes_it(fitted):
     np.testing.assert_allclose(moved.localise(moved.project(ground), 200.0), ground, atol=1e-11)
 
 
-@pytest.mark.parametrize("change, words", (
-    (lambda d: d.pop("views"), "damaged"), (lambda d: d.pop("tiles"), "damaged"),
-    (lambda d: d["views"][0].pop("rpc"), "damaged"), (lambda d: d.update(tiles=5), "damaged"),
-    (lambda d: d["views"][0]["rpc"].update(row_scale=0), "row scale is 0"),
-    (lambda d: d["views"][0].update(width="wide"), "damaged"), (lambda d: d["views"][0].update(band=float("inf")),
-                                                                "damaged"),
-    (lambda d: d["tiles"][0].update(views=[1]), "damaged"), (lambda d: d.update(altitudes=None), "damaged"),
-    (lambda d: next(iter(d["tiles"][0]["views"].values())).update(window=[float("inf")] * 4), "damaged"),
-    (lambda d: next(iter(d["tiles"][0]["views"].values()))["refined"]["to_original"].update(kind="spline"), "spline"),
-    (lambda d: d.update(frame=[]), "damaged"), (lambda d: d.update(format="other"), "is not a REPM scene")))
+@pytest.mark.parametrize(
+    "change, words",
+    (
+        (lambda d: d.pop("views"), "damaged"),
+        (lambda d: d.pop("tiles"), "damaged"),
+        (lambda d: d["views"][0].pop("rpc"), "damaged"),
+        (lambda d: d.update(tiles=5), "damaged"),
+        (lambda d: d["views"][0]["rpc"].update(row_scale=0), "row scale is 0"),
+        (lambda d: d["views"][0].update(width="wide"), "damaged"),
+        (lambda d: d["views"][0].update(band=float("inf")), "damaged"),
+        (lambda d: d["tiles"][0].update(views=[1]), "damaged"),
+        (lambda d: d.update(altitudes=None), "damaged"),
+        (lambda d: next(iter(d["tiles"][0]["views"].values())).update(window=[float("inf")] * 4), "damaged"),
+        (
+            lambda d: next(iter(d["tiles"][0]["views"].values()))["refined"]["to_original"].update(kind="spline"),
+            "spline",
+        ),
+        (lambda d: d.update(frame=[]), "damaged"),
+        (lambda d: d.update(format="other"), "is not a REPM scene"),
+    ),
+)
 def test_damaged_scenes(fitted, tmp_path, change, words):
     document = json.loads(open(fitted, encoding="utf-8").read())
     change(document)
@@ -173,7 +192,8 @@ def test_images_that_are_too_small_or_not_where_their_rpc_is(tmp_path, urban, wr
     with pytest.raises(RpcInvalidError) as caught:
         load_views((write_image(tmp_path / "far.tif", rpc=far),))
     assert "far.tif" in str(caught.value)
-    microscope = rpc.__class__(**{**rpc.to_mapping(), "lat_scale": rpc.lat_scale / 1e4,
-                                  "lon_scale": rpc.lon_scale / 1e4})
+    microscope = rpc.__class__(
+        **{**rpc.to_mapping(), "lat_scale": rpc.lat_scale / 1e4, "lon_scale": rpc.lon_scale / 1e4}
+    )
     with pytest.raises(RpcInvalidError, match="micro.tif.*(no satellite image|cannot be used)"):
         load_views((write_image(tmp_path / "micro.tif", rpc=microscope),))

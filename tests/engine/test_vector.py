@@ -20,8 +20,16 @@ def features(count=3):
         yield point, (f"pörtø {number}", number, 0.5 * number if number != 1 else None)
 
 
-@pytest.mark.parametrize("name, driver", (("a.gpkg", "GPKG"), ("a.geojson", "GeoJSON"), ("a.shp", "ESRI Shapefile"),
-                                          ("a.fgb", "FlatGeobuf"), ("a.GPKG", "GPKG")))
+@pytest.mark.parametrize(
+    "name, driver",
+    (
+        ("a.gpkg", "GPKG"),
+        ("a.geojson", "GeoJSON"),
+        ("a.shp", "ESRI Shapefile"),
+        ("a.fgb", "FlatGeobuf"),
+        ("a.GPKG", "GPKG"),
+    ),
+)
 def test_layers_come_back(tmp_path, name, driver):
     path = str(tmp_path / "new" / name)
     for count in (5, 3):  # written over, it has only the new features
@@ -41,8 +49,12 @@ def test_layers_come_back(tmp_path, name, driver):
 def test_what_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.gpkg").mkdir()
-    for path in (str(tmp_path / "file" / "a.gpkg"), "/proc/nowhere/a.gpkg", str(tmp_path / "file" / "a.shp"),
-                 str(tmp_path / "folder.gpkg")):
+    for path in (
+        str(tmp_path / "file" / "a.gpkg"),
+        "/proc/nowhere/a.gpkg",
+        str(tmp_path / "file" / "a.shp"),
+        str(tmp_path / "folder.gpkg"),
+    ):
         with pytest.raises(WorkspaceError) as caught:
             write_layer(path, "EPSG:32631", ogr.wkbPoint, FIELDS, features())
         assert os.path.dirname(path) in str(caught.value)

@@ -99,8 +99,15 @@ def headless(tmp_path_factory):
         # The tests' own interpreter must not tell qgis_process where Python is.
         environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_"))}
         environment.update(REPM_QGIS_CONFIG=str(config), **variables)
-        return subprocess.run([str(ROOT / "scripts" / "qgis-headless"), *map(str, arguments)], env=environment,
-                              stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, timeout=timeout, check=False)
+        return subprocess.run(
+            [str(ROOT / "scripts" / "qgis-headless"), *map(str, arguments)],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
 
     return run
 

@@ -35,6 +35,7 @@ def guarded(step):
         except Exception:
             FOUND["error"] = traceback.format_exc()
             finish(1)
+
     return run
 
 
@@ -69,8 +70,11 @@ def open_from_toolbox():
 
 @guarded
 def fill_in():
-    dialogs = [widget for widget in QApplication.topLevelWidgets()
-               if hasattr(widget, "algorithm") and hasattr(widget, "runButton") and widget.isVisible()]
+    dialogs = [
+        widget
+        for widget in QApplication.topLevelWidgets()
+        if hasattr(widget, "algorithm") and hasattr(widget, "runButton") and widget.isVisible()
+    ]
     dialog = dialogs[0]
     dialog.setParameters(PLAN["parameters"])
     dialog.resize(980, 760)
@@ -90,9 +94,17 @@ def look(dialog, success):
     for node in QgsProject.instance().layerTreeRoot().findLayers():  # from top to bottom
         layer = node.layer()
         renderer = layer.renderer() if hasattr(layer, "renderer") else None
-        FOUND["layers"].append({"name": layer.name(), "valid": layer.isValid(), "crs": layer.crs().authid(),
-                                "source": layer.source(), "renderer": type(renderer).__name__,
-                                "group": node.parent().name(), "shown": node.isVisible()})
+        FOUND["layers"].append(
+            {
+                "name": layer.name(),
+                "valid": layer.isValid(),
+                "crs": layer.crs().authid(),
+                "source": layer.source(),
+                "renderer": type(renderer).__name__,
+                "group": node.parent().name(),
+                "shown": node.isVisible(),
+            }
+        )
     if QgsProject.instance().mapLayers():
         iface.mapCanvas().zoomToFullExtent()
     plugins["processing"].toolbox.setUserVisible(False)

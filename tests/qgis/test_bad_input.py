@@ -60,7 +60,10 @@ def bad(sample, tmp_path_factory):
         "nan": spoilt(folder / "nan.tif", second, LINE_OFF="nan"),
         "zero scale": spoilt(folder / "zero.tif", second, LAT_SCALE="0"),
         "elsewhere": spoilt(folder / "far.tif", second, LONG_OFF="2.44"),
-        "cut": str(cut), "text": str(folder / "text.tif"), "gone": str(folder / "gone.tif")}
+        "cut": str(cut),
+        "text": str(folder / "text.tif"),
+        "gone": str(folder / "gone.tif"),
+    }
 
 
 SENTENCES = {
@@ -97,30 +100,47 @@ def one_sentence(text, *words):
 @pytest.mark.parametrize("fault", SENTENCES)
 def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample, bad, tmp_path, fault):
     workspace = tmp_path / "w"
-    text = message_of("epmfit", {"IMAGES": [sample["images"][0], bad[fault]], "WORKSPACE": str(workspace),
-                                 "TILES": str(tmp_path / "t.gpkg"), "REPORT": str(tmp_path / "r.html")}, feedback)
+    text = message_of(
+        "epmfit",
+        {
+            "IMAGES": [sample["images"][0], bad[fault]],
+            "WORKSPACE": str(workspace),
+            "TILES": str(tmp_path / "t.gpkg"),
+            "REPORT": str(tmp_path / "r.html"),
+        },
+        feedback,
+    )
     one_sentence(text, *SENTENCES[fault])
     assert [path.name for path in tmp_path.rglob("*")] in ([], ["w"])
 
 
-@pytest.mark.parametrize(("values", "words"), [
-    ({"EXTENT": "0,1,0,1 [EPSG:4326]"}, ("EXTENT x 0.00000 to 1.00000", "EPSG:4326", "x 1.43", "Draw it there")),
-    ({"CRS": "EPSG:4326"}, ("CRS is 'EPSG:4326'", "must be a projected CRS")),
-    ({"CRS": "EPSG:2263"}, ("CRS is 'EPSG:2263'", "foot", "choose one in metres")),
-    ({"MODEL": "quadratic"}, ("MODEL is 'quadratic'", "choose one of none, homography, polynomial, terrain")),
-    ({"ORDER": 9}, ("ORDER is 9", "between 2 and 5")),
-    ({"ORDER": "2.5"}, ("ORDER is '2.5'", "a whole number")),
-    ({"RESOLUTION": "fine"}, ("RESOLUTION is 'fine'", "give a number")),
-    ({"RESOLUTION": -1}, ("RESOLUTION is -1", "between 0 and 1000")),
-    ({"ALTITUDE_MIN": 5000}, ("ALTITUDE_MIN is 5000", "the ground lies between")),
-    ({"TILE_SIZE": 10}, ("TILE_SIZE is 10", "256 and 20000 px, or be 0")),
-    ({"DEM": "gone.tif"}, ("DEM 'gone.tif' is not there",)),
-    ({"WORKSPACE": "/proc/none"}, ("folder '/proc/none'", "choose another one")),
-    ({"OUTPUT": "/proc/none/dsm.tif"}, ("folder '/proc/none'", "choose another one")),  # before the matching
-])
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"EXTENT": "0,1,0,1 [EPSG:4326]"}, ("EXTENT x 0.00000 to 1.00000", "EPSG:4326", "x 1.43", "Draw it there")),
+        ({"CRS": "EPSG:4326"}, ("CRS is 'EPSG:4326'", "must be a projected CRS")),
+        ({"CRS": "EPSG:2263"}, ("CRS is 'EPSG:2263'", "foot", "choose one in metres")),
+        ({"MODEL": "quadratic"}, ("MODEL is 'quadratic'", "choose one of none, homography, polynomial, terrain")),
+        ({"ORDER": 9}, ("ORDER is 9", "between 2 and 5")),
+        ({"ORDER": "2.5"}, ("ORDER is '2.5'", "a whole number")),
+        ({"RESOLUTION": "fine"}, ("RESOLUTION is 'fine'", "give a number")),
+        ({"RESOLUTION": -1}, ("RESOLUTION is -1", "between 0 and 1000")),
+        ({"ALTITUDE_MIN": 5000}, ("ALTITUDE_MIN is 5000", "the ground lies between")),
+        ({"TILE_SIZE": 10}, ("TILE_SIZE is 10", "256 and 20000 px, or be 0")),
+        ({"DEM": "gone.tif"}, ("DEM 'gone.tif' is not there",)),
+        ({"WORKSPACE": "/proc/none"}, ("folder '/proc/none'", "choose another one")),
+        ({"OUTPUT": "/proc/none/dsm.tif"}, ("folder '/proc/none'", "choose another one")),  # before the matching
+    ],
+)
 def test_a_wrong_value_is_one_sentence(plugin, feedback, sample, tmp_path, values, words):
-    given = {"IMAGES": sample["images"][:2], "WORKSPACE": str(tmp_path / "w"), "OUTPUT": str(tmp_path / "dsm.tif"),
-             "TILES": str(tmp_path / "t.gpkg"), "TIE_POINTS": str(tmp_path / "p.gpkg"), **values}
+    given = {
+        "IMAGES": sample["images"][:2],
+        "WORKSPACE": str(tmp_path / "w"),
+        "OUTPUT": str(tmp_path / "dsm.tif"),
+        "TILES": str(tmp_path / "t.gpkg"),
+        "TIE_POINTS": str(tmp_path / "p.gpkg"),
+        **values,
+    }
     one_sentence(message_of("pipeline", given, feedback), *words)
     assert not [path for path in tmp_path.rglob("*") if path.suffix in (".tif", ".json", ".html", ".gpkg")]
 
@@ -129,27 +149,42 @@ def test_a_wrong_value_is_one_sentence(plugin, feedback, sample, tmp_path, value
 def scene(plugin, ears, sample, tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
-    results, fine = algorithm.run({"IMAGES": sample["images"], "WORKSPACE": str(folder)}, QgsProcessingContext(),
-                                  ears())
+    results, fine = algorithm.run(
+        {"IMAGES": sample["images"], "WORKSPACE": str(folder)}, QgsProcessingContext(), ears()
+    )
     assert fine
     return results["SCENE"]
 
 
 def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sample, tmp_path):
     out = str(tmp_path / "o.tif")
-    one_sentence(message_of("dsmfuse", {"SCENE": scene, "OUTPUT": out}, feedback), scene, "has no height maps",
-                 "Reconstruct heights")
+    one_sentence(
+        message_of("dsmfuse", {"SCENE": scene, "OUTPUT": out}, feedback),
+        scene,
+        "has no height maps",
+        "Reconstruct heights",
+    )
     one_sentence(message_of("dsmfuse", {"SCENE": sample["images"][0], "OUTPUT": out}, feedback), "is no scene")
-    one_sentence(message_of("refine", {"SCENE": scene, "MODEL": "terrain", "OUTPUT_SCENE": str(tmp_path / "s.json")},
-                            feedback), "MODEL is 'terrain'", "give a DEM")
-    one_sentence(message_of("errormap", {"SCENE": scene, "VIEW": "nobody", "OUTPUT": out}, feedback), "'nobody'",
-                 "img_01, img_02, img_03")
+    one_sentence(
+        message_of("refine", {"SCENE": scene, "MODEL": "terrain", "OUTPUT_SCENE": str(tmp_path / "s.json")}, feedback),
+        "MODEL is 'terrain'",
+        "give a DEM",
+    )
+    one_sentence(
+        message_of("errormap", {"SCENE": scene, "VIEW": "nobody", "OUTPUT": out}, feedback),
+        "'nobody'",
+        "img_01, img_02, img_03",
+    )
     newer = tmp_path / "newer.json"
     document = json.loads(pathlib.Path(scene).read_text(encoding="utf-8"))
     newer.write_text(json.dumps({**document, "schema": 99}))
     for name in ("errormap", "dsmfuse"):
-        one_sentence(message_of(name, {"SCENE": str(newer), "OUTPUT": out}, feedback), str(newer), "schema 99",
-                     "update the plugin")
+        one_sentence(
+            message_of(name, {"SCENE": str(newer), "OUTPUT": out}, feedback),
+            str(newer),
+            "schema 99",
+            "update the plugin",
+        )
     newer.write_text("{ not json")
     one_sentence(message_of("errormap", {"SCENE": str(newer), "OUTPUT": out}, feedback), str(newer), "not a JSON file")
     assert not (tmp_path / "o.tif").exists()
@@ -157,18 +192,27 @@ def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sampl
 
 def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path):
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
-    _, fine = algorithm.run({"IMAGES": sample["images"], "WORKSPACE": str(tmp_path), "ERROR_BUGDET": 1},
-                            QgsProcessingContext(), feedback)
+    _, fine = algorithm.run(
+        {"IMAGES": sample["images"], "WORKSPACE": str(tmp_path), "ERROR_BUGDET": 1}, QgsProcessingContext(), feedback
+    )
     assert fine
     assert feedback.heard["warning"] == [
-        "ERROR_BUGDET is no parameter of repm:epmfit and has no effect: do you mean ERROR_BUDGET?"]
+        "ERROR_BUGDET is no parameter of repm:epmfit and has no effect: do you mean ERROR_BUDGET?"
+    ]
 
 
 @pytest.mark.parametrize("fault", ["no rpc", "cut"])
 def test_qgis_process_ends_with_code_1(headless, sample, bad, tmp_path, fault):
-    done = headless("run", "repm:pipeline", "--", f"IMAGES={sample['images'][0]}", f"IMAGES={bad[fault]}",
-                    f"WORKSPACE={tmp_path / 'w'}", f"OUTPUT={tmp_path / 'dsm.tif'}",
-                    REPM_ENGINE_PYTHON=sys.executable)
+    done = headless(
+        "run",
+        "repm:pipeline",
+        "--",
+        f"IMAGES={sample['images'][0]}",
+        f"IMAGES={bad[fault]}",
+        f"WORKSPACE={tmp_path / 'w'}",
+        f"OUTPUT={tmp_path / 'dsm.tif'}",
+        REPM_ENGINE_PYTHON=sys.executable,
+    )
     said = done.stdout + done.stderr
     assert done.returncode == 1
     assert "Traceback" not in said
@@ -181,8 +225,15 @@ def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_p
     probe = subprocess.run([own or "false", "-c", "import cv2"], capture_output=True, check=False)
     if own is None or probe.returncode == 0:
         pytest.skip("QGIS's own Python has OpenCV here")
-    done = headless("run", "repm:pipeline", "--", *(f"IMAGES={path}" for path in sample["images"]),
-                    f"WORKSPACE={tmp_path / 'w'}", f"OUTPUT={tmp_path / 'dsm.tif'}", REPM_ENGINE_PYTHON=own)
+    done = headless(
+        "run",
+        "repm:pipeline",
+        "--",
+        *(f"IMAGES={path}" for path in sample["images"]),
+        f"WORKSPACE={tmp_path / 'w'}",
+        f"OUTPUT={tmp_path / 'dsm.tif'}",
+        REPM_ENGINE_PYTHON=own,
+    )
     said = done.stdout + done.stderr
     assert done.returncode == 1
     assert "The Python package 'cv2' is not installed" in said and "scripts/setup" in said, said
@@ -193,7 +244,10 @@ def test_nothing_is_written_beside_inputs(plugin, feedback, sample, tmp_path):
     for name in ("dsm.tif", "reference.tif"):
         shutil.copy(sample["truth"], tmp_path / name)
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm")
-    _, fine = algorithm.run({"DSM": str(tmp_path / "dsm.tif"), "REFERENCE": str(tmp_path / "reference.tif")},
-                            QgsProcessingContext(), feedback)
+    _, fine = algorithm.run(
+        {"DSM": str(tmp_path / "dsm.tif"), "REFERENCE": str(tmp_path / "reference.tif")},
+        QgsProcessingContext(),
+        feedback,
+    )
     assert fine
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.tif", "reference.tif"]

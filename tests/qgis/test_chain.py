@@ -45,18 +45,26 @@ def run(plugin, ears):
 def whole(run, town, tmp_path_factory):
     """repm:pipeline with everything it can make."""
     folder = tmp_path_factory.mktemp("whole")
-    given = {"IMAGES": town["images"], "WORKSPACE": str(folder / "w"), "OUTPUT": str(folder / "dsm.tif"),
-             "CONFIDENCE": str(folder / "confidence.tif"), "ORTHO": str(folder / "ortho.tif"),
-             "CLOUD": str(folder / "cloud.laz"), "EPT": str(folder / "ept"), "MESH": str(folder / "mesh.ply"),
-             "TILES": str(folder / "tiles.gpkg"),
-             "TIE_POINTS": str(folder / "ties.gpkg"), "REPORT": str(folder / "report.html"), "RESOLUTION": 1.0}
+    given = {
+        "IMAGES": town["images"],
+        "WORKSPACE": str(folder / "w"),
+        "OUTPUT": str(folder / "dsm.tif"),
+        "CONFIDENCE": str(folder / "confidence.tif"),
+        "ORTHO": str(folder / "ortho.tif"),
+        "CLOUD": str(folder / "cloud.laz"),
+        "EPT": str(folder / "ept"),
+        "MESH": str(folder / "mesh.ply"),
+        "TILES": str(folder / "tiles.gpkg"),
+        "TIE_POINTS": str(folder / "ties.gpkg"),
+        "REPORT": str(folder / "report.html"),
+        "RESOLUTION": 1.0,
+    }
     return given, *run("pipeline", **given)
 
 
 def test_the_pipeline_makes_all_that_it_names(whole):
     given, results, heard = whole
-    for name in ("OUTPUT", "CONFIDENCE", "ORTHO", "CLOUD", "EPT", "MESH", "TILES", "TIE_POINTS", "REPORT",
-                 "WORKSPACE"):
+    for name in ("OUTPUT", "CONFIDENCE", "ORTHO", "CLOUD", "EPT", "MESH", "TILES", "TIE_POINTS", "REPORT", "WORKSPACE"):
         assert results[name] == given[name]
         assert os.path.exists(results[name])
     assert os.path.exists(results["SCENE"])
@@ -66,8 +74,14 @@ def test_the_pipeline_makes_all_that_it_names(whole):
     assert heard["progress"][-1] == 100
     with open(results["REPORT"], encoding="utf-8") as stream:
         page = stream.read()
-    for words in ("qgis_process run repm:pipeline -- IMAGES=", "Tie points&#x27; residuals", "Mean matching score",
-                  given["CLOUD"], "opencv-python-headless", ">polynomial</td>"):
+    for words in (
+        "qgis_process run repm:pipeline -- IMAGES=",
+        "Tie points&#x27; residuals",
+        "Mean matching score",
+        given["CLOUD"],
+        "opencv-python-headless",
+        ">polynomial</td>",
+    ):
         assert words in page, words
     assert page.count("<td>order</td>") == 1  # one table of options for all stages
 
@@ -89,8 +103,9 @@ def test_the_dsm_is_near_the_truth(whole, run, town):
 def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
     fitted, _ = run("epmfit", IMAGES=town["images"], WORKSPACE=str(tmp_path / "w"))
     refined, _ = run("refine", SCENE=fitted["SCENE"], OUTPUT_SCENE=str(tmp_path / "refined" / "scene.json"))
-    rebuilt, _ = run("reconstruct", SCENE=refined["OUTPUT_SCENE"],
-                     OUTPUT_SCENE=str(tmp_path / "rebuilt" / "scene.json"))
+    rebuilt, _ = run(
+        "reconstruct", SCENE=refined["OUTPUT_SCENE"], OUTPUT_SCENE=str(tmp_path / "rebuilt" / "scene.json")
+    )
     fused, _ = run("dsmfuse", SCENE=rebuilt["OUTPUT_SCENE"], RESOLUTION=1.0, OUTPUT=str(tmp_path / "dsm.tif"))
     assert os.path.isdir(rebuilt["HEIGHTS"])
     got, want = heights(fused["OUTPUT"]), heights(whole[1]["OUTPUT"])
@@ -103,11 +118,19 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
 
     project, context, feedback = QgsProject(), QgsProcessingContext(), ears()
     context.setProject(project)
-    layers = {"dsmfuse:DSM": "dsm.tif", "epmfit:TILES": "t.gpkg", "errormap:ERROR_MAP": "e.tif",
-              "reconstruct:TIE_POINTS": "p.gpkg"}
-    given = {"IMAGES": town["images"], "RESOLUTION": 1.0, "epmfit:WORKSPACE": str(tmp_path / "old town"),
-             "epmfit:REPORT": str(tmp_path / "r.html"),
-             **{key: QgsProcessingOutputLayerDefinition(str(tmp_path / name), project) for key, name in layers.items()}}
+    layers = {
+        "dsmfuse:DSM": "dsm.tif",
+        "epmfit:TILES": "t.gpkg",
+        "errormap:ERROR_MAP": "e.tif",
+        "reconstruct:TIE_POINTS": "p.gpkg",
+    }
+    given = {
+        "IMAGES": town["images"],
+        "RESOLUTION": 1.0,
+        "epmfit:WORKSPACE": str(tmp_path / "old town"),
+        "epmfit:REPORT": str(tmp_path / "r.html"),
+        **{key: QgsProcessingOutputLayerDefinition(str(tmp_path / name), project) for key, name in layers.items()},
+    }
     model = QgsApplication.processingRegistry().algorithmById("repm:dsm_by_stages")
     results, fine = model.run(given, context, feedback)
     assert fine, feedback.heard["error"]
@@ -116,7 +139,7 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
     np.testing.assert_array_equal(got[0], want[0])
     # On the map as the pipeline's are: one group, though the later stages know only temporary folders.
     assert handleAlgorithmResults(model, context, feedback, parameters=given)
-    group, = project.layerTreeRoot().children()
+    (group,) = project.layerTreeRoot().children()
     assert group.name() == "old town"
     sources = [pathlib.Path(node.layer().source().split("|")[0]).name for node in group.findLayers()]
     assert sources == ["p.gpkg", "t.gpkg", "e.tif", "dsm.tif", "dsm.tif"]  # the DSM under its own hillshade
@@ -126,8 +149,14 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
 
 
 def test_cancel_in_the_middle_leaves_a_workspace_that_goes_on(plugin, ears, run, whole, town, tmp_path):
-    given = {"IMAGES": town["images"], "WORKSPACE": str(tmp_path / "w"), "OUTPUT": str(tmp_path / "dsm.tif"),
-             "RESOLUTION": 1.0, "TILES": str(tmp_path / "t.gpkg"), "TIE_POINTS": str(tmp_path / "p.gpkg")}
+    given = {
+        "IMAGES": town["images"],
+        "WORKSPACE": str(tmp_path / "w"),
+        "OUTPUT": str(tmp_path / "dsm.tif"),
+        "RESOLUTION": 1.0,
+        "TILES": str(tmp_path / "t.gpkg"),
+        "TIE_POINTS": str(tmp_path / "p.gpkg"),
+    }
     feedback, cancelled = ears(), []
     told = feedback.setProgressText
 

@@ -33,8 +33,17 @@ def fitted(sample, tmp_path_factory):
 
 
 def test_checkgcps_from_the_command_line(headless, sample, fitted, tmp_path):
-    done = headless("--json", "run", "repm:checkgcps", "--", f"GCPS={sample['gcps']}", f"SCENE={fitted}",
-                    f"DSM={sample['truth']}", f"OUTPUT={tmp_path / 'points.gpkg'}", f"REPORT={tmp_path / 'r.html'}")
+    done = headless(
+        "--json",
+        "run",
+        "repm:checkgcps",
+        "--",
+        f"GCPS={sample['gcps']}",
+        f"SCENE={fitted}",
+        f"DSM={sample['truth']}",
+        f"OUTPUT={tmp_path / 'points.gpkg'}",
+        f"REPORT={tmp_path / 'r.html'}",
+    )
     assert done.returncode == 0, said(done)
     results = json.loads(done.stdout)["results"]
     assert results["DSM_RMSE"] < 0.05 < results["COMPENSATED_RMSE"] < 3
@@ -49,18 +58,28 @@ def test_checkgcps_from_the_command_line(headless, sample, fitted, tmp_path):
 
 
 def test_checkgcps_needs_only_a_dsm(headless, sample, tmp_path):
-    done = headless("--json", "run", "repm:checkgcps", "--", f"GCPS={sample['gcps']}", f"DSM={sample['truth']}",
-                    f"OUTPUT={tmp_path / 'points.gpkg'}")
+    done = headless(
+        "--json",
+        "run",
+        "repm:checkgcps",
+        "--",
+        f"GCPS={sample['gcps']}",
+        f"DSM={sample['truth']}",
+        f"OUTPUT={tmp_path / 'points.gpkg'}",
+    )
     assert done.returncode == 0, said(done)
     results = json.loads(done.stdout)["results"]
     assert results["DSM_MAX"] < 0.2 and not [name for name in results if name.startswith(("RPC", "SCENE", "COMP"))]
 
 
-@pytest.mark.parametrize(("words", "sentence"), [
-    (["DSM=", "SCENE="], "Neither SCENE nor DSM is given"),
-    (["GCPS=gone.csv", "DSM=truth"], "GCPS 'gone.csv' is not there"),
-    (["DSM=truth", "GCP_DATUM=sea level"], "GCP_DATUM is 'sea level'"),
-])
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["DSM=", "SCENE="], "Neither SCENE nor DSM is given"),
+        (["GCPS=gone.csv", "DSM=truth"], "GCPS 'gone.csv' is not there"),
+        (["DSM=truth", "GCP_DATUM=sea level"], "GCP_DATUM is 'sea level'"),
+    ],
+)
 def test_user_errors_are_one_sentence(headless, sample, tmp_path, words, sentence):
     given = [word.replace("truth", sample["truth"]) for word in words if not word.endswith("=")]
     table = [] if any(word.startswith("GCPS") for word in given) else [f"GCPS={sample['gcps']}"]
@@ -71,10 +90,20 @@ def test_user_errors_are_one_sentence(headless, sample, tmp_path, words, sentenc
 
 
 def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tmp_path):
-    done = headless("--json", "run", "repm:pipeline", "--", *(f"IMAGES={path}" for path in town["images"]),
-                    f"GCPS={town['gcps']}", "POINTING=shift", "RESOLUTION=0.5", f"WORKSPACE={tmp_path / 'w'}",
-                    f"OUTPUT={tmp_path / 'dsm.tif'}", f"TIE_POINTS={tmp_path / 'ties.gpkg'}",
-                    REPM_ENGINE_PYTHON=sys.executable)
+    done = headless(
+        "--json",
+        "run",
+        "repm:pipeline",
+        "--",
+        *(f"IMAGES={path}" for path in town["images"]),
+        f"GCPS={town['gcps']}",
+        "POINTING=shift",
+        "RESOLUTION=0.5",
+        f"WORKSPACE={tmp_path / 'w'}",
+        f"OUTPUT={tmp_path / 'dsm.tif'}",
+        f"TIE_POINTS={tmp_path / 'ties.gpkg'}",
+        REPM_ENGINE_PYTHON=sys.executable,
+    )
     assert done.returncode == 0, said(done)
     page = (tmp_path / "w" / "report.html").read_text(encoding="utf-8")
     assert "Absolute position" in page and f"GCPS={town['gcps']}" in page and "POINTING=shift" in page
@@ -82,13 +111,22 @@ def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tm
     names = {field.GetName() for field in ties.GetLayer(0).schema}
     ties = None  # noqa: F841
     assert {"track", "views", "height", "residual", "before", "row", "direction"} <= names
-    checked = headless("--json", "run", "repm:checkgcps", "--", f"GCPS={town['gcps']}", f"DSM={tmp_path / 'dsm.tif'}",
-                       f"SCENE={tmp_path / 'w' / 'reconstructed.json'}", f"OUTPUT={tmp_path / 'points.gpkg'}")
+    checked = headless(
+        "--json",
+        "run",
+        "repm:checkgcps",
+        "--",
+        f"GCPS={town['gcps']}",
+        f"DSM={tmp_path / 'dsm.tif'}",
+        f"SCENE={tmp_path / 'w' / 'reconstructed.json'}",
+        f"OUTPUT={tmp_path / 'points.gpkg'}",
+    )
     assert checked.returncode == 0, said(checked)
     results = json.loads(checked.stdout)["results"]
     assert results["SCENE_RMSE"] < 1.0 and results["DSM_ME"] < 0.6
-    compared = headless("--json", "run", "repm:comparedsm", "--", f"DSM={tmp_path / 'dsm.tif'}",
-                        f"REFERENCE={town['truth']}")
+    compared = headless(
+        "--json", "run", "repm:comparedsm", "--", f"DSM={tmp_path / 'dsm.tif'}", f"REFERENCE={town['truth']}"
+    )
     assert compared.returncode == 0, said(compared)
     assert json.loads(compared.stdout)["results"]["ME"] < 0.5  # not aligned
 
@@ -101,14 +139,27 @@ def rows_of(sample):
 @pytest.fixture
 def memory_layer(sample):
     """The table's rows as a layer that is no file, in its own field order."""
-    layer = QgsVectorLayer("Point?crs=EPSG:4326&field=fid:integer&field=id:string&field=height:double&field=view:string"
-                           "&field=col:double&field=row:double&field=role:string", "drawn points", "memory")
+    layer = QgsVectorLayer(
+        "Point?crs=EPSG:4326&field=fid:integer&field=id:string&field=height:double&field=view:string"
+        "&field=col:double&field=row:double&field=role:string",
+        "drawn points",
+        "memory",
+    )
     features = []
     for number, row in enumerate(rows_of(sample)):
         feature = QgsFeature(layer.fields())
         feature.setGeometry(QgsGeometry.fromPointXY(QgsPointXY(float(row["lon"]), float(row["lat"]))))
-        feature.setAttributes([number % 3, row["id"], float(row["height"]), row["view"], float(row["col"]),
-                               float(row["row"]), row["role"]])
+        feature.setAttributes(
+            [
+                number % 3,
+                row["id"],
+                float(row["height"]),
+                row["view"],
+                float(row["col"]),
+                float(row["row"]),
+                row["role"],
+            ]
+        )
         features.append(feature)
     layer.dataProvider().addFeatures(features)
     return layer
@@ -159,8 +210,9 @@ def test_a_projects_layer_goes_by_its_id_and_a_filter_counts(plugin, sample, fit
     project.clear()
 
 
-@pytest.mark.parametrize(("query", "plain"), (("", True), ("?type=csv&xField=lon&yField=lat&crs=EPSG:4326", False),
-                                               ("?delimiter=;", False)))
+@pytest.mark.parametrize(
+    ("query", "plain"), (("", True), ("?type=csv&xField=lon&yField=lat&crs=EPSG:4326", False), ("?delimiter=;", False))
+)
 def test_a_text_layer_is_its_file_or_a_copy(plugin, sample, fitted, tmp_path, feedback, query, plain):
     from repm.processing_provider.values import points_path
 

@@ -13,18 +13,37 @@ def test_only_the_stages_own_fresh_temporary_files_go(plugin, tmp_path):
     workspace, out = tmp_path / "work [1]", tmp_path / "out"
     (workspace / "heights").mkdir(parents=True)
     out.mkdir()
-    ours = [workspace / ".scene.part.json", workspace / "heights" / ".t0.part.tif", out / ".dsm.part.tif",
-            out / ".m.part.ply", out / ".my.ept.part"]
-    others = [workspace / "scene.json", workspace / "a.part.tif", out / ".other.part.tif", out / "dsm.tif",
-              workspace / ".old.part.tif"]
+    ours = [
+        workspace / ".scene.part.json",
+        workspace / "heights" / ".t0.part.tif",
+        out / ".dsm.part.tif",
+        out / ".m.part.ply",
+        out / ".my.ept.part",
+    ]
+    others = [
+        workspace / "scene.json",
+        workspace / "a.part.tif",
+        out / ".other.part.tif",
+        out / "dsm.tif",
+        workspace / ".old.part.tif",
+    ]
     ours[-1].mkdir()
     for path in ours[:-1] + others:
         path.touch()
     (ours[-1] / "spill").touch()
     os.utime(workspace / ".old.part.tif", (start - 1000, start - 1000))
-    removed = remove_half_written({"workspace": str(workspace), "output": str(out / "dsm.tif"), "resolution": 0.5,
-                                   "images": [str(out / "image.tif")], "report": None,
-                                   "mesh": str(out / "m.ply"), "ept": str(out / "my.ept")}, start)
+    removed = remove_half_written(
+        {
+            "workspace": str(workspace),
+            "output": str(out / "dsm.tif"),
+            "resolution": 0.5,
+            "images": [str(out / "image.tif")],
+            "report": None,
+            "mesh": str(out / "m.ply"),
+            "ept": str(out / "my.ept"),
+        },
+        start,
+    )
     assert sorted(removed) == sorted(map(str, ours))
     assert all(path.exists() for path in others) and not any(path.exists() for path in ours)
 

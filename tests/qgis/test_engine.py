@@ -20,7 +20,7 @@ from qgis.core import QgsProcessingException
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 VENV_PYTHON = sys.executable
 
-STAGES = '''
+STAGES = """
 import multiprocessing, os, signal, subprocess, sys, time
 from ..errors import RpcMissingError
 
@@ -65,7 +65,7 @@ def run_stage(name, options, progress):
         nap(options["pids"])
     finally:
         os.unlink(half)
-'''
+"""
 
 
 @pytest.fixture
@@ -125,13 +125,16 @@ def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
     assert feedback.heard["warning"] == ["a warning"]
 
 
-@pytest.mark.parametrize(("stage", "words"), [
-    ("sentence", ["No RPC found for 'a.tif'."]),
-    ("package", ["'surely_no_such_package' is not installed", VENV_PYTHON]),
-    ("segfault", ["'segfault'", "SIGSEGV", "the last words"]),
-    ("memory", ["'memory'", "SIGKILL", "out of memory", "EXTENT"]),
-    ("mute", ["'mute'", "code 7", "Report the environment"]),
-])
+@pytest.mark.parametrize(
+    ("stage", "words"),
+    [
+        ("sentence", ["No RPC found for 'a.tif'."]),
+        ("package", ["'surely_no_such_package' is not installed", VENV_PYTHON]),
+        ("segfault", ["'segfault'", "SIGSEGV", "the last words"]),
+        ("memory", ["'memory'", "SIGKILL", "out of memory", "EXTENT"]),
+        ("mute", ["'mute'", "code 7", "Report the environment"]),
+    ],
+)
 def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
     with pytest.raises(QgsProcessingException) as caught:
         engine.run_apart(stage, {}, feedback, VENV_PYTHON)
@@ -171,11 +174,24 @@ def test_the_engine_ends_when_the_process_that_started_it_is_killed(engine, tmp_
     """As when QGIS dies: only the pipe on the engine's standard input tells."""
     pids, job = tmp_path / "pids", tmp_path / "job.json"
     job.write_text(f'{{"pids": "{pids}"}}')
-    parent = subprocess.Popen([VENV_PYTHON, "-c", (
-        "import subprocess, sys, time\n"
-        "subprocess.Popen(sys.argv[1:], stdin=subprocess.PIPE, start_new_session=True)\n"
-        "time.sleep(60)"), VENV_PYTHON, "-m", "repm_qgis", "forked", str(job)],
-        cwd=engine.PLUGIN_FOLDER, env=engine.environment(VENV_PYTHON))
+    parent = subprocess.Popen(
+        [
+            VENV_PYTHON,
+            "-c",
+            (
+                "import subprocess, sys, time\n"
+                "subprocess.Popen(sys.argv[1:], stdin=subprocess.PIPE, start_new_session=True)\n"
+                "time.sleep(60)"
+            ),
+            VENV_PYTHON,
+            "-m",
+            "repm_qgis",
+            "forked",
+            str(job),
+        ],
+        cwd=engine.PLUGIN_FOLDER,
+        env=engine.environment(VENV_PYTHON),
+    )
     try:
         found = started(pids)
     finally:
@@ -190,8 +206,13 @@ def test_workers_of_a_crashed_engine_are_ended(engine, feedback, tmp_path, monke
 
     def crash():
         os.kill(started(pids)[-1], signal.SIGKILL)
-        main = [pid for pid in started(pids) if os.path.exists(f"/proc/{pid}") and
-                b"repm_qgis" in pathlib.Path(f"/proc/{pid}/cmdline").read_bytes() and os.getpgid(pid) == pid]
+        main = [
+            pid
+            for pid in started(pids)
+            if os.path.exists(f"/proc/{pid}")
+            and b"repm_qgis" in pathlib.Path(f"/proc/{pid}/cmdline").read_bytes()
+            and os.getpgid(pid) == pid
+        ]
         for pid in main:
             os.kill(pid, signal.SIGKILL)
 
@@ -268,8 +289,12 @@ def test_cancel_ends_a_real_stage(plugin, feedback, tmp_path):
     timer.start()
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:sampledata").create()
     with pytest.raises(QgsProcessingException, match="Cancelled"):
-        algorithm.run({"KIND": "urban", "SIZE": 6000, "SEED": 1, "FOLDER": str(folder)}, QgsProcessingContext(),
-                      feedback, catchExceptions=False)
+        algorithm.run(
+            {"KIND": "urban", "SIZE": 6000, "SEED": 1, "FOLDER": str(folder)},
+            QgsProcessingContext(),
+            feedback,
+            catchExceptions=False,
+        )
     assert time.monotonic() - cancelled[0] < 2
     left = [path.name for path in folder.rglob("*") if path.is_file()] if folder.exists() else []
     assert not [name for name in left if "part" in name or "tmp" in name], left

@@ -21,8 +21,17 @@ def refined(sample, tmp_path_factory):
 
 
 def test_a_refined_scene_becomes_a_model_for_nerfstudio(headless, refined, tmp_path):
-    done = headless("--json", "run", "repm:exportcameras", "--", f"SCENE={refined[1]}", "FORMAT=nerfstudio",
-                    "CENTRE=false", f"FOLDER={tmp_path / 'out'}", REPM_ENGINE_PYTHON=sys.executable)
+    done = headless(
+        "--json",
+        "run",
+        "repm:exportcameras",
+        "--",
+        f"SCENE={refined[1]}",
+        "FORMAT=nerfstudio",
+        "CENTRE=false",
+        f"FOLDER={tmp_path / 'out'}",
+        REPM_ENGINE_PYTHON=sys.executable,
+    )
     assert done.returncode == 0, done.stderr + done.stdout
     results = json.loads(done.stdout)["results"]
     assert results["IMAGES"] == 3 and results["FOLDER"] == str(tmp_path / "out")
@@ -30,16 +39,23 @@ def test_a_refined_scene_becomes_a_model_for_nerfstudio(headless, refined, tmp_p
     frames = json.loads((model / "transforms.json").read_text())["frames"]
     scene = json.loads(open(refined[1], encoding="utf-8").read())
     for frame in frames:
-        name = frame["file_path"][len("images/"):-len(".png")]
+        name = frame["file_path"][len("images/") : -len(".png")]
         K = scene["tiles"][0]["views"][name]["refined"]["camera"]["K"]
         assert (frame["fl_x"], frame["fl_y"], frame["cx"], frame["cy"]) == pytest.approx(
-            (K[0][0], K[1][1], K[0][2] + 0.5, K[1][2] + 0.5), rel=1e-14)
+            (K[0][0], K[1][1], K[0][2] + 0.5, K[1][2] + 0.5), rel=1e-14
+        )
         assert (model / frame["file_path"]).is_file() and (model / frame["mask_path"]).is_file()
 
 
 def test_a_scene_that_is_not_refined_is_refused_in_one_sentence(headless, refined, tmp_path):
-    done = headless("run", "repm:exportcameras", "--", f"SCENE={refined[0]}", f"FOLDER={tmp_path / 'out'}",
-                    REPM_ENGINE_PYTHON=sys.executable)
+    done = headless(
+        "run",
+        "repm:exportcameras",
+        "--",
+        f"SCENE={refined[0]}",
+        f"FOLDER={tmp_path / 'out'}",
+        REPM_ENGINE_PYTHON=sys.executable,
+    )
     assert done.returncode == 1
     assert "run 'Refine the images' first" in done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr

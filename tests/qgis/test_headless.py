@@ -57,8 +57,16 @@ def image(path):
 def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, stage):
     given = [f"IMAGES={image(tmp_path / name)}" for name in ("a.tif", "b.tif")]
     products = [f"OUTPUT={tmp_path / 'dsm.tif'}"] if stage == "pipeline" else []
-    done = headless("run", f"repm:{stage}", "--", *given, *products, f"WORKSPACE={tmp_path / 'w'}",
-                    f"TILES={tmp_path / 't.gpkg'}", REPM_ENGINE_PYTHON=sys.executable)
+    done = headless(
+        "run",
+        f"repm:{stage}",
+        "--",
+        *given,
+        *products,
+        f"WORKSPACE={tmp_path / 'w'}",
+        f"TILES={tmp_path / 't.gpkg'}",
+        REPM_ENGINE_PYTHON=sys.executable,
+    )
     assert done.returncode == 1, said(done)
     assert "No RPC found for" in said(done) and "a.tif'" in said(done)
     assert "Traceback" not in said(done)
@@ -66,13 +74,16 @@ def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, sta
     assert sorted(path.name for path in tmp_path.glob("[ab].tif*")) == ["a.tif", "b.tif"]  # nothing beside the images
 
 
-@pytest.mark.parametrize(("words", "sentence"), [
-    (["repm:epmfit", "--", "IMAGES=a.tif", "WORKSPACE=w", "TILES=t.gpkg"], "at least two images"),
-    (["repm:errormap", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
-    (["repm:dsmfuse", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
-    (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif"], "DSM 'gone.tif' is not there"),
-    (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif", "THRESHOLDS=high"], "THRESHOLDS is 'high'"),
-])
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["repm:epmfit", "--", "IMAGES=a.tif", "WORKSPACE=w", "TILES=t.gpkg"], "at least two images"),
+        (["repm:errormap", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
+        (["repm:dsmfuse", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
+        (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif"], "DSM 'gone.tif' is not there"),
+        (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif", "THRESHOLDS=high"], "THRESHOLDS is 'high'"),
+    ],
+)
 def test_user_errors_are_one_sentence_and_code_1(headless, tmp_path, words, sentence):
     done = headless("run", *words, REPM_ENGINE_PYTHON=sys.executable)
     assert done.returncode == 1, said(done)
@@ -89,8 +100,16 @@ def test_a_wrong_interpreter_is_one_sentence_and_code_1(headless, tmp_path):
 
 def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample, tmp_path):
     images = [f"IMAGES={path}" for path in sample["images"]]
-    done = headless("--json", "run", "repm:epmfit", "--", *images, f"WORKSPACE={tmp_path / 'w'}",
-                    f"TILES={tmp_path / 'tiles.gpkg'}", f"REPORT={tmp_path / 'fit.html'}")
+    done = headless(
+        "--json",
+        "run",
+        "repm:epmfit",
+        "--",
+        *images,
+        f"WORKSPACE={tmp_path / 'w'}",
+        f"TILES={tmp_path / 'tiles.gpkg'}",
+        f"REPORT={tmp_path / 'fit.html'}",
+    )
     assert done.returncode == 0, said(done)
     fitted = json.loads(done.stdout)["results"]
     assert 0 < fitted["RMSE"] <= fitted["MAX_ERROR"] < 5
@@ -102,9 +121,13 @@ def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample,
 
 
 def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
-    done = subprocess.run([sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path / "dist")],
-                          stdout=subprocess.PIPE, text=True, check=True)
-    archive, = (tmp_path / "dist").iterdir()
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path / "dist")],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    (archive,) = (tmp_path / "dist").iterdir()
     assert archive.name in done.stdout
     plugins = tmp_path / "config" / "profiles" / "default" / "python" / "plugins"
     plugins.mkdir(parents=True)
@@ -112,8 +135,15 @@ def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
         names = opened.namelist()
         opened.extractall(plugins)
     assert {name.split("/")[0] for name in names} == {"repm"}
-    assert {"repm/metadata.txt", "repm/LICENSE", "repm/__init__.py", "repm/repm_qgis/__main__.py",
-            "repm/resources/models/repm_stages.model3", "repm/scripts/setup", "repm/requirements.txt"} <= set(names)
+    assert {
+        "repm/metadata.txt",
+        "repm/LICENSE",
+        "repm/__init__.py",
+        "repm/repm_qgis/__main__.py",
+        "repm/resources/models/repm_stages.model3",
+        "repm/scripts/setup",
+        "repm/requirements.txt",
+    } <= set(names)
     parts = {part for name in names for part in name.split("/")}
     assert not [part for part in parts if part.startswith(".") or part == "tests" or part == "__pycache__"]
     assert not [name for name in names if name.endswith((".pyc", ".so", ".dll", ".exe", ".zip"))]
@@ -122,8 +152,17 @@ def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
     assert not (plugins / "repm").is_symlink()
 
     folder = tmp_path / "sample"
-    done = headless("--json", "run", "repm:sampledata", "--", "KIND=mountains", "SIZE=128", f"FOLDER={folder}",
-                    config=tmp_path / "config", REPM_ENGINE_PYTHON="")
+    done = headless(
+        "--json",
+        "run",
+        "repm:sampledata",
+        "--",
+        "KIND=mountains",
+        "SIZE=128",
+        f"FOLDER={folder}",
+        config=tmp_path / "config",
+        REPM_ENGINE_PYTHON="",
+    )
     assert done.returncode == 0, said(done)
     assert os.path.exists(json.loads(done.stdout)["results"]["TRUTH"])
     ran = [line for line in json.loads(done.stdout)["log"]["info"] if "-m repm_qgis" in line]
@@ -141,7 +180,8 @@ def test_setup_has_nothing_to_do_a_second_time(tmp_path):
 
 
 def test_make_help_lists_the_targets():
-    done = subprocess.run(["make", "-C", str(ROOT), "--no-print-directory"], check=True, stdout=subprocess.PIPE,
-                          text=True)
+    done = subprocess.run(
+        ["make", "-C", str(ROOT), "--no-print-directory"], check=True, stdout=subprocess.PIPE, text=True
+    )
     for target in ("help", "setup", "demo", "test", "lint", "package"):
         assert f"make {target} " in done.stdout

@@ -45,7 +45,8 @@ def test_a_german_qgis_shows_german(german, context):
 
 def test_without_a_translation_the_source_is_shown(plugin):
     assert QgsApplication.processingRegistry().algorithmById("repm:pipeline").create().displayName() == (
-        "Make a DSM from satellite images")
+        "Make a DSM from satellite images"
+    )
 
 
 def test_most_is_translated_and_places_for_values_are_kept(collector):

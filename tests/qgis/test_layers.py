@@ -32,15 +32,18 @@ def load(plugin, feedback):
     def run(name, parameters, layers):
         context = QgsProcessingContext()
         context.setProject(project)
-        given = {**parameters, **{key: QgsProcessingOutputLayerDefinition(str(path), project)
-                                  for key, path in layers.items()}}
+        given = {
+            **parameters,
+            **{key: QgsProcessingOutputLayerDefinition(str(path), project) for key, path in layers.items()},
+        }
         algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
         results, fine = algorithm.run(given, context, feedback)
         assert fine, feedback.heard["error"]
         gc.collect()  # a post-processor that only QGIS knows would be gone now
         assert handleAlgorithmResults(algorithm, context, feedback, parameters=given)
-        by_source = {pathlib.Path(layer.source().split("|")[0]).resolve(): layer
-                     for layer in project.mapLayers().values()}
+        by_source = {
+            pathlib.Path(layer.source().split("|")[0]).resolve(): layer for layer in project.mapLayers().values()
+        }
         return results, {key: by_source[pathlib.Path(path).resolve()] for key, path in layers.items()}
 
     run.project = project
@@ -50,14 +53,18 @@ def load(plugin, feedback):
 
 def test_tiles_come_with_name_style_and_crs(load, sample, tmp_path, feedback):
     workspace = tmp_path / "town"
-    results, layers = load("epmfit", {"IMAGES": sample["images"], "WORKSPACE": str(workspace), "REPORT": ""},
-                           {"TILES": tmp_path / "t.gpkg"})
+    results, layers = load(
+        "epmfit",
+        {"IMAGES": sample["images"], "WORKSPACE": str(workspace), "REPORT": ""},
+        {"TILES": tmp_path / "t.gpkg"},
+    )
     layer = layers["TILES"]
     assert layer.isValid() and layer.featureCount() >= 1
     assert layer.crs().isValid() and not layer.crs().isGeographic()
     assert not isinstance(layer.renderer(), QgsSingleSymbolRenderer)
-    assert isinstance(layer.renderer(),
-                      (QgsGraduatedSymbolRenderer, QgsCategorizedSymbolRenderer, QgsRuleBasedRenderer))
+    assert isinstance(
+        layer.renderer(), (QgsGraduatedSymbolRenderer, QgsCategorizedSymbolRenderer, QgsRuleBasedRenderer)
+    )
     assert layer.name() in ("Tiles town", "t")  # the second where Processing prefers file names
     assert results["MAX_ERROR"] >= results["RMSE"] > 0
     assert max(feedback.heard["progress"]) == 100
@@ -86,8 +93,11 @@ def rebuilt(town, tmp_path_factory):
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("rebuilt") / "old town"
-    return run_stage("pipeline", {"images": town["images"], "workspace": str(folder), "resolution": 1.0,
-                                  "output": str(folder / "dsm.tif")}, Silent())["scene"]
+    return run_stage(
+        "pipeline",
+        {"images": town["images"], "workspace": str(folder), "resolution": 1.0, "output": str(folder / "dsm.tif")},
+        Silent(),
+    )["scene"]
 
 
 def tree(node):
@@ -104,28 +114,46 @@ def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedbac
     datum = "(WGS 84 ellipsoid)"
     folder = tmp_path / "cloud ü"
     results, layers = load(
-        "dsmfuse", {"SCENE": rebuilt, "RESOLUTION": 1.0, "EPT": str(folder), "MESH": str(tmp_path / "m.ply"),
-                    "CLOUD": str(tmp_path / "c.laz")},
-        {"OUTPUT": tmp_path / "d.tif", "CONFIDENCE": tmp_path / "k.tif", "ORTHO": tmp_path / "o.tif"})
+        "dsmfuse",
+        {
+            "SCENE": rebuilt,
+            "RESOLUTION": 1.0,
+            "EPT": str(folder),
+            "MESH": str(tmp_path / "m.ply"),
+            "CLOUD": str(tmp_path / "c.laz"),
+        },
+        {"OUTPUT": tmp_path / "d.tif", "CONFIDENCE": tmp_path / "k.tif", "ORTHO": tmp_path / "o.tif"},
+    )
     assert (results["EPT"], results["MESH"]) == (str(folder), str(tmp_path / "m.ply"))
     root = load.project.layerTreeRoot()
-    assert tree(root) == [("old town", True), [
-        ("Point cloud old town", False), ("Orthophoto old town", False), ("Confidence old town", False),
-        ("Mesh old town", False), ("Hillshade old town", True), (f"DSM old town {datum}", True)]]
+    assert tree(root) == [
+        ("old town", True),
+        [
+            ("Point cloud old town", False),
+            ("Orthophoto old town", False),
+            ("Confidence old town", False),
+            ("Mesh old town", False),
+            ("Hillshade old town", True),
+            (f"DSM old town {datum}", True),
+        ],
+    ]
 
-    cloud, = load.project.mapLayersByName("Point cloud old town")
+    (cloud,) = load.project.mapLayersByName("Point cloud old town")
     with laspy.open(results["CLOUD"]) as reader:
         header = reader.header
     assert cloud.isValid() and cloud.pointCount() == header.point_count > 10000
     assert cloud.crs() == layers["OUTPUT"].crs()
     box = cloud.extent()
-    np.testing.assert_allclose([box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()],
-                               [*header.mins[:2], *header.maxs[:2]], atol=1e-6)
+    np.testing.assert_allclose(
+        [box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()],
+        [*header.mins[:2], *header.maxs[:2]],
+        atol=1e-6,
+    )
     assert cloud.renderer().type() == "ramp" and cloud.renderer().attribute() == "Z"
     dsm = layers["OUTPUT"].renderer()
     assert cloud.renderer().minimum() == pytest.approx(dsm.classificationMin(), abs=1e-6)
 
-    mesh, = load.project.mapLayersByName("Mesh old town")
+    (mesh,) = load.project.mapLayersByName("Mesh old town")
     assert mesh.isValid() and mesh.crs() == layers["OUTPUT"].crs()
     shown = mesh.rendererSettings().scalarSettings(0)
     assert shown.classificationMaximum() == pytest.approx(dsm.classificationMax(), abs=1e-6)
@@ -150,22 +178,38 @@ def test_groups_that_are_there_are_used_and_others_left(plugin, feedback):
         Dresser.make("", kind, group).postProcessLayer(layer, context, feedback)
 
     root.addGroup("mine")
-    for name, kind in (("dsm 1", "dsm"), ("ties", "tie_points"), ("tiles", "tiles"), ("ortho", "ortho"),
-                       ("dsm 2", "dsm")):
+    for name, kind in (
+        ("dsm 1", "dsm"),
+        ("ties", "tie_points"),
+        ("tiles", "tiles"),
+        ("ortho", "ortho"),
+        ("dsm 2", "dsm"),
+    ):
         arrive(name, kind, "town")
     arrive("other", "dsm", "village")
     arrive("alone", "tiles", "")
     assert tree(root) == [
-        ("alone", True), ("village", True), [("other", True)],
-        ("town", True), [("ties", True), ("tiles", True), ("ortho", False), ("dsm 2", True), ("dsm 1", True)],
-        ("mine", True), []]
+        ("alone", True),
+        ("village", True),
+        [("other", True)],
+        ("town", True),
+        [("ties", True), ("tiles", True), ("ortho", False), ("dsm 2", True), ("dsm 1", True)],
+        ("mine", True),
+        [],
+    ]
     # QGIS 3.32 and later put a layer into its group before they call: it is not nested again.
     layer = QgsRasterLayer("", "confidence", "gdal")
     project.addMapLayer(layer, False)
     root.findGroup("town").insertLayer(0, layer)
     Dresser.make("", "confidence", "town").postProcessLayer(layer, context, feedback)
-    assert [name for name, _ in tree(root.findGroup("town"))] == ["ties", "tiles", "ortho", "confidence", "dsm 2",
-                                                                  "dsm 1"]
+    assert [name for name, _ in tree(root.findGroup("town"))] == [
+        "ties",
+        "tiles",
+        "ortho",
+        "confidence",
+        "dsm 2",
+        "dsm 1",
+    ]
     project.clear()
 
 
@@ -216,8 +260,11 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
 
 def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
-    results, layers = load("comparedsm", {"DSM": sample["truth"], "REFERENCE": sample["truth"], "REPORT": ""},
-                           {"ERROR": tmp_path / "e.tif"})
+    results, layers = load(
+        "comparedsm",
+        {"DSM": sample["truth"], "REFERENCE": sample["truth"], "REPORT": ""},
+        {"ERROR": tmp_path / "e.tif"},
+    )
     layer = layers["ERROR"]
     assert results["RMSE"] == pytest.approx(0, abs=1e-6)
     assert results["COMPLETENESS"] == pytest.approx(100)

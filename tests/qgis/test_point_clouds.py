@@ -55,8 +55,11 @@ def test_an_ept_opens_with_all_its_points_in_their_place(plugin, ept):
     if "vertical" not in json.loads((folder / "ept.json").read_text())["srs"]:
         assert layer.crs().authid() == UTM
     box = layer.extent()
-    np.testing.assert_allclose([box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()],
-                               [*points[:, :2].min(axis=0), *points[:, :2].max(axis=0)], atol=0.001)
+    np.testing.assert_allclose(
+        [box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()],
+        [*points[:, :2].min(axis=0), *points[:, :2].max(axis=0)],
+        atol=0.001,
+    )
 
 
 def test_an_ept_is_drawn_where_its_points_are_and_coloured_by_height(plugin, ept):
@@ -88,7 +91,7 @@ def drawn(layer, extent, size):
     image = job.renderedImage()
     bits = image.constBits()
     bits.setsize(image.sizeInBytes())
-    return np.frombuffer(bytes(bits), np.uint8).reshape(image.height(), -1, 4)[:, :image.width(), 2::-1].astype(int)
+    return np.frombuffer(bytes(bits), np.uint8).reshape(image.height(), -1, 4)[:, : image.width(), 2::-1].astype(int)
 
 
 @pytest.mark.parametrize("vertical", ("", "EGM96"))
@@ -111,6 +114,5 @@ def test_a_mesh_opens_with_its_triangles_and_heights(plugin, tmp_path, vertical)
     assert [read.vertex(i).z() for i in range(read.vertexCount())] == heights[known].astype(float).tolist()
     rows, columns = np.nonzero(known)
     places = [(read.vertex(i).x(), read.vertex(i).y()) for i in range(read.vertexCount())]
-    np.testing.assert_allclose(places, np.column_stack([WEST + 0.25 + columns / 2, NORTH - 0.25 - rows / 2]),
-                               atol=1e-6)
+    np.testing.assert_allclose(places, np.column_stack([WEST + 0.25 + columns / 2, NORTH - 0.25 - rows / 2]), atol=1e-6)
     assert all(len(read.face(i)) == 3 for i in range(read.faceCount()))

@@ -16,13 +16,13 @@ PARAMETERS = {
     "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
     "exportcameras": "SCENE FORMAT TILE CENTRE BITS KERNEL FOLDER",
     "reconstruct": "SCENE BACKEND GCPS GCP_DATUM POINTING ADJUSTMENT GEOMETRIC COLMAP_FUSION WINDOW_RADIUS "
-                   "GPU_MEMORY OUTPUT_SCENE TIE_POINTS HEIGHTS",
+    "GPU_MEMORY OUTPUT_SCENE TIE_POINTS HEIGHTS",
     "dsmfuse": "SCENE RESOLUTION CRS VERTICAL_DATUM METHOD FILL OUTLIER_RADIUS MESH_VERTICES OUTPUT CONFIDENCE ORTHO "
-               "CLOUD EPT MESH VIEW_HEIGHTS",
+    "CLOUD EPT MESH VIEW_HEIGHTS",
     "pipeline": "IMAGES EXTENT DEM GCPS RESOLUTION CRS VERTICAL_DATUM RPCS MASKS GCP_DATUM POINTING ADJUSTMENT "
-                "ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND GEOMETRIC COLMAP_FUSION "
-                "WINDOW_RADIUS GPU_MEMORY METHOD FILL OUTLIER_RADIUS MESH_VERTICES OUTPUT WORKSPACE REPORT TILES "
-                "TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS",
+    "ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET MODEL ORDER BACKEND GEOMETRIC COLMAP_FUSION "
+    "WINDOW_RADIUS GPU_MEMORY METHOD FILL OUTLIER_RADIUS MESH_VERTICES OUTPUT WORKSPACE REPORT TILES "
+    "TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES ERROR REPORT",
     "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "sampledata": "KIND SIZE SEED FOLDER",
@@ -36,10 +36,10 @@ OUTPUTS = {
     "reconstruct": "OUTPUT_SCENE TIE_POINTS HEIGHTS REPORT N_TIE_POINTS",
     "dsmfuse": "OUTPUT CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VALID_PERCENT",
     "pipeline": "OUTPUT SCENE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS WORKSPACE "
-                "N_TIE_POINTS VALID_PERCENT",
+    "N_TIE_POINTS VALID_PERCENT",
     "comparedsm": "ERROR REPORT RMSE ME MAE NMAD COMPLETENESS",
-    "checkgcps": "OUTPUT REPORT " + " ".join(f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM")
-                                             for figure in ("ME", "RMSE", "MAX")),
+    "checkgcps": "OUTPUT REPORT "
+    + " ".join(f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM") for figure in ("ME", "RMSE", "MAX")),
     "sampledata": "FOLDER IMAGES TRUTH GCPS",
     "environment": "REPORT",
 }
@@ -146,8 +146,8 @@ def test_helps_markdown_becomes_html(plugin):
     from repm.processing_provider.helptext import to_html
 
     assert to_html("One <b> & `two`.\n## Head\n- **a**: x\n  y\n- *b*") == (
-        "<p>One &lt;b&gt; &amp; <code>two</code>.</p><h3>Head</h3>"
-        "<ul><li><b>a</b>: x y</li><li><i>b</i></li></ul>")
+        "<p>One &lt;b&gt; &amp; <code>two</code>.</p><h3>Head</h3><ul><li><b>a</b>: x y</li><li><i>b</i></li></ul>"
+    )
 
 
 def test_the_engine_imports_itself_relatively_only():

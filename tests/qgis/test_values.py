@@ -44,11 +44,24 @@ def test_inputs_become_options_of_the_engine(plugin, context, feedback, rasters)
     from repm_qgis.options import EpmFitOptions
 
     area = QgsReferencedRectangle(QgsRectangle(1.5, 2.5, 3.5, 4.5), QgsCoordinateReferenceSystem("EPSG:32631"))
-    found = options("epmfit", {"IMAGES": rasters, "EXTENT": area, "ALTITUDE_MIN": -5.5, "TILE_SIZE": 512,
-                               "DEM": rasters[0]}, context, feedback)
-    assert found == {"images": rasters, "extent": [1.5, 2.5, 3.5, 4.5], "extent_crs": "EPSG:32631",
-                     "dem": rasters[0], "altitude_min": -5.5, "altitude_max": None, "tile_size": 512,
-                     "error_budget": 0.1, "rpcs": [], "masks": []}
+    found = options(
+        "epmfit",
+        {"IMAGES": rasters, "EXTENT": area, "ALTITUDE_MIN": -5.5, "TILE_SIZE": 512, "DEM": rasters[0]},
+        context,
+        feedback,
+    )
+    assert found == {
+        "images": rasters,
+        "extent": [1.5, 2.5, 3.5, 4.5],
+        "extent_crs": "EPSG:32631",
+        "dem": rasters[0],
+        "altitude_min": -5.5,
+        "altitude_max": None,
+        "tile_size": 512,
+        "error_budget": 0.1,
+        "rpcs": [],
+        "masks": [],
+    }
     EpmFitOptions.from_json(json.loads(json.dumps({**found, "workspace": "w"})))
 
 
@@ -71,9 +84,18 @@ def test_layers_of_the_project_give_their_files(plugin, context, feedback, raste
 
 def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context, feedback):
     found = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": "", "CRS": "EPSG:32632"}, context, feedback)
-    assert found == {"scene": "/s/scene.json", "resolution": 0.0, "crs": "EPSG:32632", "vertical_datum": "",
-                     "method": "mean", "fill": "occlusions",
-                     "outlier_radius": None, "mesh_vertices": 500000, "workers": 0, "memory": 0}
+    assert found == {
+        "scene": "/s/scene.json",
+        "resolution": 0.0,
+        "crs": "EPSG:32632",
+        "vertical_datum": "",
+        "method": "mean",
+        "fill": "occlusions",
+        "outlier_radius": None,
+        "mesh_vertices": 500000,
+        "workers": 0,
+        "memory": 0,
+    }
     zero = options("dsmfuse", {"SCENE": "/s/scene.json", "OUTLIER_RADIUS": 0}, context, feedback)
     assert zero["outlier_radius"] == 0.0
     assert zero["crs"] is None
@@ -102,7 +124,9 @@ def test_memory_comes_from_the_settings(plugin, context, feedback):
 def test_masks_keep_their_places(plugin, context, feedback, rasters):
     """An image without a mask leaves its place in the list empty."""
     assert options("epmfit", {"IMAGES": rasters, "MASKS": ["", rasters[1]]}, context, feedback)["masks"] == [
-        "", rasters[1]]
+        "",
+        rasters[1],
+    ]
     assert options("epmfit", {"IMAGES": rasters, "MASKS": []}, context, feedback)["masks"] == []
     fine, text = check("epmfit", {"IMAGES": rasters, "WORKSPACE": "/w", "MASKS": ["/gone.tif", ""]}, context)
     assert not fine and "MASKS '/gone.tif' is not there" in text
@@ -118,8 +142,9 @@ def test_the_command_repeats_the_run(plugin, context, feedback, rasters):
     again = {}
     for word in words[4:]:
         name, value = word.split("=", 1)
-        again[name] = [*again[name], value] if name == "IMAGES" and name in again else (
-            [value] if name == "IMAGES" else value)
+        again[name] = (
+            [*again[name], value] if name == "IMAGES" and name in again else ([value] if name == "IMAGES" else value)
+        )
     assert (again["OUTPUT"], again["WORKSPACE"], "CLOUD" in again) == ("/o/my dsm.tif", "/w", False)
     assert options("pipeline", again, context, feedback) == found
 
@@ -133,8 +158,10 @@ def test_what_colmaps_adjustment_cannot_do_is_refused_before_anything_runs(plugi
     table.write_text("id,lon,lat,height\n")
     scene = tmp_path / "scene.json"
     scene.write_text("{}")
-    for name, given in (("pipeline", {"IMAGES": rasters, "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
-                        ("reconstruct", {"SCENE": str(scene), "OUTPUT_SCENE": "/w/r.json"})):
+    for name, given in (
+        ("pipeline", {"IMAGES": rasters, "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
+        ("reconstruct", {"SCENE": str(scene), "OUTPUT_SCENE": "/w/r.json"}),
+    ):
         colmap = {**given, "ADJUSTMENT": "colmap"}
         fine, text = check(name, {**colmap, "POINTING": "affine"}, context)
         assert not fine and "POINTING is 'affine'" in text and text.count(".") == 1

@@ -14,8 +14,10 @@ SHAPE = (60, 80)
 
 def layers(stack, scores=0.9, background=np.nan, metres=1.0):
     metres = np.broadcast_to(metres, len(stack))
-    return [Layer(height, np.broadcast_to(scores, SHAPE), np.broadcast_to(background, SHAPE), float(m))
-            for height, m in zip(stack, metres)]
+    return [
+        Layer(height, np.broadcast_to(scores, SHAPE), np.broadcast_to(background, SHAPE), float(m))
+        for height, m in zip(stack, metres)
+    ]
 
 
 def maps(count, spread=0.1, gaps=0.2):
@@ -46,7 +48,7 @@ def test_narrow_pairs_weigh_less():
     """Two maps: their mean, weighted by metres_per_px ** -0.5."""
     a, b = np.full(SHAPE, 100.0), np.full(SHAPE, 101.0)
     found = aggregate(layers([a, b], metres=(2.0, 8.0)), "mean")
-    np.testing.assert_allclose(found.height, (100 / 2 ** 0.5 + 101 / 8 ** 0.5) / (2 ** -0.5 + 8 ** -0.5), rtol=1e-6)
+    np.testing.assert_allclose(found.height, (100 / 2**0.5 + 101 / 8**0.5) / (2**-0.5 + 8**-0.5), rtol=1e-6)
 
 
 @pytest.mark.parametrize("method", ("median", "mean"))
@@ -161,8 +163,12 @@ def test_lonely_cells_are_those_a_tree_finds(cell, radius):
     found, needed = lonely(height, cell, radius)
     rows, cols = np.nonzero(np.isfinite(height))
     places, z = np.column_stack([rows, cols]) * cell, height[rows, cols]
-    counts = np.array([(np.abs(z[near] - z[k]) <= radius).sum() - 1
-                       for k, near in enumerate(cKDTree(places).query_ball_point(places, radius + 1e-6))])
+    counts = np.array(
+        [
+            (np.abs(z[near] - z[k]) <= radius).sum() - 1
+            for k, near in enumerate(cKDTree(places).query_ball_point(places, radius + 1e-6))
+        ]
+    )
     assert needed == max(2, round(0.2 * np.median(counts)))
     expected = np.zeros(height.shape, bool)
     expected[rows, cols] = counts < needed
@@ -199,8 +205,10 @@ def test_a_map_that_brushes_a_cell_does_not_count_where_another_covers_it():
     roof, street = np.full(SHAPE, 120.0), np.full(SHAPE, 100.0)
     brushed, whole, nothing = np.ones(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool), np.full(SHAPE, np.nan)
     high = Layer(roof, np.full(SHAPE, 0.9), nothing, 1.0, brushed)
-    for low in (Layer(street, np.full(SHAPE, 0.9), nothing, 1.0, whole),
-                Layer(nothing, nothing, street, 1.0, whole, whole)):
+    for low in (
+        Layer(street, np.full(SHAPE, 0.9), nothing, 1.0, whole),
+        Layer(nothing, nothing, street, 1.0, whole, whole),
+    ):
         found = aggregate([high, low], "mean")
         np.testing.assert_allclose(found.height, 100.0)
         assert found.filled.all() == np.isnan(low.height).all()
@@ -212,7 +220,7 @@ def test_a_background_does_not_outvote_a_match_that_another_background_confirms(
     truth, stack = edge()
     place = np.s_[20:40, 50:53]
     background = np.full((3,) + SHAPE, np.nan)
-    stack[2, :, :25], background[2, :, :25] = np.nan, 120.0     # confirmed by the other two
+    stack[2, :, :25], background[2, :, :25] = np.nan, 120.0  # confirmed by the other two
     stack[1:][(slice(None),) + place] = np.nan
     stack[0][place], background[1][place], background[2][place] = 120.0, 120.0, 100.0
     found = aggregate([Layer(h, np.full(SHAPE, 0.9), b, 1.0) for h, b in zip(stack, background)], "mean")

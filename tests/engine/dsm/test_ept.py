@@ -44,9 +44,11 @@ def steps(path):
 
 def read(folder):
     folder = pathlib.Path(folder)
-    return (json.loads((folder / "ept.json").read_text()),
-            json.loads((folder / "ept-hierarchy" / "0-0-0-0.json").read_text()),
-            {path.stem: path for path in (folder / "ept-data").glob("*.laz")})
+    return (
+        json.loads((folder / "ept.json").read_text()),
+        json.loads((folder / "ept-hierarchy" / "0-0-0-0.json").read_text()),
+        {path.stem: path for path in (folder / "ept-data").glob("*.laz")},
+    )
 
 
 def in_order(rows):
@@ -138,20 +140,24 @@ def test_each_point_is_in_one_node_however_the_work_is_parted(tmp_path, large, s
     write_ept(large, str(tmp_path / "whole"), CRS)
     assert read(tmp_path / "whole")[1] == hierarchy
     for name, points in nodes.items():  # the same nodes, too
-        np.testing.assert_array_equal(in_order(steps(tmp_path / "whole" / "ept-data" / f"{name}.laz")[0]),
-                                      in_order(points))
+        np.testing.assert_array_equal(
+            in_order(steps(tmp_path / "whole" / "ept-data" / f"{name}.laz")[0]), in_order(points)
+        )
 
 
 def test_a_node_with_children_has_one_point_a_voxel(tmp_path, large, small_parts):
     write_ept(large, str(tmp_path / "e"), CRS)
     about, hierarchy, nodes = check(tmp_path / "e", large)
     offset = np.array([dimension["offset"] for dimension in about["schema"][:3]])
-    corner, opposite = (np.rint((np.array(about["bounds"][i:i + 3]) - offset) / 0.001).astype(int) for i in (0, 3))
-    inner = {"-".join(map(str, (int(d) - 1, *(int(p) >> 1 for p in place))))
-             for d, *place in (name.split("-") for name in hierarchy) if int(d)}
+    corner, opposite = (np.rint((np.array(about["bounds"][i : i + 3]) - offset) / 0.001).astype(int) for i in (0, 3))
+    inner = {
+        "-".join(map(str, (int(d) - 1, *(int(p) >> 1 for p in place))))
+        for d, *place in (name.split("-") for name in hierarchy)
+        if int(d)
+    }
     assert len(inner) > 10
     for name in inner:
-        voxel = (opposite - corner)[0] // 2**int(name.split("-")[0]) // about["span"]
+        voxel = (opposite - corner)[0] // 2 ** int(name.split("-")[0]) // about["span"]
         place = (nodes[name][:, :3] - corner) // voxel
         assert len(np.unique(place, axis=0)) == len(place), name
 
@@ -165,8 +171,11 @@ def test_the_same_cloud_gives_the_same_bytes(tmp_path, large, small_parts):
 def test_points_on_one_spot_and_a_single_point(tmp_path, monkeypatch):
     monkeypatch.setattr(ept, "_LEAF", 10)
     monkeypatch.setattr(ept, "_UNIT", 20)
-    for name, points in (("one", np.array([[*ORIGIN]])), ("spot", np.tile([[*ORIGIN]], (100, 1))),
-                         ("far", np.vstack([np.tile([[*ORIGIN]], (50, 1)), [[ORIGIN[0] + 90000, ORIGIN[1], 9000.0]]]))):
+    for name, points in (
+        ("one", np.array([[*ORIGIN]])),
+        ("spot", np.tile([[*ORIGIN]], (100, 1))),
+        ("far", np.vstack([np.tile([[*ORIGIN]], (50, 1)), [[ORIGIN[0] + 90000, ORIGIN[1], 9000.0]]])),
+    ):
         cloud = cloud_of(tmp_path / f"{name}.laz", points, np.ones(len(points)))
         write_ept(cloud, str(tmp_path / name), CRS)
         check(tmp_path / name, cloud)

@@ -12,9 +12,13 @@ from repm_qgis.stages import run_stage
 
 
 def cells(**changes):
-    parts = {"height": np.array([[10.0, 11.0, np.nan]]), "count": np.array([[1, 1, 0]], np.uint8),
-             "spread": np.array([[np.nan, np.nan, np.nan]]), "score": np.array([[1.0, 0.5, np.nan]]),
-             "filled": np.zeros((1, 3), bool)}
+    parts = {
+        "height": np.array([[10.0, 11.0, np.nan]]),
+        "count": np.array([[1, 1, 0]], np.uint8),
+        "spread": np.array([[np.nan, np.nan, np.nan]]),
+        "score": np.array([[1.0, 0.5, np.nan]]),
+        "filled": np.zeros((1, 3), bool),
+    }
     return Aggregate(**{**parts, **changes})
 
 
@@ -46,8 +50,16 @@ def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
     west, cell, _, north, _, _ = dataset.GetGeoTransform()
     height, (rows, columns) = dataset.ReadAsArray().astype(float), (dataset.RasterYSize, dataset.RasterXSize)
     x, y = west + shift["dx"], north + shift["dy"]
-    truth = gdal.Warp("", run.scene.truth, format="MEM", outputBounds=(x, y - rows * cell, x + columns * cell, y),
-                      width=columns, height=rows, resampleAlg="average", dstNodata=-9999).ReadAsArray()
+    truth = gdal.Warp(
+        "",
+        run.scene.truth,
+        format="MEM",
+        outputBounds=(x, y - rows * cell, x + columns * cell, y),
+        width=columns,
+        height=rows,
+        resampleAlg="average",
+        dstNodata=-9999,
+    ).ReadAsArray()
     expected = gdal.Open(run.result["confidence"]).ReadAsArray()[4]
     known = (height > -9000) & (truth != -9999) & (expected != -9999)
     assert known.sum() > 50000
@@ -59,11 +71,20 @@ def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
 
 
 def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, told):
-    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"),
-                                  "resolution": 0.5, "view_heights": str(tmp_path / "pairs")}, told())
+    fused = run_stage(
+        "dsmfuse",
+        {
+            "scene": urban_run.result["scene"],
+            "output": str(tmp_path / "dsm.tif"),
+            "resolution": 0.5,
+            "view_heights": str(tmp_path / "pairs"),
+        },
+        told(),
+    )
     names = sorted(path.name for path in (tmp_path / "pairs").glob("*.tif"))
-    assert names == sorted(f"img_0{a}_img_0{b}{end}.tif" for a, b in ((1, 2), (1, 3), (2, 3))
-                           for end in ("", "_confidence")) and fused["view_heights"] == str(tmp_path / "pairs")
+    assert names == sorted(
+        f"img_0{a}_img_0{b}{end}.tif" for a, b in ((1, 2), (1, 3), (2, 3)) for end in ("", "_confidence")
+    ) and fused["view_heights"] == str(tmp_path / "pairs")
     dsm = gdal.Open(str(tmp_path / "dsm.tif"))
     whole, frame = dsm.ReadAsArray(), dsm.GetGeoTransform()
     for name in names[::2]:
@@ -73,8 +94,8 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
         assert column == int(column) and row == int(row)
         r, c = max(-int(row), 0), max(-int(column), 0)  # its border may lie a cell without that of the whole
         heights = alone.ReadAsArray()[r:, c:]
-        same = whole[int(row) + r:, int(column) + c:][:heights.shape[0], :heights.shape[1]]
-        heights = heights[:same.shape[0], :same.shape[1]]
+        same = whole[int(row) + r :, int(column) + c :][: heights.shape[0], : heights.shape[1]]
+        heights = heights[: same.shape[0], : same.shape[1]]
         known = (heights > -9000) & (same > -9000)
         assert known.sum() > 0.5 * known.size * 0.5
         assert np.median(np.abs(heights - same)[known]) < 0.5

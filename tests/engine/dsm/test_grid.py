@@ -125,10 +125,10 @@ def test_windows_of_adjoining_tiles_partition_the_cells(cell, corner):
     for x0, x1 in zip(edges_x, edges_x[1:]):
         for y0, y1 in zip(edges_y, edges_y[1:]):
             col, row, width, height = grid.window((x0, y0, x1, y1))
-            owners[row:row + height, col:col + width] += 1
+            owners[row : row + height, col : col + width] += 1
             part = grid.part((col, row, width, height))
             px, py = part.centres()
-            np.testing.assert_allclose(px, xs[col:col + width])
+            np.testing.assert_allclose(px, xs[col : col + width])
             assert px.min() >= x0 - 1e-6 and px.max() <= x1 + 1e-6 and py.min() >= y0 - 1e-6 and py.max() <= y1 + 1e-6
     inside = (ys[:, None] > edges_y[0]) & (ys[:, None] < edges_y[-1]) & (xs > edges_x[0]) & (xs < edges_x[-1])
     assert (owners[inside] == 1).all() and owners.max() == 1

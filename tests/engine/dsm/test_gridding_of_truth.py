@@ -41,8 +41,15 @@ def gridded(path, cell):
 
     height = at(x, y)
     known = np.isfinite(height)
-    grid = CellGrid.covering((transform[0], transform[3] + truth.shape[0] * transform[5],
-                              transform[0] + truth.shape[1] * transform[1], transform[3]), cell)
+    grid = CellGrid.covering(
+        (
+            transform[0],
+            transform[3] + truth.shape[0] * transform[5],
+            transform[0] + truth.shape[1] * transform[1],
+            transform[3],
+        ),
+        cell,
+    )
     dsm = grid_points(grid, x[known], y[known], height[known], np.ones(known.sum()), GSD)[0]
     xs, ys = grid.centres()
     offsets = (np.arange(5) - 2) / 5 * cell
@@ -53,8 +60,12 @@ def gridded(path, cell):
 def measured(dsm, truth, cell):
     error = (dsm - truth)[np.isfinite(dsm) & np.isfinite(truth)]
     shift = align_3d([(dsm.astype(np.float32), truth.astype(np.float32))], (cell, cell), lambda: None)
-    return (1.4826 * np.median(np.abs(error - np.median(error))), np.hypot(shift.dx, shift.dy) / cell,
-            abs(np.median(error)), np.isfinite(dsm[np.isfinite(truth)]).mean())
+    return (
+        1.4826 * np.median(np.abs(error - np.median(error))),
+        np.hypot(shift.dx, shift.dy) / cell,
+        abs(np.median(error)),
+        np.isfinite(dsm[np.isfinite(truth)]).mean(),
+    )
 
 
 @pytest.mark.parametrize("cell", (0.5, 1.0))

@@ -7,7 +7,7 @@ import pytest
 
 from repm_qgis.dsm.hidden import hidden_ground
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.mvs.dense import HeightMap
+from repm_qgis.matching.dense import HeightMap
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -23,12 +23,20 @@ def view(column_lean, row_lean, rise=0.0, size=110):
         x, y = column - column_lean * (z - GROUND), row - row_lean * (z - GROUND)
         height = np.where((x > WEST) & (x < EAST) & (y > SOUTH) & (y < NORTH), z, height)
     x, y = column - column_lean * (height - GROUND), row - row_lean * (height - GROUND)
-    return HeightMap(x, y, height, np.ones(height.shape, np.float32), np.zeros(height.shape, dtype=bool),
-                     (-column_lean, -row_lean), (column_lean, row_lean))
+    return HeightMap(
+        x,
+        y,
+        height,
+        np.ones(height.shape, np.float32),
+        np.zeros(height.shape, dtype=bool),
+        (-column_lean, -row_lean),
+        (column_lean, row_lean),
+    )
 
 
 def is_hidden(x, y, column_lean, row_lean):
     """Whether ground points are outside the block and the view's line of sight to them meets it."""
+
     def inside(px, py, room=0.0):
         return (px > WEST - room) & (px < EAST + room) & (py > SOUTH - room) & (py < NORTH + room)
 
@@ -56,7 +64,7 @@ def test_hidden_ground_is_where_the_view_does_not_see(lean):
 def test_hidden_ground_goes_on_as_the_ground_before_it_slopes(lean, rise):
     x, _, z = hidden_ground(view(lean, 0.0, rise), 3.0)
     assert len(z) > 100
-    assert np.abs(z - (GROUND + rise * x)).max() < 0.35     # what a pixel more or less of the strip makes
+    assert np.abs(z - (GROUND + rise * x)).max() < 0.35  # what a pixel more or less of the strip makes
 
 
 def test_no_step_hides_nothing():
@@ -64,8 +72,9 @@ def test_no_step_hides_nothing():
     level = np.full(heights.height.shape, GROUND)
     slope = GROUND + np.arange(level.shape[1]) * 1.5 + np.zeros((level.shape[0], 1))
     for height in (level, slope, np.full(level.shape, np.nan)):
-        points = hidden_ground(HeightMap(heights.x, heights.y, height, heights.score, heights.filled, heights.ray,
-                                         heights.lean), 3.0)
+        points = hidden_ground(
+            HeightMap(heights.x, heights.y, height, heights.score, heights.filled, heights.ray, heights.lean), 3.0
+        )
         assert all(part.size == 0 for part in points)
     assert hidden_ground(view(0.0, 0.0), 3.0)[2].size == 0
 
@@ -76,10 +85,14 @@ def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, cap
     for tile in scene.tiles:
         tile.heights = tile.heights[:1]
     dsm, sure, error = (str(tmp_path / name) for name in ("dsm.tif", "confidence.tif", "error.tif"))
-    run_stage("dsmfuse", {"scene": scene.save(str(tmp_path / "pair.json")), "output": dsm, "confidence": sure,
-                          "resolution": 0.5}, told())
-    found = run_stage("comparedsm", {"dsm": dsm, "reference": urban_run.scene.truth, "align": "3d", "error": error},
-                      told())
+    run_stage(
+        "dsmfuse",
+        {"scene": scene.save(str(tmp_path / "pair.json")), "output": dsm, "confidence": sure, "resolution": 0.5},
+        told(),
+    )
+    found = run_stage(
+        "comparedsm", {"dsm": dsm, "reference": urban_run.scene.truth, "align": "3d", "error": error}, told()
+    )
     with opened(error) as dataset:
         errors, (west, cell, _, north, _, _) = read(dataset), dataset.GetGeoTransform()
     with opened(sure) as dataset:
@@ -91,6 +104,8 @@ def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, cap
     filled = inside & (source[np.where(inside, r, 0), np.where(inside, c, 0)] == 1) & np.isfinite(errors)
     right = (np.abs(errors[filled]) < 2.5).mean()
     with capsys.disabled():
-        print(f"\n{filled.sum()} cells filled, {100 * right:.1f} % right within 2.5 m; valid {found['valid']:.2f} %, "
-              f"RMSE {found['rmse']:.3f} m")
+        print(
+            f"\n{filled.sum()} cells filled, {100 * right:.1f} % right within 2.5 m; valid {found['valid']:.2f} %, "
+            f"RMSE {found['rmse']:.3f} m"
+        )
     assert filled.sum() > 3000 and right > 0.7 and found["valid"] > 98

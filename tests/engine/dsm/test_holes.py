@@ -45,7 +45,7 @@ def test_holes_too_wide_stay_partly_empty():
 def test_the_terrain_model_gives_the_relief():
     """A ridge within the hole: unknown to the border, but the model has it; the model's own offset does not matter."""
     rows, cols = np.indices((100, 100))
-    ridge = 20 * np.exp(-((cols - 50) / 6.0) ** 2)
+    ridge = 20 * np.exp(-(((cols - 50) / 6.0) ** 2))
     holed = 300 + ridge
     truth = holed.copy()
     holed[20:80, 20:80] = np.nan

@@ -19,8 +19,9 @@ TRANSFORM = (500000.0, 0.5, 0.0, 4800000.0, 0.0, -0.5)
 def dsm_of(path, heights, **options):
     import pyproj
 
-    return write(str(path), [np.asarray(heights, dtype=np.float32)], TRANSFORM, pyproj.CRS("EPSG:32631").to_wkt(),
-                 **options)
+    return write(
+        str(path), [np.asarray(heights, dtype=np.float32)], TRANSFORM, pyproj.CRS("EPSG:32631").to_wkt(), **options
+    )
 
 
 def read_ply(path):
@@ -50,14 +51,19 @@ def test_a_full_surface_is_covered_once(tmp_path):
     assert facts == {"vertices": 40 * 61, "faces": 2 * 39 * 60, "step": 1}
     assert "comment crs: PROJCS" in head and "comment heights: metres above the WGS 84 ellipsoid" in head
     rows, columns = np.mgrid[0:40, 0:61]
-    np.testing.assert_array_equal(vertices, np.column_stack(
-        [500000.25 + 0.5 * columns.ravel(), 4799999.75 - 0.5 * rows.ravel(), heights.astype(np.float32).ravel()]))
+    np.testing.assert_array_equal(
+        vertices,
+        np.column_stack(
+            [500000.25 + 0.5 * columns.ravel(), 4799999.75 - 0.5 * rows.ravel(), heights.astype(np.float32).ravel()]
+        ),
+    )
     found = areas(vertices, faces)
     np.testing.assert_allclose(found, 0.125, atol=1e-9)  # all the same way round, none degenerate
     assert found.sum() == pytest.approx(39 * 60 * 0.25)
     assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces)
-    edges, counts = np.unique(np.sort(np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
-                              axis=0, return_counts=True)
+    edges, counts = np.unique(
+        np.sort(np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0, return_counts=True
+    )
     assert counts.max() == 2 and (counts == 1).sum() == 2 * (39 + 60)  # closed but for the border
 
 
@@ -101,7 +107,7 @@ def test_the_limit_thins_evenly_and_keeps_true_heights(tmp_path):
         assert len(vertices) == facts["vertices"] <= limit
         step = facts["step"]
         part = heights[::step, ::step]
-        finer = heights[::step - 1, ::step - 1] if step > 1 else None
+        finer = heights[:: step - 1, :: step - 1] if step > 1 else None
         assert finer is None or np.isfinite(finer).sum() > limit or limit == 10
         np.testing.assert_array_equal(vertices[:, 2], part[np.isfinite(part)].astype(np.float32))
         assert (areas(vertices, faces) > 0).all()

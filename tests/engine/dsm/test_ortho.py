@@ -29,8 +29,12 @@ def on_ground(urban, grid, height):
 def painted(urban, folder, write_image, index=0):
     """A view whose brightness tells the column and row it was taken from: 10 x column, or 10 x row."""
     rows, cols = np.mgrid[:400, :400]
-    return [load_views((write_image(folder / f"{name}.tif", (10 * axis + 100).astype(np.float32),
-                                    urban.views[index].rpc),))[0] for name, axis in (("col", cols), ("row", rows))]
+    return [
+        load_views(
+            (write_image(folder / f"{name}.tif", (10 * axis + 100).astype(np.float32), urban.views[index].rpc),)
+        )[0]
+        for name, axis in (("col", cols), ("row", rows))
+    ]
 
 
 def test_each_cell_has_the_brightness_of_its_pixel(urban, middle, tmp_path, write_image):

@@ -10,7 +10,7 @@ def brute(height, tolerance):
     """The rule, neighbour by neighbour."""
     result = height.copy()
     for row, column in np.argwhere(np.isfinite(height)):
-        near = height[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2]
+        near = height[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         with np.errstate(invalid="ignore"):
             if (np.abs(near - height[row, column]) <= tolerance).sum() - 1 < 2:
                 result[row, column] = np.nan

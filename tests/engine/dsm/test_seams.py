@@ -25,14 +25,14 @@ def stored(folder, offsets, spoil=None):
         if spoil:
             spoil(number, whole)
         r0, c0 = max(row - MARGIN_CELLS, 0), max(col - MARGIN_CELLS, 0)
-        wide = whole[r0:row + height + MARGIN_CELLS, c0:col + width + MARGIN_CELLS]
+        wide = whole[r0 : row + height + MARGIN_CELLS, c0 : col + width + MARGIN_CELLS]
         path = str(folder / f"{number}.npz")
         np.save(wide_file(path), wide.astype(np.float32))
         tiles.append(StoredTile(path, 0, 0, 0, 0, 6, None, None, (1.0,)))
-        own.append(whole[row:row + height, col:col + width])
+        own.append(whole[row : row + height, col : col + width])
     result = np.full(SHAPE, np.nan)
     for index, (col, row, width, height) in enumerate(WINDOWS):
-        result[row:row + height, col:col + width] = blended(own[index], index, WINDOWS, tiles, SHAPE, 1.0)
+        result[row : row + height, col : col + width] = blended(own[index], index, WINDOWS, tiles, SHAPE, 1.0)
     return result
 
 

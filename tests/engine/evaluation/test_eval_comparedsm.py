@@ -359,8 +359,13 @@ def test_several_dsms_in_one_table(make_raster, terrain, tmp_path):
     first = make_raster("first.tif", reference + 0.25)
     (tmp_path / "peer").mkdir()
     second = make_raster("peer/first.tif", reference - 0.5)
-    got = compare(first, make_raster("ref.tif", reference), others=[second], error=str(tmp_path / "e.tif"),
-                  report=str(tmp_path / "r.html"))
+    got = compare(
+        first,
+        make_raster("ref.tif", reference),
+        others=[second],
+        error=str(tmp_path / "e.tif"),
+        report=str(tmp_path / "r.html"),
+    )
     assert got["bias"] == pytest.approx(0.25, abs=1e-5)
     assert [(one["dsm"], round(one["bias"], 4)) for one in got["others"]] == [(second, -0.5)]
     error = gdal.Open(str(tmp_path / "e.tif")).ReadAsArray()
@@ -390,8 +395,11 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
 
     corners = [(10.0, -20.0), (70.0, -60.0), (90.0, -15.0)]  # m from the origin
     to_degrees = Transformer.from_crs("EPSG:32631", 4326, always_xy=True)
-    path = line_layer(str(tmp_path / "cuts.gpkg"), "EPSG:4326",
-                      ridge=[to_degrees.transform(ORIGIN[0] + x, ORIGIN[1] + y) for x, y in corners])
+    path = line_layer(
+        str(tmp_path / "cuts.gpkg"),
+        "EPSG:4326",
+        ridge=[to_degrees.transform(ORIGIN[0] + x, ORIGIN[1] + y) for x, y in corners],
+    )
     a = gdal.Open(make_raster("dsm.tif", terrain(200, 240) + 2))
     b = gdal.Open(make_raster("ref.tif", terrain(200, 240)))
     lines = read_lines(path, Grid.of(b))

@@ -40,8 +40,14 @@ def test_overlap_is_of_the_smaller_footprint(scene):
 def test_every_pair_and_view_is_told_with_its_figures(scene):
     facts, page = scene.facts("reconstruct"), page_of(scene)
     for pair in facts["pairs"]:
-        metres = np.median([record["metres_per_px"] for tile in scene.tiles for record in tile.heights
-                            if list(record["pair"]) == [pair["first"], pair["second"]]])
+        metres = np.median(
+            [
+                record["metres_per_px"]
+                for tile in scene.tiles
+                for record in tile.heights
+                if list(record["pair"]) == [pair["first"], pair["second"]]
+            ]
+        )
         angle, ratio = f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}"
         for text in (angle, ratio, f"{metres:.2f}", f"{metres / 4:.2f}"):
             assert f"{text}</td>" in page
@@ -88,9 +94,10 @@ def test_the_images_table_tells_when_and_under_which_sun(scene):
 def test_control_points_are_told_and_rejected_ones_named(scene):
     ties = scene.facts("reconstruct")["ties"]
     del ties["height_uncertainty_m"]
-    ties["gcps"] = [{"id": f"P{k}", "role": role, "rejected": k == 2, "east_m": 0.1, "north_m": -0.2, "up_m": up}
-                    for k, (role, up) in enumerate((("control", 0.5), ("control", -0.7), ("control", 25.0),
-                                                    ("check", 0.9)))]
+    ties["gcps"] = [
+        {"id": f"P{k}", "role": role, "rejected": k == 2, "east_m": 0.1, "north_m": -0.2, "up_m": up}
+        for k, (role, up) in enumerate((("control", 0.5), ("control", -0.7), ("control", 25.0), ("check", 0.9)))
+    ]
     ties["rejected_gcps"] = ["P2"]
     page = page_of(scene)
     assert "1 control point contradicted all others and took no part: P2." in page and "<td>rejected</td>" in page

@@ -275,8 +275,12 @@ def test_a_confidence_of_one_height_map_shows_the_score(tmp_path, counts, band):
     rows = np.ones((20, 20), np.float32)
     count = np.where(np.arange(20) < 10, *counts) * rows
     path = str(tmp_path / "confidence.tif")
-    raster.write(path, [count.astype(np.float32), rows * np.nan, np.linspace(0.2, 0.9, 400, dtype=np.float32).reshape(
-        20, 20)], (0, 1, 0, 20, 0, -1), "")
+    raster.write(
+        path,
+        [count.astype(np.float32), rows * np.nan, np.linspace(0.2, 0.9, 400, dtype=np.float32).reshape(20, 20)],
+        (0, 1, 0, 20, 0, -1),
+        "",
+    )
     text = open(styles.write_style("confidence", path), encoding="utf-8").read()
     assert f'type="singlebandpseudocolor" band="{band}"' in text
     low = float(re.search(r'classificationMin="([^"]*)"', text).group(1))

@@ -19,16 +19,20 @@ from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.rpc.readers import read_rpc_file
 
 # docs and DESIGN.md: RMSE and max in px, uncorrected and after the polynomial of second order.
-TABLE = {"giza": ((22.5, 64.4), (1.23, 4.66)), "toulouse": ((19.0, 52.0), (1.13, 4.05)),
-         "calanques": ((5.50, 20.5), (4.37, 13.0)), "ubaye": ((8.86, 25.7), (6.37, 19.4)),
-         "ossoue": ((14.0, 48.0), (13.9, 44.2))}
+TABLE = {
+    "giza": ((22.5, 64.4), (1.23, 4.66)),
+    "toulouse": ((19.0, 52.0), (1.13, 4.05)),
+    "calanques": ((5.50, 20.5), (4.37, 13.0)),
+    "ubaye": ((8.86, 25.7), (6.37, 19.4)),
+    "ossoue": ((14.0, 48.0), (13.9, 44.2)),
+}
 
 
 def full_scene(shared_data, site):
     """The site's first RPC, and the window of the whole image: RFM_Validity's last column and row are its size."""
     path = sorted((shared_data / "rpc" / "pleiades").glob(f"{site}__*.XML"))[0]
     text = path.read_text()
-    text = text[text.index("<RFM_Validity>"):]
+    text = text[text.index("<RFM_Validity>") :]
     size = [int(re.search(f"<LAST_{name}>([0-9]+)<", text).group(1)) for name in ("COL", "ROW")]
     return read_rpc_file(str(path)), (0, 0, *size)
 
@@ -89,8 +93,14 @@ def test_the_error_grows_with_the_window_and_the_refined_image_holds_it(shared_d
         window = (19000 - side // 2, 18000 - side // 2, side, side)
         grid, fitted = measured(rpc, window, rpc.height_range)
         refined = refine_pinhole("polynomial", fitted.camera, grid, window)
-        corners = np.array([[window[0], window[1]], [window[0] + side - 1, window[1] + side - 1],
-                            [window[0] + side - 1, window[1]], [window[0], window[1] + side - 1]])
+        corners = np.array(
+            [
+                [window[0], window[1]],
+                [window[0] + side - 1, window[1] + side - 1],
+                [window[0] + side - 1, window[1]],
+                [window[0], window[1] + side - 1],
+            ]
+        )
         inside = refined.to_original.refined_from_original(corners)
         assert (inside >= -1e-3).all() and (inside <= np.array(refined.size) - 1 + 1e-3).all()
         assert abs(refined.size[0] - side) < 0.1 * side and refined.camera.K[0, 1] == 0
@@ -105,5 +115,5 @@ def test_the_refined_camera_sees_what_m_says(shared_data):
     for model in ("none", "homography", "polynomial"):
         refined = refine_pinhole(model, fitted.camera, grid, window)
         difference = refined.to_original.original_from_refined(refined.camera.project(grid.enu)) - grid.pixels
-        assert np.sqrt((difference ** 2).sum(axis=1).mean()) == pytest.approx(refined.error.rmse, rel=1e-6)
-        assert np.sqrt((difference ** 2).sum(axis=1).max()) == pytest.approx(refined.error.max, rel=1e-6)
+        assert np.sqrt((difference**2).sum(axis=1).mean()) == pytest.approx(refined.error.rmse, rel=1e-6)
+        assert np.sqrt((difference**2).sum(axis=1).max()) == pytest.approx(refined.error.max, rel=1e-6)

@@ -18,8 +18,17 @@ from repm_qgis.geometry.frames import (
     utm_crs,
 )
 
-PLACES = np.array([[1.44, 43.6, 190.0], [-179.9, -17.0, 1200.0], [151.2, -33.9, -20.0], [6.9, 45.8, 4800.0],
-                   [18.5, -72.2, 500.0], [0.0, 0.0, 0.0], [-70.0, 89.9, 10.0]])
+PLACES = np.array(
+    [
+        [1.44, 43.6, 190.0],
+        [-179.9, -17.0, 1200.0],
+        [151.2, -33.9, -20.0],
+        [6.9, 45.8, 4800.0],
+        [18.5, -72.2, 500.0],
+        [0.0, 0.0, 0.0],
+        [-70.0, 89.9, 10.0],
+    ]
+)
 
 
 def test_ecef_agrees_with_epsg_4978():
@@ -36,7 +45,8 @@ def test_enu_agrees_with_projs_topocentric(place):
     lon, lat, height = place
     pipeline = pyproj.Transformer.from_pipeline(
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84 "
-        f"+step +proj=topocentric +ellps=WGS84 +lon_0={lon} +lat_0={lat} +h_0={height}")
+        f"+step +proj=topocentric +ellps=WGS84 +lon_0={lon} +lat_0={lat} +h_0={height}"
+    )
     points = place + np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [0.05, 0.05, 2000]
     expected = np.stack(pipeline.transform(*points.T), axis=-1)
     frame = EnuFrame(lon, lat, height)
@@ -55,9 +65,19 @@ def test_the_origin_is_zero_and_shapes_are_kept():
     assert EnuFrame.from_mapping(frame.to_mapping()) == frame
 
 
-@pytest.mark.parametrize("lon, lat, code", (
-    (1.44, 43.6, 32631), (151.2, -33.9, 32756), (-180.0, 10.0, 32601), (180.0, 10.0, 32601), (179.99, 10.0, 32660),
-    (-0.01, -0.01, 32730), (5.999, 1.0, 32631), (6.0, 1.0, 32632)))
+@pytest.mark.parametrize(
+    "lon, lat, code",
+    (
+        (1.44, 43.6, 32631),
+        (151.2, -33.9, 32756),
+        (-180.0, 10.0, 32601),
+        (180.0, 10.0, 32601),
+        (179.99, 10.0, 32660),
+        (-0.01, -0.01, 32730),
+        (5.999, 1.0, 32631),
+        (6.0, 1.0, 32632),
+    ),
+)
 def test_utm_zone_is_one_whose_domain_holds_the_point(lon, lat, code):
     assert utm_crs(lon, lat) == f"EPSG:{code}"
     area = pyproj.CRS(utm_crs(lon, lat)).area_of_use
@@ -72,27 +92,43 @@ def test_projecting_agrees_with_pyproj():
         np.testing.assert_allclose(geodetic_from_projected(crs, found)[0], [lon, lat], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("text, words", (
-    ("EPSG:4326", "must be a projected CRS"), ("EPSG:4978", "must be a projected CRS"),
-    ("no such thing", "is not a coordinate reference system that PROJ knows"), ("", "is not a coordinate reference"),
-    ("EPSG:999999", "is not a coordinate reference"), ("EPSG:2263", "metres"), ("EPSG:32631+5773",
-                                                                                "without a vertical")))
+@pytest.mark.parametrize(
+    "text, words",
+    (
+        ("EPSG:4326", "must be a projected CRS"),
+        ("EPSG:4978", "must be a projected CRS"),
+        ("no such thing", "is not a coordinate reference system that PROJ knows"),
+        ("", "is not a coordinate reference"),
+        ("EPSG:999999", "is not a coordinate reference"),
+        ("EPSG:2263", "metres"),
+        ("EPSG:32631+5773", "without a vertical"),
+    ),
+)
 def test_a_dsm_needs_a_projected_crs_in_metres(text, words):
     with pytest.raises(OptionError) as caught:
         projected_crs(text)
     assert words in str(caught.value) and repr(text) in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ("EPSG:32631", "EPSG:2154", "EPSG:2193", "EPSG:3035",
-                                  "+proj=laea +lat_0=43 +lon_0=1 +datum=WGS84 +units=m"))
+@pytest.mark.parametrize(
+    "text", ("EPSG:32631", "EPSG:2154", "EPSG:2193", "EPSG:3035", "+proj=laea +lat_0=43 +lon_0=1 +datum=WGS84 +units=m")
+)
 def test_usual_projections_are_taken(text):
     assert projected_crs(text).is_projected
 
 
-@pytest.mark.parametrize("text, fit", (
-    ("EPSG:32631", True), ("EPSG:2154", True), ("EPSG:3857", True), ("EPSG:3035", True), ("EPSG:3031", False),
-    ("+proj=ortho +lat_0=-43 +lon_0=-178 +datum=WGS84 +units=m", False),
-    ("+proj=laea +lat_0=-43.6 +lon_0=-178.56 +datum=WGS84", False)))
+@pytest.mark.parametrize(
+    "text, fit",
+    (
+        ("EPSG:32631", True),
+        ("EPSG:2154", True),
+        ("EPSG:3857", True),
+        ("EPSG:3035", True),
+        ("EPSG:3031", False),
+        ("+proj=ortho +lat_0=-43 +lon_0=-178 +datum=WGS84 +units=m", False),
+        ("+proj=laea +lat_0=-43.6 +lon_0=-178.56 +datum=WGS84", False),
+    ),
+)
 def test_a_crs_must_be_made_for_the_place(text, fit):
     if fit:
         assert projected_crs_at(text, 1.44, 43.6).is_projected

@@ -23,15 +23,17 @@ def rotation(*angles):
 def close_camera():
     """A wide camera a kilometre away: every parameter is well determined."""
     R = rotation(170.0, 12.0, 30.0)
-    return PinholeCamera(np.array([[1500.0, 3.0, 700.0], [0, 1400.0, 500.0], [0, 0, 1]]), R,
-                         -R @ np.array([150.0, -200.0, 1000.0]))
+    return PinholeCamera(
+        np.array([[1500.0, 3.0, 700.0], [0, 1400.0, 500.0], [0, 0, 1]]), R, -R @ np.array([150.0, -200.0, 1000.0])
+    )
 
 
 def satellite():
     """Half a metre a pixel from 700 km, 20 degrees off nadir."""
     R = rotation(180.0 - 12.0, 16.0, 11.0)
-    return PinholeCamera(np.array([[1.4e6, 250.0, 9000.0], [0, 1.395e6, 12000.0], [0, 0, 1]]), R,
-                         -R @ np.array([2.1e5, -1.4e5, 6.9e5]))
+    return PinholeCamera(
+        np.array([[1.4e6, 250.0, 9000.0], [0, 1.395e6, 12000.0], [0, 0, 1]]), R, -R @ np.array([2.1e5, -1.4e5, 6.9e5])
+    )
 
 
 def ground(width, relief, count=500):
@@ -87,8 +89,9 @@ def test_moved_and_straightened():
     straight = camera.without_skew()
     assert straight.K[0, 1] == 0
     skew = camera.K @ np.linalg.inv(straight.K)
-    np.testing.assert_allclose(straight.project(points) @ skew[:2, :2].T + skew[:2, 2], camera.project(points),
-                               atol=1e-6)
+    np.testing.assert_allclose(
+        straight.project(points) @ skew[:2, :2].T + skew[:2, 2], camera.project(points), atol=1e-6
+    )
     again = PinholeCamera.from_mapping(camera.to_mapping())
     np.testing.assert_array_equal(again.P, camera.P)
 

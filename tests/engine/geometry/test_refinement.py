@@ -52,8 +52,11 @@ def test_quadratic_map_is_found_and_inverted():
 def test_none_only_takes_the_skew_out():
     skew = np.array([[1, 0.01, 3.0], [0, 1, 0], [0, 0, 1]])
     p = pixels(10)
-    np.testing.assert_allclose(fit_map("none", p, p + 99, skew).original_from_refined(p),
-                               p + np.column_stack([0.01 * p[:, 1] + 3, np.zeros(10)]), atol=1e-9)
+    np.testing.assert_allclose(
+        fit_map("none", p, p + 99, skew).original_from_refined(p),
+        p + np.column_stack([0.01 * p[:, 1] + 3, np.zeros(10)]),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("site", ("giza", "calanques", "ubaye", "ossoue"))

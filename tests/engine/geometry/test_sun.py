@@ -31,9 +31,15 @@ def test_meeus_examples():
     assert hour_angle == pytest.approx((13 + 42.6 / 60) / 4, abs=0.02)
 
 
-@pytest.mark.parametrize(("moment", "declination"), [
-    (utc(2000, 3, 20, 7, 35), 0.0), (utc(2012, 6, 20, 23, 9), 23.44), (utc(2012, 12, 21, 11, 12), -23.44),
-    (utc(2021, 9, 22, 19, 21), 0.0)])
+@pytest.mark.parametrize(
+    ("moment", "declination"),
+    [
+        (utc(2000, 3, 20, 7, 35), 0.0),
+        (utc(2012, 6, 20, 23, 9), 23.44),
+        (utc(2012, 12, 21, 11, 12), -23.44),
+        (utc(2021, 9, 22, 19, 21), 0.0),
+    ],
+)
 def test_equinoxes_and_solstices(moment, declination):
     """Times published by the US Naval Observatory, to the minute."""
     assert sun_position(moment, 0.0, 90.0)[1] == pytest.approx(declination, abs=0.02)
@@ -45,7 +51,7 @@ def test_directions_and_hemispheres():
     south_azimuth, south = sun_position(noon, 0.0, -30.0)
     assert north_azimuth == pytest.approx(180, abs=1.5) and north == pytest.approx(90 - 50 + 23.44, abs=0.1)
     assert min(south_azimuth, 360 - south_azimuth) < 1.5 and south == pytest.approx(90 - 30 - 23.44, abs=0.1)
-    assert 60 < sun_position(utc(2012, 6, 21, 6, 0), 0.0, 50.0)[0] < 90     # morning: east
+    assert 60 < sun_position(utc(2012, 6, 21, 6, 0), 0.0, 50.0)[0] < 90  # morning: east
     assert sun_position(utc(2012, 6, 21, 0, 0), 0.0, 40.0)[1] < 0
     for lon in (-180.0, 180.0, 540.0):
         np.testing.assert_allclose(sun_position(noon, lon, 10.0), sun_position(noon, 180.0, 10.0), atol=1e-9)

@@ -14,9 +14,11 @@ AREAS = {
     "square": box((500000.0, 4800000.0, 501000.0, 4801000.0)),
     "broken metres": box((500000.9, 4800000.1, 500840.9, 4800700.9)),
     "thin": box((500000.5, 4800000.0, 503000.2, 4800040.0)),
-    "slanted": geometry_of(np.array([[500100.3, 4800000.2], [501500.7, 4800300.9], [501200.4, 4801400.6],
-                                     [499800.1, 4801100.3]])),
-    "tiny": box((500000.4, 4800000.4, 500000.6, 4800000.6))}
+    "slanted": geometry_of(
+        np.array([[500100.3, 4800000.2], [501500.7, 4800300.9], [501200.4, 4801400.6], [499800.1, 4801100.3]])
+    ),
+    "tiny": box((500000.4, 4800000.4, 500000.6, 4800000.6)),
+}
 
 
 @pytest.mark.parametrize("name", AREAS)
@@ -49,16 +51,18 @@ def test_a_window_holds_every_point_of_its_tile(urban):
     bounds = (x0 + 30, y0 + 30, x0 + 90, y0 + 80)
     points = np.random.default_rng(3).uniform((bounds[0], bounds[1], low), (bounds[2], bounds[3], high), (3000, 3))
     for view in urban.views:
-        window = pixel_window(view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, (low, high),
-                              view.size)
+        window = pixel_window(
+            view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, (low, high), view.size
+        )
         pixels = view.project(np.column_stack([geodetic_from_projected(urban.crs, points[:, :2]), points[:, 2]]))
         inside = ((pixels >= 0) & (pixels <= np.array(view.size) - 1)).all(axis=1)
         offset = pixels[inside] - window[:2]
         assert (offset >= 0).all() and (offset <= np.array(window[2:]) - 1).all()
         # And it is hardly larger than it must be: random points miss the corners by some px.
         assert (np.array(window[2:]) <= np.ptp(pixels, axis=0) + 30).all()
-        grown = pixel_window(view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, (low, high),
-                             view.size, margin=10)
+        grown = pixel_window(
+            view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, (low, high), view.size, margin=10
+        )
         assert grown[0] == max(window[0] - 10, 0) and grown[2] >= window[2]
 
 
@@ -67,12 +71,15 @@ def test_what_the_image_does_not_see_has_no_window(urban):
     x0, y0, x1, y1 = urban.bounds
 
     def window(bounds):
-        return pixel_window(view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, urban.height_range,
-                            view.size)
+        return pixel_window(
+            view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, urban.height_range, view.size
+        )
 
     assert window((x1 + 5000, y0, x1 + 5100, y1)) is None
-    assert window((x0 + 50, y0 + 50, x0 + 51, y0 + 51)) is None or min(window((x0 + 50, y0 + 50, x0 + 51,
-                                                                               y0 + 51))[2:]) >= 48
+    assert (
+        window((x0 + 50, y0 + 50, x0 + 51, y0 + 51)) is None
+        or min(window((x0 + 50, y0 + 50, x0 + 51, y0 + 51))[2:]) >= 48
+    )
     whole = window((x0 - 1000, y0 - 1000, x1 + 1000, y1 + 1000))
     assert whole == (0, 0, *view.size)
 

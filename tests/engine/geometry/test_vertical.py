@@ -32,7 +32,8 @@ def test_egm96_is_projs_undulation():
     datum = HeightDatum.of("egm96")
     lon, lat = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True).transform(PLACES[..., 0], PLACES[..., 1])
     expected = -pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4326+5773", always_xy=True).transform(
-        lon, lat, np.zeros(lon.shape))[2]
+        lon, lat, np.zeros(lon.shape)
+    )[2]
     found = datum.undulation(UTM, PLACES)
     assert found.shape == (2, 2) and np.abs(found - expected).max() < 1e-6 and 45 < found.min() < 55
     crs = pyproj.CRS(datum.file_crs(UTM))

@@ -86,9 +86,12 @@ def test_dems_that_do_not_help(tmp_path):
     away = dem(tmp_path / "away.tif", "EPSG:4326", west=10.0)
     gaps = dem(tmp_path / "gaps.tif", "EPSG:4326", np.full((200, 200), -32768, np.float32))
     bare = dem(tmp_path / "bare.tif", None)
-    for path, kind, words in ((away, OverlapError, "does not cover the scene"), (gaps, OverlapError, "only nodata"),
-                              (bare, ImageError, "no coordinate reference system"),
-                              (str(tmp_path / "gone.tif"), ImageError, "does not exist")):
+    for path, kind, words in (
+        (away, OverlapError, "does not cover the scene"),
+        (gaps, OverlapError, "only nodata"),
+        (bare, ImageError, "no coordinate reference system"),
+        (str(tmp_path / "gone.tif"), ImageError, "does not exist"),
+    ):
         with pytest.raises(kind) as caught:
             dem_range(path, CRS, bounds())
         assert path in str(caught.value) and words in str(caught.value)

@@ -31,9 +31,13 @@ def test_percentiles_leave_out_glare_and_nodata(tmp_path, write_image):
     assert stretch.low == pytest.approx(101, abs=1.5) and stretch.high == pytest.approx(1094.5, abs=3)
 
 
-@pytest.mark.parametrize("values, nodata, words", (
-    (np.zeros((100, 100), np.uint16), 0, "has only nodata in band 1"),
-    (np.full((100, 100), 37, np.uint16), None, "has the same value (37) almost everywhere")))
+@pytest.mark.parametrize(
+    "values, nodata, words",
+    (
+        (np.zeros((100, 100), np.uint16), 0, "has only nodata in band 1"),
+        (np.full((100, 100), 37, np.uint16), None, "has the same value (37) almost everywhere"),
+    ),
+)
 def test_images_that_show_nothing(tmp_path, write_image, values, nodata, words):
     path = write_image(tmp_path / "a.tif", values, nodata=nodata)
     with pytest.raises(ImageError) as caught:

@@ -67,8 +67,9 @@ def test_no_mask_hides_nothing(image):
 @pytest.mark.parametrize("way", ("alpha", "internal"))
 def test_the_files_own_mask_is_obeyed(tmp_path, way):
     path = str(tmp_path / f"{way}.tif")
-    dataset = gdal.GetDriverByName("GTiff").Create(path, 64, 64, 2 if way == "alpha" else 1,
-                                                   options=["ALPHA=YES"] if way == "alpha" else [])
+    dataset = gdal.GetDriverByName("GTiff").Create(
+        path, 64, 64, 2 if way == "alpha" else 1, options=["ALPHA=YES"] if way == "alpha" else []
+    )
     shown = np.full((64, 64), 255, np.uint8)
     shown[:20, :30] = 0
     dataset.GetRasterBand(1).WriteArray(np.full((64, 64), 77, np.uint8))
@@ -106,10 +107,18 @@ def test_masked_pixels_give_no_ties_and_no_heights(urban, tmp_path, told):
     """A quarter of the first image is masked: there is nothing there; elsewhere the scene is as whole as ever."""
     hidden = np.zeros((400, 400), np.uint8)
     hidden[100:250, 120:300] = 1
-    made = run_stage("pipeline", {
-        "images": urban.images[:2], "masks": [raster(tmp_path / "mask.tif", hidden), ""],
-        "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif"), "resolution": 0.5, "workers": 1},
-        told())
+    made = run_stage(
+        "pipeline",
+        {
+            "images": urban.images[:2],
+            "masks": [raster(tmp_path / "mask.tif", hidden), ""],
+            "workspace": str(tmp_path / "ws"),
+            "output": str(tmp_path / "dsm.tif"),
+            "resolution": 0.5,
+            "workers": 1,
+        },
+        told(),
+    )
     scene = Scene.load(made["scene"])
     assert [bool(view.mask) for view in scene.views] == [True, False]
     dataset = gdal.Open(made["output"])

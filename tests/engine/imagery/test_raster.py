@@ -15,10 +15,12 @@ from repm_qgis.errors import ImageError, WorkspaceError
 from repm_qgis.imagery.raster import created, grey_band, name_of, opened, read, write
 
 ROOT = Path(__file__).resolve().parents[3]
-WKT = 'PROJCS["WGS 84 / UTM zone 31N",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],' \
-      'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],' \
-      'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",3],PARAMETER["scale_factor",0.9996],' \
-      'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1],AUTHORITY["EPSG","32631"]]'
+WKT = (
+    'PROJCS["WGS 84 / UTM zone 31N",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],'
+    'PARAMETER["latitude_of_origin",0],PARAMETER["central_meridian",3],PARAMETER["scale_factor",0.9996],'
+    'PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1],AUTHORITY["EPSG","32631"]]'
+)
 TRANSFORM = (500000.0, 0.5, 0.0, 4800000.0, 0.0, -0.5)
 
 
@@ -30,8 +32,12 @@ def heights(rows=300, columns=200):
 
 def test_what_is_written_is_read(tmp_path):
     path, values = str(tmp_path / "a.tif"), heights()
-    assert write(path, [values, values + 1], TRANSFORM, WKT, descriptions=("height", "other"), unit="m",
-                 metadata={"NOTE": 5}) == path
+    assert (
+        write(
+            path, [values, values + 1], TRANSFORM, WKT, descriptions=("height", "other"), unit="m", metadata={"NOTE": 5}
+        )
+        == path
+    )
     with opened(path) as dataset:
         np.testing.assert_array_equal(read(dataset), values)
         np.testing.assert_array_equal(read(dataset, (10, 40, 30, 25), 2), values[40:65, 10:40] + 1)
@@ -72,24 +78,45 @@ def test_products_pass_gdals_own_cog_validation(tmp_path, shape, dtype):
 
     path, values = str(tmp_path / "a.tif"), heights(*shape)
     values = values if dtype == "float32" else np.nan_to_num(values, nan=0).astype(np.uint8)
-    with created(path, shape, np.dtype(dtype), 2, TRANSFORM, WKT, nodata=-9999.0 if dtype == "float32" else 0,
-                 descriptions=("first", "second"), unit="m", metadata={"NOTE": 5}, cog=True) as writer:
+    with created(
+        path,
+        shape,
+        np.dtype(dtype),
+        2,
+        TRANSFORM,
+        WKT,
+        nodata=-9999.0 if dtype == "float32" else 0,
+        descriptions=("first", "second"),
+        unit="m",
+        metadata={"NOTE": 5},
+        cog=True,
+    ) as writer:
         for row in range(0, shape[0], 256):  # by windows, as tiles come
             for band in (1, 2):
-                writer.write(values[row:row + 256], 0, row, band)
+                writer.write(values[row : row + 256], 0, row, band)
     warnings, errors, _ = validate(path, full_check=True)
     assert not errors and not warnings
     with opened(path) as dataset:
-        np.testing.assert_array_equal(read(dataset, band=2)[250:260], np.where(
-            values == 0, np.nan, values)[250:260] if dtype == "uint8" else values[250:260])
+        np.testing.assert_array_equal(
+            read(dataset, band=2)[250:260],
+            np.where(values == 0, np.nan, values)[250:260] if dtype == "uint8" else values[250:260],
+        )
         band = dataset.GetRasterBand(2)
         assert (band.GetDescription(), band.GetUnitType()) == ("second", "m")
         assert dataset.GetMetadataItem("NOTE") == "5" and dataset.GetMetadataItem("COMPRESSION", "IMAGE_STRUCTURE")
     assert os.listdir(tmp_path) == ["a.tif"]
 
 
-@pytest.mark.parametrize("dtype, nodata", (("uint8", 0), ("uint16", 65535), ("float32", -32768.0),
-                                           ("float32", float("nan")), ("float32", -3.4028234663852886e38)))
+@pytest.mark.parametrize(
+    "dtype, nodata",
+    (
+        ("uint8", 0),
+        ("uint16", 65535),
+        ("float32", -32768.0),
+        ("float32", float("nan")),
+        ("float32", -3.4028234663852886e38),
+    ),
+)
 def test_nodata_of_any_kind_becomes_nan(tmp_path, write_image, dtype, nodata):
     values = np.random.default_rng(0).integers(1, 200, (90, 80)).astype(dtype)
     values[3, 4] = nodata
@@ -123,7 +150,7 @@ def test_decimated_reading_averages_what_is_known(tmp_path, write_image):
 def test_truncated_files_are_image_errors(tmp_path, compress):
     path = tmp_path / "cut.tif"
     write(str(path), [heights(900, 900)], TRANSFORM, WKT, compress=compress)
-    path.write_bytes(path.read_bytes()[:len(path.read_bytes()) // 2])
+    path.write_bytes(path.read_bytes()[: len(path.read_bytes()) // 2])
     with pytest.raises(ImageError) as caught, opened(str(path)) as dataset:
         read(dataset)
     assert str(path) in str(caught.value)
@@ -133,8 +160,11 @@ def test_truncated_files_are_image_errors(tmp_path, compress):
 def test_what_is_no_raster(tmp_path):
     text = tmp_path / "a.tif"
     text.write_text("not a raster")
-    for path, words in ((str(text), "Cannot open the raster"), (str(tmp_path / "gone.tif"), "it does not exist"),
-                        (str(tmp_path), "Cannot open")):
+    for path, words in (
+        (str(text), "Cannot open the raster"),
+        (str(tmp_path / "gone.tif"), "it does not exist"),
+        (str(tmp_path), "Cannot open"),
+    ):
         with pytest.raises(ImageError) as caught, opened(path):
             pass
         assert path in str(caught.value) and words in str(caught.value)
@@ -210,8 +240,9 @@ except WorkspaceError as error:
     sys.stdout.write(str(error))
     sys.exit(1)
 """
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, stdout=subprocess.PIPE,
-                          stderr=subprocess.PIPE, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False
+    )
     assert done.returncode == 1, done.stderr
     assert "a.tif" in done.stdout
     assert os.listdir(tmp_path) == []

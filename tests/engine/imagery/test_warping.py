@@ -14,8 +14,13 @@ ANGLE = np.radians(7.0)
 def turned(points):
     """A rotation with scale and shift, whose window stays inside a 600 x 500 image."""
     x, y = points[..., 0], points[..., 1]
-    return np.stack([60.3 + 0.9 * (np.cos(ANGLE) * x - np.sin(ANGLE) * y) + 40,
-                     20.7 + 0.9 * (np.sin(ANGLE) * x + np.cos(ANGLE) * y)], axis=-1)
+    return np.stack(
+        [
+            60.3 + 0.9 * (np.cos(ANGLE) * x - np.sin(ANGLE) * y) + 40,
+            20.7 + 0.9 * (np.sin(ANGLE) * x + np.cos(ANGLE) * y),
+        ],
+        axis=-1,
+    )
 
 
 def smooth(x, y):
@@ -32,9 +37,11 @@ def images(tmp_path_factory, write_image):
     y, x = np.mgrid[:500, :600].astype(float)
     gap = plane(x, y).astype(np.float32)
     gap[200:230, 300:340] = -9999
-    return {"smooth": write_image(folder / "s.tif", smooth(x, y).astype(np.float32)),
-            "plane": write_image(folder / "p.tif", plane(x, y).astype(np.float32)),
-            "gap": write_image(folder / "g.tif", gap, nodata=-9999.0)}
+    return {
+        "smooth": write_image(folder / "s.tif", smooth(x, y).astype(np.float32)),
+        "plane": write_image(folder / "p.tif", plane(x, y).astype(np.float32)),
+        "gap": write_image(folder / "g.tif", gap, nodata=-9999.0),
+    }
 
 
 def resampled(path, kernel, size=(400, 380), to_source=turned):
@@ -78,7 +85,7 @@ def test_nodata_does_not_bleed(images, kernel, reach):
     x, y = source[..., 0], source[..., 1]
     inside = (x >= 300) & (x <= 339) & (y >= 200) & (y <= 229)
     assert not known[inside].any()
-    far = ((x < 300 - reach - 1) | (x > 339 + reach + 1) | (y < 200 - reach - 1) | (y > 229 + reach + 1))
+    far = (x < 300 - reach - 1) | (x > 339 + reach + 1) | (y < 200 - reach - 1) | (y > 229 + reach + 1)
     assert known[far & (x > 8) & (y > 8) & (x < 591) & (y < 491)].all()
 
 
@@ -126,5 +133,6 @@ def test_whole_pixels_are_taken_as_they_are():
     source = np.random.default_rng(0).normal(size=(30, 40)).astype(np.float32)
     x, y = np.meshgrid(np.arange(5.0, 30.0), np.arange(4.0, 20.0))
     for kernel in ("bilinear", "cubic", "lanczos"):
-        np.testing.assert_allclose(sample_array(source, np.stack([x, y], axis=-1), kernel), source[4:20, 5:30],
-                                   atol=1e-5)
+        np.testing.assert_allclose(
+            sample_array(source, np.stack([x, y], axis=-1), kernel), source[4:20, 5:30], atol=1e-5
+        )

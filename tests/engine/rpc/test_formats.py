@@ -53,6 +53,7 @@ def gdal_pixels(dataset, points):
 
 # --- every format ---------------------------------------------------------------------------------------------------
 
+
 @pytest.mark.parametrize("kind", WRITERS)
 def test_every_format_gives_back_what_was_written(tmp_path, synthetic_rpc, kind):
     rpc = synthetic_rpc()
@@ -72,9 +73,15 @@ def test_windows_line_ends_marks_and_wide_characters(tmp_path, synthetic_rpc, ki
 def test_variants_of_key_value_texts(tmp_path, synthetic_rpc):
     rpc = synthetic_rpc()
     text = key_value(rpc)
-    for variant in (key_value(rpc, width=2), text.replace(": ", " = "), text.replace(": ", ":\t"),
-                    text.replace("LONG_", "LON_"), text.replace("e-05", "D-05"), "# 5 \u00b0\n" + text,
-                    text + "RFM_CORRECTION_PARAMETERS\n" + "".join(f"a{i}: 0.0\n" for i in range(6))):
+    for variant in (
+        key_value(rpc, width=2),
+        text.replace(": ", " = "),
+        text.replace(": ", ":\t"),
+        text.replace("LONG_", "LON_"),
+        text.replace("e-05", "D-05"),
+        "# 5 \u00b0\n" + text,
+        text + "RFM_CORRECTION_PARAMETERS\n" + "".join(f"a{i}: 0.0\n" for i in range(6)),
+    ):
         assert read_rpc_file(written(tmp_path, variant.encode("latin-1"))) == rpc
 
 
@@ -97,6 +104,7 @@ def test_dimap_origin(tmp_path, synthetic_rpc):
 
 # --- real files -----------------------------------------------------------------------------------------------------
 
+
 def test_all_real_files_read_and_go_to_the_ground_and_back(shared_data):
     files = [path for path in sorted((shared_data / "rpc").rglob("*")) if path.is_file()]
     assert len(files) >= 47
@@ -108,14 +116,21 @@ def test_all_real_files_read_and_go_to_the_ground_and_back(shared_data):
         assert np.abs(rpc.project(ground) - pixels).max() < 1e-6, path.name
 
 
-@pytest.mark.parametrize("source, image, sidecar", (
-    ("other/rpc_IKONOS.txt", "a.tif", "a_rpc.txt"), ("other/rpc_PLANET_L1A.txt", "a.tif", "a_RPC.TXT"),
-    ("other/rpc_PLANET_L1B.txt", "a.tif", "a_RPC.TXT"),
-    ("other/20191015_073816_ssc1d3_0011_basic_l1a_panchromatic_dn_RPC.TXT", "a.tif", "a_RPC.TXT"),
-    ("other/rpc_SPOT6.xml", "IMG_a_R1C1.TIF", "RPC_a.XML"), ("other/rpc_WV2.xml", "a.tif", "a.XML"),
-    ("other/RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML", "IMG_a_R1C1.TIF", "RPC_a.XML"),
-    ("pleiades/ossoue__RPC_PHR1A_P_201309231104351_SEN_756965101-002.XML", "IMG_a_R1C1.TIF", "RPC_a.XML"),
-    ("other/wv3_20.NTF", "", ""), ("other/wv3_30.NTF", "", "")))
+@pytest.mark.parametrize(
+    "source, image, sidecar",
+    (
+        ("other/rpc_IKONOS.txt", "a.tif", "a_rpc.txt"),
+        ("other/rpc_PLANET_L1A.txt", "a.tif", "a_RPC.TXT"),
+        ("other/rpc_PLANET_L1B.txt", "a.tif", "a_RPC.TXT"),
+        ("other/20191015_073816_ssc1d3_0011_basic_l1a_panchromatic_dn_RPC.TXT", "a.tif", "a_RPC.TXT"),
+        ("other/rpc_SPOT6.xml", "IMG_a_R1C1.TIF", "RPC_a.XML"),
+        ("other/rpc_WV2.xml", "a.tif", "a.XML"),
+        ("other/RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML", "IMG_a_R1C1.TIF", "RPC_a.XML"),
+        ("pleiades/ossoue__RPC_PHR1A_P_201309231104351_SEN_756965101-002.XML", "IMG_a_R1C1.TIF", "RPC_a.XML"),
+        ("other/wv3_20.NTF", "", ""),
+        ("other/wv3_30.NTF", "", ""),
+    ),
+)
 def test_projection_agrees_with_gdals(shared_data, tmp_path, write_image, points_of, source, image, sidecar):
     path = shared_data / "rpc" / source
     rpc = read_rpc_file(str(path))
@@ -157,6 +172,7 @@ def test_every_writer_agrees_with_gdals_transformer(tmp_path, synthetic_rpc, poi
 
 # --- what is refused ------------------------------------------------------------------------------------------------
 
+
 def test_what_is_no_rpc_file_lists_the_formats(tmp_path):
     for text in ("", "hello", "<a/>", "{}", "[1, 2]", "<Dimap_Document/>", "LINE_OFF: 5\n"):
         message = refused(tmp_path, text)
@@ -181,46 +197,60 @@ def test_no_file_and_no_regular_file(tmp_path):
         read_rpc_file(str(tmp_path / "pipe"))
 
 
-@pytest.mark.parametrize("kind, old, new, words", (
-    ("IKONOS", "LINE_OFF: ", "LINE_OFFSET: ", "its LINE_OFF is missing"),
-    ("IKONOS", "SAMP_DEN_COEFF_20: ", "SAMP_DEN_COEFF_21: ", "its SAMP_DEN_COEFF_20 is missing"),
-    ("IKONOS", "500.0 meters", "500.0 feet", "its HEIGHT_OFF is '500.0 feet': it must be in meters"),
-    ("IKONOS", "1.44 degrees", "1.44 radians", "it must be in degrees"),
-    ("IKONOS", "500.0 meters", "500,0 meters", "its HEIGHT_OFF is '500,0', which is not a number"),
-    ("IKONOS", "500.0 meters", "1e400 meters", "the RPC's height offset is inf"),
-    ("IKONOS", "500.0 meters", "500.0 400.0 meters", "which is not a number"),
-    ("IKONOS", "LAT_OFF: 43.6", "LAT_OFF: 143.6", "that is not on the Earth"),
-    ("IKONOS", "LINE_SCALE", "LINE_OFF", "its LINE_OFF is there twice"),
-    ("IKONOS", "LINE_NUM_COEFF_1: ", "LINE_NUM_COEFF: ", "in one piece and number by number"),
-    ("WHU-TLC", "LONG_DEN_COEFF_20: ", "X: ", "its LONG_DEN_COEFF_20 is missing"),
-    ("WHU-TLC", "LAT_NUM_COEFF_3: ", "LAT_NUM_COEFF_3: x", "its LAT_NUM_COEFF is 'x"),
-    ("RPB", "lineOffset", "lineOfset", "its LINE_OFF is missing"),
-    ("RPB", "END_GROUP", "END_GRUOP", "its group IMAGE is not whole"),
-    ("RPB", "lineNumCoef = (", "lineNumCoef = ", "does not stand in brackets"),
-    ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0,", "col_num has 21 coefficients"),
-    ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0", "not a list of numbers between commas"),
-    ("DIMAP v2", "<Inverse_Model>", "<Inverse_Models>", "it is not whole XML"),
-    ("DIMAP v2", "Inverse_Model>", "Invers_Model>", "0 elements Inverse_Model or GroundtoImage_Values"),
-    ("DIMAP v2", "</Global_RFM>", "</Global_RFM><Global_RFM></Global_RFM>", "2 elements Global_RFM"),
-    ("DIMAP v2", "<LINE_OFF>", "<LINE_OFF>7</LINE_OFF><LINE_OFF>", "its LINE_OFF is there twice"),
-    ("DIMAP v2", "<Dimap_Document", "<!DOCTYPE a><Dimap_Document", "declares a DOCTYPE or entities"),
-    ("DIMAP v3", "<Dimap_Document", '<!DOCTYPE a [<!ENTITY b "c">]><Dimap_Document', "declares a DOCTYPE or entities"),
-    ("DIMAP v3", "<HEIGHT_OFF>", "<HEIGHT_OFF>&#xD800;", "its HEIGHT_OFF is '?#xD800;500.0', which is not a number"),
-    ("DIMAP v3", "<HEIGHT_OFF>", "<HEIGHT_OFF><a/>", "its HEIGHT_OFF is '', which is not a number"),
-    ("Maxar XML", "LINENUMCOEF>", "LINENUMCOEFF>", "row_num has 0 coefficients"),
-    ("Maxar XML", "LINEOFFSET>", "LINEOFFSETS>", "0 elements LINEOFFSET"),
-    ("Maxar XML", "</RPB>", "</RPB><RPB/>", "2 elements RPB"),
-    ("OSSIM B", "parameter:  0", "parameter:  0.3", "adjusted models are not understood"),
-    ("OSSIM B", "format:  B", "format:  C", "its polynomial_format is 'C'"),
-    ("OSSIM B", "line_den_coeff_19", "line_den_coeff_20", "its LINE_DEN_COEFF_19 is missing"),
-    ("JSON rpcm", '"row_scale"', '"row_off"', "its row_scale is missing"),
-    ("JSON rpcm", '"row_scale"', '"row_offset"', "its row_offset is there twice"),
-    ("JSON rpcm", '"row_offset": 18999.5', '"row_offset": true', "its row_offset is True, which is not a number"),
-    ("JSON rpcm", '"row_offset": 18999.5', '"row_offset": NaN', "the RPC's row offset is nan"),
-    ("JSON rpcm", '"col_num": [', '"col_num": [1.0,', "its col_num is not a list of 20 numbers"),
-    ("JSON rpcm", '"rpc": {', '"rpc": [{', "it is not whole JSON"),
-    ("JSON rpcm", '"width": 800', '"width": ' + "[" * 17, "nest deeper than 16"),
-    ("JSON GDAL", '"LINE_OFF"', '"LINE_OF"', "its LINE_OFF is missing")))
+@pytest.mark.parametrize(
+    "kind, old, new, words",
+    (
+        ("IKONOS", "LINE_OFF: ", "LINE_OFFSET: ", "its LINE_OFF is missing"),
+        ("IKONOS", "SAMP_DEN_COEFF_20: ", "SAMP_DEN_COEFF_21: ", "its SAMP_DEN_COEFF_20 is missing"),
+        ("IKONOS", "500.0 meters", "500.0 feet", "its HEIGHT_OFF is '500.0 feet': it must be in meters"),
+        ("IKONOS", "1.44 degrees", "1.44 radians", "it must be in degrees"),
+        ("IKONOS", "500.0 meters", "500,0 meters", "its HEIGHT_OFF is '500,0', which is not a number"),
+        ("IKONOS", "500.0 meters", "1e400 meters", "the RPC's height offset is inf"),
+        ("IKONOS", "500.0 meters", "500.0 400.0 meters", "which is not a number"),
+        ("IKONOS", "LAT_OFF: 43.6", "LAT_OFF: 143.6", "that is not on the Earth"),
+        ("IKONOS", "LINE_SCALE", "LINE_OFF", "its LINE_OFF is there twice"),
+        ("IKONOS", "LINE_NUM_COEFF_1: ", "LINE_NUM_COEFF: ", "in one piece and number by number"),
+        ("WHU-TLC", "LONG_DEN_COEFF_20: ", "X: ", "its LONG_DEN_COEFF_20 is missing"),
+        ("WHU-TLC", "LAT_NUM_COEFF_3: ", "LAT_NUM_COEFF_3: x", "its LAT_NUM_COEFF is 'x"),
+        ("RPB", "lineOffset", "lineOfset", "its LINE_OFF is missing"),
+        ("RPB", "END_GROUP", "END_GRUOP", "its group IMAGE is not whole"),
+        ("RPB", "lineNumCoef = (", "lineNumCoef = ", "does not stand in brackets"),
+        ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0,", "col_num has 21 coefficients"),
+        ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0", "not a list of numbers between commas"),
+        ("DIMAP v2", "<Inverse_Model>", "<Inverse_Models>", "it is not whole XML"),
+        ("DIMAP v2", "Inverse_Model>", "Invers_Model>", "0 elements Inverse_Model or GroundtoImage_Values"),
+        ("DIMAP v2", "</Global_RFM>", "</Global_RFM><Global_RFM></Global_RFM>", "2 elements Global_RFM"),
+        ("DIMAP v2", "<LINE_OFF>", "<LINE_OFF>7</LINE_OFF><LINE_OFF>", "its LINE_OFF is there twice"),
+        ("DIMAP v2", "<Dimap_Document", "<!DOCTYPE a><Dimap_Document", "declares a DOCTYPE or entities"),
+        (
+            "DIMAP v3",
+            "<Dimap_Document",
+            '<!DOCTYPE a [<!ENTITY b "c">]><Dimap_Document',
+            "declares a DOCTYPE or entities",
+        ),
+        (
+            "DIMAP v3",
+            "<HEIGHT_OFF>",
+            "<HEIGHT_OFF>&#xD800;",
+            "its HEIGHT_OFF is '?#xD800;500.0', which is not a number",
+        ),
+        ("DIMAP v3", "<HEIGHT_OFF>", "<HEIGHT_OFF><a/>", "its HEIGHT_OFF is '', which is not a number"),
+        ("Maxar XML", "LINENUMCOEF>", "LINENUMCOEFF>", "row_num has 0 coefficients"),
+        ("Maxar XML", "LINEOFFSET>", "LINEOFFSETS>", "0 elements LINEOFFSET"),
+        ("Maxar XML", "</RPB>", "</RPB><RPB/>", "2 elements RPB"),
+        ("OSSIM B", "parameter:  0", "parameter:  0.3", "adjusted models are not understood"),
+        ("OSSIM B", "format:  B", "format:  C", "its polynomial_format is 'C'"),
+        ("OSSIM B", "line_den_coeff_19", "line_den_coeff_20", "its LINE_DEN_COEFF_19 is missing"),
+        ("JSON rpcm", '"row_scale"', '"row_off"', "its row_scale is missing"),
+        ("JSON rpcm", '"row_scale"', '"row_offset"', "its row_offset is there twice"),
+        ("JSON rpcm", '"row_offset": 18999.5', '"row_offset": true', "its row_offset is True, which is not a number"),
+        ("JSON rpcm", '"row_offset": 18999.5', '"row_offset": NaN', "the RPC's row offset is nan"),
+        ("JSON rpcm", '"col_num": [', '"col_num": [1.0,', "its col_num is not a list of 20 numbers"),
+        ("JSON rpcm", '"rpc": {', '"rpc": [{', "it is not whole JSON"),
+        ("JSON rpcm", '"width": 800', '"width": ' + "[" * 17, "nest deeper than 16"),
+        ("JSON GDAL", '"LINE_OFF"', '"LINE_OF"', "its LINE_OFF is missing"),
+    ),
+)
 def test_broken_files_name_what_is_broken(tmp_path, synthetic_rpc, kind, old, new, words):
     text = WRITERS[kind](synthetic_rpc())
     assert old in text
@@ -231,8 +261,12 @@ def test_numbers_that_are_no_sensor_model(tmp_path, synthetic_rpc):
     """Each number passes, but no pixel is found on the ground: a swapped or scrambled polynomial."""
     rpc = synthetic_rpc()
     flat = (1.0,) + (0.0,) * 19
-    for changes in ({"row_num": rpc.col_num}, {"col_num": flat}, {"row_den": (0.0, 1.0) + (0.0,) * 18},
-                    {"row_num": (5.0,) + rpc.row_num[1:]}):
+    for changes in (
+        {"row_num": rpc.col_num},
+        {"col_num": flat},
+        {"row_den": (0.0, 1.0) + (0.0,) * 18},
+        {"row_num": (5.0,) + rpc.row_num[1:]},
+    ):
         broken = type(rpc)(**{**vars(rpc), **changes})
         assert "its numbers are no sensor model" in refused(tmp_path, key_value(broken))
 
@@ -256,6 +290,7 @@ def test_sizes_are_bounded(tmp_path, synthetic_rpc):
 
 # --- which file, and which pixels -----------------------------------------------------------------------------------
 
+
 @pytest.fixture
 def product(tmp_path, synthetic_rpc, write_image):
     """A whole image of 900 x 700 px with RPC tags, whose RPC's domain starts at its first pixel."""
@@ -263,9 +298,20 @@ def product(tmp_path, synthetic_rpc, write_image):
     return write_image(tmp_path / "full.tif", pixels=np.zeros((700, 900), np.uint8), rpc=rpc), rpc
 
 
-@pytest.mark.parametrize("name, text", (
-    ("a.RPB", rpb), ("a_RPC.TXT", key_value), ("A_rpc.txt", key_value), ("a.rpc", whu_tlc), ("a.geom", geom),
-    ("a.json", rpcm_json), ("a.XML", writers.maxar_xml), ("RPC_a.XML", dimap_v3), ("a_rpc.xml", dimap_v2)))
+@pytest.mark.parametrize(
+    "name, text",
+    (
+        ("a.RPB", rpb),
+        ("a_RPC.TXT", key_value),
+        ("A_rpc.txt", key_value),
+        ("a.rpc", whu_tlc),
+        ("a.geom", geom),
+        ("a.json", rpcm_json),
+        ("a.XML", writers.maxar_xml),
+        ("RPC_a.XML", dimap_v3),
+        ("a_rpc.xml", dimap_v2),
+    ),
+)
 def test_files_named_after_the_image_are_found(tmp_path, write_image, synthetic_rpc, name, text):
     image = write_image(tmp_path / "a.tif")
     sidecar = written(tmp_path, text(synthetic_rpc()), name)
@@ -345,10 +391,12 @@ def test_two_files_that_differ_are_ambiguous_until_one_is_named(tmp_path, write_
     assert read(image) == rpc.shifted(0.01, 0)
 
 
-DIM = ('<Dimap_Document><Raster_Data><Raster_Dimensions><Tile_Set><NTILES>4</NTILES><Regular_Tiling>'
-       '<NTILES_SIZE nrows="2048" ncols="4096"/><NTILES_COUNT ntiles_R="2" ntiles_C="2"/>'
-       "<OVERLAP_ROW>{0}</OVERLAP_ROW><OVERLAP_COL>0</OVERLAP_COL></Regular_Tiling></Tile_Set></Raster_Dimensions>"
-       "</Raster_Data></Dimap_Document>")
+DIM = (
+    "<Dimap_Document><Raster_Data><Raster_Dimensions><Tile_Set><NTILES>4</NTILES><Regular_Tiling>"
+    '<NTILES_SIZE nrows="2048" ncols="4096"/><NTILES_COUNT ntiles_R="2" ntiles_C="2"/>'
+    "<OVERLAP_ROW>{0}</OVERLAP_ROW><OVERLAP_COL>0</OVERLAP_COL></Regular_Tiling></Tile_Set></Raster_Dimensions>"
+    "</Raster_Data></Dimap_Document>"
+)
 
 
 @pytest.mark.parametrize("tile, origin", (("R1C1", (0, 0)), ("R1C2", (4096, 0)), ("R3C2", (4096, 4096))))
@@ -382,6 +430,7 @@ def test_a_damaged_file_beside_the_image_is_not_passed_over(tmp_path, write_imag
 
 # --- RPCS -----------------------------------------------------------------------------------------------------------
 
+
 @pytest.fixture
 def pair(tmp_path, write_image, synthetic_rpc):
     rpc = synthetic_rpc(col_off=49.5, col_scale=50.0, row_off=49.5, row_scale=50.0, lat_scale=0.0002, lon_scale=0.0003)
@@ -405,19 +454,29 @@ def test_views_take_the_files_in_the_images_order(tmp_path, pair):
     assert "a.tif" in str(caught.value) and "'b.tif' is no RPC file of a known format" in str(caught.value)
 
 
-@pytest.mark.parametrize("rpcs, words", ((("a.rpb",), "one for each of IMAGES"), ("a.rpb", "must be a list"),
-                                         ((1, 2), "must be a list"), (("a",) * 3, "must be empty, or name 2 files")))
+@pytest.mark.parametrize(
+    "rpcs, words",
+    (
+        (("a.rpb",), "one for each of IMAGES"),
+        ("a.rpb", "must be a list"),
+        ((1, 2), "must be a list"),
+        (("a",) * 3, "must be empty, or name 2 files"),
+    ),
+)
 def test_options_check_the_files(rpcs, words):
-    for make in (lambda: EpmFitOptions(("a.tif", "b.tif"), "ws", rpcs=rpcs),
-                 lambda: PipelineOptions(("a.tif", "b.tif"), "ws", "dsm.tif", rpcs=rpcs)):
+    for make in (
+        lambda: EpmFitOptions(("a.tif", "b.tif"), "ws", rpcs=rpcs),
+        lambda: PipelineOptions(("a.tif", "b.tif"), "ws", "dsm.tif", rpcs=rpcs),
+    ):
         with pytest.raises(OptionError, match=words) as caught:
             make()
         assert caught.value.name == "RPCS"
 
 
 def test_options_carry_the_files_on():
-    options = PipelineOptions.from_json({"images": ["a.tif", "b.tif"], "workspace": "ws", "output": "dsm.tif",
-                                         "rpcs": ["", "b.rpc"]})
+    options = PipelineOptions.from_json(
+        {"images": ["a.tif", "b.tif"], "workspace": "ws", "output": "dsm.tif", "rpcs": ["", "b.rpc"]}
+    )
     assert options.fit_options().rpcs == ("", "b.rpc")
 
 

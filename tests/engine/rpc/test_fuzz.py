@@ -25,7 +25,11 @@ def test_the_second_reader_finds_what_was_written():
         numbers = naive(name, write(rpc).encode())
         assert numbers["row_off"] == (rpc.row_off,) and numbers["height_scale"] == (rpc.height_scale,), name
         assert [numbers[k] for k in ("row_num", "row_den", "col_num", "col_den")] == [
-            rpc.row_num, rpc.row_den, rpc.col_num, rpc.col_den], name
+            rpc.row_num,
+            rpc.row_den,
+            rpc.col_num,
+            rpc.col_den,
+        ], name
 
 
 def test_a_reader_that_takes_zeros_for_missing_numbers_would_be_found(monkeypatch):

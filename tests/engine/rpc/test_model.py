@@ -30,11 +30,12 @@ def gdal_project(metadata, points):
 
 def gdal_metadata(text):
     """GDAL's RPC domain from a DIMAP XML, read with regular expressions: nothing of ours takes part."""
-    inverse = text[text.index("<Inverse_Model>"):text.index("</Inverse_Model>")]
-    inverse += text[text.index("<RFM_Validity>"):]
+    inverse = text[text.index("<Inverse_Model>") : text.index("</Inverse_Model>")]
+    inverse += text[text.index("<RFM_Validity>") :]
     value = dict(re.findall(r"<((?:SAMP|LINE|LAT|LONG|HEIGHT)_[A-Z]+(?:_COEFF_\d+)?)>\s*([^<\s]+)", inverse))
-    metadata = {f"{k}_{e}": value[f"{k}_{e}"] for k in ("LAT", "LONG", "HEIGHT", "SAMP", "LINE")
-                for e in ("OFF", "SCALE")}
+    metadata = {
+        f"{k}_{e}": value[f"{k}_{e}"] for k in ("LAT", "LONG", "HEIGHT", "SAMP", "LINE") for e in ("OFF", "SCALE")
+    }
     for name in ("SAMP", "LINE"):
         metadata[f"{name}_OFF"] = repr(float(value[f"{name}_OFF"]) - 1.0)
         for part in ("NUM", "DEN"):
@@ -60,8 +61,11 @@ def test_project_agrees_with_gdal_on_all_pleiades_scenes(shared_data, points_of)
 
 
 def test_project_agrees_with_gdal_on_images(shared_data, points_of):
-    images = [*shared_data.glob("pleiades_*/img*.tif"), *shared_data.glob("truth_urban/img*.tif"),
-              *shared_data.glob("rpc/other/*.NTF")]
+    images = [
+        *shared_data.glob("pleiades_*/img*.tif"),
+        *shared_data.glob("truth_urban/img*.tif"),
+        *shared_data.glob("rpc/other/*.NTF"),
+    ]
     assert len(images) >= 9
     for path in images:
         dataset = gdal.Open(str(path))
@@ -164,16 +168,20 @@ def test_mapping_round_trip(synthetic_rpc):
     assert rpc.height_range == (100.0, 900.0)
 
 
-@pytest.mark.parametrize("changes, words", (
-    ({"row_off": float("nan")}, "row offset is nan"),
-    ({"col_off": 1e12}, "col offset is 1000000000000"),
-    ({"lat_scale": 0.0}, "lat scale is 0.0: it must be a finite number other than zero"),
-    ({"height_scale": float("inf")}, "height scale is inf"),
-    ({"row_num": (1.0,) * 19}, "row_num has 19 coefficients: it must have 20"),
-    ({"col_den": (float("nan"),) + (0.0,) * 19}, "col_den has a coefficient that is not a finite number"),
-    ({"col_den": (0.0,) * 20}, "col_den has only zero coefficients"),
-    ({"lat_off": 91.0}, "latitude 91.0: that is not on the Earth"),
-    ({"lon_off": 400.0}, "longitude 400.0")))
+@pytest.mark.parametrize(
+    "changes, words",
+    (
+        ({"row_off": float("nan")}, "row offset is nan"),
+        ({"col_off": 1e12}, "col offset is 1000000000000"),
+        ({"lat_scale": 0.0}, "lat scale is 0.0: it must be a finite number other than zero"),
+        ({"height_scale": float("inf")}, "height scale is inf"),
+        ({"row_num": (1.0,) * 19}, "row_num has 19 coefficients: it must have 20"),
+        ({"col_den": (float("nan"),) + (0.0,) * 19}, "col_den has a coefficient that is not a finite number"),
+        ({"col_den": (0.0,) * 20}, "col_den has only zero coefficients"),
+        ({"lat_off": 91.0}, "latitude 91.0: that is not on the Earth"),
+        ({"lon_off": 400.0}, "longitude 400.0"),
+    ),
+)
 def test_impossible_numbers_each_have_their_sentence(synthetic_rpc, changes, words):
     with pytest.raises(RpcInvalidError) as caught:
         synthetic_rpc(**changes)
@@ -182,7 +190,12 @@ def test_impossible_numbers_each_have_their_sentence(synthetic_rpc, changes, wor
 
 def test_incomplete_records_are_refused(synthetic_rpc):
     record = synthetic_rpc().to_mapping()
-    for broken in ({**record, "row_num": "x"}, {k: v for k, v in record.items() if k != "lon_off"},
-                   {**record, "lat_off": None}, {**record, "row_num": 5}, {**record, "row_num": [None] * 20}):
+    for broken in (
+        {**record, "row_num": "x"},
+        {k: v for k, v in record.items() if k != "lon_off"},
+        {**record, "lat_off": None},
+        {**record, "row_num": 5},
+        {**record, "row_num": [None] * 20},
+    ):
         with pytest.raises(RpcInvalidError):
             Rpc.from_mapping(broken)

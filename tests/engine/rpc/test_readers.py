@@ -42,8 +42,12 @@ def rpb(rpc):
     for ours, theirs in (("LINE", "line"), ("SAMP", "samp"), ("LAT", "lat"), ("LONG", "long"), ("HEIGHT", "height")):
         text += f"\t{theirs}Offset = {float(tags[f'{ours}_OFF']):.12f};\n"
         text += f"\t{theirs}Scale = {float(tags[f'{ours}_SCALE']):.12f};\n"
-    for ours, theirs in (("LINE_NUM", "lineNum"), ("LINE_DEN", "lineDen"), ("SAMP_NUM", "sampNum"),
-                         ("SAMP_DEN", "sampDen")):
+    for ours, theirs in (
+        ("LINE_NUM", "lineNum"),
+        ("LINE_DEN", "lineDen"),
+        ("SAMP_NUM", "sampNum"),
+        ("SAMP_DEN", "sampDen"),
+    ):
         values = ",\n".join(f"\t\t\t{float(v):+.15E}" for v in tags[f"{ours}_COEFF"].split())
         text += f"\t{theirs}Coef = (\n{values});\n"
     return text + "END_GROUP = IMAGE\nEND;\n"
@@ -52,22 +56,30 @@ def rpb(rpc):
 def dimap(rpc, height_off=None, head=""):
     """Airbus's RPC_*.XML: pixels count from 1, and the direct model's polynomials come first."""
     tags = rpc_tags(rpc)
-    body = "".join(f"<{name}_COEFF_{i}>{value}</{name}_COEFF_{i}>\n"
-                   for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")
-                   for i, value in enumerate(tags[f"{name}_COEFF"].split(), start=1))
-    direct = "".join(f"<{name}_COEFF_{i}>{0.5 + i}</{name}_COEFF_{i}>\n"
-                     for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN") for i in range(1, 21))
-    numbers = {f"{k}_{e}": tags[f"{k}_{e}"] for k in ("LONG", "LAT", "HEIGHT", "SAMP", "LINE") for e in ("SCALE",
-                                                                                                         "OFF")}
+    body = "".join(
+        f"<{name}_COEFF_{i}>{value}</{name}_COEFF_{i}>\n"
+        for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")
+        for i, value in enumerate(tags[f"{name}_COEFF"].split(), start=1)
+    )
+    direct = "".join(
+        f"<{name}_COEFF_{i}>{0.5 + i}</{name}_COEFF_{i}>\n"
+        for name in ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")
+        for i in range(1, 21)
+    )
+    numbers = {
+        f"{k}_{e}": tags[f"{k}_{e}"] for k in ("LONG", "LAT", "HEIGHT", "SAMP", "LINE") for e in ("SCALE", "OFF")
+    }
     numbers["SAMP_OFF"] = repr(float(numbers["SAMP_OFF"]) + 1)
     numbers["LINE_OFF"] = repr(float(numbers["LINE_OFF"]) + 1)
     if height_off is not None:
         numbers["HEIGHT_OFF"] = height_off
     validity = "".join(f"<{name}>{value}</{name}>\n" for name, value in numbers.items())
-    return (f'<?xml version="1.0" encoding="UTF-8"?>\n{head}<Dimap_Document><Rational_Function_Model><Global_RFM>'
-            f"<Direct_Model>{direct}</Direct_Model><Inverse_Model>{body}</Inverse_Model><RFM_Validity>"
-            f"<Direct_Model_Validity_Domain><FIRST_ROW>1</FIRST_ROW></Direct_Model_Validity_Domain>{validity}"
-            "</RFM_Validity></Global_RFM></Rational_Function_Model></Dimap_Document>")
+    return (
+        f'<?xml version="1.0" encoding="UTF-8"?>\n{head}<Dimap_Document><Rational_Function_Model><Global_RFM>'
+        f"<Direct_Model>{direct}</Direct_Model><Inverse_Model>{body}</Inverse_Model><RFM_Validity>"
+        f"<Direct_Model_Validity_Domain><FIRST_ROW>1</FIRST_ROW></Direct_Model_Validity_Domain>{validity}"
+        "</RFM_Validity></Global_RFM></Rational_Function_Model></Dimap_Document>"
+    )
 
 
 def test_geotiff_tags(tmp_path, write_image, synthetic_rpc):
@@ -83,10 +95,16 @@ def test_sidecars_of_gdal(tmp_path, write_image, synthetic_rpc, name, text):
     close(read(image), rpc)
 
 
-@pytest.mark.parametrize("image, xml", (
-    ("IMG_PHR1A_P_2012_SEN_9_R1C1.TIF", "RPC_PHR1A_P_2012_SEN_9.XML"),
-    ("img_phr1a_p_2012_r1c1.tif", "RPC_phr1a_p_2012.xml"), ("scene.tif", "scene_RPC.XML"), ("scene.tif", "scene.xml"),
-    ("scene.tif", "RPC_scene.XML")))
+@pytest.mark.parametrize(
+    "image, xml",
+    (
+        ("IMG_PHR1A_P_2012_SEN_9_R1C1.TIF", "RPC_PHR1A_P_2012_SEN_9.XML"),
+        ("img_phr1a_p_2012_r1c1.tif", "RPC_phr1a_p_2012.xml"),
+        ("scene.tif", "scene_RPC.XML"),
+        ("scene.tif", "scene.xml"),
+        ("scene.tif", "RPC_scene.XML"),
+    ),
+)
 def test_airbus_xml_beside_the_image(tmp_path, write_image, synthetic_rpc, image, xml):
     rpc = synthetic_rpc()
     write_image(tmp_path / image)
@@ -104,11 +122,17 @@ def test_another_images_xml_is_not_taken(tmp_path, write_image, synthetic_rpc):
 def test_real_sidecars(shared_data, tmp_path, write_image):
     """Every vendor's file gives a model that can go from its image to the ground and back."""
     other = shared_data / "rpc" / "other"
-    for number, (source, target) in enumerate((
+    for number, (source, target) in enumerate(
+        (
             ("20191015_073816_ssc1d3_0011_basic_l1a_panchromatic_dn_RPC.TXT", "a_RPC.TXT"),
-            ("rpc_IKONOS.txt", "a_rpc.txt"), ("rpc_PLANET_L1A.txt", "a_RPC.TXT"), ("rpc_PLANET_L1B.txt", "a_RPC.TXT"),
-            ("rpc_SPOT6.xml", "RPC_a.XML"), ("rpc_WV2.xml", "a.XML"),
-            ("RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML", "RPC_a.XML"))):
+            ("rpc_IKONOS.txt", "a_rpc.txt"),
+            ("rpc_PLANET_L1A.txt", "a_RPC.TXT"),
+            ("rpc_PLANET_L1B.txt", "a_RPC.TXT"),
+            ("rpc_SPOT6.xml", "RPC_a.XML"),
+            ("rpc_WV2.xml", "a.XML"),
+            ("RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML", "RPC_a.XML"),
+        )
+    ):
         folder = tmp_path / str(number)
         folder.mkdir()
         image = write_image(folder / "a.tif")
@@ -126,8 +150,11 @@ def test_pleiades_xml_and_ossim_geom_are_the_same_model(shared_data):
     """OSSIM's file of the same scene, written by other software that counts from 0 too."""
     other = shared_data / "rpc" / "other"
     rpc = read_rpc_file(str(other / "RPC_PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.XML"))
-    geom = dict(line.split(":", 1) for line in
-                (other / "PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.geom").read_text().splitlines() if ":" in line)
+    geom = dict(
+        line.split(":", 1)
+        for line in (other / "PHR1B_P_201709281038045_SEN_PRG_FC_178608-001.geom").read_text().splitlines()
+        if ":" in line
+    )
     assert (rpc.row_off, rpc.col_off) == (float(geom["line_off"]), float(geom["samp_off"]))
     assert rpc.lat_off == pytest.approx(float(geom["lat_off"]), abs=1e-9)
     for i in range(20):
@@ -159,8 +186,14 @@ def test_missing_rpc_lists_the_places(tmp_path, write_image):
     with pytest.raises(RpcMissingError) as caught:
         read(image)
     text = str(caught.value)
-    for words in (image, "GTiff metadata", ".RPB", "_RPC.TXT", "scene.xml",
-                  "Put the vendor's RPC file beside the image"):
+    for words in (
+        image,
+        "GTiff metadata",
+        ".RPB",
+        "_RPC.TXT",
+        "scene.xml",
+        "Put the vendor's RPC file beside the image",
+    ):
         assert words in text
 
 
@@ -173,13 +206,18 @@ def test_projected_product_has_its_own_sentence(tmp_path, write_image):
     assert "Looked in" not in str(caught.value)
 
 
-@pytest.mark.parametrize("key, value, words", (
-    ("LINE_SCALE", "0", "row scale is 0.0"), ("LAT_OFF", "nan", "lat offset is nan"),
-    ("HEIGHT_SCALE", "0.0 meters", "height scale is 0.0"), ("LONG_OFF", "east",
-                                                            "LONG_OFF is 'east', which is not a number"),
-    ("SAMP_DEN_COEFF", " ".join(["0"] * 20), "col_den has only zero coefficients"),
-    ("SAMP_NUM_COEFF", " ".join(["1"] * 19), "col_num has 19 coefficients"),
-    ("LINE_NUM_COEFF", " ".join(["1"] * 19 + ["nan"]), "row_num has a coefficient that is not a finite number")))
+@pytest.mark.parametrize(
+    "key, value, words",
+    (
+        ("LINE_SCALE", "0", "row scale is 0.0"),
+        ("LAT_OFF", "nan", "lat offset is nan"),
+        ("HEIGHT_SCALE", "0.0 meters", "height scale is 0.0"),
+        ("LONG_OFF", "east", "LONG_OFF is 'east', which is not a number"),
+        ("SAMP_DEN_COEFF", " ".join(["0"] * 20), "col_den has only zero coefficients"),
+        ("SAMP_NUM_COEFF", " ".join(["1"] * 19), "col_num has 19 coefficients"),
+        ("LINE_NUM_COEFF", " ".join(["1"] * 19 + ["nan"]), "row_num has a coefficient that is not a finite number"),
+    ),
+)
 def test_wrong_numbers_name_the_file_and_the_value(tmp_path, write_image, synthetic_rpc, key, value, words):
     image = write_image(tmp_path / "a.tif", rpc=synthetic_rpc(), tags={key: value})
     tags = {**rpc_tags(synthetic_rpc()), key: value}

@@ -12,9 +12,13 @@ from repm_qgis.rpc import Rpc
 
 def _scalars(rpc: Rpc):
     """(name of the axis, offset, scale), in the order of RPC00B."""
-    return (("LINE", rpc.row_off, rpc.row_scale), ("SAMP", rpc.col_off, rpc.col_scale),
-            ("LAT", rpc.lat_off, rpc.lat_scale), ("LONG", rpc.lon_off, rpc.lon_scale),
-            ("HEIGHT", rpc.height_off, rpc.height_scale))
+    return (
+        ("LINE", rpc.row_off, rpc.row_scale),
+        ("SAMP", rpc.col_off, rpc.col_scale),
+        ("LAT", rpc.lat_off, rpc.lat_scale),
+        ("LONG", rpc.lon_off, rpc.lon_scale),
+        ("HEIGHT", rpc.height_off, rpc.height_scale),
+    )
 
 
 def _polynomials(rpc: Rpc):
@@ -33,16 +37,25 @@ def key_value(rpc: Rpc, units: bool = True, width: int = 1) -> str:
 
 def whu_tlc(rpc: Rpc) -> str:
     """WHU-TLC's ``.rpc``: the above and the 80 coefficients of the inverse model, which here are any numbers."""
-    lines = [f"{name}_COEFF_{i}: {0.01 * i + 0.001!r}" for name in ("LAT_NUM", "LAT_DEN", "LONG_NUM", "LONG_DEN")
-             for i in range(1, 21)]
+    lines = [
+        f"{name}_COEFF_{i}: {0.01 * i + 0.001!r}"
+        for name in ("LAT_NUM", "LAT_DEN", "LONG_NUM", "LONG_DEN")
+        for i in range(1, 21)
+    ]
     return key_value(rpc) + "\n".join(lines) + "\n"
 
 
 def rpb(rpc: Rpc) -> str:
     """DigitalGlobe's ``.RPB``."""
     axis = {"LINE": "line", "SAMP": "samp", "LAT": "lat", "LONG": "long", "HEIGHT": "height"}
-    lines = ['satId = "WV03";', 'bandId = "P";', 'SpecId = "RPC00B";', "BEGIN_GROUP = IMAGE", "\terrBias =  1.09;",
-             "\terrRand =  0.24;"]
+    lines = [
+        'satId = "WV03";',
+        'bandId = "P";',
+        'SpecId = "RPC00B";',
+        "BEGIN_GROUP = IMAGE",
+        "\terrBias =  1.09;",
+        "\terrRand =  0.24;",
+    ]
     lines += [f"\t{axis[name]}Offset = {off!r};" for name, off, _ in _scalars(rpc)]
     lines += [f"\t{axis[name]}Scale = {scale!r};" for name, _, scale in _scalars(rpc)]
     for name, (_, values) in zip(("lineNumCoef", "lineDenCoef", "sampNumCoef", "sampDenCoef"), _polynomials(rpc)):
@@ -51,17 +64,32 @@ def rpb(rpc: Rpc) -> str:
 
 
 def _dimap(rpc: Rpc, first: int, profile: str, version: str, forward: str, back: str, back_names: tuple) -> str:
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', f'<Dimap_Document version="{version}">',
-             "<Metadata_Identification>",
-             f'<METADATA_FORMAT version="{version}">DIMAP</METADATA_FORMAT>',
-             f"<METADATA_PROFILE>{profile}</METADATA_PROFILE>", "</Metadata_Identification>",
-             "<Rational_Function_Model>", "<Global_RFM>", f"<{back}>"]
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<Dimap_Document version="{version}">',
+        "<Metadata_Identification>",
+        f'<METADATA_FORMAT version="{version}">DIMAP</METADATA_FORMAT>',
+        f"<METADATA_PROFILE>{profile}</METADATA_PROFILE>",
+        "</Metadata_Identification>",
+        "<Rational_Function_Model>",
+        "<Global_RFM>",
+        f"<{back}>",
+    ]
     lines += [f"<{name}_COEFF_{i}>{0.5 + i}</{name}_COEFF_{i}>" for name in back_names for i in range(1, 21)]
     lines += [f"</{back}>", f"<{forward}>"]
-    lines += [f"<{name}_COEFF_{i}>{value!r}</{name}_COEFF_{i}>" for name, values in _polynomials(rpc)[::-1]
-              for i, value in enumerate(values, start=1)]
-    lines += ["<ERR_BIAS_ROW>0.001</ERR_BIAS_ROW>", f"</{forward}>", "<RFM_Validity>", f"<{back}_Validity_Domain>",
-              "<FIRST_ROW>-3</FIRST_ROW>", f"</{back}_Validity_Domain>"]
+    lines += [
+        f"<{name}_COEFF_{i}>{value!r}</{name}_COEFF_{i}>"
+        for name, values in _polynomials(rpc)[::-1]
+        for i, value in enumerate(values, start=1)
+    ]
+    lines += [
+        "<ERR_BIAS_ROW>0.001</ERR_BIAS_ROW>",
+        f"</{forward}>",
+        "<RFM_Validity>",
+        f"<{back}_Validity_Domain>",
+        "<FIRST_ROW>-3</FIRST_ROW>",
+        f"</{back}_Validity_Domain>",
+    ]
     for axis, off, scale in _scalars(rpc):
         shift = first if axis in ("LINE", "SAMP") else 0
         lines += [f"<{axis}_SCALE>{scale!r}</{axis}_SCALE>", f"<{axis}_OFF>{off + shift!r}</{axis}_OFF>"]
@@ -71,20 +99,39 @@ def _dimap(rpc: Rpc, first: int, profile: str, version: str, forward: str, back:
 
 def dimap_v2(rpc: Rpc, profile: str = "PHR_SENSOR") -> str:
     """Pleiades and SPOT 6/7: pixels count from 1."""
-    return _dimap(rpc, 1, profile, "2.15", "Inverse_Model", "Direct_Model",
-                  ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN"))
+    return _dimap(
+        rpc, 1, profile, "2.15", "Inverse_Model", "Direct_Model", ("SAMP_NUM", "SAMP_DEN", "LINE_NUM", "LINE_DEN")
+    )
 
 
 def dimap_v3(rpc: Rpc) -> str:
     """Pleiades Neo: other names, and pixels count from 0."""
-    return _dimap(rpc, 0, "PNEO_SENSOR", "3.0", "GroundtoImage_Values", "ImagetoGround_Values",
-                  ("LON_NUM", "LON_DEN", "LAT_NUM", "LAT_DEN"))
+    return _dimap(
+        rpc,
+        0,
+        "PNEO_SENSOR",
+        "3.0",
+        "GroundtoImage_Values",
+        "ImagetoGround_Values",
+        ("LON_NUM", "LON_DEN", "LAT_NUM", "LAT_DEN"),
+    )
 
 
 def maxar_xml(rpc: Rpc) -> str:
     """The XML beside a WorldView image: another IMAGE block comes before the RPC's."""
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<isd>", "<IMD>", "<IMAGE>", "<SATID>WV02</SATID>", "</IMAGE>",
-             "</IMD>", "<RPB>", "<SATID>WV02</SATID>", "<IMAGE>", "<ERRBIAS>2.668e+01</ERRBIAS>"]
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        "<isd>",
+        "<IMD>",
+        "<IMAGE>",
+        "<SATID>WV02</SATID>",
+        "</IMAGE>",
+        "</IMD>",
+        "<RPB>",
+        "<SATID>WV02</SATID>",
+        "<IMAGE>",
+        "<ERRBIAS>2.668e+01</ERRBIAS>",
+    ]
     lines += [f"<{axis}OFFSET>{off!r}</{axis}OFFSET>" for axis, off, _ in _scalars(rpc)]
     lines += [f"<{axis}SCALE>{scale!r}</{axis}SCALE>" for axis, _, scale in _scalars(rpc)]
     for name, values in _polynomials(rpc):
@@ -100,8 +147,12 @@ RPC00B = "1 L P H LP LH PH LL PP HH LPH LLL LPP LHH LLP PPP PHH LLH PPH HHH".spl
 
 def geom(rpc: Rpc, order: str = "B") -> str:
     """OSSIM's and Orfeo ToolBox's ``.geom``: counts coefficients from 00."""
-    lines = ["adjustment_0.adj_param_0.center:  0", "adjustment_0.adj_param_0.description:  intrack_offset",
-             "adjustment_0.adj_param_0.parameter:  0", "adjustment_0.adj_param_0.sigma:  50"]
+    lines = [
+        "adjustment_0.adj_param_0.center:  0",
+        "adjustment_0.adj_param_0.description:  intrack_offset",
+        "adjustment_0.adj_param_0.parameter:  0",
+        "adjustment_0.adj_param_0.sigma:  50",
+    ]
     for axis, off, scale in _scalars(rpc):
         lines += [f"{axis.lower()}_off:  {off!r}", f"{axis.lower()}_scale:  {scale!r}"]
     terms = RPC00A if order == "A" else RPC00B
@@ -117,9 +168,16 @@ def rpcm_json(rpc: Rpc) -> str:
     record = {f"{names[axis]}_offset": off for axis, off, _ in _scalars(rpc)}
     record.update({f"{names[axis]}_scale": scale for axis, _, scale in _scalars(rpc)})
     record.update(row_num=rpc.row_num, row_den=rpc.row_den, col_num=rpc.col_num, col_den=rpc.col_den)
-    return json.dumps({"img": "JAX_004_001_RGB.tif", "width": 800, "height": 811,
-                       "geojson": {"coordinates": [[[1.0, 2.0], [3.0, 4.0]]], "type": "Polygon"}, "rpc": record},
-                      indent=1)
+    return json.dumps(
+        {
+            "img": "JAX_004_001_RGB.tif",
+            "width": 800,
+            "height": 811,
+            "geojson": {"coordinates": [[[1.0, 2.0], [3.0, 4.0]]], "type": "Polygon"},
+            "rpc": record,
+        },
+        indent=1,
+    )
 
 
 def gdal_json(rpc: Rpc) -> str:
@@ -131,8 +189,16 @@ def gdal_json(rpc: Rpc) -> str:
 
 
 WRITERS = {
-    "IKONOS": key_value, "Planet": lambda rpc: key_value(rpc, units=False), "WHU-TLC": whu_tlc, "RPB": rpb,
-    "DIMAP v2": dimap_v2, "DIMAP v3": dimap_v3, "Maxar XML": maxar_xml, "OSSIM B": geom,
-    "OSSIM A": lambda rpc: geom(rpc, "A"), "JSON rpcm": rpcm_json, "JSON GDAL": gdal_json,
+    "IKONOS": key_value,
+    "Planet": lambda rpc: key_value(rpc, units=False),
+    "WHU-TLC": whu_tlc,
+    "RPB": rpb,
+    "DIMAP v2": dimap_v2,
+    "DIMAP v3": dimap_v3,
+    "Maxar XML": maxar_xml,
+    "OSSIM B": geom,
+    "OSSIM A": lambda rpc: geom(rpc, "A"),
+    "JSON rpcm": rpcm_json,
+    "JSON GDAL": gdal_json,
 }
 """All of them by the formats' names."""

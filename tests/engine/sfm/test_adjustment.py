@@ -46,8 +46,15 @@ def left_over(scene, shifts, count=200):
             seen = view.rpc.project(ground) + shifts[view.name]
             misfit.append(true.rpc.project(ground) - seen)
             step = 1e-5
-            moves.append(np.stack([(view.rpc.project(ground + delta) - view.rpc.project(ground)) / step
-                                   for delta in ([step, 0, 0], [0, step, 0], [0, 0, step * 1e5])], axis=-1))
+            moves.append(
+                np.stack(
+                    [
+                        (view.rpc.project(ground + delta) - view.rpc.project(ground)) / step
+                        for delta in ([step, 0, 0], [0, step, 0], [0, 0, step * 1e5])
+                    ],
+                    axis=-1,
+                )
+            )
         residual, jacobian = np.concatenate(misfit, axis=1), np.concatenate(moves, axis=1)
         # Four equations, three unknowns: one direction stays.
         across = np.linalg.svd(jacobian)[0][:, :, 3]
@@ -128,8 +135,9 @@ def bent(tracks, views, size=1.2):
     """The tracks as images see them that are also stretched and turned by up to ``size`` px at their border."""
     numbers = np.random.default_rng(12)
     maps = {view.name: numbers.uniform(-size / 400, size / 400, (2, 2)) for view in views}
-    return [Track({name: pixel + maps[name] @ (pixel - 200) for name,
-                   pixel in track.pixels.items()}) for track in tracks]
+    return [
+        Track({name: pixel + maps[name] @ (pixel - 200) for name, pixel in track.pixels.items()}) for track in tracks
+    ]
 
 
 def test_affine_errors_need_the_affine_model(scene):
@@ -181,8 +189,9 @@ def test_rays_from_one_place_do_no_harm(scene):
     """Two views with the same RPC see no height; their ties say nothing, and break nothing."""
     tracks, _ = exact_tracks(scene, 200)
     twin = scene.views[0].__class__(**{**vars(scene.views[0]), "name": "twin"})
-    more = [Track({scene.views[0].name: np.array([50.0 + k, 60.0]), "twin": np.array([50.0 + k, 60.0])})
-            for k in range(30)]
+    more = [
+        Track({scene.views[0].name: np.array([50.0 + k, 60.0]), "twin": np.array([50.0 + k, 60.0])}) for k in range(30)
+    ]
     found = adjust([*scene.views, twin], tracks + more, 500.0)
     assert np.isfinite(found.ground).all() and found.residual_px[:200].max() < 0.02
 
@@ -192,8 +201,12 @@ def matches(first, second, a, b):
 
 
 def test_tracks_are_joined_over_pairs():
-    tracks = tracks_from([matches("a", "b", [[10, 20], [50, 60]], [[11, 20], [52, 60]]),
-                          matches("b", "c", [[11.02, 20.01], [99, 99]], [[13, 20], [98, 99]])])
+    tracks = tracks_from(
+        [
+            matches("a", "b", [[10, 20], [50, 60]], [[11, 20], [52, 60]]),
+            matches("b", "c", [[11.02, 20.01], [99, 99]], [[13, 20], [98, 99]]),
+        ]
+    )
     seen = sorted(tuple(sorted(track.pixels)) for track in tracks)
     assert seen == [("a", "b"), ("a", "b", "c"), ("b", "c")]
     joined = next(track for track in tracks if len(track.pixels) == 3)
@@ -201,7 +214,12 @@ def test_tracks_are_joined_over_pairs():
 
 
 def test_contradictions_are_dropped():
-    tracks = tracks_from([matches("a", "b", [[10, 20]], [[11, 20]]), matches("b", "c", [[11, 20]], [[13, 20]]),
-                          matches("a", "c", [[30, 20], [70, 70]], [[13, 20], [72, 70]])])
+    tracks = tracks_from(
+        [
+            matches("a", "b", [[10, 20]], [[11, 20]]),
+            matches("b", "c", [[11, 20]], [[13, 20]]),
+            matches("a", "c", [[30, 20], [70, 70]], [[13, 20], [72, 70]]),
+        ]
+    )
     assert [sorted(track.pixels) for track in tracks] == [["a", "c"]]
     np.testing.assert_allclose(tracks[0].pixels["a"], [70, 70])

@@ -23,11 +23,25 @@ NO_TILES = {"tiles": []}
 def scene(urban):
     """The town's views over nine square tiles of 100 m."""
     x, y = urban.bounds[0], urban.bounds[1]
-    tiles = [Tile(f"r{r:03d}c{c:03d}", (x + 100 * c, y + 100 * (2 - r), x + 100 * (c + 1), y + 100 * (3 - r)),
-                  (150.0, 250.0), {view.name: None for view in urban.views}) for r in range(3) for c in range(3)]
+    tiles = [
+        Tile(
+            f"r{r:03d}c{c:03d}",
+            (x + 100 * c, y + 100 * (2 - r), x + 100 * (c + 1), y + 100 * (3 - r)),
+            (150.0, 250.0),
+            {view.name: None for view in urban.views},
+        )
+        for r in range(3)
+        for c in range(3)
+    ]
     lon, lat = urban.views[0].rpc.lon_off, urban.views[0].rpc.lat_off
-    return Scene(list(urban.views), EnuFrame(lon, lat), urban.crs, box((x, y, x + 300, y + 300)).ExportToWkt(),
-                 (150.0, 250.0), tiles)
+    return Scene(
+        list(urban.views),
+        EnuFrame(lon, lat),
+        urban.crs,
+        box((x, y, x + 300, y + 300)).ExportToWkt(),
+        (150.0, 250.0),
+        tiles,
+    )
 
 
 def only(said):
@@ -93,8 +107,14 @@ def test_ties_are_counted_by_compass(scene):
     assert counts["south"] == ((np.abs(xy[:, 0] - x - 150) < 50) & (xy[:, 1] < y + 100)).sum()
     triangle = ogr.CreateGeometryFromWkt(f"POLYGON(({x} {y}, {x + 300} {y}, {x} {y + 300}, {x} {y}))")
     scene.area = triangle.ExportToWkt()
-    assert [entry["part"] for entry in ties_by_part(scene, xy)] == ["north-west", "west", "middle", "south-west",
-                                                                    "south", "south-east"]
+    assert [entry["part"] for entry in ties_by_part(scene, xy)] == [
+        "north-west",
+        "west",
+        "middle",
+        "south-west",
+        "south",
+        "south-east",
+    ]
 
 
 def test_a_corner_without_ties_is_told_by_compass_and_tile(scene):
@@ -110,7 +130,8 @@ def test_a_corner_without_ties_is_told_by_compass_and_tile(scene):
     # A small tile of a large part.
     parts[0]["ties"], tiles[0]["ties"], tiles[8]["ties"] = 60, 60, 0
     assert "in the south-east of the overlap (1 tile of 9: r002c002)" in only(
-        advice(scene, all_three(PAIR), {"tiles": tiles, "parts": parts}))
+        advice(scene, all_three(PAIR), {"tiles": tiles, "parts": parts})
+    )
 
 
 def test_few_ties_everywhere_are_no_place(scene):

@@ -31,7 +31,7 @@ def test_patches_of_the_sweep_do_not_overlap(side):
     starts, ends = sorted({p[0] for p in patches}), sorted({p[2] for p in patches})
     assert len(patches) == len(starts) ** 2 and starts[0] == 0 and ends[-1] == side
     assert all(end <= start + 1e-6 for end, start in zip(ends, starts[1:]))
-    assert sum((p[2] - p[0]) * (p[3] - p[1]) for p in patches) >= min(0.99 * side ** 2, 9 * 1280 ** 2)
+    assert sum((p[2] - p[0]) * (p[3] - p[1]) for p in patches) >= min(0.99 * side**2, 9 * 1280**2)
 
 
 def test_real_pairs(shared_data, told):
@@ -57,8 +57,9 @@ def test_real_pairs(shared_data, told):
 def test_slopes_are_what_two_heights_say(urban):
     """The direction of a ray, from the simulated sensor's own RPC by another path: two localised ends in UTM."""
     view = urban.true_views[0]
-    lon_lat = geodetic_from_projected(urban.crs, np.array([(urban.bounds[0] + urban.bounds[2]) / 2,
-                                                           (urban.bounds[1] + urban.bounds[3]) / 2]))
+    lon_lat = geodetic_from_projected(
+        urban.crs, np.array([(urban.bounds[0] + urban.bounds[2]) / 2, (urban.bounds[1] + urban.bounds[3]) / 2])
+    )
     slope = ground_slope(view, lon_lat, 200.0)
     tilt = np.degrees(np.arctan(np.linalg.norm(slope)))
     look = urban.record["views"][0]
@@ -69,8 +70,10 @@ def test_slopes_are_what_two_heights_say(urban):
 
 def test_what_the_user_gives_comes_first(urban, told):
     search = urban.views[0].rpc.height_range
-    assert altitude_range(urban.views, urban.crs, urban.bounds, search, (150.0, 300.0), None, told()) == \
-        ((150.0, 300.0), "given")
+    assert altitude_range(urban.views, urban.crs, urban.bounds, search, (150.0, 300.0), None, told()) == (
+        (150.0, 300.0),
+        "given",
+    )
     found, source = altitude_range(urban.views, urban.crs, urban.bounds, search, (100.0, None), None, told())
     assert found[0] == 100.0 and source == "images" and found[1] >= urban.surface.max()
     with pytest.raises(OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range"):
@@ -89,8 +92,9 @@ def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
     from repm_qgis.scene import load_views
 
     noise = np.random.default_rng(0).integers(100, 1000, (3, 400, 400)).astype(np.uint16)
-    views = load_views(tuple(write_image(tmp_path / f"{i}.tif", noise[i], view.rpc) for i,
-                             view in enumerate(urban.views)))
+    views = load_views(
+        tuple(write_image(tmp_path / f"{i}.tif", noise[i], view.rpc) for i, view in enumerate(urban.views))
+    )
     said = told()
     assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
     assert "do not tell the altitude range" in said.warnings[0]

@@ -68,8 +68,9 @@ def test_errors_of_many_pixels_are_found_in_several_patches(fitted, told):
     """Tiles of a quarter of the scene: four patches and more, whose shifts are joined."""
     truth, scene = fitted
     errors = {view.name: np.array(error) for view, error in zip(scene.views, ((15, -9), (-12, 14), (3, -12)))}
-    tracks = [Track({name: pixel + errors[name] for name, pixel in track.pixels.items()})
-              for track in true_tracks(truth)]
+    tracks = [
+        Track({name: pixel + errors[name] for name, pixel in track.pixels.items()}) for track in true_tracks(truth)
+    ]
     whole = scene.tiles[0].bounds
     small = (whole[0], whole[1], (whole[0] + whole[2]) / 2, (whole[1] + whole[3]) / 2)
     tiled = Scene(**{**vars(scene), "tiles": [scene.tiles[0].__class__(**{**vars(scene.tiles[0]), "bounds": small})]})
@@ -82,8 +83,9 @@ def test_errors_of_many_pixels_are_found_in_several_patches(fitted, told):
 def test_the_present_pointing_does_not_matter(fitted, told):
     truth, scene = fitted
     tracks = true_tracks(truth, 60)
-    moved = Scene(**{**vars(scene), "views": [view.with_pointing(np.array([[1, 0, 7.0], [0, 1, -5.0]]))
-                                              for view in scene.views]})
+    moved = Scene(
+        **{**vars(scene), "views": [view.with_pointing(np.array([[1, 0, 7.0], [0, 1, -5.0]])) for view in scene.views]}
+    )
     plain, after = (adjust_colmap(s, tracks, told()).shifts for s in (scene, moved))
     for name in plain:
         np.testing.assert_array_equal(plain[name], after[name])
@@ -103,8 +105,11 @@ def test_without_pycolmap_the_error_says_what_to_do(fitted, told, monkeypatch):
 
 
 def test_what_it_cannot_do_is_said_before_the_work():
-    for more, word in (({"pointing": "affine"}, "principal points only"), ({"gcps": "g.csv"}, "must be rpc"),
-                       ({"adjustment": "ceres"}, "rpc, colmap")):
+    for more, word in (
+        ({"pointing": "affine"}, "principal points only"),
+        ({"gcps": "g.csv"}, "must be rpc"),
+        ({"adjustment": "ceres"}, "rpc, colmap"),
+    ):
         with pytest.raises(OptionError, match=word):
             ReconstructOptions(**{"scene": "s", "output_scene": "o", "adjustment": "colmap", **more})
 
@@ -113,13 +118,27 @@ def test_both_routes_make_the_same_dsm(urban, tmp_path, told):
     made = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path)}, told())
     heights = []
     for route in ("rpc", "colmap"):
-        out = run_stage("reconstruct", {"scene": made["scene"], "output_scene": str(tmp_path / route / "r.json"),
-                                        "pointing": "shift", "adjustment": route}, told())
-        dsm = run_stage("dsmfuse", {"scene": out["output_scene"], "output": str(tmp_path / f"{route}.tif"),
-                                    "resolution": 0.5}, told())["output"]
+        out = run_stage(
+            "reconstruct",
+            {
+                "scene": made["scene"],
+                "output_scene": str(tmp_path / route / "r.json"),
+                "pointing": "shift",
+                "adjustment": route,
+            },
+            told(),
+        )
+        dsm = run_stage(
+            "dsmfuse",
+            {"scene": out["output_scene"], "output": str(tmp_path / f"{route}.tif"), "resolution": 0.5},
+            told(),
+        )["output"]
         box = urban.bounds
-        warped = gdal.Warp("", dsm, format="MEM", outputBounds=box, xRes=0.5, yRes=0.5, resampleAlg="near",
-                           dstNodata=-9999).ReadAsArray().astype(np.float64)
+        warped = (
+            gdal.Warp("", dsm, format="MEM", outputBounds=box, xRes=0.5, yRes=0.5, resampleAlg="near", dstNodata=-9999)
+            .ReadAsArray()
+            .astype(np.float64)
+        )
         heights.append(np.where(warped < -9000, np.nan, warped))
     apart = heights[0] - heights[1]
     assert np.isfinite(apart).mean() > 0.7

@@ -19,15 +19,16 @@ from repm_qgis.sfm.control_noise import (
 def observations(points, noise, seed, views=2):
     """Points seen in views that are all shifted by the same unknown (2,): residuals about zero."""
     numbers = np.random.default_rng(seed)
-    return [ControlEquations(numbers.normal(0, noise, 2 * views), np.tile(np.eye(2), (views, 1)))
-            for _ in range(points)]
+    return [
+        ControlEquations(numbers.normal(0, noise, 2 * views), np.tile(np.eye(2), (views, 1))) for _ in range(points)
+    ]
 
 
 def fit(points, noise):
     """(2,) the mean and its covariance by ordinary least squares."""
     normal = sum(point.design.T @ point.design for point in points)
     right = sum(point.design.T @ point.misclosure for point in points)
-    return np.linalg.solve(normal, right), noise ** 2 * np.linalg.inv(normal)
+    return np.linalg.solve(normal, right), noise**2 * np.linalg.inv(normal)
 
 
 @pytest.mark.parametrize("noise", (0.2, 1.0, 3.0))
@@ -40,7 +41,7 @@ def test_the_variance_component_has_no_bias(noise):
         assert redundancy == pytest.approx(16 - 2)
         found.append(variance_component([point.after(step) for point in points], redundancy) ** 2)
     # One observation of 0.1 px is added to fourteen.
-    assert np.mean(found) == pytest.approx((14 * noise ** 2 + 0.01) / 15, rel=0.06)
+    assert np.mean(found) == pytest.approx((14 * noise**2 + 0.01) / 15, rel=0.06)
 
 
 def test_exact_points_are_as_good_as_rpcs_and_a_single_one_says_little_of_itself():

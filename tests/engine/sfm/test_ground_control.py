@@ -50,8 +50,12 @@ def test_the_truth_scenes_points_are_read_whole(urban):
 
 
 def test_a_table_with_bom_capitals_and_no_role(urban, table):
-    path = table("A,1.44,43.6,190.5,img_01.tif,10.25,20.5", " B ,1.45,43.61,191,,,",
-                 header="ID,Lon,LAT,height,view,col,row", encoding="utf-8-sig")
+    path = table(
+        "A,1.44,43.6,190.5,img_01.tif,10.25,20.5",
+        " B ,1.45,43.61,191,,,",
+        header="ID,Lon,LAT,height,view,col,row",
+        encoding="utf-8-sig",
+    )
     first, second = read_gcps(path, urban.views)
     assert (first.id, first.lon, first.lat, first.height, first.role) == ("A", 1.44, 43.6, 190.5, "control")
     np.testing.assert_array_equal(first.pixels["img_01"], [10.25, 20.5])
@@ -60,23 +64,32 @@ def test_a_table_with_bom_capitals_and_no_role(urban, table):
 
 @pytest.mark.parametrize("alias", ("img_02", "img_02.tif"))
 def test_a_view_goes_by_its_file_with_or_without_extension(urban, table, alias):
-    gcp, = read_gcps(table(f"A,1.44,43.6,190,{alias},1,2,check"), urban.views)
+    (gcp,) = read_gcps(table(f"A,1.44,43.6,190,{alias},1,2,check"), urban.views)
     assert list(gcp.pixels) == ["img_02"] and gcp.role == "check"
 
 
-@pytest.mark.parametrize(("rows", "words"), (
-    (["A,1.44,43.6,high,img_01,1,2,control"], ("row 2", "'height' is 'high'", "no number")),
-    (["A,1.44,43.6,190,img_01,1,,control"], ("row 2", "'row' is ''")),
-    (["A,1.44,43.6,190,img_01,1,nan,control"], ("row 2", "'row' is 'nan'")),
-    (["A,1.44,43.6,190,img_09.tif,1,2,control"], ("'img_09.tif'", "none of the images (img_01, img_02, img_03)")),
-    (["A,1.44,43.6,190,,,,control", "A,1.4401,43.6,190,img_01,1,2,control"], ("row 3", "'A'", "another place or role")),
-    (["A,1.44,43.6,190,,,,control", "A,1.44,43.6,190,img_01,1,2,check"], ("row 3", "another place or role")),
-    (["A,1.44,43.6,190,img_01,1,2,", "A,1.44,43.6,190,img_01.tif,1,3,"], ("row 3", "another pixel in 'img_01.tif'")),
-    ([",1.44,43.6,190,img_01,1,2,control"], ("row 2", "'id' is empty")),
-    (["A,43.6,144,190,img_01,1,2,control"], ("row 2", "latitude 144", "degrees")),
-    (["A,1.44,43.6,190,img_01,1,2,tie"], ("role of point 'A' is 'tie'", "control or check")),
-    ([], ("holds no point",)),
-))
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    (
+        (["A,1.44,43.6,high,img_01,1,2,control"], ("row 2", "'height' is 'high'", "no number")),
+        (["A,1.44,43.6,190,img_01,1,,control"], ("row 2", "'row' is ''")),
+        (["A,1.44,43.6,190,img_01,1,nan,control"], ("row 2", "'row' is 'nan'")),
+        (["A,1.44,43.6,190,img_09.tif,1,2,control"], ("'img_09.tif'", "none of the images (img_01, img_02, img_03)")),
+        (
+            ["A,1.44,43.6,190,,,,control", "A,1.4401,43.6,190,img_01,1,2,control"],
+            ("row 3", "'A'", "another place or role"),
+        ),
+        (["A,1.44,43.6,190,,,,control", "A,1.44,43.6,190,img_01,1,2,check"], ("row 3", "another place or role")),
+        (
+            ["A,1.44,43.6,190,img_01,1,2,", "A,1.44,43.6,190,img_01.tif,1,3,"],
+            ("row 3", "another pixel in 'img_01.tif'"),
+        ),
+        ([",1.44,43.6,190,img_01,1,2,control"], ("row 2", "'id' is empty")),
+        (["A,43.6,144,190,img_01,1,2,control"], ("row 2", "latitude 144", "degrees")),
+        (["A,1.44,43.6,190,img_01,1,2,tie"], ("role of point 'A' is 'tie'", "control or check")),
+        ([], ("holds no point",)),
+    ),
+)
 def test_what_is_wrong_is_said_with_its_row(urban, table, rows, words):
     refused(table(*rows), urban.views, "gcps.csv", *words)
 
@@ -113,9 +126,12 @@ def layer(path, crs, points, fields=("id", "height", "view", "col", "row"), name
 
 def test_a_layers_place_is_its_geometry_in_whatever_crs(urban, tmp_path):
     x, y = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32631", always_xy=True).transform(1.44, 43.6)
-    path = layer(tmp_path / "utm.gpkg", "EPSG:32631", [(x, y, "A", 190.0, "img_01.tif", 3.0, 4.0),
-                                                      (x, y, "A", 190.0, "img_02.tif", 5.0, 6.0)])
-    gcp, = read_gcps(path, urban.views)
+    path = layer(
+        tmp_path / "utm.gpkg",
+        "EPSG:32631",
+        [(x, y, "A", 190.0, "img_01.tif", 3.0, 4.0), (x, y, "A", 190.0, "img_02.tif", 5.0, 6.0)],
+    )
+    (gcp,) = read_gcps(path, urban.views)
     assert (gcp.lon, gcp.lat) == pytest.approx((1.44, 43.6), abs=1e-9)
     np.testing.assert_array_equal(gcp.pixels["img_02"], [5.0, 6.0])
 
@@ -134,7 +150,7 @@ def test_a_layer_without_heights_is_refused(urban, tmp_path):
 
 
 def test_without_views_only_places_are_read(table):
-    gcp, = read_gcps(table("A,1.44,43.6,190,of another scene,x,y,check"), None)
+    (gcp,) = read_gcps(table("A,1.44,43.6,190,of another scene,x,y,check"), None)
     assert gcp.pixels == {} and gcp.height == 190
 
 
@@ -157,8 +173,9 @@ def test_ellipsoidal_heights_stay(table, name):
 @pytest.mark.filterwarnings("ignore:Best transformation")
 def test_a_missing_grid_is_named(table):
     path = table("A,1.44,43.6,100,,,,check")
-    group = pyproj.transformer.TransformerGroup(pyproj.CRS("EPSG:4326+3855"), pyproj.CRS("EPSG:4979"), always_xy=True,
-                                                allow_ballpark=False)
+    group = pyproj.transformer.TransformerGroup(
+        pyproj.CRS("EPSG:4326+3855"), pyproj.CRS("EPSG:4979"), always_xy=True, allow_ballpark=False
+    )
     if group.transformers:
         assert read_gcps(path, None, "EGM2008")[0].height == pytest.approx(149.1, abs=0.5)
     else:
@@ -186,10 +203,19 @@ def truth_gcps(scene, count=12, noise=0.0, seed=5, role="control"):
     rows, cols = (numbers.integers(10, n - 10, count) for n in scene.surface.shape)
     x, cell, _, y, _, _ = scene.transform
     lon_lat = geodetic_from_projected(scene.crs, np.column_stack([x + (cols + 0.5) * cell, y - (rows + 0.5) * cell]))
-    return [Gcp(f"P{k}", *map(float, place), float(scene.surface[row, col]), role,
-                {view.name: view.project(np.append(place, scene.surface[row, col])) + numbers.normal(0, noise, 2)
-                 for view in scene.true_views})
-            for k, (place, row, col) in enumerate(zip(lon_lat, rows, cols))]
+    return [
+        Gcp(
+            f"P{k}",
+            *map(float, place),
+            float(scene.surface[row, col]),
+            role,
+            {
+                view.name: view.project(np.append(place, scene.surface[row, col])) + numbers.normal(0, noise, 2)
+                for view in scene.true_views
+            },
+        )
+        for k, (place, row, col) in enumerate(zip(lon_lat, rows, cols))
+    ]
 
 
 def test_intersecting_true_sensors_gives_the_true_place(scene):
@@ -204,8 +230,9 @@ def test_intersection_is_the_place_where_the_rays_meet(scene):
     for gcp in truth_gcps(scene):
         frame = EnuFrame(gcp.lon, gcp.lat, gcp.height)
         seen = frame.to_geodetic(move)
-        moved = Gcp(gcp.id, gcp.lon, gcp.lat, gcp.height, gcp.role,
-                    {view.name: view.project(seen) for view in scene.views})
+        moved = Gcp(
+            gcp.id, gcp.lon, gcp.lat, gcp.height, gcp.role, {view.name: view.project(seen) for view in scene.views}
+        )
         np.testing.assert_allclose(intersect(moved, scene.views), move, atol=1e-3)
 
 

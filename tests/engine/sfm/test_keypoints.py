@@ -32,8 +32,9 @@ class BrokenGpu(ColmapSift):
 
 def blobs(places, size=128, sigma=4.0):
     rows, cols = np.indices((size, size))
-    return (30 + sum(150 * np.exp(-((cols - x) ** 2 + (rows - y) ** 2) / (2 * sigma ** 2))
-                     for x, y in places)).astype(np.uint8)
+    return (30 + sum(150 * np.exp(-((cols - x) ** 2 + (rows - y) ** 2) / (2 * sigma**2)) for x, y in places)).astype(
+        np.uint8
+    )
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +97,10 @@ def test_a_device_that_counts_pixels_otherwise_does_not_pass(monkeypatch):
     assert not keypoints.self_test("cpu")
 
 
-@pytest.mark.parametrize("usable, answers, expected", ((False, True, CPU_DETECTOR), (True, False, CPU_DETECTOR),
-                                                       (True, True, ColmapSift("cuda"))))
+@pytest.mark.parametrize(
+    "usable, answers, expected",
+    ((False, True, CPU_DETECTOR), (True, False, CPU_DETECTOR), (True, True, ColmapSift("cuda"))),
+)
 def test_the_gpu_is_taken_where_one_answers(monkeypatch, usable, answers, expected):
     monkeypatch.setattr(environment, "cuda", lambda: {"usable": usable})
     monkeypatch.setattr(keypoints, "_answers", lambda device: answers)
@@ -172,7 +175,8 @@ def test_a_gpu_that_breaks_while_it_works(monkeypatch, scene, told):
     monkeypatch.setattr(keypoints, "best_detector", lambda: BrokenGpu("cuda"))
     said = told()
     matches, detector = keypoints.with_best_detector(
-        lambda best: find_ties(scene, [names], stretches, Silent(), 1, best), said)
+        lambda best: find_ties(scene, [names], stretches, Silent(), 1, best), said
+    )
     assert detector == CPU_DETECTOR and len(said.warnings) == 1 and "out of memory" in said.warnings[0]
     plain = find_ties(scene, [names], stretches, Silent(), 1)
     np.testing.assert_array_equal(matches[0].first_px, plain[0].first_px)

@@ -36,16 +36,24 @@ def places(scene, count, seed):
 def tracks_of(scene, count, noise, seed, warp=None):
     """Ties as the true sensors see them; ``warp`` moves each view's pixels."""
     numbers = np.random.default_rng([seed, 1])
-    seen = [{view.name: view.project(point) + numbers.normal(0, noise, 2) for view in scene.true_views}
-            for point in places(scene, count, seed)]
+    seen = [
+        {view.name: view.project(point) + numbers.normal(0, noise, 2) for view in scene.true_views}
+        for point in places(scene, count, seed)
+    ]
     return [Track({name: warp(name, pixel) if warp else pixel for name, pixel in pixels.items()}) for pixels in seen]
 
 
 def control(scene, noise, seed, role="control", count=12):
     numbers = np.random.default_rng([seed, 2])
-    return [Gcp(f"P{k}", *map(float, point), role, {view.name: view.project(point) + numbers.normal(0, noise, 2)
-                                                    for view in scene.true_views})
-            for k, point in enumerate(places(scene, count, seed + 100))]
+    return [
+        Gcp(
+            f"P{k}",
+            *map(float, point),
+            role,
+            {view.name: view.project(point) + numbers.normal(0, noise, 2) for view in scene.true_views},
+        )
+        for k, point in enumerate(places(scene, count, seed + 100))
+    ]
 
 
 def moved(gcp, by):
@@ -56,8 +64,12 @@ def absolute_error(scene, found):
     """(views, 2) by how much corrected views miss the true pixels of ground points, px."""
     ground = places(scene, 300, 9)
     corrected = [view.with_pointing(found.pointing[view.name]) for view in scene.views]
-    return np.array([np.median(view.project(ground) - true.project(ground), axis=0)
-                     for view, true in zip(corrected, scene.true_views)])
+    return np.array(
+        [
+            np.median(view.project(ground) - true.project(ground), axis=0)
+            for view, true in zip(corrected, scene.true_views)
+        ]
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -67,7 +79,7 @@ def test_control_points_make_the_pointing_absolute(scene, seed):
     assert np.abs(absolute_error(scene, adjust(scene.views, ties, 500.0))).max() > 0.5
     found = adjust(scene.views, ties, 500.0, "auto", control(scene, 0.3, seed))
     error = absolute_error(scene, found)
-    assert np.sqrt(np.mean(error ** 2)) < 0.15
+    assert np.sqrt(np.mean(error**2)) < 0.15
     assert found.rejected == () and found.model == "shift"
     # The biases in the truth scene's record are what is taken out.
     np.testing.assert_allclose([found.shifts[view.name] for view in scene.views], -scene.biases, atol=0.3)
@@ -125,8 +137,9 @@ def rows_left(scene, found, maps):
     views = [view.with_pointing(found.pointing[view.name]) for view in scene.views]
     pixels = [true.project(ground) for true in scene.true_views]
     pixels = [p + (p - 199.5) @ maps[view.name].T for p, view in zip(pixels, views)]
-    return np.array([row_residuals((views[i], views[j]), (pixels[i], pixels[j]), ground)[0]
-                     for i, j in ((0, 1), (0, 2), (1, 2))])
+    return np.array(
+        [row_residuals((views[i], views[j]), (pixels[i], pixels[j]), ground)[0] for i, j in ((0, 1), (0, 2), (1, 2))]
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -209,9 +222,14 @@ def pointed(urban, tmp_path_factory, told):
 def test_real_ties_and_the_tables_points_give_the_true_place(urban, pointed):
     """The scene's six control points (0.3 px of noise): check points are where they are, to half a metre in plane."""
     scene, _, gcps, found, said = pointed
-    error = np.median([view.project(places(urban, 200, 9)) - true.project(places(urban, 200, 9))
-                       for view, true in zip(scene.views, urban.true_views)], axis=1)
-    assert np.sqrt(np.mean(error ** 2)) < 0.25  # 0.3 px / sqrt(6), and the ties
+    error = np.median(
+        [
+            view.project(places(urban, 200, 9)) - true.project(places(urban, 200, 9))
+            for view, true in zip(scene.views, urban.true_views)
+        ],
+        axis=1,
+    )
+    assert np.sqrt(np.mean(error**2)) < 0.25  # 0.3 px / sqrt(6), and the ties
     assert {point["id"] for point in found.figures["gcps"]} == {gcp.id for gcp in gcps}
     assert "height_uncertainty_m" not in found.figures and found.figures["rejected_gcps"] == []
     for point in found.figures["gcps"]:
@@ -238,14 +256,22 @@ def test_advice_names_the_pair_the_tile_and_the_remedy(pointed):
     fine = {"tiles": ties_by_tile(scene, found.xy), **found.figures}
     assert advice(scene, pairs, fine) == []
     narrow, wide = ViewPair("img_01", "img_02", 3.4, 0.06, 1), ViewPair("img_01", "img_03", 52.0, 1.02, 1)
-    few = {**fine, "tiles": [{"tile": "r000c000", "ties": 80}, {"tile": "r000c001", "ties": 2}],
-           "height_uncertainty_m": 6.4}
+    few = {
+        **fine,
+        "tiles": [{"tile": "r000c000", "ties": 80}, {"tile": "r000c001", "ties": 2}],
+        "height_uncertainty_m": 6.4,
+    }
     said = advice(scene, [narrow, wide], few)
     assert len(said) == 4
-    for text, words in zip(said, (("img_01 and img_02", "B/H 0.06", "m only"),
-                                  ("img_01 and img_03", "1.02", "from between"),
-                                  ("1 tile of 2: r000c001", "of the overlap", "EXTENT"),
-                                  ("6.4 m", "GCPS", "ALIGN=3d"))):
+    for text, words in zip(
+        said,
+        (
+            ("img_01 and img_02", "B/H 0.06", "m only"),
+            ("img_01 and img_03", "1.02", "from between"),
+            ("1 tile of 2: r000c001", "of the overlap", "EXTENT"),
+            ("6.4 m", "GCPS", "ALIGN=3d"),
+        ),
+    ):
         assert all(word in text for word in words), text
 
 
@@ -260,8 +286,10 @@ def all_errors(scene, found, maps=None):
 
 
 def drifting(gcps, maps):
-    return [replace(gcp, pixels={name: pixel + maps[name] @ (pixel - 199.5) for name, pixel in gcp.pixels.items()})
-            for gcp in gcps]
+    return [
+        replace(gcp, pixels={name: pixel + maps[name] @ (pixel - 199.5) for name, pixel in gcp.pixels.items()})
+        for gcp in gcps
+    ]
 
 
 @pytest.mark.parametrize("noise", (0.1, 0.3, 1.0))

@@ -13,13 +13,13 @@ from repm_qgis.errors import EmptyResultError
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.mvs.pairing import rectified_pair
 from repm_qgis.scene import Scene
 from repm_qgis.sfm import tie_points
 from repm_qgis.sfm.adjustment import adjust, tracks_from
 from repm_qgis.sfm.sharpening import clusters, sharpen
 from repm_qgis.sfm.tie_points import PairMatches, find_ties
 from repm_qgis.stages import run_stage
+from repm_qgis.stereo.pairing import rectified_pair
 
 
 @pytest.fixture(scope="module", params=("urban", "mountains"))
@@ -38,8 +38,9 @@ def epipolar(truth, match):
     """Distance of the second pixel from the true epipolar line of the first, px: needs no surface."""
     first, second = (next(v for v in truth.true_views if v.name == name) for name in (match.first, match.second))
     low, high = truth.height_range
-    ends = [second.rpc.project(first.rpc.localise(match.first_px, np.full(len(match.first_px), h))) for h in (low,
-                                                                                                              high)]
+    ends = [
+        second.rpc.project(first.rpc.localise(match.first_px, np.full(len(match.first_px), h))) for h in (low, high)
+    ]
     along = ends[1] - ends[0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     offset = match.second_px - ends[0]
@@ -60,23 +61,33 @@ def test_the_shifts_bring_rows_together(found):
     """Random points of space, seen by the true sensors, lie on one row once the views have their shifts."""
     truth, scene, matches, _ = found
     adjusted = adjust(scene.views, tracks_from(matches), sum(scene.altitudes) / 2)
-    views = {view.name: view.with_pointing(np.column_stack([np.eye(2), adjusted.shifts[view.name]]))
-             for view in scene.views}
+    views = {
+        view.name: view.with_pointing(np.column_stack([np.eye(2), adjusted.shifts[view.name]])) for view in scene.views
+    }
     tile = scene.tiles[0]
     numbers = np.random.default_rng(6)
-    points = np.column_stack([truth.true_views[1].localise(numbers.uniform(40, 360, (500, 2)), 0.0)[:, :2] * 0,
-                              numbers.uniform(*scene.altitudes, 500)])
+    points = np.column_stack(
+        [
+            truth.true_views[1].localise(numbers.uniform(40, 360, (500, 2)), 0.0)[:, :2] * 0,
+            numbers.uniform(*scene.altitudes, 500),
+        ]
+    )
     points = truth.true_views[1].localise(numbers.uniform(40, 360, (500, 2)), points[:, 2])
     for match in matches:
         pair = rectified_pair(scene, views[match.first], views[match.second], tile.bounds, tile.altitudes)
         true = {view.name: view for view in truth.true_views}
-        rows = (pair.first_rectified(true[match.first].project(points))[:, 1]
-                - pair.second_rectified(true[match.second].project(points))[:, 1])
+        rows = (
+            pair.first_rectified(true[match.first].project(points))[:, 1]
+            - pair.second_rectified(true[match.second].project(points))[:, 1]
+        )
         assert np.median(np.abs(rows)) < 0.1  # the issue asks for 0.3
-        before = rectified_pair(scene, *(scene.view(n) for n in (match.first, match.second)), tile.bounds,
-                                tile.altitudes)
-        raw = (before.first_rectified(true[match.first].project(points))[:, 1]
-               - before.second_rectified(true[match.second].project(points))[:, 1])
+        before = rectified_pair(
+            scene, *(scene.view(n) for n in (match.first, match.second)), tile.bounds, tile.altitudes
+        )
+        raw = (
+            before.first_rectified(true[match.first].project(points))[:, 1]
+            - before.second_rectified(true[match.second].project(points))[:, 1]
+        )
         assert np.median(np.abs(rows)) < np.median(np.abs(raw))
 
 
@@ -100,8 +111,14 @@ def test_too_few_ties_are_an_error_with_the_counts(found, told, tmp_path, write_
     truth, scene, matches, stretches = found
     noise = np.random.default_rng(0).integers(100, 1000, (400, 400)).astype(np.uint16)
     other = write_image(tmp_path / "noise.tif", noise, truth.views[1].rpc)
-    blind = Scene([scene.views[0], scene.views[1].__class__(**{**vars(scene.views[1]), "image": other})], scene.frame,
-                  scene.crs, scene.area, scene.altitudes, scene.tiles)
+    blind = Scene(
+        [scene.views[0], scene.views[1].__class__(**{**vars(scene.views[1]), "image": other})],
+        scene.frame,
+        scene.crs,
+        scene.area,
+        scene.altitudes,
+        scene.tiles,
+    )
     names = [view.name for view in blind.views]
     with pytest.raises(EmptyResultError) as caught:
         find_ties(blind, [tuple(names)], {name: stretches[name] for name in names}, told())
@@ -115,8 +132,12 @@ def test_sharpening_brings_ties_to_a_tenth_of_a_pixel(found, told):
     for first, second in ((names[0], names[1]), (names[0], names[2])):
         # Tracks that begin with the pair's first view were aligned with it.
         own = [t for t in tracks if first in t.pixels and second in t.pixels]
-        distance = epipolar(truth, PairMatches(first, second, *(np.array([t.pixels[n] for t in own])
-                                                                for n in (first, second)), np.zeros(len(own))))
+        distance = epipolar(
+            truth,
+            PairMatches(
+                first, second, *(np.array([t.pixels[n] for t in own]) for n in (first, second)), np.zeros(len(own))
+            ),
+        )
         assert len(own) > 40
         assert 1.4826 * np.median(np.abs(distance - np.median(distance))) < 0.18
         assert abs(np.median(distance)) < 0.05 and (np.abs(distance) > 1.0).mean() < 0.05
@@ -125,8 +146,10 @@ def test_sharpening_brings_ties_to_a_tenth_of_a_pixel(found, told):
 @pytest.mark.parametrize("errors", (((15, -11), (-12, 15), (4, -14)), ((-3, 25), (3, -25), (0, 0))))
 def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     truth, scene, _, stretches = found
-    wrong = [view.__class__(**{**vars(view), "rpc": true.rpc.shifted(*error)})
-             for view, true, error in zip(scene.views, truth.true_views, errors)]
+    wrong = [
+        view.__class__(**{**vars(view), "rpc": true.rpc.shifted(*error)})
+        for view, true, error in zip(scene.views, truth.true_views, errors)
+    ]
     lost = Scene(**{**vars(scene), "views": wrong})
     names = [view.name for view in wrong]
     pairs = [(names[0], names[1]), (names[1], names[2]), (names[0], names[2])]
@@ -136,8 +159,10 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     ground = truth.true_views[1].localise(np.random.default_rng(5).uniform(50, 350, (200, 2)), sum(scene.altitudes) / 2)
     for i, j in ((0, 1), (1, 2), (0, 2)):
         pair = rectified_pair(scene, right[i], right[j], scene.tiles[0].bounds, scene.altitudes)
-        rows = (pair.first_rectified(truth.true_views[i].project(ground))
-                - pair.second_rectified(truth.true_views[j].project(ground)))[:, 1]
+        rows = (
+            pair.first_rectified(truth.true_views[i].project(ground))
+            - pair.second_rectified(truth.true_views[j].project(ground))
+        )[:, 1]
         assert np.abs(rows).max() < 0.1
 
 
@@ -200,7 +225,7 @@ def test_of_a_small_scene_a_quarter_is_searched(found, told, monkeypatch, side):
     monkeypatch.setattr(tie_points, "_texture", lambda *_: 1.0)
     cells = tie_points._ranked_patches(Scene(**{**vars(scene), "tiles": [tile], "area": area}), stretches, told())
     first = np.array([cell[0] for cell in cells])
-    share = ((first[:, 2] - first[:, 0]) * (first[:, 3] - first[:, 1])).sum() / end ** 2
+    share = ((first[:, 2] - first[:, 0]) * (first[:, 3] - first[:, 1])).sum() / end**2
     assert len(cells) == 9 and share == pytest.approx(0.25 if side == 2000 else 9 * (500 / 4000) ** 2)
     for a, b in itertools.combinations(first, 2):
         assert (a[:2] >= b[2:]).any() or (b[:2] >= a[2:]).any()
@@ -213,9 +238,13 @@ def test_a_scene_of_40000_px_is_searched_all_over_and_little_of_it(found, told, 
     truth, scene, _, stretches = found
     side, gsd = 40000, scene.gsd_m
     x, y = scene.tiles[0].bounds[:2]
-    tiles = [dataclasses.replace(scene.tiles[0], bounds=(x + i * gsd, y + j * gsd, x + (i + 5000) * gsd,
-                                                         y + (j + 5000) * gsd))
-             for i in range(0, side, 5000) for j in range(0, side, 5000)]
+    tiles = [
+        dataclasses.replace(
+            scene.tiles[0], bounds=(x + i * gsd, y + j * gsd, x + (i + 5000) * gsd, y + (j + 5000) * gsd)
+        )
+        for i in range(0, side, 5000)
+        for j in range(0, side, 5000)
+    ]
     corners = {"square": ((0, 0), (1, 0), (1, 1), (0, 1)), "slanted": ((0.3, 0), (1, 0.2), (0.7, 1), (0, 0.8))}[shape]
     ring = ", ".join(f"{x + u * side * gsd} {y + v * side * gsd}" for u, v in (*corners, corners[0]))
     large = Scene(**{**vars(scene), "tiles": tiles, "area": f"POLYGON (({ring}))"})
@@ -256,8 +285,9 @@ def test_a_trend_is_known_between_and_beside_its_matches():
     numbers = np.random.default_rng(5)
     pixels, elsewhere = numbers.uniform(0, 800, (200, 2)), numbers.uniform(-50, 850, (50, 2))
     rows = 3.0 + pixels @ [0.004, -0.003] + numbers.normal(0, 0.3, 200)
-    np.testing.assert_allclose(tie_points._row_trend(pixels, rows, elsewhere), 3.0 + elsewhere @ [0.004, -0.003],
-                               atol=0.25)
+    np.testing.assert_allclose(
+        tie_points._row_trend(pixels, rows, elsewhere), 3.0 + elsewhere @ [0.004, -0.003], atol=0.25
+    )
     few = tie_points._row_trend(pixels[:20], rows[:20], elsewhere)
     assert few.shape == (50,) and np.ptp(few) == 0
 

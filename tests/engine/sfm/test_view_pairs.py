@@ -13,7 +13,6 @@ from repm_qgis.errors import EmptyResultError
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import moment, time_of_name
-from repm_qgis.mvs.pairing import convergence
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene, Tile, View
 from repm_qgis.sfm.view_pairs import (
@@ -27,6 +26,7 @@ from repm_qgis.sfm.view_pairs import (
     sun_over,
     usual_change,
 )
+from repm_qgis.stereo.pairing import convergence
 
 NOON = datetime(2012, 6, 20, 12, 0, tzinfo=timezone.utc)
 
@@ -48,8 +48,18 @@ def melbourne(shared_data):
     for path in sorted((shared_data / "rpc" / "pleiades").glob("melbourne__*.XML")):
         rpc = read_rpc_file(str(path))
         taken = moment(time_of_name(path.name.partition("__")[2]))
-        views.append(View(path.stem[-8:], "", 1, round(2 * rpc.col_off), round(2 * rpc.row_off), rpc, 0.7,
-                          acquired=taken.isoformat()))
+        views.append(
+            View(
+                path.stem[-8:],
+                "",
+                1,
+                round(2 * rpc.col_off),
+                round(2 * rpc.row_off),
+                rpc,
+                0.7,
+                acquired=taken.isoformat(),
+            )
+        )
     lon, lat = (float(np.median([getattr(view.rpc, name) for view in views])) for name in ("lon_off", "lat_off"))
     crs = utm_crs(lon, lat)
     area = seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, 50.0)) for v in views]])
@@ -88,8 +98,9 @@ def test_convergence_is_the_angle_between_the_looks(urban):
 def test_three_views_make_three_pairs_whatever_their_times(urban, days):
     views = [named(view, view.name, day) for view, day in zip(urban.views, days)]
     pairs = choose_pairs(scene_of(views, urban))
-    assert [(p.first, p.second) for p in pairs] == [(p.first, p.second) for p in choose_pairs(scene_of(urban.views,
-                                                                                                        urban))]
+    assert [(p.first, p.second) for p in pairs] == [
+        (p.first, p.second) for p in choose_pairs(scene_of(urban.views, urban))
+    ]
     assert len(pairs) == 3
     ratios = [abs(np.log(pair.base_to_height / 0.35)) for pair in pairs]
     assert ratios == sorted(ratios)
@@ -110,9 +121,12 @@ def test_views_from_the_same_place_are_refused_with_their_angle(urban):
 def test_seventeen_real_views(melbourne):
     pairs = choose_pairs(melbourne)
     names = [view.name for view in melbourne.views]
-    every = [convergence(a, b, melbourne.frame.lon, melbourne.frame.lat, 50.0)[0]
-             for i, a in enumerate(melbourne.views) for b in melbourne.views[i + 1:]]
-    assert len(names) == 17 and min(every) < 6 and max(every) > 90   # there is much to choose wrongly
+    every = [
+        convergence(a, b, melbourne.frame.lon, melbourne.frame.lat, 50.0)[0]
+        for i, a in enumerate(melbourne.views)
+        for b in melbourne.views[i + 1 :]
+    ]
+    assert len(names) == 17 and min(every) < 6 and max(every) > 90  # there is much to choose wrongly
     assert all(12 < pair.angle_deg < 32 and NARROW < pair.base_to_height < WIDE for pair in pairs)
     count = Counter(name for pair in pairs for name in (pair.first, pair.second))
     assert set(count) == set(names) and min(count.values()) >= 3 and max(count.values()) <= 5
@@ -133,8 +147,10 @@ def test_the_order_of_the_images_does_not_choose(melbourne):
 
 def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne):
     """The same 17 looks half a year later, under another sun: pairs are of one pass but where that connects them."""
-    later = [replace(view, name=f"later_{view.name}", acquired=(view.time + timedelta(days=183)).isoformat())
-             for view in melbourne.views]
+    later = [
+        replace(view, name=f"later_{view.name}", acquired=(view.time + timedelta(days=183)).isoformat())
+        for view in melbourne.views
+    ]
     scene = replace(melbourne, views=[*melbourne.views, *later])
     scene.tiles = [Tile("r000c000", scene.tiles[0].bounds, scene.altitudes, {view.name: None for view in scene.views})]
     pairs = choose_pairs(scene)
@@ -147,8 +163,14 @@ def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne):
 def test_of_equal_geometry_the_closer_in_time_wins(urban):
     """Looks a and b; b also nine days, three months, and unknown when: a's first partner is the closest."""
     a, b = urban.views[0], urban.views[2]
-    views = [named(a, "a", 0), named(b, "summer", 92), named(b, "near", 9), named(b, "same", 0.001),
-             named(b, "undated"), named(b, "winter", 182)]
+    views = [
+        named(a, "a", 0),
+        named(b, "summer", 92),
+        named(b, "near", 9),
+        named(b, "same", 0.001),
+        named(b, "undated"),
+        named(b, "winter", 182),
+    ]
     pairs = [pair for pair in choose_pairs(scene_of(views, urban)) if pair.first == "a"]
     assert np.ptp([pair.angle_deg for pair in pairs]) == 0
     order = [pair.second for pair in pairs]
@@ -166,10 +188,14 @@ def test_unknown_times_speak_neither_for_nor_against():
 def test_what_speaks_against_a_pair():
     best = ViewPair("a", "b", 20.0, 0.35, 1, days=0.0, sun_deg=0.0)
     assert badness(best) == 0.0
-    for worse, cost in ((replace(best, angle_deg=40.0), np.log(2)), (replace(best, angle_deg=10.0), np.log(2)),
-                        (replace(best, share=0.5), np.log(2)), (replace(best, sun_deg=30.0), 1.0),
-                        (replace(best, days=365.25), 0.25 * np.log10(366.25)),
-                        (replace(best, days=365.25 / 2), 0.25 * np.log10(1 + 365.25 / 2) + 0.5)):
+    for worse, cost in (
+        (replace(best, angle_deg=40.0), np.log(2)),
+        (replace(best, angle_deg=10.0), np.log(2)),
+        (replace(best, share=0.5), np.log(2)),
+        (replace(best, sun_deg=30.0), 1.0),
+        (replace(best, days=365.25), 0.25 * np.log10(366.25)),
+        (replace(best, days=365.25 / 2), 0.25 * np.log10(1 + 365.25 / 2) + 0.5),
+    ):
         assert badness(worse) == pytest.approx(cost)
     assert days_off_season(365.25 * 3 + 10) == pytest.approx(10) and days_off_season(355.25) == pytest.approx(10)
 

@@ -25,8 +25,17 @@ def _surface(height, cell=0.5, wall=math.inf):
     east, north = projected_from_geodetic(CRS, np.array(CENTRE))
     rows, cols = height.shape
     plain = np.full_like(height, 500.0)
-    return Surface(CRS, round(east) - cols // 2 * cell, round(north) + rows // 2 * cell, cell, wall, height, plain,
-                   height - 1, np.zeros_like(height))
+    return Surface(
+        CRS,
+        round(east) - cols // 2 * cell,
+        round(north) + rows // 2 * cell,
+        cell,
+        wall,
+        height,
+        plain,
+        height - 1,
+        np.zeros_like(height),
+    )
 
 
 def _true_heights(surface, view, pixels, step=0.02):
@@ -35,8 +44,8 @@ def _true_heights(surface, view, pixels, step=0.02):
     low, high = surface.height_range()
     result = np.full(len(pixels), np.nan)
     for n in range(len(pixels)):
-        start = np.linalg.norm(_ecef(view.localise(pixels[n:n + 1], high + 0.5)) - position[n])
-        stop = np.linalg.norm(_ecef(view.localise(pixels[n:n + 1], low - 0.5)) - position[n])
+        start = np.linalg.norm(_ecef(view.localise(pixels[n : n + 1], high + 0.5)) - position[n])
+        stop = np.linalg.norm(_ecef(view.localise(pixels[n : n + 1], low - 0.5)) - position[n])
         along = np.arange(start, stop, step)
         ground = geodetic_from_ecef(position[n] + along[:, None] * direction[n])
         inside = surface.heights(*surface.grid(ground)) >= ground[:, 2]
@@ -67,8 +76,11 @@ def test_rays_meet_a_plane_where_it_is():
 def test_rays_stop_at_the_first_thing_they_meet(kind):
     east, north = projected_from_geodetic(CRS, np.array(CENTRE))
     bounds = (east - 130, north - 130, east + 130, north + 130)
-    surface = (build_urban(bounds, 0.25, CRS, 190.0, Sun(), 2) if kind == "urban" else
-               build_mountains(bounds, 1.0, CRS, 150.0, 90.0, Sun(), 2))
+    surface = (
+        build_urban(bounds, 0.25, CRS, 190.0, Sun(), 2)
+        if kind == "urban"
+        else build_mountains(bounds, 1.0, CRS, 150.0, 90.0, Sun(), 2)
+    )
     rng = np.random.default_rng(0)
     for number in (0, 1, 2):
         view = _view(number, 240, 195.0)
@@ -90,7 +102,7 @@ def test_a_tower_hides_the_ground_behind_it_and_shows_its_front():
     wall = (seen > 200.5) & (seen < 239.5)
     roof = np.abs(seen - 240) < 0.05
     pixel = 0.25  # m2
-    assert roof.sum() * pixel == pytest.approx(20.5 ** 2, rel=0.03)
+    assert roof.sum() * pixel == pytest.approx(20.5**2, rel=0.03)
     # A metre of height moves the image by so many metres east and north: so wide do the walls lie in it.
     low, high = view.localise(np.full((2, 2), 149.5), np.array([200.0, 240.0]))
     shift = np.abs(projected_from_geodetic(CRS, high) - projected_from_geodetic(CRS, low)) / 40.0
@@ -120,7 +132,7 @@ def test_noise_is_as_stated():
     fine = np.full(((256 + 6) * 2,) * 2, 1500.0, np.float32)
     image = _expose(fine, view, np.random.default_rng(0), 2).astype(float)
     assert image.mean() == pytest.approx(1500, abs=0.3)
-    expected = math.sqrt(PLEIADES.read_noise_dn ** 2 + PLEIADES.photon_gain * 1500 + 1 / 12)
+    expected = math.sqrt(PLEIADES.read_noise_dn**2 + PLEIADES.photon_gain * 1500 + 1 / 12)
     assert image.std() == pytest.approx(expected, rel=0.02)
 
 

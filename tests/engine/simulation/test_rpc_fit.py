@@ -8,9 +8,16 @@ from repm_qgis.simulation.rpc_fit import fit_rpc, virtual_grid
 from repm_qgis.simulation.sensor import GF7, PLEIADES, ZY3, aim
 
 
-@pytest.mark.parametrize("sensor, size, heights", [
-    (PLEIADES, 800, (150.0, 270.0)), (PLEIADES, 20000, (0.0, 2000.0)), (ZY3, 5120, (380.0, 1920.0)),
-    (GF7, 8000, (0.0, 500.0))], ids=lambda v: getattr(v, "name", None))
+@pytest.mark.parametrize(
+    "sensor, size, heights",
+    [
+        (PLEIADES, 800, (150.0, 270.0)),
+        (PLEIADES, 20000, (0.0, 2000.0)),
+        (ZY3, 5120, (380.0, 1920.0)),
+        (GF7, 8000, (0.0, 500.0)),
+    ],
+    ids=lambda v: getattr(v, "name", None),
+)
 def test_rpc_is_the_sensor(sensor, size, heights):
     rng = np.random.default_rng(5)
     for number, look in enumerate(sensor.looks):
@@ -28,11 +35,33 @@ def test_denominators_stay_near_one():
     view = aim(ZY3, ZY3.looks[0], (6.65, 44.38, 1000.0), (5120, 5120), 191.0, 1, "v")
     rpc = fit_rpc(view.localise, view.size, (400.0, 1900.0)).rpc
     ground = view.localise(*virtual_grid((5120, 5120), (400.0, 1900.0), (12, 12, 5)))
-    lon, lat, h = ((ground - [rpc.lon_off, rpc.lat_off, rpc.height_off])
-                   / [rpc.lon_scale, rpc.lat_scale, rpc.height_scale]).T
-    terms = np.stack([np.ones_like(lon), lon, lat, h, lon * lat, lon * h, lat * h, lon ** 2, lat ** 2, h ** 2,
-                      lon * lat * h, lon ** 3, lon * lat ** 2, lon * h ** 2, lon ** 2 * lat, lat ** 3, lat * h ** 2,
-                      lon ** 2 * h, lat ** 2 * h, h ** 3])
+    lon, lat, h = (
+        (ground - [rpc.lon_off, rpc.lat_off, rpc.height_off]) / [rpc.lon_scale, rpc.lat_scale, rpc.height_scale]
+    ).T
+    terms = np.stack(
+        [
+            np.ones_like(lon),
+            lon,
+            lat,
+            h,
+            lon * lat,
+            lon * h,
+            lat * h,
+            lon**2,
+            lat**2,
+            h**2,
+            lon * lat * h,
+            lon**3,
+            lon * lat**2,
+            lon * h**2,
+            lon**2 * lat,
+            lat**3,
+            lat * h**2,
+            lon**2 * h,
+            lat**2 * h,
+            h**3,
+        ]
+    )
     for denominator in (rpc.row_den, rpc.col_den):
         np.testing.assert_allclose(np.array(denominator) @ terms, 1.0, atol=0.1)
 

@@ -63,7 +63,13 @@ def test_result_and_files(scene):
     assert json.dumps(scene.result)
     assert [os.path.basename(path) for path in scene.result["images"]] == ["img_01.tif", "img_02.tif", "img_03.tif"]
     assert sorted(os.listdir(scene.result["folder"])) == [
-        "gcps.csv", "img_01.tif", "img_02.tif", "img_03.tif", "truth.json", "truth.tif"]
+        "gcps.csv",
+        "img_01.tif",
+        "img_02.tif",
+        "img_03.tif",
+        "truth.json",
+        "truth.tif",
+    ]
     assert scene.result["rpc_fit_max_px"] < 0.01
 
 
@@ -87,9 +93,14 @@ def test_gdal_projects_as_our_rpc_does(scene):
     rng = np.random.default_rng(0)
     for path, rpc in zip(scene.result["images"], scene.files_rpcs):
         low, high = rpc.height_range
-        points = np.stack([rng.uniform(rpc.lon_off - rpc.lon_scale, rpc.lon_off + rpc.lon_scale, 200),
-                           rng.uniform(rpc.lat_off - rpc.lat_scale, rpc.lat_off + rpc.lat_scale, 200),
-                           rng.uniform(low, high, 200)], axis=1)
+        points = np.stack(
+            [
+                rng.uniform(rpc.lon_off - rpc.lon_scale, rpc.lon_off + rpc.lon_scale, 200),
+                rng.uniform(rpc.lat_off - rpc.lat_scale, rpc.lat_off + rpc.lat_scale, 200),
+                rng.uniform(low, high, 200),
+            ],
+            axis=1,
+        )
         dataset = gdal.Open(path)
         transformer = gdal.Transformer(dataset, None, ["METHOD=RPC"])
         pixels, ok = transformer.TransformPoints(1, points.tolist())
@@ -124,7 +135,7 @@ def test_truth_is_georeferenced_ellipsoidal_and_seen_by_all_views(scene):
     band = dataset = None
     assert scene.transform[1] == -scene.transform[5] == scene.spec.cell_m
     assert scene.truth.shape[0] > 0.5 * SIZE and np.isfinite(scene.truth).all() and (scene.truth > -9999).all()
-    rows, cols = (part.ravel() for part in np.mgrid[:scene.truth.shape[0]:7, :scene.truth.shape[1]:7])
+    rows, cols = (part.ravel() for part in np.mgrid[: scene.truth.shape[0] : 7, : scene.truth.shape[1] : 7])
     for rpc in scene.true_rpcs:
         pixels = rpc.project(scene.ground(rows, cols))
         assert pixels.min() > 0 and pixels.max() < SIZE - 1
@@ -148,20 +159,21 @@ def _patches(scene, number, rows, cols, lift=0.0):
 
 def _correlation(one, other):
     one, other = one - one.mean(axis=1, keepdims=True), other - other.mean(axis=1, keepdims=True)
-    return (one * other).sum(axis=1) / np.sqrt((one ** 2).sum(axis=1) * (other ** 2).sum(axis=1))
+    return (one * other).sum(axis=1) / np.sqrt((one**2).sum(axis=1) * (other**2).sum(axis=1))
 
 
 def test_views_agree_at_true_heights_and_not_5_m_above(scene):
     views = make_views(scene.spec)
     surface = make_surface(scene.spec, surface_bounds(scene.spec, views), Silent())
     count = scene.truth.shape[0]
-    middle_r, middle_c = (part.ravel() for part in np.mgrid[8:count - 8:9, 8:count - 8:9])
+    middle_r, middle_c = (part.ravel() for part in np.mgrid[8 : count - 8 : 9, 8 : count - 8 : 9])
     side = np.arange(-5, 6)
     rows = middle_r[:, None] + np.repeat(side, 11)
     cols = middle_c[:, None] + np.tile(side, 11)
     seen = np.all([_visible(scene, n, surface, views[n], rows, cols).mean(axis=1) > 0.97 for n in (0, 2)], axis=0)
-    one, other, lifted_one, lifted = (_patches(scene, n, rows[seen], cols[seen], lift)
-                                      for n, lift in ((0, 0), (2, 0), (0, 5), (2, 5)))
+    one, other, lifted_one, lifted = (
+        _patches(scene, n, rows[seen], cols[seen], lift) for n, lift in ((0, 0), (2, 0), (0, 5), (2, 5))
+    )
     # Above the noise in both views; the rest is what a matcher has to bridge.
     textured = np.minimum(one.std(axis=1), other.std(axis=1)) > 25
     assert textured.sum() > 50
@@ -186,7 +198,7 @@ def test_gcps_fit_the_true_rpcs_to_their_noise(scene):
     assert all(len(places) == 1 for places in seen.values())
     roles = [next(iter(places))[0] for places in seen.values()]
     assert {"control", "check"} == set(roles) and abs(roles.count("control") - roles.count("check")) <= 2
-    assert 0.2 < np.sqrt(np.mean(residuals ** 2)) < 0.4
+    assert 0.2 < np.sqrt(np.mean(residuals**2)) < 0.4
     assert np.abs(residuals).max() < 1.5
     pixels = np.array([[float(g["col"]), float(g["row"])] for g in scene.gcps])
     assert (np.ptp(pixels, axis=0) > 0.45 * SIZE).all()
@@ -203,13 +215,15 @@ def test_gcps_heights_are_the_true_surfaces(scene):
     for gcp in scene.gcps:
         east, north, _ = transform.TransformPoint(float(gcp["lon"]), float(gcp["lat"]))
         col, row = int((east - t[0]) / t[1]), int((north - t[3]) / t[5])
-        around = scene.truth[max(row - 1, 0):row + 2, max(col - 1, 0):col + 2]
+        around = scene.truth[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
         assert around.min() - 0.1 < float(gcp["height"]) < around.max() + 0.1
 
 
 def _hashes(folder):
-    return {name: hashlib.sha256(open(os.path.join(folder, name), "rb").read()).hexdigest()
-            for name in sorted(os.listdir(folder))}
+    return {
+        name: hashlib.sha256(open(os.path.join(folder, name), "rb").read()).hexdigest()
+        for name in sorted(os.listdir(folder))
+    }
 
 
 def test_same_seed_same_bytes_other_seed_other_scene(tmp_path):

@@ -22,8 +22,10 @@ def _xyz(lon_lat_h):
     a, f = 6378137.0, 1 / 298.257223563
     e2 = f * (2 - f)
     n = a / np.sqrt(1 - e2 * np.sin(lat) ** 2)
-    return np.stack([(n + h) * np.cos(lat) * np.cos(lon), (n + h) * np.cos(lat) * np.sin(lon),
-                     (n * (1 - e2) + h) * np.sin(lat)], axis=1)
+    return np.stack(
+        [(n + h) * np.cos(lat) * np.cos(lon), (n + h) * np.cos(lat) * np.sin(lon), (n * (1 - e2) + h) * np.sin(lat)],
+        axis=1,
+    )
 
 
 @pytest.mark.parametrize("sensor", PRESETS.values(), ids=PRESETS)

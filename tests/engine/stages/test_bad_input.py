@@ -107,9 +107,14 @@ def test_an_extent_outside(bench):
     assert "EPSG:4326" in text and "x 1.43" in text and "y 43.59" in text  # where it should lie, in its own CRS
 
 
-@pytest.mark.parametrize("extent, words", (
-    ([1.0, 43.0, 1.0, 44.0], "xmin < xmax"), ([1.0, 43.0, 1.1], "four finite numbers"),
-    ([float("nan"), 43.0, 1.1, 44.0], "four finite numbers")))
+@pytest.mark.parametrize(
+    "extent, words",
+    (
+        ([1.0, 43.0, 1.0, 44.0], "xmin < xmax"),
+        ([1.0, 43.0, 1.1], "four finite numbers"),
+        ([float("nan"), 43.0, 1.1, 44.0], "four finite numbers"),
+    ),
+)
 def test_extents_that_are_none(bench, extent, words):
     assert words in bench.fails(OptionError, extent=extent)
 
@@ -122,7 +127,7 @@ def test_an_extent_in_an_absurd_crs(bench):
 def test_a_truncated_image(bench):
     path = bench.image("cut.tif")
     whole = Path(path).read_bytes()
-    Path(path).write_bytes(whole[:len(whole) // 2])
+    Path(path).write_bytes(whole[: len(whole) // 2])
     text = bench.fails(ImageError, images=[bench.urban.images[0], path])
     assert path in text and ("cut short" in text or "Cannot open" in text) and "again" in text
 
@@ -147,9 +152,15 @@ def test_images_of_different_places_under_one_rpc(bench):
     assert "tie points" in text and re.search(r"only \d+ tie points", text) and "noise" in text
 
 
-@pytest.mark.parametrize("key, value, words", (
-    ("LINE_SCALE", "0", "scale"), ("LAT_OFF", "nan", "nan"), ("SAMP_NUM_COEFF", " ".join(["nan"] * 20), "finite"),
-    ("HEIGHT_SCALE", "0", "scale")))
+@pytest.mark.parametrize(
+    "key, value, words",
+    (
+        ("LINE_SCALE", "0", "scale"),
+        ("LAT_OFF", "nan", "nan"),
+        ("SAMP_NUM_COEFF", " ".join(["nan"] * 20), "finite"),
+        ("HEIGHT_SCALE", "0", "scale"),
+    ),
+)
 def test_rpcs_that_cannot_be(bench, key, value, words):
     tags = {**rpc_tags(bench.urban.views[1].rpc), key: value}
     path = bench.image("bad.tif", tags=tags)
@@ -175,8 +186,12 @@ def test_a_scene_of_a_newer_schema(bench, tmp_path):
     path = tmp_path / "scene.json"
     path.write_text(json.dumps({"format": "repm-scene", "schema": 99}))
     other = str(tmp_path / "other.json")
-    for stage, options in (("refine", {"output_scene": other}), ("reconstruct", {"output_scene": other}),
-                           ("dsmfuse", {"output": bench.output}), ("errormap", {"output": bench.output})):
+    for stage, options in (
+        ("refine", {"output_scene": other}),
+        ("reconstruct", {"output_scene": other}),
+        ("dsmfuse", {"output": bench.output}),
+        ("errormap", {"output": bench.output}),
+    ):
         text = bench.fails(SceneVersionError, stage, scene=str(path), **options)
         assert str(path) in text and "schema 99" in text and "update the plugin" in text
     assert sorted(os.listdir(tmp_path)) == ["scene.json"]
@@ -191,8 +206,11 @@ def test_a_workspace_with_a_scene_of_a_newer_schema_is_not_overwritten(bench):
 
 
 def test_stages_in_the_wrong_order(bench, urban, told):
-    fitted = run_stage("epmfit", {"images": urban.images[:2], "workspace": bench.workspace, "altitude_min": 150.0,
-                                  "altitude_max": 260.0}, told())["scene"]
+    fitted = run_stage(
+        "epmfit",
+        {"images": urban.images[:2], "workspace": bench.workspace, "altitude_min": 150.0, "altitude_max": 260.0},
+        told(),
+    )["scene"]
     text = bench.fails(SceneError, "dsmfuse", scene=fitted, output=bench.output)
     assert fitted in text and "no height maps" in text
     text = bench.fails(SceneError, "errormap", scene=fitted, output=bench.output, view="nadir")
@@ -219,11 +237,18 @@ def test_a_mesh_of_another_format_and_a_folder_in_use_are_refused_before_the_wor
     assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
 
 
-@pytest.mark.parametrize("crs, words", (
-    ("EPSG:nonsense", "not a coordinate reference system that PROJ knows"), ("EPSG:4326", "projected"),
-    ("EPSG:2263", "metres"), ("EPSG:32631+5773", "vertical"), ("EPSG:3031", "such as EPSG:32631"),
-    ("+proj=ortho +lat_0=-43 +lon_0=-178 +datum=WGS84 +units=m", "such as EPSG:32631"),
-    ("+proj=laea +lat_0=-43.6 +lon_0=-178.56 +datum=WGS84", "such as EPSG:32631")))
+@pytest.mark.parametrize(
+    "crs, words",
+    (
+        ("EPSG:nonsense", "not a coordinate reference system that PROJ knows"),
+        ("EPSG:4326", "projected"),
+        ("EPSG:2263", "metres"),
+        ("EPSG:32631+5773", "vertical"),
+        ("EPSG:3031", "such as EPSG:32631"),
+        ("+proj=ortho +lat_0=-43 +lon_0=-178 +datum=WGS84 +units=m", "such as EPSG:32631"),
+        ("+proj=laea +lat_0=-43.6 +lon_0=-178.56 +datum=WGS84", "such as EPSG:32631"),
+    ),
+)
 def test_absurd_crss(bench, crs, words):
     """Unknown, geographic, in feet, with a vertical part, or of another part of the world."""
     text = bench.fails(OptionError, crs=crs)
@@ -231,14 +256,26 @@ def test_absurd_crss(bench, crs, words):
     assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
 
 
-@pytest.mark.parametrize("options, words", (
-    ({"altitude_min": 300.0, "altitude_max": 200.0}, "must be below ALTITUDE_MAX"), ({"resolution": -1.0},
-                                                                                     "RESOLUTION"),
-    ({"tile_size": 10}, "TILE_SIZE"), ({"model": "spline"}, "MODEL"), ({"backend": "magic"}, "BACKEND"),
-    ({"method": "mode"}, "METHOD"), ({"outlier_radius": float("nan")}, "OUTLIER_RADIUS"), ({"workers": -1}, "WORKERS"),
-    ({"colour": "red"}, "not an option of this stage"), ({"workspace": ""}, "WORKSPACE"), ({"output": ""}, "OUTPUT"),
-    ({"error_budget": 0}, "ERROR_BUDGET"), ({"window_radius": 0}, "WINDOW_RADIUS"),
-    ({"window_radius": 2.5}, "WINDOW_RADIUS"), ({"gpu_memory": -1}, "GPU_MEMORY")))
+@pytest.mark.parametrize(
+    "options, words",
+    (
+        ({"altitude_min": 300.0, "altitude_max": 200.0}, "must be below ALTITUDE_MAX"),
+        ({"resolution": -1.0}, "RESOLUTION"),
+        ({"tile_size": 10}, "TILE_SIZE"),
+        ({"model": "spline"}, "MODEL"),
+        ({"backend": "magic"}, "BACKEND"),
+        ({"method": "mode"}, "METHOD"),
+        ({"outlier_radius": float("nan")}, "OUTLIER_RADIUS"),
+        ({"workers": -1}, "WORKERS"),
+        ({"colour": "red"}, "not an option of this stage"),
+        ({"workspace": ""}, "WORKSPACE"),
+        ({"output": ""}, "OUTPUT"),
+        ({"error_budget": 0}, "ERROR_BUDGET"),
+        ({"window_radius": 0}, "WINDOW_RADIUS"),
+        ({"window_radius": 2.5}, "WINDOW_RADIUS"),
+        ({"gpu_memory": -1}, "GPU_MEMORY"),
+    ),
+)
 def test_options_out_of_bounds(bench, options, words):
     assert words in bench.fails(OptionError, **options)
     assert not os.path.exists(bench.workspace)
@@ -247,8 +284,17 @@ def test_options_out_of_bounds(bench, options, words):
 def test_altitudes_where_nothing_is(bench):
     """Far above the town: matching finds nothing, and says so with numbers."""
     with pytest.raises(RepmError) as caught:
-        run_stage("pipeline", {"images": bench.urban.images[:2], "workspace": bench.workspace, "output": bench.output,
-                               "altitude_min": 1500.0, "altitude_max": 1600.0}, bench._told())
+        run_stage(
+            "pipeline",
+            {
+                "images": bench.urban.images[:2],
+                "workspace": bench.workspace,
+                "output": bench.output,
+                "altitude_min": 1500.0,
+                "altitude_max": 1600.0,
+            },
+            bench._told(),
+        )
     assert isinstance(caught.value, (EmptyResultError, OverlapError)) and re.search(r"\d", str(caught.value))
     assert not os.path.exists(bench.output)
 
@@ -266,10 +312,18 @@ def test_a_missing_wheel(tmp_path, urban, told, package, stage):
         fitted = run_stage("epmfit", {**options, "altitude_min": 150.0, "altitude_max": 260.0}, told())["scene"]
         options = {"scene": fitted, "output_scene": str(tmp_path / "out.json")}
     (tmp_path / "job.json").write_text(json.dumps(options))
-    code = (f"import sys; sys.modules[{package!r}] = None; "
-            "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))")
-    done = subprocess.run([sys.executable, "-c", code, stage, str(tmp_path / "job.json")], cwd=ROOT, text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False)
+    code = (
+        f"import sys; sys.modules[{package!r}] = None; "
+        "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, stage, str(tmp_path / "job.json")],
+        cwd=ROOT,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
     assert done.returncode == 1 and "Traceback" not in done.stdout + done.stderr
     last = json.loads(done.stdout.splitlines()[-1])
     assert (last["type"], last["kind"]) == ("error", "MissingPackageError")

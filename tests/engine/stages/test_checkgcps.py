@@ -43,8 +43,11 @@ def written(path, urban, points, role=lambda k: "check" if k % 2 else "control",
         table.writerow(FIELDS)
         for k, point in enumerate(points):
             for view in urban.true_views[:views] or [None]:
-                seen = (view.name + ".tif", *map(repr, map(float, pixel(k, view.name, view.project(point))))) \
-                    if view else ("", "", "")
+                seen = (
+                    (view.name + ".tif", *map(repr, map(float, pixel(k, view.name, view.project(point)))))
+                    if view
+                    else ("", "", "")
+                )
                 table.writerow([f"P{k:02d}", *map(repr, map(float, point)), *seen, role(k)])
     return str(path)
 
@@ -88,13 +91,14 @@ def test_known_biases_come_out_and_compensation_takes_them_out(urban, scene, exa
     for name, column in zip(("east", "north", "height"), by_hand.T):
         of = result["components"]["rpc"][name]
         assert (of["me"], of["rmse"], of["max"], of["count"]) == pytest.approx(
-            (np.median(np.abs(column)), np.sqrt(np.mean(column ** 2)), np.abs(column).max(), 12), abs=1e-3)
+            (np.median(np.abs(column)), np.sqrt(np.mean(column**2)), np.abs(column).max(), 12), abs=1e-3
+        )
     assert result["rpc_rmse"] == result["components"]["rpc"]["height"]["rmse"]
     # A bias is the same all over such a small scene: shifts take it out.
     assert result["compensated_max"] < 0.02 and result["components"]["compensated"]["east"]["max"] < 0.01
     assert not {"scene_me", "dsm_me"} & set(result)
     residual = found["P03"]["properties"]["rpc_px"]
-    assert residual == pytest.approx(np.sqrt(np.mean((urban.biases ** 2).sum(axis=1))), abs=0.02)
+    assert residual == pytest.approx(np.sqrt(np.mean((urban.biases**2).sum(axis=1))), abs=0.02)
 
 
 def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, told):
@@ -112,14 +116,24 @@ def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, tol
 def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points, tmp_path, told):
     numbers = np.random.default_rng(4)
     wrong = {2: (5.0, -2.0), 6: (-1.0, 8.0)}
-    path = written(tmp_path / "g.csv", urban, points, role=lambda k: "control",
-                   pixel=lambda k, name, p: p + numbers.normal(0, 0.3, 2) + wrong.get(k, (0.0, 0.0)))
+    path = written(
+        tmp_path / "g.csv",
+        urban,
+        points,
+        role=lambda k: "control",
+        pixel=lambda k, name, p: p + numbers.normal(0, 0.3, 2) + wrong.get(k, (0.0, 0.0)),
+    )
     said = told()
-    result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg"),
-                                     "report": str(tmp_path / "r.html")}, said)
+    result = run_stage(
+        "checkgcps",
+        {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg"), "report": str(tmp_path / "r.html")},
+        said,
+    )
     assert result["wrong"] == ["P02", "P06"]
     assert [text.split(" contradicts")[0] for text in said.warnings] == [
-        "The control point P02", "The control point P06"]
+        "The control point P02",
+        "The control point P06",
+    ]
     assert result["components"]["compensated"]["height"]["count"] == 10
     assert result["components"]["compensated"]["east"]["max"] < 0.5  # 0.3 px of 0.5 m, in three views
     found, _ = features(result["output"])
@@ -130,11 +144,15 @@ def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points,
 
 def test_the_scenes_own_pointing_is_a_column_once_there_is_one(urban, scene, exact, tmp_path, told):
     corrected = Scene.load(scene)
-    corrected.views = [view.with_pointing(np.column_stack([np.eye(2), -bias]))
-                       for view, bias in zip(corrected.views, urban.biases)]
+    corrected.views = [
+        view.with_pointing(np.column_stack([np.eye(2), -bias])) for view, bias in zip(corrected.views, urban.biases)
+    ]
     corrected.save(str(tmp_path / "corrected.json"))
-    result = run_stage("checkgcps", {"gcps": exact, "scene": str(tmp_path / "corrected.json"),
-                                     "output": str(tmp_path / "p.gpkg")}, told())
+    result = run_stage(
+        "checkgcps",
+        {"gcps": exact, "scene": str(tmp_path / "corrected.json"), "output": str(tmp_path / "p.gpkg")},
+        told(),
+    )
     assert result["scene_max"] < 0.02 < 0.3 < result["rpc_max"]
     found, _ = features(result["output"])
     assert {feature["properties"]["shown"] for feature in found.values()} == {"scene"}
@@ -195,12 +213,15 @@ def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, t
     """Both above EGM96, and each alone, against heights that pyproj converted."""
     zone = urban.crs.split(":")[1]
     undulation = pyproj.Transformer.from_crs("EPSG:4326+5773", "EPSG:4979", always_xy=True).transform(
-        points[0, 0], points[0, 1], 0.0)[2]
+        points[0, 0], points[0, 1], 0.0
+    )[2]
     assert 40 < undulation < 60
     geoid = changed(urban.truth, tmp_path / "geoid.tif", lambda heights: heights - undulation, f"EPSG:{zone}+5773")
     above = points - [0, 0, undulation]
-    tables = {"": written(tmp_path / "e.csv", urban, points, views=0),
-              "EGM96": written(tmp_path / "g.csv", urban, above, views=0)}
+    tables = {
+        "": written(tmp_path / "e.csv", urban, points, views=0),
+        "EGM96": written(tmp_path / "g.csv", urban, above, views=0),
+    }
     for datum, path in tables.items():
         for dsm in (urban.truth, geoid):
             said = told()
@@ -226,7 +247,7 @@ def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_pa
     col, row = int((xy[0] - x) / cell), int((y - xy[1]) / cell)
 
     def holed(heights):
-        heights[row - 1:row + 2, col - 1:col + 2] = -9999.0
+        heights[row - 1 : row + 2, col - 1 : col + 2] = -9999.0
         return heights
 
     dsm = changed(urban.truth, tmp_path / "holed.tif", holed)
@@ -234,8 +255,11 @@ def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_pa
     source.GetRasterBand(1).SetNoDataValue(-9999.0)
     source = None
     said = told()
-    result = run_stage("checkgcps", {"gcps": written(tmp_path / "g.csv", urban, away, views=0), "dsm": dsm,
-                                     "output": str(tmp_path / "p.gpkg")}, said)
+    result = run_stage(
+        "checkgcps",
+        {"gcps": written(tmp_path / "g.csv", urban, away, views=0), "dsm": dsm, "output": str(tmp_path / "p.gpkg")},
+        said,
+    )
     assert result["components"]["dsm"]["height"]["count"] == 11 and result["dsm_max"] < 0.001
     assert any("1 point lies outside the DSM and is not counted: P12" in text for text in said.warnings)
     assert any("1 point lies where the DSM has no height and is not counted: P03" in text for text in said.warnings)
@@ -244,16 +268,33 @@ def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_pa
 
 
 def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, told):
-    result = run_stage("checkgcps", {"gcps": exact, "scene": scene, "dsm": urban.truth,
-                                     "report": str(tmp_path / "r.html"), "output": str(tmp_path / "p.gpkg")}, told())
+    result = run_stage(
+        "checkgcps",
+        {
+            "gcps": exact,
+            "scene": scene,
+            "dsm": urban.truth,
+            "report": str(tmp_path / "r.html"),
+            "output": str(tmp_path / "p.gpkg"),
+        },
+        told(),
+    )
     style = (tmp_path / "p.qml").read_text(encoding="utf-8")
     assert "@scale@" not in style and "@length@" not in style and "&quot;height_error&quot;" in style
     length = float(style.split("(10 mm: ")[1].split(" m)")[0])
     east_north = result["components"]["compensated"]
     assert length >= 0.9 * min(east_north["east"]["rmse"], east_north["north"]["rmse"])
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
-    for words in ("RPC localisation, image-space compensation", "DSM&#x27;s height", "control", "check", "Max, m",
-                  f"{result['rpc_rmse']:.3f}", f"{result['components']['rpc']['east']['max']:.3f}", "P11"):
+    for words in (
+        "RPC localisation, image-space compensation",
+        "DSM&#x27;s height",
+        "control",
+        "check",
+        "Max, m",
+        f"{result['rpc_rmse']:.3f}",
+        f"{result['components']['rpc']['east']['max']:.3f}",
+        "P11",
+    ):
         assert words in page
     found, _ = features(result["output"])
     assert found["P05"]["properties"]["height_error"] == pytest.approx(0.0, abs=1e-3)
@@ -268,11 +309,18 @@ def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, 
     assert "12 points<" in page  # roles mean nothing where no image was measured
     for words in ("compensation", "own few measured pixels", "In the images"):
         assert words not in page
-    run_stage("checkgcps", {"gcps": exact, "scene": scene, "dsm": urban.truth, "report": str(tmp_path / "a.html")},
-              told())
+    run_stage(
+        "checkgcps", {"gcps": exact, "scene": scene, "dsm": urban.truth, "report": str(tmp_path / "a.html")}, told()
+    )
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    for words in ("12 points: 6 control and 6 check", "no point vouches for itself", "own few measured pixels",
-                  "compensated E", "DSM H", ">P03</text>"):
+    for words in (
+        "12 points: 6 control and 6 check",
+        "no point vouches for itself",
+        "own few measured pixels",
+        "compensated E",
+        "DSM H",
+        ">P03</text>",
+    ):
         assert words in page, words
 
 
@@ -300,8 +348,15 @@ def test_what_cannot_be_checked_is_said_in_a_sentence(urban, scene, exact, point
     bare = written(tmp_path / "bare.csv", urban, points, views=0)
     fails(EmptyResultError, told, "No point of", "measured in an image", "give a DSM", gcps=bare, scene=scene)
     far = written(tmp_path / "far.csv", urban, points + [1.0, 0, 0], views=0)
-    fails(EmptyResultError, told, "None of the 12 points", "choose the points of that place", gcps=far, dsm=urban.truth,
-          output=str(tmp_path / "p.gpkg"))
+    fails(
+        EmptyResultError,
+        told,
+        "None of the 12 points",
+        "choose the points of that place",
+        gcps=far,
+        dsm=urban.truth,
+        output=str(tmp_path / "p.gpkg"),
+    )
     renamed = tmp_path / "renamed.csv"
     renamed.write_text(open(exact, encoding="utf-8").read().replace("img_02.tif", "nadir.tif"), encoding="utf-8")
     fails(InputTableError, told, "'nadir.tif'", "img_01, img_02, img_03", gcps=str(renamed), scene=scene)

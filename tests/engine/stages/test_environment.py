@@ -31,8 +31,15 @@ def test_what_is_missing_is_warned_of_with_its_command(tmp_path, monkeypatch):
 
 
 def test_what_cuda_needs_is_told_with_its_command(tmp_path, monkeypatch):
-    found = {**environment.survey(), "cuda": {"built": False, "devices": ["NVIDIA X, 8 GiB"], "usable": False,
-                                              "remedy": "run 'pip install pycolmap-cuda12'"}}
+    found = {
+        **environment.survey(),
+        "cuda": {
+            "built": False,
+            "devices": ["NVIDIA X, 8 GiB"],
+            "usable": False,
+            "remedy": "run 'pip install pycolmap-cuda12'",
+        },
+    }
     monkeypatch.setattr(environment, "survey", lambda folder: found)
     run_stage("environment", {"report": str(tmp_path / "r.html")}, Silent())
     page = (tmp_path / "r.html").read_text(encoding="utf-8")

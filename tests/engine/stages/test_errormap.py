@@ -18,8 +18,17 @@ from repm_qgis.stages import run_stage
 def scene(mountains, tmp_path_factory, told):
     """The mountains' cameras, over 600 m of altitude so that there is an error to see."""
     folder = tmp_path_factory.mktemp("map")
-    return run_stage("epmfit", {"images": mountains.images[:2], "workspace": str(folder), "altitude_min": 800.0,
-                                "altitude_max": 1400.0, "tile_size": 300}, told())["scene"]
+    return run_stage(
+        "epmfit",
+        {
+            "images": mountains.images[:2],
+            "workspace": str(folder),
+            "altitude_min": 800.0,
+            "altitude_max": 1400.0,
+            "tile_size": 300,
+        },
+        told(),
+    )["scene"]
 
 
 @pytest.mark.parametrize("refined", (False, True))
@@ -27,8 +36,9 @@ def scene(mountains, tmp_path_factory, told):
 def test_cells_hold_pinhole_minus_rpc(scene, tmp_path, told, refined, altitude):
     path = scene
     if refined:
-        path = run_stage("refine", {"scene": scene, "output_scene": str(tmp_path / "refined.json"),
-                                    "write_images": False}, told())["output_scene"]
+        path = run_stage(
+            "refine", {"scene": scene, "output_scene": str(tmp_path / "refined.json"), "write_images": False}, told()
+        )["output_scene"]
     output = str(tmp_path / "error.tif")
     result = run_stage("errormap", {"scene": path, "output": output, "view": "img_02", "altitude": altitude}, told())
     loaded = Scene.load(path)
@@ -56,8 +66,11 @@ def test_cells_hold_pinhole_minus_rpc(scene, tmp_path, told, refined, altitude):
         x0, y0, x1, y1 = tile.bounds
         mine = (x >= x0) & (x < x1) & (y > y0) & (y <= y1)
         fitted = tile.views["img_02"]
-        seen = (fitted.refined.to_original.original_from_refined(fitted.refined.camera.project(enu[mine])) if refined
-                else fitted.camera.project(enu[mine]))
+        seen = (
+            fitted.refined.to_original.original_from_refined(fitted.refined.camera.project(enu[mine]))
+            if refined
+            else fitted.camera.project(enu[mine])
+        )
         expected[mine] = seen - pixels[mine]
     found = np.column_stack([column[rows, cols], row[rows, cols]])
     assert np.nanmax(np.abs(found - expected)) < 2e-3 and np.isfinite(expected).all()
@@ -69,8 +82,11 @@ def test_cells_hold_pinhole_minus_rpc(scene, tmp_path, told, refined, altitude):
 
 
 def test_refinement_makes_the_map_fainter(scene, tmp_path, told):
-    refined = run_stage("refine", {"scene": scene, "output_scene": str(tmp_path / "refined.json"),
-                                   "write_images": False}, told())["output_scene"]
-    rmse = [run_stage("errormap", {"scene": path, "output": str(tmp_path / f"{i}.tif")}, told())["rmse"]
-            for i, path in enumerate((scene, refined))]
+    refined = run_stage(
+        "refine", {"scene": scene, "output_scene": str(tmp_path / "refined.json"), "write_images": False}, told()
+    )["output_scene"]
+    rmse = [
+        run_stage("errormap", {"scene": path, "output": str(tmp_path / f"{i}.tif")}, told())["rmse"]
+        for i, path in enumerate((scene, refined))
+    ]
     assert rmse[1] <= rmse[0] * 1.001

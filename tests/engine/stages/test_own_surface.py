@@ -30,8 +30,9 @@ def true_range(scene, bounds):
 
 @pytest.fixture(scope="module")
 def terrain_run(mountains, pipeline, tmp_path_factory):
-    return pipeline(mountains, tmp_path_factory.mktemp("terrain"), resolution=1.0, tile_size=256, model="terrain",
-                    workers=2)
+    return pipeline(
+        mountains, tmp_path_factory.mktemp("terrain"), resolution=1.0, tile_size=256, model="terrain", workers=2
+    )
 
 
 def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
@@ -53,13 +54,15 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
     assert found.altitudes((west - 5000, south, west - 4000, north)) is None
 
 
-def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mountains, mountains_run, told, tmp_path,
-                                                                           monkeypatch):
+def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(
+    mountains, mountains_run, told, tmp_path, monkeypatch
+):
     monkeypatch.setattr(tie_points, "_WHOLE_PX", 100)
     monkeypatch.setattr(tie_points, "_PATCH_PX", (150, 150))
     fitted = run_stage("epmfit", {"images": mountains.images, "workspace": str(tmp_path), "tile_size": 256}, told())
-    made = run_stage("reconstruct", {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1},
-                     told())
+    made = run_stage(
+        "reconstruct", {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1}, told()
+    )
     scene = Scene.load(made["output_scene"])
     assert scene.refinement == "polynomial" and len(scene.tiles) >= 4
     spans = []
@@ -73,17 +76,24 @@ def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mount
 def test_a_run_refines_on_its_own_surface(mountains, terrain_run, told):
     scene = Scene.load(terrain_run.result["scene"])
     assert scene.refinement == "terrain" and Path(scene.surface).exists()
-    assert all(view.refined.to_original.to_mapping() == {"kind": "terrain"}
-               for tile in scene.tiles for view in tile.views.values())
+    assert all(
+        view.refined.to_original.to_mapping() == {"kind": "terrain"}
+        for tile in scene.tiles
+        for view in tile.views.values()
+    )
     assert any("Refined on a surface" in note for note in terrain_run.said.notes)
-    found = run_stage("comparedsm", {"dsm": terrain_run.result["output"], "reference": mountains.truth, "align": "3d"},
-                      told())
+    found = run_stage(
+        "comparedsm", {"dsm": terrain_run.result["output"], "reference": mountains.truth, "align": "3d"}, told()
+    )
     assert found["nmad"] < 0.65 and found["valid"] > 99 and found["completeness_by_threshold"]["5"] > 99
 
 
 def test_the_same_bytes_with_one_worker(mountains, terrain_run, pipeline, tmp_path):
-    alone = pipeline(mountains, tmp_path, **{**terrain_run.options, "workspace": str(tmp_path / "ws"),
-                                             "output": str(tmp_path / "dsm.tif"), "workers": 1})
+    alone = pipeline(
+        mountains,
+        tmp_path,
+        **{**terrain_run.options, "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif"), "workers": 1},
+    )
     arrays = [gdal.Open(run.result["output"]).ReadAsArray() for run in (terrain_run, alone)]
     assert arrays[0].tobytes() == arrays[1].tobytes()
     files = [sorted(Path(run.result["heights"]).glob("*.tif")) for run in (terrain_run, alone)]

@@ -32,16 +32,23 @@ def compared(path, truth, told):
     return run_stage("comparedsm", {"dsm": path, "reference": truth, "align": "3d"}, told())
 
 
-@pytest.mark.parametrize("kind, nmad, within_1, within_5, valid", (
-    # Measured: urban 0.36 m, 82.9 %, 93.5 %, 99.4 %; mountains (1 m px) 0.56 m, 91.0 %, 100.0 %, 100.0 %.
-    ("urban", 0.42, 80.0, 91.0, 97.0), ("mountains", 0.65, 89.0, 99.0, 99.0)))
+@pytest.mark.parametrize(
+    "kind, nmad, within_1, within_5, valid",
+    (
+        # Measured: urban 0.36 m, 82.9 %, 93.5 %, 99.4 %; mountains (1 m px) 0.56 m, 91.0 %, 100.0 %, 100.0 %.
+        ("urban", 0.42, 80.0, 91.0, 97.0),
+        ("mountains", 0.65, 89.0, 99.0, 99.0),
+    ),
+)
 def test_accuracy_against_the_true_surface(request, told, capsys, kind, nmad, within_1, within_5, valid):
     run = request.getfixturevalue(f"{kind}_run")
     found = compared(run.result["output"], run.scene.truth, told)
     share = found["completeness_by_threshold"]
     with capsys.disabled():
-        print(f"\n{kind}: NMAD {found['nmad']:.3f} m, within 1 m {share['1']:.1f} %, 5 m {share['5']:.1f} %, valid "
-              f"{found['valid']:.2f} %, moved by {found['dx']:.2f}, {found['dy']:.2f}, {found['dz']:.2f} m")
+        print(
+            f"\n{kind}: NMAD {found['nmad']:.3f} m, within 1 m {share['1']:.1f} %, 5 m {share['5']:.1f} %, valid "
+            f"{found['valid']:.2f} %, moved by {found['dx']:.2f}, {found['dy']:.2f}, {found['dz']:.2f} m"
+        )
     assert found["nmad"] < nmad and share["1"] > within_1 and share["5"] > within_5 and found["valid"] > valid
     # What alignment took out is the pointing error that all views share: a few px.
     assert np.hypot(found["dx"], found["dy"]) < 4 and abs(found["dz"]) < 8
@@ -60,8 +67,9 @@ def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
     y = north - (rows + 0.5) * cell + found["dy"]
     tc, tr = ((x - truth_west) / truth_cell).astype(int), ((truth_north - y) / truth_cell).astype(int)
     inside = (tc >= 0) & (tr >= 0) & (tc < urban.surface.shape[1]) & (tr < urban.surface.shape[0])
-    error = np.where(inside, height + found["dz"] - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)],
-                     np.nan)
+    error = np.where(
+        inside, height + found["dz"] - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)], np.nan
+    )
     near = np.zeros(height.shape, bool)
     for tile in scene.tiles:
         for edge in (tile.bounds[0], tile.bounds[2]):
@@ -144,14 +152,26 @@ def test_the_ept_has_the_clouds_points_and_the_mesh_the_dsms_heights(urban_run):
     assert b"element vertex %d\n" % len(rows) in head
     np.testing.assert_array_equal(
         np.frombuffer(body, "<f8", 3 * len(rows)).reshape(-1, 3),
-        np.column_stack([west + (cols + 0.5) * cell, north - (rows + 0.5) * cell, height[rows, cols]]))
+        np.column_stack([west + (cols + 0.5) * cell, north - (rows + 0.5) * cell, height[rows, cols]]),
+    )
 
 
 def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     said = told()
-    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"),
-                                  "resolution": 1.0, "ept": str(tmp_path / "ept"), "mesh": str(tmp_path / "m.ply"),
-                                  "mesh_vertices": 2000, "vertical_datum": "", "workers": 1}, said)
+    fused = run_stage(
+        "dsmfuse",
+        {
+            "scene": urban_run.result["scene"],
+            "output": str(tmp_path / "dsm.tif"),
+            "resolution": 1.0,
+            "ept": str(tmp_path / "ept"),
+            "mesh": str(tmp_path / "m.ply"),
+            "mesh_vertices": 2000,
+            "vertical_datum": "",
+            "workers": 1,
+        },
+        said,
+    )
     assert fused["cloud"] is None and fused["ept"] == str(tmp_path / "ept")
     assert json.loads((tmp_path / "ept" / "ept.json").read_text())["points"] == fused["points"] > 10000
     assert any("rows and columns (MESH_VERTICES)" in note for note in said.notes)
@@ -169,8 +189,9 @@ def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban
     rows, cols = rows[pick], cols[pick]
     from repm_qgis.geometry.frames import geodetic_from_projected
 
-    lon_lat = geodetic_from_projected(urban.crs, np.column_stack([west + (cols + 0.5) * cell,
-                                                                  north - (rows + 0.5) * cell]))
+    lon_lat = geodetic_from_projected(
+        urban.crs, np.column_stack([west + (cols + 0.5) * cell, north - (rows + 0.5) * cell])
+    )
     ground = np.column_stack([lon_lat, height[rows, cols]])
     best = np.full(len(rows), np.inf)
     for view in scene.views:
@@ -180,8 +201,9 @@ def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban
         pixel = view.project(ground)
         c, r = np.rint(pixel).astype(int).T
         inside = (c >= 1) & (r >= 1) & (c < 399) & (r < 399)
-        around = np.stack([image[np.clip(r + dr, 0, 399), np.clip(c + dc, 0, 399)] for dr in (-1, 0,
-                                                                                              1) for dc in (-1, 0, 1)])
+        around = np.stack(
+            [image[np.clip(r + dr, 0, 399), np.clip(c + dc, 0, 399)] for dr in (-1, 0, 1) for dc in (-1, 0, 1)]
+        )
         value = ortho[rows, cols]
         off = np.maximum(np.maximum(around.min(axis=0) - value, value - around.max(axis=0)), 0)
         best = np.minimum(best, np.where(inside, off, np.inf))
@@ -204,8 +226,12 @@ def test_layers_and_numbers(urban_run):
     assert max(feature["worst_max"] for feature in layer) == pytest.approx(result["max_error"], rel=1e-6)
     layer = source = None
     assert result["rmse"] <= result["max_error"] < 5
-    assert os.path.getsize(result["report"]) > 2000 and set(result["seconds"]) == {"epmfit", "refine", "reconstruct",
-                                                                                   "dsmfuse"}
+    assert os.path.getsize(result["report"]) > 2000 and set(result["seconds"]) == {
+        "epmfit",
+        "refine",
+        "reconstruct",
+        "dsmfuse",
+    }
     assert json.dumps(result, allow_nan=False)
 
 
@@ -230,22 +256,47 @@ def test_ties_are_where_the_true_surface_is(mountains_run):
 
 def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path), "tile_size": 256}, told())
-    refined = run_stage("refine", {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"),
-                                   "write_images": False}, told())
-    done = run_stage("reconstruct", {"scene": refined["output_scene"], "output_scene": str(tmp_path / "done.json"),
-                                     "workers": 1}, told())
-    fused = run_stage("dsmfuse", {"scene": done["output_scene"], "output": str(tmp_path / "dsm.tif"),
-                                  "resolution": 0.5, "workers": 1}, told())
+    refined = run_stage(
+        "refine",
+        {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"), "write_images": False},
+        told(),
+    )
+    done = run_stage(
+        "reconstruct",
+        {"scene": refined["output_scene"], "output_scene": str(tmp_path / "done.json"), "workers": 1},
+        told(),
+    )
+    fused = run_stage(
+        "dsmfuse",
+        {"scene": done["output_scene"], "output": str(tmp_path / "dsm.tif"), "resolution": 0.5, "workers": 1},
+        told(),
+    )
     ours, theirs = bands(fused["output"]), bands(urban_run.result["output"])
     assert ours[1] == theirs[1]
     np.testing.assert_array_equal(ours[0], theirs[0])
 
 
 def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
-    result = run_stage("pipeline", {**urban_run.options, "workspace": str(tmp_path / "ws"), "workers": 2,
-                                    **{name: str(tmp_path / f"{name}{end}") for name, end in (
-                                        ("output", ".tif"), ("confidence", ".tif"), ("ortho", "_o.tif"),
-                                        ("cloud", ".laz"), ("ept", ""), ("mesh", ".ply"))}}, told())
+    result = run_stage(
+        "pipeline",
+        {
+            **urban_run.options,
+            "workspace": str(tmp_path / "ws"),
+            "workers": 2,
+            **{
+                name: str(tmp_path / f"{name}{end}")
+                for name, end in (
+                    ("output", ".tif"),
+                    ("confidence", ".tif"),
+                    ("ortho", "_o.tif"),
+                    ("cloud", ".laz"),
+                    ("ept", ""),
+                    ("mesh", ".ply"),
+                )
+            },
+        },
+        told(),
+    )
     for name in ("output", "confidence", "ortho"):
         ours, theirs = bands(result[name]), bands(urban_run.result[name])
         assert ours[1] == theirs[1]
@@ -260,9 +311,19 @@ def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
 def test_an_extent_cuts_the_dsm(urban, tmp_path, told):
     x0, y0, x1, y1 = urban.bounds
     extent = [np.floor(x0 + 40), np.floor(y0 + 40), np.floor(x0 + 100), np.floor(y0 + 90)]
-    result = run_stage("pipeline", {"images": urban.images[:2], "workspace": str(tmp_path / "ws"), "workers": 1,
-                                    "output": str(tmp_path / "dsm.tif"), "resolution": 0.5, "extent": extent,
-                                    "extent_crs": urban.crs}, told())
+    result = run_stage(
+        "pipeline",
+        {
+            "images": urban.images[:2],
+            "workspace": str(tmp_path / "ws"),
+            "workers": 1,
+            "output": str(tmp_path / "dsm.tif"),
+            "resolution": 0.5,
+            "extent": extent,
+            "extent_crs": urban.crs,
+        },
+        told(),
+    )
     (height,), (west, cell, _, north, _, _) = bands(result["output"])
     assert west >= extent[0] - 1 and north <= extent[3] + 1
     assert west + height.shape[1] * cell <= extent[2] + 1 and north - height.shape[0] * cell >= extent[1] - 1
@@ -273,8 +334,17 @@ def test_an_extent_cuts_the_dsm(urban, tmp_path, told):
 @pytest.mark.parametrize("crs", ("EPSG:32630", "EPSG:2154"))
 def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_path, told, crs):
     """Tiles are turned in another CRS, and their boxes overlap: no cell may be lost to a neighbour's empty corner."""
-    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"), "crs": crs,
-                                  "resolution": 0.5, "workers": 1}, told())
+    fused = run_stage(
+        "dsmfuse",
+        {
+            "scene": urban_run.result["scene"],
+            "output": str(tmp_path / "dsm.tif"),
+            "crs": crs,
+            "resolution": 0.5,
+            "workers": 1,
+        },
+        told(),
+    )
     (height,), (west, cell, _, north, _, _) = bands(fused["output"])
     (own,), (own_west, _, _, own_north, _, _) = bands(urban_run.result["output"])
     from repm_qgis.geometry.frames import geodetic_from_projected
@@ -306,8 +376,17 @@ def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_ru
     if not TransformerGroup("EPSG:4979", "EPSG:4326+5773", always_xy=True, allow_ballpark=False).transformers:
         pytest.skip("PROJ's EGM96 grid is not installed")
     scene, said = Scene.load(urban_run.result["scene"]), told()
-    fused = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"),
-                                  "resolution": 0.5, "cloud": str(tmp_path / "c.laz"), "vertical_datum": "EGM96"}, said)
+    fused = run_stage(
+        "dsmfuse",
+        {
+            "scene": urban_run.result["scene"],
+            "output": str(tmp_path / "dsm.tif"),
+            "resolution": 0.5,
+            "cloud": str(tmp_path / "c.laz"),
+            "vertical_datum": "EGM96",
+        },
+        said,
+    )
     (ellipsoidal,), transform = bands(urban_run.result["output"])
     (geoid,), same = bands(str(tmp_path / "dsm.tif"))
     assert same == transform and np.array_equal(np.isnan(ellipsoidal), np.isnan(geoid))
@@ -315,7 +394,8 @@ def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_ru
     x, y = transform[0] + (cols + 0.5) * transform[1], transform[3] + (rows + 0.5) * transform[5]
     lon, lat = pyproj.Transformer.from_crs(scene.crs, 4326, always_xy=True).transform(x, y)
     undulation = -pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4326+5773", always_xy=True).transform(
-        lon, lat, np.zeros(lon.shape))[2]
+        lon, lat, np.zeros(lon.shape)
+    )[2]
     known = np.isfinite(geoid)
     assert np.abs(ellipsoidal - geoid - undulation)[known].max() < 0.01 and np.abs(undulation).min() > 1
     # Said in the file's CRS, the log and the result; and the cloud lies on the same surface.
@@ -339,15 +419,28 @@ def test_a_missing_geoid_stops_the_run_before_the_work(urban, tmp_path, told):
         pytest.skip("PROJ's EGM2008 grid is installed here")
     said = told()
     with pytest.raises(MissingPackageError, match="us_nga_egm08_25"):
-        run_stage("pipeline", {"images": urban.images, "workspace": str(tmp_path / "ws"), "vertical_datum": "EGM2008",
-                               "output": str(tmp_path / "dsm.tif")}, said)
+        run_stage(
+            "pipeline",
+            {
+                "images": urban.images,
+                "workspace": str(tmp_path / "ws"),
+                "vertical_datum": "EGM2008",
+                "output": str(tmp_path / "dsm.tif"),
+            },
+            said,
+        )
     assert max(said.fractions) < 0.2 and not (tmp_path / "dsm.tif").exists()
 
 
-@pytest.mark.parametrize("wrong, words", (
-    ({"adjustment": "colmap", "pointing": "affine"}, "POINTING is 'affine': it must be auto or shift"),
-    ({"adjustment": "colmap", "gcps": "points.csv"}, "ADJUSTMENT is 'colmap': it must be rpc where there are GCPS"),
-    ({"adjustment": "ceres"}, "ADJUSTMENT is 'ceres'"), ({"pointing": "bent"}, "POINTING is 'bent'")))
+@pytest.mark.parametrize(
+    "wrong, words",
+    (
+        ({"adjustment": "colmap", "pointing": "affine"}, "POINTING is 'affine': it must be auto or shift"),
+        ({"adjustment": "colmap", "gcps": "points.csv"}, "ADJUSTMENT is 'colmap': it must be rpc where there are GCPS"),
+        ({"adjustment": "ceres"}, "ADJUSTMENT is 'ceres'"),
+        ({"pointing": "bent"}, "POINTING is 'bent'"),
+    ),
+)
 def test_adjustments_that_cannot_be_fail_at_once(wrong, words):
     with pytest.raises(OptionError) as caught:
         PipelineOptions(("a.tif", "b.tif"), "w", "dsm.tif", **wrong)
@@ -367,8 +460,17 @@ def test_the_pipeline_hands_the_adjustment_on(urban, told, tmp_path, monkeypatch
 
     monkeypatch.setattr(pipeline.reconstruct, "run", stopped)
     with pytest.raises(Enough) as caught:
-        run_stage("pipeline", {"images": list(urban.images), "workspace": str(tmp_path / "w"), "pointing": "shift",
-                               "output": str(tmp_path / "dsm.tif"), "adjustment": "colmap"}, told())
+        run_stage(
+            "pipeline",
+            {
+                "images": list(urban.images),
+                "workspace": str(tmp_path / "w"),
+                "pointing": "shift",
+                "output": str(tmp_path / "dsm.tif"),
+                "adjustment": "colmap",
+            },
+            told(),
+        )
     assert caught.value.args == ("colmap", "shift")
 
 
@@ -384,7 +486,14 @@ def test_holes_are_filled_on_the_scenes_dem_and_said(urban, tmp_path, pipeline):
     assert np.isfinite(height[on_dem]).all() and np.isnan(source[np.isnan(height)]).all()
     west, cell, _, north, _, _ = transform
     rows, columns = height.shape
-    coarse = gdal.Warp("", dem, format="MEM", outputBounds=(west, north - rows * cell, west + columns * cell, north),
-                       width=columns, height=rows, resampleAlg="bilinear").ReadAsArray()
+    coarse = gdal.Warp(
+        "",
+        dem,
+        format="MEM",
+        outputBounds=(west, north - rows * cell, west + columns * cell, north),
+        width=columns,
+        height=rows,
+        resampleAlg="bilinear",
+    ).ReadAsArray()
     covered = on_dem & (coarse > -9000)
     assert covered.sum() > 50 and np.median(np.abs(height - coarse)[covered]) < 6  # a DEM of 20 m cells has no walls

@@ -15,10 +15,14 @@ from repm_qgis.stages import run_stage
 
 @pytest.mark.parametrize("model", ("none", "homography", "polynomial"))
 def test_refined_images(urban, tmp_path, told, model):
-    fitted = run_stage("epmfit", {"images": urban.images[:2], "workspace": str(tmp_path), "altitude_min": 150.0,
-                                  "altitude_max": 260.0}, told())
-    result = run_stage("refine", {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"),
-                                  "model": model}, told())
+    fitted = run_stage(
+        "epmfit",
+        {"images": urban.images[:2], "workspace": str(tmp_path), "altitude_min": 150.0, "altitude_max": 260.0},
+        told(),
+    )
+    result = run_stage(
+        "refine", {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"), "model": model}, told()
+    )
     scene = Scene.load(result["output_scene"])
     assert scene.refinement == model and result["rmse"] <= result["max_error"] < 0.2
     for tile in scene.tiles:
@@ -42,10 +46,23 @@ def test_refined_images(urban, tmp_path, told, model):
 
 
 def test_the_polynomial_is_the_better_the_larger_the_error(mountains, tmp_path, told):
-    fitted = run_stage("epmfit", {"images": mountains.images[:2], "workspace": str(tmp_path), "altitude_min": 800.0,
-                                  "altitude_max": 1400.0}, told())
-    rmse = {model: run_stage("refine", {"scene": fitted["scene"], "output_scene": str(tmp_path / f"{model}.json"),
-                                        "model": model, "write_images": False}, told())["rmse"]
-            for model in ("none", "homography", "polynomial")}
+    fitted = run_stage(
+        "epmfit",
+        {"images": mountains.images[:2], "workspace": str(tmp_path), "altitude_min": 800.0, "altitude_max": 1400.0},
+        told(),
+    )
+    rmse = {
+        model: run_stage(
+            "refine",
+            {
+                "scene": fitted["scene"],
+                "output_scene": str(tmp_path / f"{model}.json"),
+                "model": model,
+                "write_images": False,
+            },
+            told(),
+        )["rmse"]
+        for model in ("none", "homography", "polynomial")
+    }
     assert rmse["polynomial"] <= rmse["homography"] * 1.0001 <= rmse["none"] * 1.001
     assert rmse["none"] == pytest.approx(fitted["rmse"], rel=0.01)

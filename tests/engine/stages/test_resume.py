@@ -35,8 +35,9 @@ def parts(folder):
 
 def maps(workspace):
     """Time of change of each height map."""
-    return {path.name: path.stat().st_mtime_ns for path in sorted(Path(workspace,
-                                                                       "reconstructed_heights").glob("*.tif"))}
+    return {
+        path.name: path.stat().st_mtime_ns for path in sorted(Path(workspace, "reconstructed_heights").glob("*.tif"))
+    }
 
 
 def reused(said):
@@ -46,8 +47,19 @@ def reused(said):
 @pytest.fixture(scope="module")
 def whole(urban, tmp_path_factory, pipeline):
     """A pair's DSM in four tiles, from an undisturbed run."""
-    return pipeline(urban, tmp_path_factory.mktemp("whole"), images=urban.images[:2], resolution=0.5, tile_size=256,
-                    confidence=None, ortho=None, cloud=None, ept=None, mesh=None, workers=1)
+    return pipeline(
+        urban,
+        tmp_path_factory.mktemp("whole"),
+        images=urban.images[:2],
+        resolution=0.5,
+        tile_size=256,
+        confidence=None,
+        ortho=None,
+        cloud=None,
+        ept=None,
+        mesh=None,
+        workers=1,
+    )
 
 
 @pytest.fixture
@@ -80,10 +92,15 @@ def test_a_second_run_reuses_everything_and_says_so(again, whole):
         assert result[name] == whole.result[name]
 
 
-@pytest.mark.parametrize("change, kept", (
-    ({"resolution": 1.0}, [True, True, True]), ({"outlier_radius": 0.0}, [True, True, True]),
-    ({"model": "homography"}, [True, False, False]),
-    ({"altitude_max": 275.0}, [False, False, False])))
+@pytest.mark.parametrize(
+    "change, kept",
+    (
+        ({"resolution": 1.0}, [True, True, True]),
+        ({"outlier_radius": 0.0}, [True, True, True]),
+        ({"model": "homography"}, [True, False, False]),
+        ({"altitude_max": 275.0}, [False, False, False]),
+    ),
+)
 def test_a_changed_option_makes_anew_what_depends_on_it(again, whole, change, kept):
     before = maps(again.workspace)
     result, said = again(**change)
@@ -121,7 +138,7 @@ def test_a_damaged_height_map_is_made_again(again, whole, damage):
     """What a full disk or a broken copy leaves must not stop every further run."""
     path = sorted((again.workspace / "reconstructed_heights").glob("*.tif"))[0]
     content = path.read_bytes()
-    path.write_bytes({"cut": content[:len(content) // 2], "text": b"no raster", "empty": b""}[damage])
+    path.write_bytes({"cut": content[: len(content) // 2], "text": b"no raster", "empty": b""}[damage])
     os.unlink(again.workspace / "reconstructed.json")  # as after a stop
     result, _ = again()
     assert len(path.read_bytes()) > 0.9 * len(content)
@@ -148,8 +165,12 @@ def test_what_a_killed_run_left_is_no_hindrance(again, whole):
 
 @pytest.mark.parametrize("workers, share", ((1, 0.02), (1, 0.3), (1, 0.6), (1, 0.9), (2, 0.3), (2, 0.7)))
 def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(urban, whole, tmp_path, told, workers, share):
-    options = {**whole.options, "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif"),
-               "workers": workers}
+    options = {
+        **whole.options,
+        "workspace": str(tmp_path / "ws"),
+        "output": str(tmp_path / "dsm.tif"),
+        "workers": workers,
+    }
     said = told(cancel_at=max(1, int(share * whole.said.checks)))
     with pytest.raises(Cancelled):
         run_stage("pipeline", options, said)
@@ -173,9 +194,13 @@ def test_a_killed_run_goes_on_with_the_tiles_it_has_finished(again, whole, told,
     def whole_maps():
         return {name: time for name, time in maps(again.workspace).items() if not name.startswith(".")}
 
-    engine = subprocess.Popen([sys.executable, "-m", "repm_qgis", "pipeline", str(job)], stdout=subprocess.DEVNULL,
-                              stderr=subprocess.DEVNULL, start_new_session=True,
-                              cwd=Path(__file__).resolve().parents[3])
+    engine = subprocess.Popen(
+        [sys.executable, "-m", "repm_qgis", "pipeline", str(job)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        cwd=Path(__file__).resolve().parents[3],
+    )
     end = time.monotonic() + 60
     while len(whole_maps()) < 2 and engine.poll() is None and time.monotonic() < end:
         time.sleep(0.005)
@@ -192,9 +217,12 @@ def test_a_killed_run_goes_on_with_the_tiles_it_has_finished(again, whole, told,
 
 def test_heights_go_where_they_are_wanted(again, tmp_path, told):
     """A folder for the height maps that differs from the first run's gets them all the same."""
-    options = {"scene": str(again.workspace / "refined.json"),
-               "output_scene": str(again.workspace / "reconstructed.json"),
-               "heights": str(tmp_path / "elsewhere"), "workers": 1}
+    options = {
+        "scene": str(again.workspace / "refined.json"),
+        "output_scene": str(again.workspace / "reconstructed.json"),
+        "heights": str(tmp_path / "elsewhere"),
+        "workers": 1,
+    }
     result = run_stage("reconstruct", options, told())
     assert result["heights"] == str(tmp_path / "elsewhere")
     files = {Path(record["file"]).name for tile in Scene.load(result["output_scene"]).tiles for record in tile.heights}

@@ -1,0 +1,1 @@
+"""COLMAP on a CUDA GPU: frame, workspace, process, and heights from depth maps."""

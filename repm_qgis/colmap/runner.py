@@ -1,0 +1,177 @@
+"""Running COLMAP's patch match on the GPUs: its options, how much memory it takes, one worker a GPU, what may go wrong.
+
+Stock COLMAP (Schoenberger, Zheng, Pollefeys, Frahm, Pixelwise View Selection for Unstructured Multi-View Stereo, 2016).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar, Union
+
+from ..environment import Gpu
+from ..errors import Cancelled, DeviceError
+from ..parallel import as_they_end
+from ..progress import Progress
+from ..workspace import write_text
+
+_ROOT = Path(__file__).resolve().parents[2]
+_POLL_S = 0.1
+_SHARE = 0.8  # of a GPU's free memory that is used
+_CONTEXT_BYTES = 600 << 20  # of CUDA itself
+# Bytes a pixel: of the reference, random states (twice, while they are turned), depth, normal, sums; and for each
+# source, cost, selection probabilities, their turned copies, image, depth.
+_REFERENCE_BYTES, _SOURCE_BYTES = 136, 26
+_SAMPLES = 4  # drawn a source: with one source every sample is the same
+_MOST_SAMPLES = 15  # COLMAP's default
+_FULL = ("out of memory", "std::bad_alloc", "memory allocation")
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class PatchMatch:
+    """What a user may choose: geometric consistency, the window's radius (px), memory of a GPU (GiB, 0 what is free).
+
+    ``fusion``: only depths that COLMAP's own fusion takes up are kept.
+    """
+
+    geometric: bool = True
+    window_radius: int = 5
+    memory_gib: float = 0.0
+    fusion: bool = False
+
+
+Runner = Callable[[str, Dict[str, Any], Optional[Dict[str, Any]], threading.Event], None]
+"""Runs patch match in a workspace with COLMAP's options, and its fusion with others; ends once the event is set."""
+
+FUSION = {"min_num_pixels": 2, "max_normal_error": 30.0, "num_threads": 1}
+"""COLMAP's fusion: two views must agree. In the frame heights are stretched, so that normals differ by more."""
+
+
+def colmap_options(settings: PatchMatch, depths: Sequence[float], sources: int, gpu: int) -> Dict[str, Any]:
+    """COLMAP's options for a tile whose depths are known, with up to so many sources a reference.
+
+    Angles between rays are not checked: in the frame they are smaller than on Earth, and pairs were chosen by the true
+    ones. A source's cost does not change from sample to sample, so that few sources need few samples.
+    """
+    room = 0.02 * (depths[1] - depths[0])
+    return {
+        "gpu_index": str(gpu),
+        "depth_min": depths[0] - room,
+        "depth_max": depths[1] + room,
+        "window_radius": settings.window_radius,
+        "geom_consistency": settings.geometric,
+        "filter": True,
+        "num_samples": 1 if sources == 1 else min(_MOST_SAMPLES, _SAMPLES * sources),
+        "min_triangulation_angle": 0.0,
+        "filter_min_triangulation_angle": 0.0,
+        "num_threads": 1,
+    }
+
+
+def bytes_needed(pixels: int, sources: int) -> int:
+    """GPU memory that matching images of so many pixels takes, from the buffers that COLMAP 4.2 allocates."""
+    return _CONTEXT_BYTES + pixels * (_REFERENCE_BYTES + _SOURCE_BYTES * sources)
+
+
+def bytes_allowed(gpu: Gpu, settings: PatchMatch) -> int:
+    """GPU memory that a tile may take."""
+    free = int(_SHARE * gpu.free_bytes)
+    return min(free, int(settings.memory_gib * 2**30)) if settings.memory_gib else free
+
+
+def run_patch_match(
+    workspace: str, options: Dict[str, Any], fusion: Optional[Dict[str, Any]], stop: threading.Event
+) -> None:
+    """Run patch match, and fusion where it has options, in a process of its own.
+
+    Raises DeviceError where it fails, with COLMAP's own words, and Cancelled once ``stop`` is set.
+    """
+    job, log = (os.path.join(workspace, name) for name in ("job.json", "patch_match.log"))
+    write_text(job, json.dumps({"workspace": workspace, "options": options, "fusion": fusion}))
+    with open(log, "wb") as stream:
+        process = subprocess.Popen(  # noqa: S603 - our own module, an argument list
+            [sys.executable, "-m", "repm_qgis.colmap.process", job],
+            cwd=_ROOT,
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            while process.poll() is None and not stop.is_set():
+                time.sleep(_POLL_S)
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+    if stop.is_set():
+        raise Cancelled
+    if process.returncode:
+        with open(log, encoding="utf-8", errors="replace") as stream:
+            raise failure(stream.read(), str(options["gpu_index"]), process.returncode)
+
+
+def failure(log: str, gpu: str, code: int) -> DeviceError:
+    """What COLMAP's last words mean."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    words = next(
+        (line for line in reversed(lines) if any(text in line.lower() for text in (*_FULL, "error", "fail"))),
+        lines[-1] if lines else f"exit code {code}",
+    )[:300]
+    if any(text in log.lower() for text in _FULL):
+        return DeviceError(f"GPU {gpu} ran out of memory ('{words}'): free it, or choose a smaller GPU_MEMORY.")
+    return DeviceError(
+        f"GPU {gpu} was lost or refused the work ('{words}'): look at it with nvidia-smi and run again, "
+        "or choose BACKEND sgm."
+    )
+
+
+def on_gpus(
+    function: Callable[[T, Gpu, threading.Event], R],
+    tasks: Sequence[T],
+    gpus: Sequence[Gpu],
+    progress: Progress,
+    describe: Callable[[T], str],
+) -> List[Union[R, DeviceError]]:
+    """``[function(task, gpu, stop) for task in tasks]``, one worker a GPU; a DeviceError is the task's result.
+
+    Cancel sets ``stop``. Any other exception is raised here.
+    """
+    free: "queue.SimpleQueue[Gpu]" = queue.SimpleQueue()
+    for gpu in gpus:
+        free.put(gpu)
+    stop = threading.Event()
+
+    def work(task: T) -> Union[R, DeviceError]:
+        gpu = free.get()
+        try:
+            return function(task, gpu, stop)
+        except DeviceError as error:
+            return error
+        finally:
+            free.put(gpu)
+
+    results: Dict[int, Union[R, DeviceError]] = {}
+    with ThreadPoolExecutor(len(gpus)) as pool:
+        pending: Dict["Future[Any]", int] = {pool.submit(work, task): i for i, task in enumerate(tasks)}
+        try:
+            progress.step(0.0, f"{len(tasks)} tiles on {len(gpus)} GPU(s)")
+            for index, future in as_they_end(pending, progress):
+                results[index] = future.result()
+                progress.step(len(results) / len(tasks), describe(tasks[index]))
+        except BaseException:
+            stop.set()
+            for future in pending:
+                future.cancel()
+            raise
+    return [results[i] for i in range(len(tasks))]

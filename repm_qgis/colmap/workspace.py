@@ -1,0 +1,129 @@
+"""The folder that COLMAP's dense reconstruction works in: images, a sparse model, what to match with what.
+
+``images/*.png`` (8 bit, one stretch a view), ``sparse/`` (PINHOLE cameras, poses, a grid of ground points over the
+altitudes as tracks: COLMAP takes depth ranges and neighbours from them), ``stereo/patch-match.cfg`` and
+``stereo/fusion.cfg``. Images are called by number: names with commas would be several in the lists.
+
+Principal points are written for pixels whose first centre is (0, 0). COLMAP's sparse models count from the corner, but
+its patch match and fusion take K as it is for whole pixel numbers; so half a pixel more would turn every ray.
+``tests/engine/colmap/test_colmap_workspace.py`` looks at what the installed version does.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, List, Sequence, Tuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray, FloatImage
+from ..errors import WorkspaceError
+from ..imagery.enhancement import Stretch
+from ..imagery.raster import opened_masked
+from ..imagery.warping import warp
+from ..scene import Scene
+from ..stereo.pairing import ground_points
+from ..workspace import ensure_folder, write_text
+from .projective_frame import FrameView, TileFrame
+
+_ALTITUDES = 5
+_POINTS = 11  # a side of the grid of tracks
+_GREY = np.array([128, 128, 128], dtype=np.uint8)
+_KINDS = {"depth": ("depth_maps", 1), "normal": ("normal_maps", 3)}
+
+
+def image_name(index: int) -> str:
+    """What COLMAP calls the view with this number in its tile."""
+    return f"{index:04d}.png"
+
+
+def map_path(folder: str, kind: str, index: int, geometric: bool) -> str:
+    """Where COLMAP keeps a view's map; ``kind`` is depth or normal."""
+    return os.path.join(
+        folder, "stereo", _KINDS[kind][0], f"{image_name(index)}.{'geometric' if geometric else 'photometric'}.bin"
+    )
+
+
+def brightness(view: FrameView, stretch: Stretch) -> FloatImage:
+    """(height, width) brightness in 0..1 of a view's image, in one resampling of the original; NaN where there is none."""
+    with opened_masked(view.view.image, view.view.mask) as dataset:
+        return stretch.apply(warp(dataset, view.view.band, view.to_original, view.size, "cubic"))
+
+
+def write_workspace(
+    folder: str, scene: Scene, tile: TileFrame, images: Sequence[FloatImage], sources: Dict[str, Sequence[str]]
+) -> None:
+    """Write all that COLMAP needs for a tile.
+
+    Parameters
+    ----------
+    images : brightness in 0..1 of ``tile.views``, in their order; NaN becomes black, where nothing can be matched.
+    sources : for each reference view's name, the names of the views that it is matched with.
+
+    Raises WorkspaceError where files cannot be written.
+    """
+    for name in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"):
+        ensure_folder(os.path.join(folder, name))
+    for index, pixels in enumerate(images):
+        _write_png(os.path.join(folder, "images", image_name(index)), pixels)
+    _reconstruction(scene, tile).write(os.path.join(folder, "sparse"))
+    numbers = {view.view.name: index for index, view in enumerate(tile.views)}
+    lines: List[str] = []
+    for name, others in sources.items():
+        lines += [image_name(numbers[name]), ", ".join(image_name(numbers[other]) for other in others)]
+    write_text(os.path.join(folder, "stereo", "patch-match.cfg"), "\n".join(lines) + "\n")
+    write_text(
+        os.path.join(folder, "stereo", "fusion.cfg"), "\n".join(image_name(numbers[name]) for name in sources) + "\n"
+    )
+
+
+def _write_png(path: str, pixels: FloatImage) -> None:
+    grey = np.rint(np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0) * 255).astype(np.uint8)
+    try:
+        with open(path, "wb") as stream:
+            stream.write(cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+    except OSError as error:
+        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): is the disk full?") from error
+
+
+def _reconstruction(scene: Scene, tile: TileFrame) -> Any:
+    """COLMAP's sparse model: cameras 1, 2 ..., images 1, 2 ..., and the tracks of a grid of ground points."""
+    import pycolmap
+
+    points, seen = _tracks(scene, tile)
+    made = pycolmap.Reconstruction()
+    places = np.cumsum(seen, axis=0) - 1  # a point's number among those that an image shows
+    for index, view in enumerate(tile.views):
+        K, number = view.camera.K, index + 1
+        made.add_camera_with_trivial_rig(
+            pycolmap.Camera(
+                camera_id=number,
+                model="PINHOLE",
+                width=view.size[0],
+                height=view.size[1],
+                params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
+            )
+        )
+        pixels = view.camera.project(points[seen[:, index]])
+        made.add_image_with_trivial_frame(
+            pycolmap.Image(image_name(index), pixels.reshape(-1, 2), number, number),
+            pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t),
+        )
+    for point, row, place in zip(points, seen, places):
+        elements = [pycolmap.TrackElement(int(index) + 1, int(place[index])) for index in np.flatnonzero(row)]
+        made.add_point3D(point, pycolmap.Track(elements), _GREY)
+    return made
+
+
+def _tracks(scene: Scene, tile: TileFrame) -> Tuple[FloatArray, NDArray[np.bool_]]:
+    """(N, 3) points of the tile's frame that two views or more show, and (N, views) which show them."""
+    levels = tuple(np.linspace(*tile.altitudes, _ALTITUDES))
+    points = tile.frame.from_enu(scene.frame.from_geodetic(ground_points(scene, tile.wide, levels, _POINTS)))
+    pixels = [view.camera.project(points) for view in tile.views]
+    seen = np.stack(
+        [((p >= 0) & (p <= np.array(view.size) - 1)).all(axis=1) for p, view in zip(pixels, tile.views)], axis=1
+    )
+    shared = seen.sum(axis=1) >= 2
+    return points[shared], seen[shared]

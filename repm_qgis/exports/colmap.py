@@ -1,0 +1,87 @@
+"""COLMAP: images/, masks/, sparse/0 (binary), sparse_text (the same, to read with one's eyes) and database.db.
+
+The database knows cameras and images by the model's numbers, so that COLMAP's feature_extractor, matchers and
+point_triangulator can go on from here.
+
+Conventions (https://colmap.github.io/format.html): camera model PINHOLE with fx, fy, cx, cy, the first pixel's centre
+at (0.5, 0.5), poses cam_from_world. Each image has a camera of its own. Tie points come without tracks: their
+measured pixels belong to the original images.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+from typing import Any, Tuple
+
+from ..errors import MissingPackageError
+from .layout import Layout
+from .model import TileModel
+
+_GREY = (128, 128, 128)
+
+
+def require_pycolmap() -> None:
+    """Raises MissingPackageError where pycolmap is not installed."""
+    try:
+        import pycolmap  # noqa: F401
+    except ImportError as error:
+        raise MissingPackageError(
+            f"COLMAP models are written with the Python package 'pycolmap', which is not installed ({error}): run "
+            "'make setup' in the plugin's folder, or choose another FORMAT."
+        ) from error
+
+
+def write_colmap(model: TileModel, images: Tuple[str, ...], folder: Path) -> None:
+    """Write the model in both forms."""
+    import pycolmap
+
+    made = pycolmap.Reconstruction()
+    for number, (view, image) in enumerate(zip(model.views, images), start=1):
+        K = view.corner_K
+        made.add_camera_with_trivial_rig(
+            pycolmap.Camera(
+                camera_id=number,
+                model="PINHOLE",
+                width=view.size[0],
+                height=view.size[1],
+                params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
+            )
+        )
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t)
+        made.add_image_with_trivial_frame(
+            pycolmap.Image(image_id=number, camera_id=number, name=PurePosixPath(image).name), pose
+        )
+    for xyz, residual in zip(model.points, model.residuals_px):
+        number = made.add_point3D(xyz, pycolmap.Track(), _GREY)
+        made.points3D[number].error = float(residual)
+    for name, write in (("sparse/0", made.write_binary), ("sparse_text", made.write_text)):
+        (folder / name).mkdir(parents=True)
+        write(str(folder / name))
+    _write_database(made, folder / "database.db")
+
+
+def _write_database(model: Any, path: Path) -> None:
+    import pycolmap
+
+    database = getattr(pycolmap.Database, "open", pycolmap.Database)(str(path))
+    try:
+        for things, write in (
+            (model.cameras, database.write_camera),
+            (model.rigs, database.write_rig),
+            (model.frames, database.write_frame),
+            (model.images, database.write_image),
+        ):
+            for thing in things.values():
+                write(thing, True)
+    finally:
+        database.close()
+
+
+COLMAP = Layout(
+    "colmap",
+    lambda model, index: f"images/{model.file_name(index)}",
+    ".png",
+    write_colmap,
+    mask=lambda image: f"masks/{PurePosixPath(image).name}.png",  # COLMAP looks for the image's whole name + .png
+    require=require_pycolmap,
+)

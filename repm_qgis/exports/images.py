@@ -1,0 +1,120 @@
+"""The pixels of exported images and their masks, in strips: memory does not grow with the image."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Iterator, Optional, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+from osgeo import gdal
+
+from ..errors import ImageError, WorkspaceError
+from ..imagery.enhancement import Stretch
+from ..imagery.raster import created, opened, quiet, read
+from ..imagery.warping import warp_strips
+from ..progress import Progress
+from ..workspace import take_name, temporary_name
+from .model import ExportView
+
+_STRIP = 512
+_ENCODERS = {".png": ("PNG", ()), ".jpg": ("JPEG", ("QUALITY=95",))}
+
+
+def write_image(
+    view: ExportView, path: Path, mask: Optional[Path], stretch: Optional[Stretch], kernel: str, progress: Progress
+) -> None:
+    """Write a view's image, and its mask (255 where it has data) where one is wanted.
+
+    With ``stretch`` it is 8-bit PNG or JPEG by ``path``'s extension, 1..255; without, 16-bit TIFF with the image's own
+    values, 1..65535. 0 is nodata.
+
+    Raises ImageError where a source cannot be read, WorkspaceError where a file cannot be written.
+    """
+    shape = view.size[::-1]
+    plain = str(path) if stretch is None else f"{path}.tif"
+    with ExitStack() as files:
+        pixels = files.enter_context(
+            created(
+                plain,
+                shape,
+                np.dtype(np.uint16 if stretch is None else np.uint8),
+                1,
+                None,
+                "",
+                nodata=None,
+                compress=stretch is None,
+            )
+        )
+        known = (
+            files.enter_context(
+                created(f"{mask}.tif", shape, np.dtype(np.uint8), 1, None, "", nodata=None, compress=False)
+            )
+            if mask
+            else None
+        )
+        for row, values in _strips(view, kernel):
+            progress.check_cancelled()
+            pixels.write(_brightness(values, stretch), 0, row)
+            if known is not None:
+                known.write(np.where(np.isfinite(values), 255, 0).astype(np.uint8), 0, row)
+    if stretch is not None:
+        encode(plain, path)
+    if mask:
+        encode(f"{mask}.tif", mask)
+
+
+def _brightness(values: NDArray[np.float32], stretch: Optional[Stretch]) -> NDArray:
+    """Integers with 0 for NaN only."""
+    if stretch is None:
+        whole, dtype = np.clip(values, 1, 65535), np.uint16
+    else:
+        whole, dtype = 1 + 254 * stretch.apply(values), np.uint8
+    return np.where(np.isfinite(values), np.rint(np.nan_to_num(whole)), 0).astype(dtype)
+
+
+def _strips(view: ExportView, kernel: str) -> Iterator[Tuple[int, NDArray[np.float32]]]:
+    """First row and pixels of each strip: of the refined image where it is there, else resampled from the original."""
+    if _is_refined_image(view):
+        with opened(view.source) as dataset:
+            for row in range(0, view.size[1], _STRIP):
+                yield row, read(dataset, (0, row, view.size[0], min(_STRIP, view.size[1] - row)))
+        return
+    with opened(view.view.image) as dataset:
+        yield from warp_strips(dataset, view.view.band, view.to_original, view.size, kernel)
+
+
+def _is_refined_image(view: ExportView) -> bool:
+    if not view.source or not os.path.exists(view.source):
+        return False
+    try:
+        with opened(view.source) as dataset:
+            return (dataset.RasterXSize, dataset.RasterYSize) == tuple(view.size)
+    except ImageError:
+        return False
+
+
+def encode(plain: str, path: Path) -> None:
+    """Turn ``plain`` (a raster, removed afterwards) into PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
+    driver, options = _ENCODERS[path.suffix]
+    temporary = temporary_name(str(path))
+    try:
+        with opened(plain) as source, quiet():
+            try:
+                made = gdal.GetDriverByName(driver).CreateCopy(temporary, source, 0, list(options))
+                made = None  # noqa: F841 - closes, and so completes, the file
+                reason = gdal.GetLastErrorMsg() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
+            except (RuntimeError, AttributeError) as error:  # AttributeError: a GDAL without the driver
+                reason = str(error)
+        if reason or not os.path.exists(temporary):
+            raise WorkspaceError(
+                f"Cannot write '{path}' ({reason or 'no reason given'}): is the disk full, or GDAL "
+                f"without its {driver} driver?"
+            )
+        take_name(temporary, str(path))
+    finally:
+        for leftover in (temporary, plain):
+            if os.path.exists(leftover):
+                os.unlink(leftover)

@@ -1,0 +1,64 @@
+"""nerfstudio: images/, masks/ and transforms.json (https://docs.nerf.studio/quickstart/data_conventions.html).
+
+Cameras look along -z with y up (OpenGL); ``transform_matrix`` is world_from_camera; rays go through pixel + 0.5, so
+the first pixel's centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any, Dict, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..workspace import write_text
+from .layout import Layout
+from .model import ExportView, TileModel
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def world_from_opengl(view: ExportView) -> NDArray[np.float64]:
+    """(4, 4) transform_matrix."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = view.camera.R.T, view.camera.centre
+    return matrix @ _OPENGL_FROM_OPENCV
+
+
+def _mask(image: str) -> str:
+    return f"masks/{PurePosixPath(image).stem}.png"
+
+
+def _frame(view: ExportView, image: str) -> Dict[str, Any]:
+    K = view.corner_K
+    return {
+        "file_path": image,
+        "mask_path": _mask(image),
+        "w": view.size[0],
+        "h": view.size[1],
+        "fl_x": float(K[0, 0]),
+        "fl_y": float(K[1, 1]),
+        "cx": float(K[0, 2]),
+        "cy": float(K[1, 2]),
+        "transform_matrix": world_from_opengl(view).tolist(),
+    }
+
+
+def write_nerfstudio(model: TileModel, images: Tuple[str, ...], folder: Path) -> None:
+    """Write transforms.json."""
+    document = {
+        "camera_model": "OPENCV",
+        "k1": 0.0,
+        "k2": 0.0,
+        "p1": 0.0,
+        "p2": 0.0,
+        "frames": [_frame(view, image) for view, image in zip(model.views, images)],
+    }
+    write_text(str(folder / "transforms.json"), json.dumps(document, indent=1, allow_nan=False))
+
+
+NERFSTUDIO = Layout(
+    "nerfstudio", lambda model, index: f"images/{model.file_name(index)}", ".png", write_nerfstudio, mask=_mask
+)

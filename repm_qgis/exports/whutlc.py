@@ -1,0 +1,58 @@
+"""WHU-TLC's pinhole layout: image/VIEW/TILE.png and camera/VIEW/TILE.txt, VIEW counting from 0.
+
+Read by SatMVS (https://github.com/WHU-GPCV/SatMVS, open_dataset_pinhole; Gao, Liu and Ji, ICCV 2021): cam_from_world
+(4, 4); ``f x0 y0``; ``DEPTH_MIN DEPTH_MAX DEPTH_INTERVAL``; ``INDEX 0 0 0 0 WIDTH HEIGHT``. The layout knows one focal
+length and the network stacks the views: pixels are made square here, and all images of a tile one size. Its
+homographies count pixels from the first one's centre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Tuple
+
+import numpy as np
+
+from ..workspace import write_text
+from .layout import Layout
+from .model import ExportView, TileModel
+from .mvsnet import matrix_text
+
+_SIDE_STEP = 64  # the network halves its features several times
+
+
+def square_pixels(model: TileModel) -> TileModel:
+    """The model with one focal length a view (the larger: nothing is lost) and one image size for all views."""
+    scales = [max(np.diag(view.camera.K)[:2]) / np.diag(view.camera.K)[:2] for view in model.views]
+    sides = [
+        -(-int(np.ceil(max(view.size[axis] * scale[axis] for view, scale in zip(model.views, scales)))) // _SIDE_STEP)
+        * _SIDE_STEP
+        for axis in (0, 1)
+    ]
+    return replace(
+        model,
+        views=tuple(
+            view.resampled(np.diag([*scale, 1.0]), (sides[0], sides[1])) for view, scale in zip(model.views, scales)
+        ),
+    )
+
+
+def camera_text(view: ExportView, index: int) -> str:
+    """The contents of a camera's file."""
+    K, (low, high) = view.camera.K, view.depths
+    return (
+        f"{matrix_text(view.cam_from_world)}\n\n{float(K[0, 0])!r} {float(K[0, 2])!r} {float(K[1, 2])!r}\n\n"
+        f"{low!r} {high!r} {view.depth_interval!r}\n{index} 0 0 0 0 {view.size[0]} {view.size[1]}\n"
+    )
+
+
+def write_whutlc(model: TileModel, images: Tuple[str, ...], folder: Path) -> None:
+    """Write the cameras."""
+    for index, view in enumerate(model.views):
+        write_text(str(folder / "camera" / str(index) / f"{model.tile.id}.txt"), camera_text(view, index))
+
+
+WHUTLC = Layout(
+    "whutlc", lambda model, index: f"image/{index}/{model.tile.id}", ".png", write_whutlc, prepare=square_pixels
+)

@@ -1,1 +1,0 @@
-"""Dense matching: pairs, epipolar rectification, matchers (one file a backend), and heights from disparities."""

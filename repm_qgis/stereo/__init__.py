@@ -1,0 +1,1 @@
+"""Two views of a tile: epipolar rectification, heights from disparities, and height maps on disk."""

@@ -1,0 +1,79 @@
+"""What reconstruct works on: a pair of views over a tile, with cameras fitted to the altitudes really there."""
+
+from __future__ import annotations
+
+from typing import Optional, Tuple
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..geometry.equivalent_error import TILE_GRID, RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.frames import EnuFrame, geodetic_from_projected
+from ..geometry.tiles import pixel_window
+from ..scene import Scene, View
+from .rectification import RectifiedPair, rectify
+
+Bounds = Tuple[float, float, float, float]
+
+
+def rectified_pair(
+    scene: Scene, first: View, second: View, bounds: Bounds, altitudes: Tuple[float, float]
+) -> Optional[RectifiedPair]:
+    """Fit, refine and rectify two views over a ground rectangle (in the scene's CRS); None where not both see it.
+
+    Cameras are fitted anew: relative pointing and a narrower altitude range make them better than those of the
+    first fit.
+    """
+    refined = [refined_view(scene, view, bounds, altitudes) for view in (first, second)]
+    if refined[0] is None or refined[1] is None:
+        return None
+    return rectify_over(scene, refined[0], refined[1], bounds, altitudes)
+
+
+def rectify_over(
+    scene: Scene, first: RefinedPinhole, second: RefinedPinhole, bounds: Bounds, altitudes: Tuple[float, float]
+) -> RectifiedPair:
+    """Rectify two refined views so that the frame holds a ground rectangle at all altitudes of a range."""
+    to_frame = scene.frame.from_geodetic
+    return rectify(
+        first,
+        second,
+        to_frame(ground_points(scene, bounds, (sum(altitudes) / 2,))),
+        to_frame(ground_points(scene, bounds, altitudes)),
+    )
+
+
+def grown(bounds: Bounds, margin: float) -> Bounds:
+    """A rectangle with a margin all round."""
+    return bounds[0] - margin, bounds[1] - margin, bounds[2] + margin, bounds[3] + margin
+
+
+def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Tuple[float, float]) -> Optional[RefinedPinhole]:
+    """The refined camera of a view over a ground rectangle, by the scene's refinement model; None where unseen."""
+    window = pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size)
+    if window is None:
+        return None
+    grid = virtual_grid(view.localise, window, altitudes, scene.frame, TILE_GRID)
+    return refine_pinhole(
+        scene.refinement or "polynomial", fit_pinhole(grid).camera, grid, window, scene.order, scene.terrain(view)
+    )
+
+
+def ground_points(scene: Scene, bounds: Bounds, altitudes: Tuple[float, ...], points: int = 9) -> FloatArray:
+    """(N, 3) longitude, latitude, height: a grid over a ground rectangle at some altitudes."""
+    x, y = np.linspace(bounds[0], bounds[2], points), np.linspace(bounds[1], bounds[3], points)
+    lon_lat = geodetic_from_projected(scene.crs, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    return np.concatenate([np.column_stack([lon_lat, np.full(len(lon_lat), z)]) for z in altitudes])
+
+
+def convergence(first: View, second: View, lon: float, lat: float, altitude: float) -> Tuple[float, float]:
+    """Convergence angle in degrees and base-to-height ratio of two views at a ground point."""
+    rays = []
+    frame = EnuFrame(lon, lat, altitude)
+    for view in (first, second):
+        pixel = view.project(np.array([lon, lat, altitude]))
+        ends = frame.from_geodetic(view.localise(np.array([pixel, pixel]), np.array([altitude - 50, altitude + 50])))
+        rays.append((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+    angle = float(np.degrees(np.arccos(np.clip(rays[0] @ rays[1], -1, 1))))
+    slopes = [ray[:2] / ray[2] for ray in rays]
+    return angle, float(np.linalg.norm(slopes[0] - slopes[1]))

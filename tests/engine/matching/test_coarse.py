@@ -1,0 +1,150 @@
+"""Coarse to fine: guides on pairs of known disparity, and the rows that they put right against GDAL's RPCs."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.imagery.warping import GRID_STEP, between, sample_array
+from repm_qgis.matching import coarse, sgm
+from repm_qgis.matching.coarse import Guide, guide_of, reduced
+from repm_qgis.stereo.pairing import rectified_pair
+from repm_qgis.stereo.triangulation import pair_geometry
+
+HEIGHT, WIDTH = 384, 512
+LOW, HIGH = -80, 80
+LEVEL = SimpleNamespace(nearer=1.0, metres_per_px=3.0)
+
+
+def hills(columns):
+    """Disparity of the ground, rising by up to 0.45 px a px."""
+    return 60 * np.sin(2 * np.pi * columns / 840.0)
+
+
+class Known:
+    """A pair whose second image is painted, and the first sampled from it at columns less the disparity."""
+
+    def __init__(self, tower=0.0, seed=0):
+        rng = np.random.default_rng(seed)
+        grain = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH + 400)), (0, 0), 1.2)
+        self.painted = np.clip(0.5 + 0.35 * grain, 0, 1).astype(np.float32)
+        columns = np.repeat(np.arange(WIDTH, dtype=np.float64)[None], HEIGHT, axis=0)
+        self.disparity = hills(columns)
+        self.disparity[170:210, 250:290] += tower
+        self.first = self.second_at(columns - self.disparity)
+
+    def second_at(self, columns):
+        rows = np.repeat(np.arange(columns.shape[0], dtype=np.float64)[:, None], columns.shape[1], axis=1)
+        return sample_array(self.painted, np.stack([columns + 200, rows], axis=-1), "cubic")
+
+    def second(self, high, low):
+        """Column c shows the rectified column c - high."""
+        return self.second_at(np.repeat(np.arange(WIDTH + high - low, dtype=np.float64)[None] - high, HEIGHT, axis=0))
+
+
+def test_a_guide_leaves_a_small_search_and_gives_the_whole_disparity():
+    known = Known(tower=15.0)
+    guide = guide_of(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
+    assert guide is not None and guide.high - guide.low < 0.5 * (HIGH - LOW)
+    assert guide.low < -3 and guide.high > 18  # the tower has its room, though the coarse level loses it
+    nodes = between(guide.nodes, HEIGHT, WIDTH + guide.high - guide.low)
+    columns = np.arange(nodes.shape[1], dtype=np.float64)[None] - guide.high
+    residual = sgm.match(known.first, known.second_at(columns - nodes), (guide.low, guide.high), 1.0)
+    error = (guide.whole(residual.disparity) - known.disparity)[16:-16, 16:-16]
+    error[residual.filled[16:-16, 16:-16]] = np.nan
+    plain = sgm.match(known.first, known.second(HIGH, LOW), (LOW, HIGH), 1.0)
+    before = (np.where(plain.filled, np.nan, plain.disparity) - known.disparity)[16:-16, 16:-16]
+    assert np.nanmedian(np.abs(error)) < min(0.05, np.nanmedian(np.abs(before)))
+    assert (np.abs(error) < 0.5).mean() > max(0.93, (np.abs(before) < 0.5).mean())
+    tower = error[170 - 16 + 6 : 210 - 16 - 6, 250 - 16 + 6 : 290 - 16 - 6]
+    assert np.nanmedian(np.abs(tower)) < 0.1
+
+
+def test_whole_disparities_count_the_guide_where_the_match_lies():
+    rng = np.random.default_rng(1)
+    nodes = np.cumsum(rng.uniform(-8, 8, (5, 9)), axis=1)
+    guide = Guide(nodes, -20, 30)
+    residual = rng.uniform(-19, 29, (60, 70)).astype(np.float32)
+    residual[3, 5] = np.nan
+    whole = guide.whole(residual)
+    fine = between(nodes, 60, 128)
+    for row, column in ((0, 0), (17, 40), (59, 69), (31, 8)):
+        place = column - residual[row, column] + guide.high
+        expected = residual[row, column] + np.interp(place, np.arange(128), fine[row])
+        assert whole[row, column] == pytest.approx(expected, abs=1e-4)
+    assert whole.dtype == np.float32 and np.isnan(whole[3, 5]) and np.isfinite(whole).sum() == whole.size - 1
+
+
+def test_where_the_search_cannot_be_narrowed_there_is_no_guide():
+    known = Known()
+    assert guide_of(known.first, known.second(24, -16), (-16, 24), LEVEL, sgm.match) is None
+    blank = np.full((HEIGHT, WIDTH), 0.5, np.float32)
+    wide = np.full((HEIGHT, WIDTH + HIGH - LOW), 0.5, np.float32)
+    assert guide_of(blank, wide, (LOW, HIGH), LEVEL, sgm.match) is None
+
+
+def test_slopes_are_bounded_and_gentle_ones_kept():
+    rng = np.random.default_rng(2)
+    gentle = np.cumsum(rng.uniform(-0.9, 0.9, (20, 50)), axis=1)
+    assert coarse._bounded_slope(gentle, 1.0, 1.0) == pytest.approx(gentle)
+    steep = gentle.copy()
+    steep[:, 25:] += 12
+    bounded = coarse._bounded_slope(steep, 1.0, 1.0)
+    assert np.abs(np.diff(bounded, axis=1)).max() <= 1 + 1e-9
+    assert np.abs(bounded[:, :8] - steep[:, :8]).max() < 1e-9 and np.abs(bounded[:, -5:] - steep[:, -5:]).max() < 1e-9
+
+
+def test_the_ground_may_fall_more_steeply_than_it_rises():
+    """Slopes that lean away from the first image of a wide pair fall by more than a px a px: only rises could fold."""
+    wall = np.zeros((3, 60))
+    wall[:, 20:] -= 24
+    bounded = coarse._bounded_slope(wall, 0.5, 2.0)
+    assert np.diff(bounded, axis=1).min() == pytest.approx(-2.0)
+    assert np.diff(bounded, axis=1).max() <= 1e-9
+    steps = np.diff(coarse._bounded_slope(-wall, 0.5, 2.0), axis=1)
+    assert steps.max() == pytest.approx(0.5) and steps.min() >= -1e-9
+
+
+def test_gaps_of_the_ground_are_filled_from_around_them():
+    rows, columns = np.indices((40, 60), dtype=np.float32)
+    ground = 3 * columns + rows
+    holed = ground.copy()
+    holed[10:20, 20:34] = np.nan
+    filled = coarse._without_gaps(holed)
+    assert np.isfinite(filled).all() and (filled[np.isfinite(holed)] == ground[np.isfinite(holed)]).all()
+    assert np.abs(filled - ground).max() < 16  # of 42 across the gap
+    assert filled[10:20, 20:34].min() > ground[10:20, 20:34].min() - 9
+
+
+def test_reduced_images_are_means_and_know_no_half_pixels():
+    image = np.arange(9 * 14, dtype=np.float32).reshape(9, 14)
+    image[1, 1] = np.nan
+    small = reduced(image)
+    assert small.shape == (2, 3) and np.isnan(small[0, 0])
+    assert small[1, 2] == pytest.approx(image[4:8, 8:12].mean())
+
+
+def test_rows_are_those_that_the_rpcs_say(case, gdal_pixels):
+    """On the guide, the second image is sampled where its RPC sees the first one's pixel, whatever the model."""
+    case.scene.refinement = "none"
+    try:
+        pair = rectified_pair(case.scene, *case.views, case.bounds, case.altitudes)
+    finally:
+        case.scene.refinement = "polynomial"
+    geometry = pair_geometry(pair, *case.views, case.altitudes, case.crs)
+    columns, rows = (np.arange(0, size, GRID_STEP, dtype=np.float64) for size in pair.size)
+    guide = np.add.outer(0.1 * rows, 0.2 * columns)
+    guide = np.clip(guide - guide.mean(), *geometry.disparities)
+    sampled = Guide(guide, 0, 0).second_original(pair, geometry)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
+    height = geometry.height.on_grid(columns, rows, guide)
+    x, y = (table.on_grid(columns, rows, height) for table in (geometry.x, geometry.y))
+    ground = np.column_stack(
+        [geodetic_from_projected(case.crs, np.column_stack([x.ravel(), y.ravel()])), height.ravel()]
+    )
+    assert np.abs(gdal_pixels(case.views[0].rpc, ground) - pair.first_original(pixels).reshape(-1, 2)).max() < 0.02
+    assert np.abs(gdal_pixels(case.views[1].rpc, ground) - sampled.reshape(-1, 2)).max() < 0.02
