@@ -20,7 +20,7 @@ from repm_qgis.simulation.gcps import common_square  # noqa: E402
 from repm_qgis.simulation.render import render_view  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, surface_bounds, write_truth  # noqa: E402
 from repm_qgis.simulation.sensor import PushbroomView  # noqa: E402
-from repm_qgis.simulation.surface import Bounds, Ground, Sun, Surface, fractal  # noqa: E402
+from repm_qgis.simulation.surface import Bounds, Ground, SimulatedSurface, Sun, fractal  # noqa: E402
 
 MORNING = Sun(azimuth_deg=105.0, elevation_deg=28.0)
 AFTERNOON = Sun(azimuth_deg=245.0, elevation_deg=32.0)
@@ -32,7 +32,7 @@ Writer = Callable[[Path, np.ndarray], Any]
 
 def estate(
     bounds: Bounds, spec: SceneSpec, spacing_m: Sequence[float], turn_deg: float, trees: float, garden: float = 0.004
-) -> Surface:
+) -> SimulatedSurface:
     """Equal houses on a regular grid of a spacing along two axes, on plain ground; ``trees`` for each house."""
     rng = np.random.default_rng([spec.seed, 9])
     ground = Ground.empty(bounds, spec.cell_m / spec.surface_step)
@@ -77,7 +77,7 @@ def _plant(ground: Ground, rng: np.random.Generator, count: int, terrain: np.nda
         ground.albedo[area] = np.where(dome > 0, 0.06, ground.albedo[area])
 
 
-def another_season(surface: Surface, seed: int, inverted: float = 0.5) -> Surface:
+def another_season(surface: SimulatedSurface, seed: int, inverted: float = 0.5) -> SimulatedSurface:
     """Fields of some 45 m of which each has another brightness, and a share of them their contrast inverted."""
     rng = np.random.default_rng([seed, 10])
     rows, cols = surface.radiance.shape
@@ -96,18 +96,18 @@ def another_season(surface: Surface, seed: int, inverted: float = 0.5) -> Surfac
     return dataclasses.replace(surface, radiance=np.maximum(radiance, 60.0).astype(np.float32))
 
 
-def town_under(spec: SceneSpec, sun: Sun) -> Surface:
+def town_under(spec: SceneSpec, sun: Sun) -> SimulatedSurface:
     """The spec's ground with the sun elsewhere: the same houses, other light and other shadows."""
     other = dataclasses.replace(spec, sun=sun)
     return make_surface(other, surface_bounds(other, make_views(other)), Silent())
 
 
-def exposed(surface: Surface, view: PushbroomView, seed: int) -> np.ndarray:
+def exposed(surface: SimulatedSurface, view: PushbroomView, seed: int) -> np.ndarray:
     """The whole image (rows, columns) of a view."""
     return np.concatenate([strip for _, strip in render_view(surface, view, seed)])
 
 
-def write_scene(folder: Path, spec: SceneSpec, surfaces: Sequence[Surface], write: Writer) -> None:
+def write_scene(folder: Path, spec: SceneSpec, surfaces: Sequence[SimulatedSurface], write: Writer) -> None:
     """A view of each surface, the true DSM and heights of the first: what ``Case`` of the pointing benchmark reads.
 
     ``write`` is given a path and an image.

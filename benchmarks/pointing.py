@@ -43,7 +43,7 @@ from repm_qgis.sfm.view_pairs import NARROW, WIDE, badness, choose_pairs  # noqa
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene, make_views, rpc_tags, surface_bounds  # noqa: E402
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402
-from repm_qgis.simulation.surface import Surface  # noqa: E402
+from repm_qgis.simulation.surface import SimulatedSurface  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
 from repm_qgis.stereo.pairing import convergence  # noqa: E402
 
@@ -567,7 +567,7 @@ def clouded(case: Case, folder: Path, halves: Sequence[Optional[str]]) -> List[s
     return result
 
 
-def hard(name: str, surfaces: Callable[[SceneSpec], Sequence[Surface]]) -> Tuple[Case, List[str]]:
+def hard(name: str, surfaces: Callable[[SceneSpec], Sequence[SimulatedSurface]]) -> Tuple[Case, List[str]]:
     """A scene of which each view may see another surface, rendered where it is not there yet."""
     spec = SceneSpec.default("urban", SIZE, SEED)
     folder = CACHE / name
@@ -578,16 +578,16 @@ def hard(name: str, surfaces: Callable[[SceneSpec], Sequence[Surface]]) -> Tuple
     return case, case.images
 
 
-def estates(garden: float, spec: SceneSpec) -> List[Surface]:
+def estates(garden: float, spec: SceneSpec) -> List[SimulatedSurface]:
     bounds = surface_bounds(spec, make_views(spec))
     return [hard_scenes.estate(bounds, spec, (18.0, 24.0), -11.0, 0.3, garden)] * 3
 
 
-def sunny(spec: SceneSpec, *suns: hard_scenes.Sun) -> List[Surface]:
+def sunny(spec: SceneSpec, *suns: hard_scenes.Sun) -> List[SimulatedSurface]:
     return [hard_scenes.town_under(spec, sun) for sun in suns]
 
 
-def seasons(spec: SceneSpec) -> List[Surface]:
+def seasons(spec: SceneSpec) -> List[SimulatedSurface]:
     plain = hard_scenes.town_under(spec, spec.sun)
     return [plain, hard_scenes.another_season(plain, 1), hard_scenes.another_season(plain, 2)]
 

@@ -31,7 +31,7 @@ from repm_qgis.simulation.scene import (
     write_truth,
 )
 from repm_qgis.simulation.sensor import Look, PushbroomView
-from repm_qgis.simulation.surface import Surface, fractal
+from repm_qgis.simulation.surface import SimulatedSurface, fractal
 
 LAND, RIM = 0, 9
 WATER = {"still": 1, "ripples": 2, "glint": 3}
@@ -102,7 +102,7 @@ def _clouds(side: float) -> Sequence[Cloud]:
     )
 
 
-def _with_lakes(surface: Surface, side: float) -> Tuple[Surface, np.ndarray]:
+def _with_lakes(surface: SimulatedSurface, side: float) -> Tuple[SimulatedSurface, np.ndarray]:
     """The surface with level water in it, and each node's lake (0 none)."""
     rows, columns = surface.height.shape
     x = (np.arange(columns) - (columns - 1) / 2) * surface.cell
@@ -120,7 +120,7 @@ def _with_lakes(surface: Surface, side: float) -> Tuple[Surface, np.ndarray]:
     return replace(surface, height=height, shade=shade.astype(np.float32)), lakes
 
 
-def _rippled(surface: Surface, lakes: np.ndarray, seed: int) -> Surface:
+def _rippled(surface: SimulatedSurface, lakes: np.ndarray, seed: int) -> SimulatedSurface:
     """The surface as one view finds it: the same land, water as it is at that moment."""
     rng = np.random.default_rng([seed, 77])
     radiance = surface.radiance.copy()
@@ -165,7 +165,7 @@ def _write(path: str, pixels: np.ndarray, rpc: Rpc) -> None:
 
 
 def _classes(
-    surface: Surface,
+    surface: SimulatedSurface,
     lakes: np.ndarray,
     square: Tuple[int, int, int],
     step: int,

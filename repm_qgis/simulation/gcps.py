@@ -14,7 +14,7 @@ from ..errors import OptionError
 from ..workspace import write_text
 from .render import RayCaster
 from .sensor import PushbroomView
-from .surface import FloatArray, Surface
+from .surface import FloatArray, SimulatedSurface
 
 GCP_COUNT = 12
 GCP_NOISE_PX = 0.3
@@ -22,7 +22,7 @@ _EDGE_PX = 4.0
 _FLAT_M = 0.3
 
 
-def common_square(surface: Surface, views: Sequence[PushbroomView], step: int) -> Tuple[int, int, int]:
+def common_square(surface: SimulatedSurface, views: Sequence[PushbroomView], step: int) -> Tuple[int, int, int]:
     """The largest square around the surface's middle that lies inside every image at every height.
 
     Returns
@@ -44,7 +44,7 @@ def common_square(surface: Surface, views: Sequence[PushbroomView], step: int) -
     return middle[0] - low * step, middle[1] - low * step, 2 * low + 1
 
 
-def _seen_by_all(surface: Surface, views: Sequence[PushbroomView], middle: Sequence[int], half: int) -> bool:
+def _seen_by_all(surface: SimulatedSurface, views: Sequence[PushbroomView], middle: Sequence[int], half: int) -> bool:
     """Whether a square's edge projects into every image at the surface's lowest and highest height."""
     side = np.linspace(-half, half, 5)
     col, row = (part.ravel() for part in np.meshgrid(middle[1] + side, middle[0] + side))
@@ -59,7 +59,7 @@ def _seen_by_all(surface: Surface, views: Sequence[PushbroomView], middle: Seque
 
 
 @dataclass(frozen=True)
-class Gcp:
+class SimulatedGcp:
     """One point in one view: degrees, metres above the ellipsoid, px (first pixel's centre is (0, 0))."""
 
     id: str
@@ -73,8 +73,8 @@ class Gcp:
 
 
 def choose_gcps(
-    surface: Surface, views: Sequence[PushbroomView], square: Tuple[int, int, int], step: int, seed: int
-) -> List[Gcp]:
+    surface: SimulatedSurface, views: Sequence[PushbroomView], square: Tuple[int, int, int], step: int, seed: int
+) -> List[SimulatedGcp]:
     """Flat, visible places spread over the common square, measured in the real sensor with noise of 0.3 px.
 
     In each of 4 x 3 fields of the square, the candidate seen by most views, among flat ground and roofs if there are
@@ -84,7 +84,7 @@ def choose_gcps(
     rng = np.random.default_rng([seed, 3])
     casters = [RayCaster(surface, view) for view in views]
     extent = (square[2] - 1) * step
-    result: List[Gcp] = []
+    result: List[SimulatedGcp] = []
     for number in range(GCP_COUNT):
         field_col, field_row = number % 4, number // 4
         place = rng.uniform(0.08, 0.92, (240, 2))
@@ -106,11 +106,13 @@ def choose_gcps(
         role = "check" if number % 2 else "control"
         for n, pixel in best:
             measured = pixel + noise[n]
-            result.append(Gcp(f"P{number + 1:02d}", *map(float, point), views[n].name, *map(float, measured), role))
+            result.append(
+                SimulatedGcp(f"P{number + 1:02d}", *map(float, point), views[n].name, *map(float, measured), role)
+            )
     return result
 
 
-def _unevenness(surface: Surface, col: FloatArray, row: FloatArray, reach: float) -> FloatArray:
+def _unevenness(surface: SimulatedSurface, col: FloatArray, row: FloatArray, reach: float) -> FloatArray:
     """(N,) highest less lowest of 25 heights within ``reach`` nodes around places, m."""
     side = np.linspace(-reach, reach, 5)
     right, down = (part.ravel() for part in np.meshgrid(side, side))
@@ -126,11 +128,11 @@ def _seen_at(caster: RayCaster, ground: FloatArray) -> Optional[FloatArray]:
     return pixel if abs(caster.heights_at(pixel[None])[0] - ground[2]) < 0.1 else None
 
 
-def write_gcps(path: str, gcps: Sequence[Gcp]) -> None:
+def write_gcps(path: str, gcps: Sequence[SimulatedGcp]) -> None:
     """CSV with the header id, lon, lat, height, view, col, row, role."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow([field.name for field in dataclasses.fields(Gcp)])
+    table.writerow([field.name for field in dataclasses.fields(SimulatedGcp)])
     for gcp in gcps:
         table.writerow(
             [

@@ -18,7 +18,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from ..progress import Part, Progress
 from .sensor import PushbroomView
-from .surface import SILENT, Float32Array, FloatArray, Surface, facade_radiance, interpolate
+from .surface import SILENT, Float32Array, FloatArray, SimulatedSurface, facade_radiance, interpolate
 
 _STRIP_ROWS = 256  # rows that are finished together: the height of the files' tiles
 _CHUNK_COLS = 256
@@ -32,7 +32,7 @@ _BISECTIONS = 6
 class RayCaster:
     """Meets a view's rays with a surface. Memory: a quarter more than the surface's heights, and one block."""
 
-    def __init__(self, surface: Surface, view: PushbroomView) -> None:
+    def __init__(self, surface: SimulatedSurface, view: PushbroomView) -> None:
         self._surface, self.view = surface, view
         low, high = surface.height_range()
         self._low, self._high = low - 1.0, high + 1.0
@@ -236,7 +236,7 @@ def _coarse_maxima(ceiling: Float32Array) -> Float32Array:
     return ndimage.maximum_filter(coarse, 3, mode="nearest")
 
 
-def _ray_splines(surface: Surface, view: PushbroomView, heights: Sequence[float]):
+def _ray_splines(surface: SimulatedSurface, view: PushbroomView, heights: Sequence[float]):
     """For each height, splines of the grid column and row at which a view's pixels see it: f(rows, cols)."""
 
     def nodes(count: int) -> FloatArray:
@@ -253,7 +253,7 @@ def _ray_splines(surface: Surface, view: PushbroomView, heights: Sequence[float]
 
 
 def render_view(
-    surface: Surface, view: PushbroomView, seed: int, progress: Progress = SILENT, oversample: int = 2
+    surface: SimulatedSurface, view: PushbroomView, seed: int, progress: Progress = SILENT, oversample: int = 2
 ) -> Iterator[Tuple[int, NDArray[np.uint16]]]:
     """Expose an image, a strip of rows at a time.
 
@@ -279,7 +279,7 @@ def render_view(
 
 
 def render_views(
-    surface: Surface, views: Sequence[PushbroomView], seed: int, progress: Progress = SILENT
+    surface: SimulatedSurface, views: Sequence[PushbroomView], seed: int, progress: Progress = SILENT
 ) -> Iterator[Tuple[PushbroomView, NDArray[np.uint16]]]:
     """Whole images of several views, for use in memory: yields each view and its (rows, columns) uint16 image."""
     for number, view in enumerate(views):

@@ -24,11 +24,11 @@ from ..imagery.raster import created
 from ..progress import Part, Progress
 from ..rpc.model import Rpc
 from ..workspace import ensure_folder, write_text
-from .gcps import GCP_NOISE_PX, Gcp, choose_gcps, common_square, write_gcps
+from .gcps import GCP_NOISE_PX, SimulatedGcp, choose_gcps, common_square, write_gcps
 from .render import render_view
 from .rpc_fit import RpcFit, fit_rpc
 from .sensor import PLEIADES, PushbroomView, Sensor, aim
-from .surface import Bounds, FloatArray, Sun, Surface, build_mountains, build_urban
+from .surface import Bounds, FloatArray, SimulatedSurface, Sun, build_mountains, build_urban
 
 _COMMON_POINTING_PX = 2.0  # pointing errors of one pass are mostly common to its views,
 _VIEW_POINTING_PX = 1.0  # and differ by less
@@ -126,7 +126,7 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def make_surface(spec: SceneSpec, bounds: Bounds, progress: Progress) -> Surface:
+def make_surface(spec: SceneSpec, bounds: Bounds, progress: Progress) -> SimulatedSurface:
     """The spec's ground over bounds in its UTM zone."""
     cell = spec.cell_m / spec.surface_step
     if spec.kind == "mountains":
@@ -146,7 +146,9 @@ def rpc_tags(rpc: Rpc) -> Dict[str, str]:
     return tags
 
 
-def write_image(path: str, view: PushbroomView, rpc: Rpc, surface: Surface, seed: int, progress: Progress) -> None:
+def write_image(
+    path: str, view: PushbroomView, rpc: Rpc, surface: SimulatedSurface, seed: int, progress: Progress
+) -> None:
     """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
     _drop_side_file(path)
     with created(
@@ -165,7 +167,7 @@ def write_image(path: str, view: PushbroomView, rpc: Rpc, surface: Surface, seed
             dataset.write(strip, 0, first)
 
 
-def write_truth(path: str, surface: Surface, square: Tuple[int, int, int], step: int) -> None:
+def write_truth(path: str, surface: SimulatedSurface, square: Tuple[int, int, int], step: int) -> None:
     """The true DSM: every ``step``-th node of a square of the surface; a cell's value is the height at its middle."""
     row, col, count = square
     cell = step * surface.cell
@@ -222,8 +224,8 @@ def _record(
     views: Sequence[PushbroomView],
     fits: Sequence[RpcFit],
     biases: FloatArray,
-    surface: Surface,
-    gcps: Sequence[Gcp],
+    surface: SimulatedSurface,
+    gcps: Sequence[SimulatedGcp],
 ) -> Dict[str, Any]:
     """What truth.json says."""
     low, high = surface.height_range()

@@ -42,7 +42,7 @@ class Sun:
 
 
 @dataclass(frozen=True)
-class Surface:
+class SimulatedSurface:
     """A height field and the light that leaves it.
 
     Attributes
@@ -210,7 +210,7 @@ def illuminate(
     wall_m: float,
     wall_albedo: Optional[Float32Array] = None,
 ) -> Tuple[Float32Array, Float32Array, Float32Array]:
-    """Radiance, shade and facade of a :class:`Surface` with a given albedo (0..1), all (R, C) float32."""
+    """Radiance, shade and facade of a :class:`SimulatedSurface` with a given albedo (0..1), all (R, C) float32."""
     east, north, up = map(np.float32, sun.direction())
     walls = math.isfinite(wall_m)
     right, down = slopes(height, cell, walls)
@@ -237,7 +237,7 @@ def illuminate(
 def facade_radiance(sunlit: FloatArray, lit: FloatArray, height: FloatArray, along: FloatArray) -> FloatArray:
     """Digital numbers of walls: windows in floors of 3 m, sun where it comes, and light of the sky.
 
-    ``sunlit``: :attr:`Surface.facade` there. ``lit`` 0..1. ``height``, ``along``: place on the wall, m.
+    ``sunlit``: :attr:`SimulatedSurface.facade` there. ``lit`` 0..1. ``height``, ``along``: place on the wall, m.
     """
     windows = (np.mod(height, 3.0) > 1.2) & (np.mod(along, 2.6) > 1.3)
     paint = np.where(windows, 0.55, 1.0)
@@ -276,15 +276,15 @@ class Ground:
         y = (row - np.arange(top, bottom)) * self.cell
         return (slice(top, bottom), slice(left, right)), x[None, :], y[:, None]
 
-    def finish(self, crs: str, sun: Sun, wall_m: float) -> Surface:
+    def finish(self, crs: str, sun: Sun, wall_m: float) -> SimulatedSurface:
         """Let the sun shine on it."""
         light = illuminate(self.height, self.albedo, self.cell, sun, wall_m, self.wall_albedo)
-        return Surface(crs, self.west, self.north, self.cell, wall_m, self.height, *light)
+        return SimulatedSurface(crs, self.west, self.north, self.cell, wall_m, self.height, *light)
 
 
 def build_mountains(
     bounds: Bounds, cell: float, crs: str, base: float, relief: float, sun: Sun, seed: int, progress: Progress = SILENT
-) -> Surface:
+) -> SimulatedSurface:
     """Mountains from ``base`` to ``base + relief`` metres: ridges and valleys, rock, meadows, woods and snow.
 
     Deterministic for the same arguments. Meadows and snow have little texture.
@@ -331,7 +331,7 @@ def build_mountains(
 
 def build_urban(
     bounds: Bounds, cell: float, crs: str, base: float, sun: Sun, seed: int, progress: Progress = SILENT
-) -> Surface:
+) -> SimulatedSurface:
     """A town on gentle ground around ``base`` metres: blocks, streets, houses, halls, towers, parks and a field.
 
     Deterministic for the same arguments. Plain roofs and fields have little texture.

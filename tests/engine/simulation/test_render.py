@@ -11,7 +11,7 @@ from repm_qgis.geometry.frames import geodetic_from_ecef, projected_from_geodeti
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.render import RayCaster, _expose, render_view, render_views
 from repm_qgis.simulation.sensor import PLEIADES, aim
-from repm_qgis.simulation.surface import Sun, Surface, build_mountains, build_urban
+from repm_qgis.simulation.surface import SimulatedSurface, Sun, build_mountains, build_urban
 
 CRS = "EPSG:32631"
 CENTRE = (1.44, 43.60)
@@ -25,7 +25,7 @@ def _surface(height, cell=0.5, wall=math.inf):
     east, north = projected_from_geodetic(CRS, np.array(CENTRE))
     rows, cols = height.shape
     plain = np.full_like(height, 500.0)
-    return Surface(
+    return SimulatedSurface(
         CRS,
         round(east) - cols // 2 * cell,
         round(north) + rows // 2 * cell,
