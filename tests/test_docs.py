@@ -42,6 +42,20 @@ def test_every_algorithm_has_its_page_and_its_help():
     assert not [name for name in names if f"`repm:{name}`" not in readme]
 
 
+def test_glossary_names_files_and_identifiers_that_exist():
+    engine = ROOT / "repm_qgis"
+    names = {name for path in engine.rglob("*.py") for name in re.findall(r"\w+", path.read_text(encoding="utf-8"))}
+    rows = [line.strip("|").split("|") for line in (ROOT / "docs" / "glossary.md").read_text("utf-8").splitlines()]
+    rows = [[cell.strip() for cell in row] for row in rows if len(row) == 4]
+    words = [row for row in rows if row[2].startswith("`")]
+    assert len(words) >= 40
+    for word, meaning, where, source in words:
+        path, *identifiers = re.findall(r"`([^`]+)`", where)
+        assert (engine / path).is_file(), f"{word}: {path}"
+        assert meaning.endswith(".") and source, word
+        assert not set(identifiers) - names, word
+
+
 def test_pictures_are_small():
     pictures = list((ROOT / "docs" / "pictures").glob("*.png"))
     assert len(pictures) >= 6
