@@ -321,10 +321,10 @@ def colmap_difference() -> float:
 
 def fuzzing() -> List[str]:
     """Point 6: broken files."""
-    from benchmarks.fuzz_rpc import fuzz
+    from tests.engine.rpc.fuzz import fuzz
 
     found = fuzz(20000, 1).table().strip()
-    return ["Broken and hostile RPC files (`benchmarks/fuzz_rpc.py`):", f"```\n{found}\n```"]
+    return ["Broken and hostile RPC files (`python -m tests.engine.rpc.fuzz`):", f"```\n{found}\n```"]
 
 
 def in_process(code: str) -> Dict[str, float]:
