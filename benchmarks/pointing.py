@@ -38,8 +38,8 @@ from repm_qgis.scene import Scene, Tile, View, load_views  # noqa: E402
 from repm_qgis.sfm.adjustment import Track, adjust  # noqa: E402
 from repm_qgis.sfm.colmap_adjustment import adjust_colmap  # noqa: E402
 from repm_qgis.sfm.ground_control import Gcp  # noqa: E402
+from repm_qgis.sfm.pair_selection import NARROW, WIDE, badness, choose_pairs  # noqa: E402
 from repm_qgis.sfm.pointing import Pointing, point_views  # noqa: E402
-from repm_qgis.sfm.view_pairs import NARROW, WIDE, badness, choose_pairs  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene, make_views, rpc_tags, surface_bounds  # noqa: E402
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402

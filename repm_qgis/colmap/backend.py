@@ -11,7 +11,7 @@ import os
 import shutil
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ from ..matching.dense import MARGIN_PX, HeightSource, finished, map_size, store
 from ..progress import Progress
 from ..scene import Scene, Tile
 from ..stereo.pairing import Bounds
+from ..stereo.view_pairs import ViewPair
 from ..workspace import ensure_folder, fingerprint, temporary_name
 from .depth_heights import DepthGeometry, depth_geometry
 from .maps import read_map
@@ -41,10 +42,6 @@ from .runner import (
     run_patch_match,
 )
 from .workspace import brightness, map_path, write_workspace
-
-if TYPE_CHECKING:
-    from ..sfm.view_pairs import ViewPair  # which builds on this package
-
 
 _RANGE_MARGIN_PX = 6  # heights kept beyond the altitude range, in px of parallax
 _SCORE_WINDOW = 7

@@ -16,7 +16,7 @@ from ..geometry.frames import projected_from_geodetic
 from ..imagery.raster import opened
 from ..progress import counted
 from ..scene import Scene, View
-from ..sfm.view_pairs import sun_over
+from ..sfm.pair_selection import sun_over
 from . import charts, pictures
 from .error_study import add_error_study
 from .geometry_section import add_geometry

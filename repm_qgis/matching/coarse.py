@@ -14,6 +14,7 @@ from typing import Optional, Tuple
 import cv2
 import numpy as np
 
+from ..altitudes import ALTITUDES
 from ..arrays import FloatArray, FloatImage
 from ..imagery.warping import GRID_STEP, between
 from ..stereo.rectification import RectifiedPair
@@ -28,8 +29,7 @@ _LEAST_CELLS = 0.05  # of all cells must be matched, or there is no guide
 _MEDIAN_CELLS = 5  # a side: houses are smaller, hills are not
 _RISE, _FALL = 0.7, 1.75  # px of disparity a px, at most: rising by 1 the second image would fold, falling never
 _TAIL = 0.05  # percent of the coarse residuals on either side that may be blunders
-_MARGIN_PX = 8  # beyond what the coarse level saw,
-_MARGIN_ABOVE_M = 40.0  # and above it, as masts and narrow towers are lost in it
+_MARGIN_PX = 8  # beyond what the coarse level saw
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _residual(coarse: FloatImage, ground: FloatArray) -> FloatArray:
 def _ends(residual: FloatArray, geometry: PairGeometry) -> Tuple[int, int]:
     """Least and greatest residual to search."""
     low, high = np.percentile(residual, (_TAIL, 100 - _TAIL))
-    above = _MARGIN_ABOVE_M / geometry.metres_per_px
+    above = ALTITUDES.prior_above_m / geometry.metres_per_px
     more = (_MARGIN_PX, _MARGIN_PX + above) if geometry.nearer > 0 else (_MARGIN_PX + above, _MARGIN_PX)
     return int(np.floor(low - more[0])), int(np.ceil(high + more[1]))
 

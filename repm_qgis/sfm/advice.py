@@ -14,7 +14,8 @@ from ..geometry.footprints import box as rectangle
 from ..imagery.acquisition import apart_text
 from ..progress import counted
 from ..scene import Scene
-from .view_pairs import NARROW, WIDE, ViewPair, days_off_season, sun_over
+from ..stereo.view_pairs import ViewPair
+from .pair_selection import NARROW, WIDE, days_off_season, sun_over
 
 MATCHING_PX = 0.25
 """What dense matching is good for, px: the expected height accuracy of a pair is so many pixels of its parallax."""

@@ -14,6 +14,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame, geodetic_from_projected
@@ -50,6 +51,7 @@ def sweep_altitudes(
     bounds: Tuple[float, float, float, float],
     search: Tuple[float, float],
     progress: Progress,
+    altitudes: AltitudeParameters = ALTITUDES,
 ) -> Optional[SweepResult]:
     """Find the altitude range of the ground within ``bounds`` (in ``crs``), inside ``search`` metres.
 
@@ -76,14 +78,8 @@ def sweep_altitudes(
     if heights.size < max(_MIN_CELLS, 0.01 * cells):
         return None
     low, high = np.percentile(heights, (0.5, 99.5))
-    margin = max(15.0, 1.5 * step, 0.1 * (high - low))
-    # Buildings are too small to show in cells of several metres: leave them room above.
-    return SweepResult(
-        (float(max(search[0], low - margin)), float(min(search[1], high + margin + 25.0))),
-        int(heights.size),
-        cells,
-        float(step),
-    )
+    low, high = altitudes.around_sweep(low, high, step)
+    return SweepResult((max(search[0], low), min(search[1], high)), int(heights.size), cells, float(step))
 
 
 def _best_pair(
@@ -271,6 +267,7 @@ def altitude_range(
     given: Tuple[Optional[float], Optional[float]],
     dem: Optional[str],
     progress: Progress,
+    altitudes: AltitudeParameters = ALTITUDES,
 ) -> Tuple[Tuple[float, float], str]:
     """The altitude range to work in, and where it comes from.
 
@@ -286,11 +283,9 @@ def altitude_range(
                 f"The DEM '{dem}' does not say what its heights refer to: they are taken as metres above "
                 "the WGS 84 ellipsoid."
             )
-        # The ground may have changed and buildings stand on it.
-        margin = max(20.0, 0.05 * (high - low))
-        found, source = (low - margin, high + margin + 40.0), "DEM"
+        found, source = altitudes.around_dem(low, high), "DEM"
     else:
-        swept = sweep_altitudes(views, crs, bounds, search, progress)
+        swept = sweep_altitudes(views, crs, bounds, search, progress, altitudes)
         if swept is None:
             for view in views:  # before the altitudes get the blame: does every image show something?
                 view_stretch(view.image, view.band, view.mask)

@@ -19,6 +19,7 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..altitudes import ALTITUDES
 from ..arrays import FloatArray
 from ..errors import EmptyResultError, MissingPackageError
 from ..exports.model import ExportView
@@ -40,7 +41,6 @@ _CAUCHY = 2.385  # standard deviations: 95 % efficient where residuals are Gauss
 _WRONG = 4.685  # standard deviations from which on a tie is left out
 _LEAST_SIGMA_PX = 0.03
 _MARGIN_PX = 24
-_ROOM_M = 30.0  # below and above the ties, for the cameras
 _PASSES = 3
 
 
@@ -154,7 +154,7 @@ def _patch_views(
     scene: Scene, views: Sequence[View], ground: FloatArray, xy: FloatArray
 ) -> Tuple[Dict[int, _PatchView], FloatArray, float]:
     """Cameras of all views that see a patch, by index, and the patch's frame: origin (m, scene frame) and unit."""
-    low, high = np.percentile(ground[:, 2], (1, 99)) + (-_ROOM_M, _ROOM_M)
+    low, high = np.percentile(ground[:, 2], (1, 99)) + (-ALTITUDES.patch_m, ALTITUDES.patch_m)
     bounds = grown((*map(float, xy.min(axis=0)), *map(float, xy.max(axis=0))), _MARGIN_PX * scene.gsd_m)
     enu = scene.frame.from_geodetic(ground)
     origin = np.median(enu, axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Sequence
 
 import numpy as np
@@ -12,7 +12,8 @@ from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..progress import Part, Progress
-from ..scene import Scene
+from ..scene import Scene, View
+from ..stereo.view_pairs import ViewPair
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect
@@ -20,7 +21,6 @@ from .keypoints import with_best_detector
 from .row_residuals import row_residuals
 from .sharpening import sharpen
 from .tie_points import PairMatches, find_ties
-from .view_pairs import ViewPair
 
 LEAST_TIES = 20
 _USUAL_PX = 2.0  # by which two vendor RPCs of one pass disagree, in each direction
@@ -28,8 +28,12 @@ _USUAL_PX = 2.0  # by which two vendor RPCs of one pass disagree, in each direct
 
 @dataclass(frozen=True)
 class Pointing:
-    """What the adjustment found, the ties it rests on with their (N, 2) places in the scene's CRS, and figures."""
+    """The scene's views as they really look, the adjustment, its tracks with their (N, 2) places in the scene's CRS.
 
+    ``figures`` is what reports say of them.
+    """
+
+    views: List[View]
     tracks: List[Track]
     adjusted: Adjustment
     xy: FloatArray
@@ -46,7 +50,7 @@ def point_views(
     workers: int = 0,
     route: str = "rpc",
 ) -> Pointing:
-    """Find ties and adjust the views' pointing; the scene's views are replaced by the corrected ones.
+    """Find ties and adjust the views' pointing; the scene stays as it is.
 
     ``workers`` 0 means one a core. ``route`` is ``rpc`` (ours) or ``colmap`` (principal points only: ``model`` and
     ``gcps`` are not used).
@@ -67,9 +71,11 @@ def point_views(
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0))
     else:
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps)
-    before = {(pair.first, pair.second): _rows(scene, pair, tracks, adjusted.ground) for pair in pairs}
-    scene.views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
-    after = {(pair.first, pair.second): _rows(scene, pair, tracks, adjusted.ground) for pair in pairs}
+    views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
+    before, after = (
+        {(pair.first, pair.second): _rows(seen, pair, tracks, adjusted.ground) for pair in pairs}
+        for seen in (scene.views, views)
+    )
     figures = {
         "count": len(tracks),
         "detector": detector.name,
@@ -79,20 +85,21 @@ def point_views(
         "reason": adjusted.reason,
         "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
         "pairs": [_pair_figures(match, before, after) for match in matches],
-        **_absolute(scene, pairs, before, gcps, adjusted),
+        **_absolute(replace(scene, views=views), pairs, before, gcps, adjusted),
     }
     _tell(figures, progress)
-    return Pointing(tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
+    return Pointing(views, tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
 
 
-def _rows(scene: Scene, pair: ViewPair, tracks: Sequence[Track], ground: FloatArray) -> FloatArray:
-    """(N,) row differences of a pair's tracks with the views' present pointing, px."""
+def _rows(views: Sequence[View], pair: ViewPair, tracks: Sequence[Track], ground: FloatArray) -> FloatArray:
+    """(N,) vertical parallax of a pair's tracks with the views' present pointing, px."""
     shared = [k for k, t in enumerate(tracks) if pair.first in t.pixels and pair.second in t.pixels]
     if not shared:
         return np.zeros(0)
     names = (pair.first, pair.second)
     pixels = tuple(np.array([tracks[k].pixels[name] for k in shared]) for name in names)
-    return row_residuals((scene.view(names[0]), scene.view(names[1])), pixels, ground[shared])[0]
+    first, second = (next(view for view in views if view.name == name) for name in names)
+    return row_residuals((first, second), pixels, ground[shared])[0]
 
 
 def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> Dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
+from ..altitudes import ALTITUDES
 from ..dsm.coarse_surface import coarse_surface
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
@@ -25,10 +26,11 @@ from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice, ties_by_part, ties_by_tile
 from ..sfm.ground_control import points_file, read_gcps
+from ..sfm.pair_selection import choose_pairs
 from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.row_residuals import worst_rows
 from ..sfm.tie_points import covered_by_ties
-from ..sfm.view_pairs import ViewPair, choose_pairs
+from ..stereo.view_pairs import ViewPair
 from ..vector import write_layer
 from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
 from .refine import refine_tiles, use_surface
@@ -129,6 +131,7 @@ def _point(
             "where the vendors put it; fill the fields view, col and row of points with the role control."
         )
     found = point_views(scene, pairs, stretches, options.pointing, gcps, progress, options.workers, options.adjustment)
+    scene.views = found.views
     for tile in scene.tiles:
         tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
     _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)
@@ -151,7 +154,7 @@ def _lay_surface(
     surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches, options.workers, progress)
     for tile in scene.tiles:
         found = surface.altitudes(tile.bounds)
-        tile.altitudes = scene.altitudes if found is None else _with_room(*found)
+        tile.altitudes = scene.altitudes if found is None else ALTITUDES.around_ground(*found)
     if options.own_surface:
         scene.path = Path(options.output_scene)
         source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
@@ -173,13 +176,7 @@ def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustme
     heights = adjusted.ground[near, 2]
     if len(heights) < LEAST_TIES:
         return scene.altitudes
-    return _with_room(*np.percentile(heights, (0.5, 99.5)))
-
-
-def _with_room(low: float, high: float) -> Tuple[float, float]:
-    """An altitude range with room for what it was not told of: towers are few, and SIFT likes the ground."""
-    margin = max(15.0, 0.1 * (high - low))
-    return float(low - margin), float(high + margin + 30.0)
+    return ALTITUDES.around_ground(*np.percentile(heights, (0.5, 99.5)))
 
 
 def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: np.ndarray, path: str) -> None:

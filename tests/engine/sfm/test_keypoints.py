@@ -15,9 +15,9 @@ from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.sfm import keypoints
 from repm_qgis.sfm.keypoints import CPU_DETECTOR, ColmapSift, DetectorError, OpenCvSift
+from repm_qgis.sfm.pair_selection import choose_pairs
 from repm_qgis.sfm.pointing import point_views
 from repm_qgis.sfm.tie_points import find_ties
-from repm_qgis.sfm.view_pairs import choose_pairs
 from repm_qgis.stages import run_stage
 
 BOTH = (OpenCvSift(), ColmapSift("cpu"))

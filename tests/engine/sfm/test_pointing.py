@@ -13,10 +13,11 @@ from repm_qgis.scene import Scene
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.advice import advice, ties_by_tile
 from repm_qgis.sfm.ground_control import Gcp, intersect, read_gcps
+from repm_qgis.sfm.pair_selection import choose_pairs
 from repm_qgis.sfm.pointing import point_views
 from repm_qgis.sfm.row_residuals import row_residuals, worst_rows
-from repm_qgis.sfm.view_pairs import ViewPair, choose_pairs
 from repm_qgis.stages import run_stage
+from repm_qgis.stereo.view_pairs import ViewPair
 
 
 @pytest.fixture(params=("urban", "mountains"))
@@ -216,7 +217,10 @@ def pointed(urban, tmp_path_factory, told):
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     gcps = read_gcps(urban.made["gcps"], scene.views)
     said = told()
-    return scene, pairs, gcps, point_views(scene, pairs, stretches, "auto", gcps, said), said
+    before = [view.pointing.copy() for view in scene.views]
+    found = point_views(scene, pairs, stretches, "auto", gcps, said)
+    assert all(np.array_equal(view.pointing, pointing) for view, pointing in zip(scene.views, before))
+    return replace(scene, views=found.views), pairs, gcps, found, said
 
 
 def test_real_ties_and_the_tables_points_give_the_true_place(urban, pointed):

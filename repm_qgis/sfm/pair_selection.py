@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import combinations
 from statistics import median
 from typing import Dict, List, Optional, Sequence, Tuple
@@ -16,6 +15,7 @@ from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
+from ..stereo.view_pairs import ViewPair
 
 NARROW, WIDE = 0.1, 0.9
 """Base-to-height ratios between which a pair is good: 5.7 to 48 degrees about the vertical."""
@@ -30,26 +30,6 @@ _BUSIEST = 5  # pairs a view that is a good partner to many; more only where it 
 _YEAR = 365.25
 _DECADE_COST, _SEASON_COST, _SUN_COST_DEG = 0.25, 0.5, 30.0
 _LEAST_SHARE = 0.01
-
-
-@dataclass(frozen=True)
-class ViewPair:
-    """Two views: convergence angle (degrees), base-to-height ratio, and the tiles that both see.
-
-    ``share`` is the part of the scene's area that both see. ``days`` is the time between the two, ``sun_deg`` the angle
-    between the suns, ``shadow`` how far apart shadows end (m for each m of height); None where a time is unknown, the
-    last two also where the sun had set.
-    """
-
-    first: str
-    second: str
-    angle_deg: float
-    base_to_height: float
-    tiles: int
-    share: float = 1.0
-    days: Optional[float] = None
-    sun_deg: Optional[float] = None
-    shadow: Optional[float] = None
 
 
 def choose_pairs(scene: Scene) -> List[ViewPair]:

@@ -15,10 +15,9 @@ from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import moment, time_of_name
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene, Tile, View
-from repm_qgis.sfm.view_pairs import (
+from repm_qgis.sfm.pair_selection import (
     NARROW,
     WIDE,
-    ViewPair,
     badness,
     change_cost,
     choose_pairs,
@@ -27,6 +26,7 @@ from repm_qgis.sfm.view_pairs import (
     usual_change,
 )
 from repm_qgis.stereo.pairing import convergence
+from repm_qgis.stereo.view_pairs import ViewPair
 
 NOON = datetime(2012, 6, 20, 12, 0, tzinfo=timezone.utc)
 
