@@ -91,7 +91,7 @@ def run(images: List[str], work: str, **options: Any) -> Tuple[Dict[str, Any], f
     if failed:
         raise SystemExit(f"colmap_cuda: {failed[0]}")
     records = [record for tile in Scene.load(made["scene"]).tiles for record in tile.heights]
-    return made, made["seconds"]["reconstruct"], memory.gib, max(r["size"][0] * r["size"][1] for r in records) / 1e6
+    return made, made["seconds"]["reconstruct"], memory.gib, max(record.pixels for record in records) / 1e6
 
 
 def row(

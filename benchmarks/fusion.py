@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
+from typing import Dict, List, Tuple
 
 import cv2
 import numpy as np
@@ -30,6 +30,7 @@ from repm_qgis.imagery.raster import write  # noqa: E402
 from repm_qgis.matching.dense import _BANDS, _rectified  # noqa: E402
 from repm_qgis.parallel import run_tasks  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
+from repm_qgis.records import HeightMapRecord  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: E402
@@ -62,7 +63,9 @@ def town(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 200.0 + 15.0 * np.sin(x / 400.0) * np.cos(y / 300.0) + np.where(blocks, storeys, 0.0)
 
 
-def height_map(work: Tuple[Scene, str, Tuple[float, ...], Tuple[float, float], Tuple[str, str], str]) -> Dict[str, Any]:
+def height_map(
+    work: Tuple[Scene, str, Tuple[float, ...], Tuple[float, float], Tuple[str, str], str],
+) -> HeightMapRecord:
     """Write the height map that a pair would give of a tile, with 0.2 px of smooth noise; gives its record."""
     scene, tile, bounds, altitudes, names, path = work
     first, second = (scene.view(name) for name in names)
@@ -87,18 +90,19 @@ def height_map(work: Tuple[Scene, str, Tuple[float, ...], Tuple[float, float], T
     write(
         path, [height.astype(np.float32), score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "", descriptions=_BANDS
     )
-    return {
-        "tile": tile,
-        "pair": list(names),
-        "file": path,
-        "size": [width, rows],
-        "valid": int(np.isfinite(score).sum()),
-        "filled": int(filled.sum()),
-        "metres_per_px": geometry.metres_per_px,
-        "row_px": 0.0,
-        "table_error_m": geometry.error_m,
-        "altitudes": list(altitudes),
-    }
+    return HeightMapRecord(
+        tile=tile,
+        backend="sgm",
+        pair=names,
+        file=path,
+        size=(width, rows),
+        valid=int(np.isfinite(score).sum()),
+        filled=int(filled.sum()),
+        metres_per_px=geometry.metres_per_px,
+        vertical_parallax_px=0.0,
+        table_error_m=geometry.error_m,
+        altitudes=altitudes,
+    )
 
 
 def scene_of(size: int, pairs: int, folder: Path) -> str:
@@ -126,7 +130,7 @@ def scene_of(size: int, pairs: int, folder: Path) -> str:
     ]
     records = run_tasks(height_map, tasks, WORKERS, Silent(), str)
     for tile in scene.tiles:
-        tile.heights = [record for record in records if record["tile"] == tile.id]
+        tile.heights = tuple(record for record in records if record.tile == tile.id)
     return scene.save(str(folder / "scene.json"))
 
 

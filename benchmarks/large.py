@@ -138,7 +138,7 @@ square, count, most = 0.0, 0, 0.0
 for tile in scene.tiles:
     for record in tile.heights:
         source = height_source(scene, tile.bounds, record, scene.crs)
-        heights = read(gdal.Open(record["file"]))
+        heights = read(gdal.Open(record.file))
         rows = source.geometry.row.on_grid(*(np.arange(n, dtype=float) for n in heights.shape[::-1]), heights)
         rows = np.abs(rows[np.isfinite(rows)])
         square, count, most = square + float((rows ** 2).sum()), count + rows.size, max(most, float(rows.max()))

@@ -455,7 +455,7 @@ def pairwise_dsms(images: Sequence[str], folder: Path, **options: Any) -> Dict[T
     for pair in combinations(names, 2):
         scene = Scene.load(made["output_scene"])
         for tile in scene.tiles:
-            tile.heights = [record for record in tile.heights if set(record["pair"]) == set(pair)]
+            tile.heights = tuple(record for record in tile.heights if set(record.pair) == set(pair))
         path = scene.save(str(folder / f"{'_'.join(pair)}.json"))
         result[pair] = run_stage(
             "dsmfuse", {"scene": path, "output": str(folder / f"{'_'.join(pair)}.tif"), "resolution": 0.5}, Silent()

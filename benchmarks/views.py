@@ -43,7 +43,7 @@ def scored(scene_path: str, pairs: List[Tuple[str, ...]], truth: str, folder: st
     """Fuse some pairs' height maps of a scene, and compare."""
     scene = Scene.load(scene_path)
     for tile in scene.tiles:
-        tile.heights = [record for record in tile.heights if tuple(record["pair"]) in pairs]
+        tile.heights = tuple(record for record in tile.heights if record.pair in pairs)
     path = scene.save(f"{folder}/chosen.json")
     run_stage("dsmfuse", {"scene": path, "output": f"{folder}/dsm.tif"}, Silent())
     error = f"{folder}/error.tif"
@@ -66,7 +66,7 @@ def rows_of(name: str, spec: SceneSpec, folder: str) -> List[List[Any]]:
     run = run_stage(
         "pipeline", {"images": made["images"], "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif"}, Silent()
     )
-    pairs = sorted({tuple(record["pair"]) for tile in Scene.load(run["scene"]).tiles for record in tile.heights})
+    pairs = sorted({record.pair for tile in Scene.load(run["scene"]).tiles for record in tile.heights})
     rows = []
     whole = scored(run["scene"], pairs, made["truth"], folder + "/w")
     for label, chosen in [*((" and ".join(pair), [pair]) for pair in pairs), ("**all three**", pairs)]:

@@ -23,6 +23,7 @@ from .geometry.frames import EnuFrame
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain, map_from_mapping
 from .imagery.acquisition import acquired, moment
+from .records import HeightMapRecord
 from .rpc import Rpc
 from .workspace import write_text
 
@@ -151,7 +152,7 @@ class Tile:
     bounds: Tuple[float, float, float, float]
     altitudes: Tuple[float, float]
     views: Dict[str, TileView]
-    heights: List[Dict[str, Any]] = field(default_factory=list)
+    heights: Tuple[HeightMapRecord, ...] = ()
 
     def to_mapping(self) -> Dict[str, Any]:
         return {
@@ -159,7 +160,7 @@ class Tile:
             "bounds": list(self.bounds),
             "altitudes": list(self.altitudes),
             "views": {name: view.to_mapping() for name, view in self.views.items()},
-            "heights": self.heights,
+            "heights": [record.to_mapping() for record in self.heights],
         }
 
     @classmethod
@@ -172,7 +173,7 @@ class Tile:
                 str(name): TileView.from_mapping(view, lambda name=name: terrain(str(name)))
                 for name, view in values["views"].items()
             },
-            list(values.get("heights", [])),
+            tuple(HeightMapRecord.from_mapping(record) for record in values["heights"]),
         )
 
 

@@ -17,16 +17,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, FloatImage
+from ..arrays import Bounds, FloatArray, FloatImage
 from ..environment import Gpu, gpus
 from ..errors import DeviceError, EmptyResultError, ImageError, SceneError
 from ..imagery.enhancement import Stretch
 from ..imagery.warping import sample_array
 from ..matching.dense import MARGIN_PX, HeightSource, finished, map_size, store
 from ..progress import Progress
+from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
-from ..stereo.pairing import Bounds
-from ..stereo.view_pairs import ViewPair
 from ..workspace import ensure_folder, fingerprint, temporary_name
 from .depth_heights import DepthGeometry, depth_geometry
 from .maps import read_map
@@ -79,7 +78,7 @@ def match_tiles(
     key: str,
     folder: str,
     progress: Progress,
-) -> Tuple[List[Dict[str, Any]], Dict[str, DeviceError]]:
+) -> Tuple[List[HeightMapRecord], Dict[str, DeviceError]]:
     """Match all tiles of a scene, one worker a GPU; gives the records, and the tiles that a GPU failed on, with why."""
     tasks = [
         GpuTask(
@@ -119,13 +118,13 @@ def _partners(tile: Tile, pairs: Sequence[ViewPair]) -> Dict[str, Tuple[str, ...
     return {name: tuple(others) for name, others in found.items()}
 
 
-def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner = run_patch_match) -> List[Dict[str, Any]]:
+def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner = run_patch_match) -> List[HeightMapRecord]:
     """Match a tile on a GPU, in as many parts as its memory asks for; gives the height maps' records.
 
     Height maps that an earlier, stopped run has finished are taken as they are (``reused`` in the record). Raises
     DeviceError where the GPU fails, Cancelled once ``stop`` is set.
     """
-    records: List[Dict[str, Any]] = []
+    records: List[HeightMapRecord] = []
     for part, frame in enumerate(_parts(task, bytes_allowed(gpu, task.settings))):
         sources = _sources(task, frame)
         keys = {name: fingerprint(task.key, name, others, frame.bounds) for name, others in sources.items()}
@@ -188,7 +187,7 @@ def _match_part(
     gpu: Gpu,
     stop: threading.Event,
     run: Runner,
-) -> List[Optional[Dict[str, Any]]]:
+) -> List[Optional[HeightMapRecord]]:
     """Write the workspace, run, and turn depths into heights; the workspace is removed in any case."""
     if not sources:
         return []
@@ -221,7 +220,7 @@ def _height_map(
     others: Sequence[str],
     folder: str,
     key: str,
-) -> Optional[Dict[str, Any]]:
+) -> Optional[HeightMapRecord]:
     """Read a reference's depths, and store its heights; None where its RPC sees no ground of the tile."""
     numbers = {view.view.name: index for index, view in enumerate(frame.views)}
     reference, sources = frame.views[numbers[name]], [frame.views[numbers[other]] for other in others]
@@ -239,23 +238,23 @@ def _height_map(
     heights[~np.isfinite(score)] = np.nan
     score[~np.isfinite(heights)] = np.nan
     path = task.path(name, part)
-    record = {
-        "tile": task.tile,
-        "backend": "colmap",
-        "pair": [name, others[geometry.best]],
-        "sources": list(others),
-        "views": list(task.stretches),
-        "bounds": list(frame.bounds),
-        "part": frame.bounds != task.bounds,
-        "file": path,
-        "size": list(reference.size),
-        "valid": int(np.isfinite(heights).sum()),
-        "filled": 0,
-        "metres_per_px": geometry.metres_per_px,
-        "row_px": geometry.row_px,
-        "table_error_m": geometry.error_m,
-        "altitudes": list(frame.altitudes),
-    }
+    record = HeightMapRecord(
+        tile=task.tile,
+        backend="colmap",
+        pair=(name, others[geometry.best]),
+        file=path,
+        size=reference.size,
+        valid=int(np.isfinite(heights).sum()),
+        filled=0,
+        metres_per_px=geometry.metres_per_px,
+        vertical_parallax_px=geometry.row_px,
+        table_error_m=geometry.error_m,
+        altitudes=frame.altitudes,
+        sources=tuple(others),
+        views=tuple(task.stretches),
+        bounds=Bounds(*frame.bounds),
+        part=tuple(frame.bounds) != tuple(task.bounds),
+    )
     store(path, key, record, heights.astype(np.float32), score, np.zeros(heights.shape, dtype=bool))
     return record
 
@@ -342,26 +341,24 @@ def _mean(values: FloatImage) -> FloatImage:
     return cv2.blur(values, (_SCORE_WINDOW, _SCORE_WINDOW), borderType=cv2.BORDER_REPLICATE)
 
 
-def height_source(scene: Scene, bounds: Bounds, record: Mapping[str, Any], crs: str) -> HeightSource:
+def height_source(scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
     """A height map of this backend, to be placed on the ground in any projected ``crs``.
 
     Where the tile was matched in parts, heights beyond the part are left out: its neighbour has them. Raises
     SceneError where the file is gone, damaged or of another scene.
     """
-    size = map_size(record["file"])
-    altitudes = (float(record["altitudes"][0]), float(record["altitudes"][1]))
-    own = tuple(map(float, record["bounds"]))
-    frame = tile_frame(scene, record["views"], own, altitudes, MARGIN_PX)
-    views = [frame.view(name) for name in (record["pair"][0], *record["sources"])] if frame else [None]
+    size, own = map_size(record.file), record.bounds or Bounds(*bounds)
+    frame = tile_frame(scene, record.views, own, record.altitudes, MARGIN_PX)
+    views = [frame.view(name) for name in (record.pair[0], *record.sources)] if frame else [None]
     if frame is None or None in views or views[0].size != size:
         raise SceneError(
-            f"The height map '{record['file']}' does not belong to the scene '{scene.path}': run "
+            f"The height map '{record.file}' does not belong to the scene '{scene.path}': run "
             "'Reconstruct heights' again."
         )
     return HeightSource(
-        record["file"],
+        record.file,
         depth_geometry(scene, frame, views[0], views[1:], crs),
         size,
-        altitudes,
-        (tuple(bounds), own) if record["part"] else None,
+        record.altitudes,
+        (Bounds(*bounds), own) if record.part else None,
     )

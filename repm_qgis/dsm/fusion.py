@@ -13,6 +13,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..imagery.sampling import upsample_grid
 from ..matching.dense import HeightMap, HeightSource, height_source
 from ..matching.occlusions import STEP_PX
+from ..records import HeightMapRecord
 from ..scene import Scene, View
 from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
 from .grid import CellGrid, grid_points, surface_step
@@ -36,7 +37,7 @@ class FuseTask:
 
     scene: Scene
     bounds: Tuple[float, float, float, float]
-    records: Tuple[Dict[str, Any], ...]
+    records: Tuple[HeightMapRecord, ...]
     grid: CellGrid
     window: Tuple[int, int, int, int]
     crs: str
@@ -133,7 +134,7 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
         tile.removed,
         tile.needed,
         *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)),
-        tuple(record["metres_per_px"] for record in task.records),
+        tuple(record.metres_per_px for record in task.records),
     )
 
 
@@ -194,30 +195,30 @@ def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource])
     return Aggregate(**whole)
 
 
-def _layer(grid: CellGrid, heights: HeightMap, record: Dict[str, Any], spacing: float) -> Layer:
+def _layer(grid: CellGrid, heights: HeightMap, record: HeightMapRecord, spacing: float) -> Layer:
     """A height map on the cells: what was matched, and the background where an occlusion hides it, each by itself.
 
     Cells that the background covers by more than what was matched, and lies below, have the background alone.
     """
     filled = np.flatnonzero(heights.filled)
-    matched = without_lone_points(np.where(heights.filled, np.nan, heights.height), record["metres_per_px"])
+    matched = without_lone_points(np.where(heights.filled, np.nan, heights.height), record.metres_per_px)
     height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing)
     known = np.where(heights.filled, heights.height, matched)
-    hidden = hidden_ground(replace(heights, height=known), STEP_PX * record["metres_per_px"])
+    hidden = hidden_ground(replace(heights, height=known), STEP_PX * record.metres_per_px)
     x, y, z = (
         np.concatenate([part.ravel()[filled], more])
         for part, more in zip((heights.x, heights.y, heights.height), hidden)
     )
     half = _COVERED * (grid.cell / spacing) ** 2
     if not z.size:
-        return Layer(height, score, np.full(grid.shape, np.nan), record["metres_per_px"], covered < half)
+        return Layer(height, score, np.full(grid.shape, np.nan), record.metres_per_px, covered < half)
     background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing)
     # A roof's last pixels reach into cells that are mostly hidden ground.
     with np.errstate(invalid="ignore"):
         brushed = (behind > covered) & (height - background > surface_step(grid.cell))
     height[brushed] = np.nan
     score[brushed] = np.nan
-    return Layer(height, score, background, record["metres_per_px"], covered < half, behind < half)
+    return Layer(height, score, background, record.metres_per_px, covered < half, behind < half)
 
 
 def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
@@ -247,7 +248,7 @@ def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:
 
 
 def _agreeing(
-    grid: CellGrid, height: FloatArray, sources: Sequence[HeightSource], records: Sequence[Dict[str, Any]]
+    grid: CellGrid, height: FloatArray, sources: Sequence[HeightSource], records: Sequence[HeightMapRecord]
 ) -> FloatArray:
     """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
     parts: List[FloatArray] = []
@@ -260,6 +261,6 @@ def _agreeing(
         inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])
         x, y, z, s, column, row = x[inside], y[inside], z[inside], s[inside], column[inside], row[inside]
         with np.errstate(invalid="ignore"):
-            agree = np.abs(z - height[row, column]) <= record["metres_per_px"]
+            agree = np.abs(z - height[row, column]) <= record.metres_per_px
         parts.append(np.column_stack([x, y, z, s])[agree])
     return np.concatenate(parts) if parts else np.empty((0, 4))

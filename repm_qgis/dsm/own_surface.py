@@ -47,7 +47,7 @@ def own_surface(scene: Scene, cell: float, path: str) -> str:
                 FuseTask(
                     scene,
                     tile.bounds,
-                    tuple(tile.heights),
+                    tile.heights,
                     grid,
                     window,
                     scene.crs,

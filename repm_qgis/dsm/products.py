@@ -120,7 +120,7 @@ def write_products(
             if cloud_path
             else None
         )
-        tolerance = float(np.median([record["metres_per_px"] for tile in scene.tiles for record in tile.heights]))
+        tolerance = float(np.median([record.metres_per_px for tile in scene.tiles for record in tile.heights]))
         for index, (window, tile) in enumerate(zip(windows, stored)):
             place, cut = _placed(window, crop)
             if place is None:

@@ -90,10 +90,10 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
 def _metres_per_px(scene: Scene, pair: Mapping[str, Any]) -> float:
     """Metres of height a px of parallax: as matched, else from the angle."""
     known = [
-        record["metres_per_px"]
+        record.metres_per_px
         for tile in scene.tiles
         for record in tile.heights
-        if list(record["pair"]) == [pair["first"], pair["second"]]
+        if record.pair == (pair["first"], pair["second"])
     ]
     return float(np.median(known)) if known else scene.gsd_m / pair["base_to_height"]
 

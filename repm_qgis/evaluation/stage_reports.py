@@ -303,11 +303,11 @@ def _height_maps(report: Report, scene: Scene) -> None:
     rows = [
         [
             tile.id,
-            *record["pair"],
-            "{} x {}".format(*record["size"]),
-            f"{100.0 * record['valid'] / (record['size'][0] * record['size'][1]):.0f}",
-            f"{record['metres_per_px']:.2f}",
-            f"{record['row_px']:.3f}",
+            *record.pair,
+            "{} x {}".format(*record.size),
+            f"{100.0 * record.valid / record.pixels:.0f}",
+            f"{record.metres_per_px:.2f}",
+            f"{record.vertical_parallax_px:.3f}",
         ]
         for tile in scene.tiles
         for record in tile.heights

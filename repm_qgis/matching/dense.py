@@ -7,7 +7,7 @@ import math
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Dict, Iterator, Optional, Tuple
+from typing import Any, Iterator, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened, opened_masked, read, write
 from ..imagery.warping import warp
+from ..records import HeightMapRecord
 from ..scene import Scene, View
 from ..stereo.pairing import grown, rectified_pair
 from ..stereo.rectification import RectifiedPair
@@ -54,7 +55,7 @@ class DenseTask:
     key: str
 
 
-def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
+def match_tile(task: DenseTask) -> Optional[HeightMapRecord]:
     """Rectify, match, and turn disparities into heights; gives the height map's record, None where nothing is shared.
 
     The file has three bands in the geometry of the rectified first image: height in metres above the ellipsoid, the
@@ -75,18 +76,19 @@ def match_tile(task: DenseTask) -> Optional[Dict[str, Any]]:
     matched = _match(task, pair, geometry, first, second)
     columns, rows = np.arange(pair.size[0], dtype=np.float64), np.arange(pair.size[1], dtype=np.float64)
     heights = geometry.height.on_grid(columns, rows, matched.disparity.astype(np.float64)).astype(np.float32)
-    record = {
-        "tile": task.tile,
-        "pair": [task.first, task.second],
-        "file": task.path,
-        "size": list(pair.size),
-        "valid": int((np.isfinite(heights) & ~matched.filled).sum()),
-        "filled": int(matched.filled.sum()),
-        "metres_per_px": geometry.metres_per_px,
-        "row_px": geometry.row_px,
-        "table_error_m": geometry.error_m,
-        "altitudes": list(task.altitudes),
-    }
+    record = HeightMapRecord(
+        tile=task.tile,
+        backend=task.backend,
+        pair=(task.first, task.second),
+        file=task.path,
+        size=pair.size,
+        valid=int((np.isfinite(heights) & ~matched.filled).sum()),
+        filled=int(matched.filled.sum()),
+        metres_per_px=geometry.metres_per_px,
+        vertical_parallax_px=geometry.row_px,
+        table_error_m=geometry.error_m,
+        altitudes=task.altitudes,
+    )
     store(task.path, task.key, record, heights, matched.score, matched.filled)
     return record
 
@@ -100,7 +102,7 @@ def frame_size(task: DenseTask) -> Tuple[int, int]:
 
 
 def store(
-    path: str, key: str, record: Dict[str, Any], height: FloatImage, score: FloatImage, filled: NDArray[np.bool_]
+    path: str, key: str, record: HeightMapRecord, height: FloatImage, score: FloatImage, filled: NDArray[np.bool_]
 ) -> None:
     """Write a height map with its record, and the key that says what it was made from."""
     write(
@@ -108,13 +110,13 @@ def store(
         [height, score, filled.astype(np.float32)],
         (0, 1, 0, 0, 0, 1),
         "",
-        metadata={_KEY: key, _RECORD: json.dumps(record)},
+        metadata={_KEY: key, _RECORD: json.dumps(record.to_mapping())},
         descriptions=_BANDS,
         own=True,
     )
 
 
-def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
+def finished(path: str, key: str) -> Optional[HeightMapRecord]:
     """The record of a height map that is there, whole, and made from the very same things; else None."""
     if not os.path.exists(path):
         return None
@@ -122,12 +124,12 @@ def finished(path: str, key: str) -> Optional[Dict[str, Any]]:
         with opened(path) as dataset:
             if dataset.GetMetadataItem(_KEY) != key:
                 return None
-            record = json.loads(dataset.GetMetadataItem(_RECORD))
+            record = HeightMapRecord.from_mapping(json.loads(dataset.GetMetadataItem(_RECORD)))
             for band in range(1, len(_BANDS) + 1):
                 read(dataset, band=band)
-    except (ImageError, TypeError, ValueError):
+    except (ImageError, KeyError, TypeError, ValueError):
         return None
-    return {**record, "file": path, "reused": True}
+    return replace(record, file=path, reused=True)
 
 
 def _match(task: DenseTask, pair: RectifiedPair, geometry: PairGeometry, first: View, second: View) -> Matched:
@@ -249,27 +251,27 @@ def _inside(bounds: Bounds, x: NDArray[np.float64], y: NDArray[np.float64]) -> N
 
 
 def height_source(
-    scene: Scene, bounds: Tuple[float, float, float, float], record: Dict[str, Any], crs: str
+    scene: Scene, bounds: Tuple[float, float, float, float], record: HeightMapRecord, crs: str
 ) -> HeightSource:
     """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
 
     The rectification is made again from the scene: it is exact, costs a tenth of a second, and leaves nothing to
     store that could contradict it. Raises SceneError where the file is gone, or belongs to another scene.
     """
-    if record.get("backend") == "colmap":
+    if record.backend == "colmap":
         from ..colmap.backend import height_source as of_colmap
 
         return of_colmap(scene, bounds, record, crs)
-    first, second = (scene.view(name) for name in record["pair"])
-    altitudes = tuple(record["altitudes"])
+    first, second = (scene.view(name) for name in record.pair)
+    altitudes = record.altitudes
     pair = _rectified(scene, first, second, bounds, altitudes)
-    size = map_size(record["file"])
+    size = map_size(record.file)
     if pair is None or pair.size != size:
         raise SceneError(
-            f"The height map '{record['file']}' does not belong to the scene '{scene.path}': run "
+            f"The height map '{record.file}' does not belong to the scene '{scene.path}': run "
             "'Reconstruct heights' again."
         )
-    return HeightSource(record["file"], pair_geometry(pair, first, second, altitudes, crs), size, altitudes)
+    return HeightSource(record.file, pair_geometry(pair, first, second, altitudes, crs), size, altitudes)
 
 
 def map_size(path: str) -> Tuple[int, int]:

@@ -13,8 +13,8 @@ from ..geometry.footprints import bounds_of
 from ..geometry.footprints import box as rectangle
 from ..imagery.acquisition import apart_text
 from ..progress import counted
+from ..records import ViewPair
 from ..scene import Scene
-from ..stereo.view_pairs import ViewPair
 from .pair_selection import NARROW, WIDE, days_off_season, sun_over
 
 MATCHING_PX = 0.25

@@ -13,9 +13,9 @@ from ..errors import EmptyResultError
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
+from ..records import ViewPair
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
-from ..stereo.view_pairs import ViewPair
 
 NARROW, WIDE = 0.1, 0.9
 """Base-to-height ratios between which a pair is good: 5.7 to 48 degrees about the vertical."""

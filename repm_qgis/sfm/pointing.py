@@ -12,8 +12,8 @@ from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..progress import Part, Progress
+from ..records import ViewPair
 from ..scene import Scene, View
-from ..stereo.view_pairs import ViewPair
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect

@@ -94,7 +94,7 @@ def _fused(
         FuseTask(
             scene.lean(),
             tile.bounds,
-            tuple(tile.heights),
+            tile.heights,
             layout.grid,
             window,
             layout.crs,
@@ -111,7 +111,7 @@ def _fused(
         [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)],
         _workers(options, scene, tiles, layout.windows, progress),
         progress,
-        lambda work: f"fusing {work[0].records[0]['tile']}",
+        lambda work: f"fusing {work[0].records[0].tile}",
     )
     facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, datum, stored, folder)
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
@@ -122,7 +122,7 @@ def _fused(
 
 def _pairs(tiles: List[Tile]) -> List[Tuple[str, str]]:
     """The pairs of views that have height maps, in the order of their names."""
-    return sorted({tuple(record["pair"]) for tile in tiles for record in tile.heights})
+    return sorted({record.pair for tile in tiles for record in tile.heights})
 
 
 def _one_pair(
@@ -137,7 +137,7 @@ def _one_pair(
 ) -> None:
     """The surface that one pair alone sees, with its confidence, on the DSM's cells: what the DSM was made of."""
     own = [
-        (replace(tile, heights=tuple(r for r in tile.heights if tuple(r["pair"]) == pair)), window)
+        (replace(tile, heights=tuple(r for r in tile.heights if r.pair == pair)), window)
         for tile, window in zip(tiles, layout.windows)
     ]
     own = [(tile, window) for tile, window in own if tile.heights]
@@ -180,7 +180,7 @@ def _workers(
     """How many workers the memory allows, by the tile that takes most."""
     each, tile = max(
         (
-            (fusing_mib([r["size"][0] * r["size"][1] for r in tile.heights], window[2] * window[3]), tile)
+            (fusing_mib([record.pixels for record in tile.heights], window[2] * window[3]), tile)
             for tile, window in zip(tiles, windows)
         ),
         key=lambda pair: pair[0],

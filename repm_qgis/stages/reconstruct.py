@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -22,6 +23,7 @@ from ..memory import matching_mib, workers_within
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
+from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice, ties_by_part, ties_by_tile
@@ -30,7 +32,6 @@ from ..sfm.pair_selection import choose_pairs
 from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.row_residuals import worst_rows
 from ..sfm.tie_points import covered_by_ties
-from ..stereo.view_pairs import ViewPair
 from ..vector import write_layer
 from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
 from .refine import refine_tiles, use_surface
@@ -83,7 +84,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
             warnings=notes.warnings,
             backend=backend,
             ties=ties,
-            pairs=[vars(pair) for pair in pairs],
+            pairs=[pair.to_mapping() for pair in pairs],
         )
         scene.save(options.output_scene)
         done = scene
@@ -111,7 +112,7 @@ def _tell_pairs(scene: Scene, pairs: Sequence[ViewPair], progress: Progress) -> 
 
 def _complete(scene: Scene, folder: Path) -> bool:
     """Whether all height maps are there, in the folder where they are wanted."""
-    files = [Path(record["file"]) for tile in scene.tiles for record in tile.heights]
+    files = [Path(record.file) for tile in scene.tiles for record in tile.heights]
     return all(file.exists() and file.parent.resolve() == folder.resolve() for file in files)
 
 
@@ -229,9 +230,11 @@ def _match(
 ) -> None:
     """Match all pairs over all tiles, and note the height maps in the scene."""
     lean = scene.lean()
-    records, tiles = [], list(scene.tiles)
+    records: List[Optional[HeightMapRecord]] = []
+    tiles = list(scene.tiles)
     if backend == "colmap":
-        records, tiles = _match_on_gpus(scene, pairs, stretches, options, key, folder, Part(progress, 0.0, 0.9))
+        matched, tiles = _match_on_gpus(scene, pairs, stretches, options, key, folder, Part(progress, 0.0, 0.9))
+        records += matched
         backend, progress = "sgm", Part(progress, 0.9, 1.0)
     tasks = [
         DenseTask(
@@ -263,11 +266,13 @@ def _match(
         for task in tasks:  # a worker that is ended while it writes cannot clean up
             drop_temporary(task.path)
         raise
-    reused = sum(bool(record and record.pop("reused", False)) for record in records)
+    reused = sum(bool(record and record.reused) for record in records)
     if reused:
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
     for tile in scene.tiles:
-        tile.heights = [record for record in records if record and record["tile"] == tile.id and record["valid"]]
+        tile.heights = tuple(
+            replace(record, reused=False) for record in records if record and record.tile == tile.id and record.valid
+        )
     _check(records, progress)
 
 
@@ -294,7 +299,7 @@ def _match_on_gpus(
     key: str,
     folder: str,
     progress: Progress,
-) -> Tuple[List[Any], List[Tile]]:
+) -> Tuple[List[HeightMapRecord], List[Tile]]:
     """Records of the height maps by COLMAP, and the tiles that are left for the CPU: those a GPU failed on, if any.
 
     A tile that fails is named in a warning; where ``colmap`` was asked for by name it stays without heights. Raises
@@ -313,10 +318,10 @@ def _match_on_gpus(
     return records, [tile for tile in scene.tiles if tile.id in failed and options.backend == "auto"]
 
 
-def _check(records: List[Any], progress: Progress) -> None:
+def _check(records: Sequence[Optional[HeightMapRecord]], progress: Progress) -> None:
     made = [record for record in records if record]
-    pixels = sum(record["size"][0] * record["size"][1] for record in made)
-    valid = sum(record["valid"] for record in made)
+    pixels = sum(record.pixels for record in made)
+    valid = sum(record.valid for record in made)
     if valid < max(1000, _LEAST_SHARE * pixels):
         raise EmptyResultError(
             f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs. "

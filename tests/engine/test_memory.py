@@ -39,7 +39,7 @@ task = DenseTask(scene.lean(), "t", (x - half, y - half, x + half, y + half),
                  (tile.altitudes[0] - extra, tile.altitudes[1] + extra), first.name, second.name,
                  tuple(view_stretch(v.image, v.band) for v in (first, second)), "sgm", f"{out}{side}{extra}.tif", "key")
 record = match_tile(task)
-end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record["metres_per_px"])
+end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record.metres_per_px)
 """
 )
 FUSING = (
@@ -52,7 +52,7 @@ layout = Layout.of(scene, [tile], scene.crs, side)
 grid, windows = layout.grid, layout.windows
 fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, "median", "occlusions", 1.5, (),
                        False), out + ".npz"))
-end([record["size"][0] * record["size"][1] for record in records], grid.shape[0] * grid.shape[1])
+end([record.pixels for record in records], grid.shape[0] * grid.shape[1])
 """
 )
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak is told by Linux")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from repm_qgis.errors import Cancelled, DeviceError, ImageError, SceneError
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.matching import backends
 from repm_qgis.matching.dense import height_source
+from repm_qgis.records import HeightMapRecord
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from tests.engine.colmap.emulation import Workspace, plane_sweep
@@ -99,12 +101,12 @@ def test_the_best_correlation_is_at_the_true_depth(request, kind, half, calm_m, 
 
 def test_every_view_gets_a_height_map_of_the_surface(urban, matched):
     task, records = matched
-    assert [record["pair"][0] for record in records] == [view.name for view in urban.views]
+    assert [record.pair[0] for record in records] == [view.name for view in urban.views]
     for record in records:
         heights = height_source(task.scene, task.bounds, record, task.scene.crs).within()
-        assert heights.height.shape == tuple(record["size"][::-1])
-        assert record["valid"] == int(np.isfinite(heights.height).sum()) > 30000
-        assert not heights.filled.any() and record["filled"] == 0
+        assert heights.height.shape == record.size[::-1]
+        assert record.valid == int(np.isfinite(heights.height).sum()) > 30000
+        assert not heights.filled.any() and record.filled == 0
         known = np.isfinite(heights.height)
         np.testing.assert_array_equal(np.isfinite(heights.score), known)
         assert 0.5 < np.median(heights.score[known]) <= 1
@@ -112,8 +114,9 @@ def test_every_view_gets_a_height_map_of_the_surface(urban, matched):
         error = heights.height[known] - surface_at(urban, x, y)
         calm = error[calm_at(urban, x, y, 1.0)]
         assert nmad(error) < 1.2 and nmad(calm) < 0.15 and abs(np.nanmedian(calm)) < 0.08
-        assert record["metres_per_px"] < 5 and record["row_px"] < 0.05 and record["table_error_m"] < 0.01
-        assert record["pair"][1] in record["sources"] and json.loads(json.dumps(record)) == record
+        assert record.metres_per_px < 5 and record.vertical_parallax_px < 0.05 and record.table_error_m < 0.01
+        assert record.pair[1] in record.sources
+        assert HeightMapRecord.from_mapping(json.loads(json.dumps(record.to_mapping()))) == record
 
 
 def test_heights_lie_where_another_crs_puts_them(matched):
@@ -136,7 +139,7 @@ def test_the_same_again_is_reused_and_anything_else_is_not(matched):
         raise AssertionError("matched again")
 
     again = match_tile(task, GPU, threading.Event(), never)
-    assert [record.pop("reused") for record in again] == [True] * 3 and again == records
+    assert again == [replace(record, reused=True) for record in records]
     with pytest.raises(AssertionError):
         match_tile(GpuTask(**{**vars(task), "key": "other"}), GPU, threading.Event(), never)
 
@@ -164,7 +167,7 @@ def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
         return grid_points(grid, heights.x, heights.y, heights.height, heights.score)[0]
 
     first = urban.views[0].name
-    parts = [raster(record) for record in records if record["pair"][0] == first]
+    parts = [raster(record) for record in records if record.pair[0] == first]
     counts = np.sum([np.isfinite(part) for part in parts], axis=0)
     assert (counts > 1).mean() < 0.05  # cells on the borders between parts only
     together = np.nansum(parts, axis=0) / np.where(counts > 0, counts, np.nan)
@@ -184,7 +187,7 @@ def test_colmap_s_fusion_decides_where_it_is_asked_to(urban, matched, tmp_path):
     task, records = matched
     strict = match_tile(task_of(urban, tmp_path, fusion=True), GPU, threading.Event(), plane_sweep)
     for record, other in zip(strict, records):
-        assert 0.5 * other["valid"] < record["valid"] < other["valid"]
+        assert 0.5 * other.valid < record.valid < other.valid
         errors = []
         for one in (record, other):
             heights = height_source(task.scene, task.bounds, one, task.scene.crs).within()
@@ -398,7 +401,7 @@ def test_the_whole_way_to_a_dsm(urban, refined, tmp_path, with_gpu, told):
     assert scene.facts("reconstruct")["backend"] == "colmap"
     assert not any("Tile" in text for text in said.warnings)
     for tile in scene.tiles:
-        assert sorted(record["pair"][0] for record in tile.heights) == sorted(view.name for view in urban.views[:2])
+        assert sorted(record.pair[0] for record in tile.heights) == sorted(view.name for view in urban.views[:2])
     run_stage(
         "dsmfuse",
         {"scene": str(tmp_path / "done.json"), "output": str(tmp_path / "dsm.tif"), "resolution": 0.5},
@@ -425,8 +428,8 @@ def test_auto_falls_back_to_the_cpu_for_a_tile_and_says_so(refined, tmp_path, wi
     made = reconstruct(refined, tmp_path, said, backend="auto")
     scene = Scene.load(str(tmp_path / "done.json"))
     first, *others = scene.tiles
-    assert all(record.get("backend") is None for record in first.heights) and first.heights
-    assert others and all(record["backend"] == "colmap" for tile in others for record in tile.heights)
+    assert all(record.backend == "sgm" for record in first.heights) and first.heights
+    assert others and all(record.backend == "colmap" for tile in others for record in tile.heights)
     warning = f"Tile {first.id} was matched on the CPU (sgm): GPU 0 ran out of memory"
     assert any(text.startswith(warning) for text in said.warnings)
     with open(made["report"], encoding="utf-8") as stream:
@@ -471,12 +474,12 @@ def test_colmap_without_cuda_refuses_before_any_work(refined, tmp_path, told, ur
 def test_a_height_map_of_another_scene_is_refused(matched, tmp_path):
     task, records = matched
     for change in (
-        {"views": [records[0]["pair"][0]]},
+        {"views": [records[0].pair[0]]},
         {"bounds": [0.0, 0.0, 10.0, 10.0]},
         {"file": str(tmp_path / "none.tif")},
     ):
         with pytest.raises(SceneError, match="again"):
-            height_source(task.scene, task.bounds, {**records[0], **change}, task.scene.crs).within()
+            height_source(task.scene, task.bounds, replace(records[0], **change), task.scene.crs).within()
 
 
 def test_auto_is_sgm_where_no_device_answers(monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,16 +18,18 @@ def spoilt(scene_path, folder):
     """A copy of a scene whose height maps have a tenth of their heights 10 to 40 m too high or too low."""
     scene, rng = Scene.load(scene_path), np.random.default_rng(1)
     for tile in scene.tiles:
-        for index, record in enumerate(tile.heights):
-            path = os.path.join(folder, os.path.basename(record["file"]))
-            shutil.copy(record["file"], path)
+        records = []
+        for record in tile.heights:
+            path = os.path.join(folder, os.path.basename(record.file))
+            shutil.copy(record.file, path)
             dataset = gdal.Open(path, gdal.GA_Update)
             height = dataset.GetRasterBand(1).ReadAsArray()
             wrong = (rng.random(height.shape) < 0.1) & (height > -9000)
             height[wrong] += (rng.uniform(10, 40, height.shape) * rng.choice([-1, 1], height.shape))[wrong]
             dataset.GetRasterBand(1).WriteArray(height)
             dataset = None
-            tile.heights[index] = {**record, "file": path}
+            records.append(replace(record, file=path))
+        tile.heights = tuple(records)
     return scene.save(os.path.join(folder, "spoilt.json"))
 
 

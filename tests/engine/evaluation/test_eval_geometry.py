@@ -42,10 +42,10 @@ def test_every_pair_and_view_is_told_with_its_figures(scene):
     for pair in facts["pairs"]:
         metres = np.median(
             [
-                record["metres_per_px"]
+                record.metres_per_px
                 for tile in scene.tiles
                 for record in tile.heights
-                if list(record["pair"]) == [pair["first"], pair["second"]]
+                if record.pair == (pair["first"], pair["second"])
             ]
         )
         angle, ratio = f"{pair['angle_deg']:.1f}°", f"{pair['base_to_height']:.2f}"

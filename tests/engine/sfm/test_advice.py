@@ -11,10 +11,10 @@ from osgeo import ogr
 
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import EnuFrame
+from repm_qgis.records import ViewPair
 from repm_qgis.scene import Scene, Tile
 from repm_qgis.sfm.advice import advice, ties_by_part
 from repm_qgis.sfm.pair_selection import choose_pairs
-from repm_qgis.stereo.view_pairs import ViewPair
 
 PAIR = ViewPair("img_01", "img_02", 20.0, 0.35, 4, days=0.0001, sun_deg=0.1, shadow=0.01)
 NO_TILES = {"tiles": []}

@@ -13,6 +13,7 @@ from repm_qgis.errors import EmptyResultError
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import moment, time_of_name
+from repm_qgis.records import ViewPair
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene, Tile, View
 from repm_qgis.sfm.pair_selection import (
@@ -26,7 +27,6 @@ from repm_qgis.sfm.pair_selection import (
     usual_change,
 )
 from repm_qgis.stereo.pairing import convergence
-from repm_qgis.stereo.view_pairs import ViewPair
 
 NOON = datetime(2012, 6, 20, 12, 0, tzinfo=timezone.utc)
 

@@ -9,6 +9,7 @@ import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
+from repm_qgis.records import ViewPair
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.advice import advice, ties_by_tile
@@ -17,7 +18,6 @@ from repm_qgis.sfm.pair_selection import choose_pairs
 from repm_qgis.sfm.pointing import point_views
 from repm_qgis.sfm.row_residuals import row_residuals, worst_rows
 from repm_qgis.stages import run_stage
-from repm_qgis.stereo.view_pairs import ViewPair
 
 
 @pytest.fixture(params=("urban", "mountains"))

@@ -225,7 +225,7 @@ def test_heights_go_where_they_are_wanted(again, tmp_path, told):
     }
     result = run_stage("reconstruct", options, told())
     assert result["heights"] == str(tmp_path / "elsewhere")
-    files = {Path(record["file"]).name for tile in Scene.load(result["output_scene"]).tiles for record in tile.heights}
+    files = {Path(record.file).name for tile in Scene.load(result["output_scene"]).tiles for record in tile.heights}
     assert len(files) == 4 and files <= set(os.listdir(tmp_path / "elsewhere"))
 
 
