@@ -30,9 +30,9 @@ from repm_qgis.geometry.equivalent_error import (  # noqa: E402
     virtual_grid,
 )
 from repm_qgis.geometry.frames import EnuFrame  # noqa: E402
+from repm_qgis.geometry.interpolation import upsample_grid  # noqa: E402
 from repm_qgis.geometry.refinement import Terrain  # noqa: E402
 from repm_qgis.geometry.surface import Surface  # noqa: E402
-from repm_qgis.imagery.sampling import upsample_grid  # noqa: E402
 from repm_qgis.rpc import Rpc  # noqa: E402
 from repm_qgis.rpc.readers import read_rpc_file  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402

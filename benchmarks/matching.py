@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.dsm import fusion  # noqa: E402
 from repm_qgis.dsm.aggregation import aggregate  # noqa: E402
-from repm_qgis.dsm.grid import CellGrid  # noqa: E402
+from repm_qgis.geometry.cell_grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.matching import dense, edges, occlusions, sgm, subpixel  # noqa: E402

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Tuple
+from typing import Any, NamedTuple, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,32 @@ class Window(NamedTuple):
     width: int
     height: int
 
+    @classmethod
+    def spanning(cls, col: int, row: int, end_col: int, end_row: int) -> Window:
+        """From the first column and row to the end ones, which no longer belong to it."""
+        return cls(col, row, end_col - col, end_row - row)
+
+    def grown(self, margin: int, size: Size) -> Window:
+        """Wider by a margin on each side, as far as an image of a size reaches."""
+        return Window.spanning(
+            max(self.col - margin, 0),
+            max(self.row - margin, 0),
+            min(self.col + self.width + margin, size[0]),
+            min(self.row + self.height + margin, size[1]),
+        )
+
+    def common(self, other: Window) -> Optional[Window]:
+        """The pixels of both windows; None where they share none."""
+        col, row = max(self.col, other.col), max(self.row, other.row)
+        width = min(self.col + self.width, other.col + other.width) - col
+        height = min(self.row + self.height, other.row + other.height) - row
+        return Window(col, row, width, height) if width > 0 and height > 0 else None
+
+    def inside(self, outer: Window) -> Tuple[slice, slice]:
+        """Rows and columns of this window in an array that holds the pixels of an outer one."""
+        col, row = self.col - outer.col, self.row - outer.row
+        return slice(row, row + self.height), slice(col, col + self.width)
+
 
 class Bounds(NamedTuple):
     """A rectangle on the ground, in the units of a CRS."""
@@ -39,3 +65,7 @@ class Bounds(NamedTuple):
     ymin: float
     xmax: float
     ymax: float
+
+    def grown(self, margin: float) -> Bounds:
+        """Wider by a margin on each side."""
+        return Bounds(self.xmin - margin, self.ymin - margin, self.xmax + margin, self.ymax + margin)

@@ -17,9 +17,12 @@ from osgeo import ogr
 
 from ..arrays import FloatArray
 from ..errors import EmptyResultError
+from ..geometry.cell_grid import CellGrid
+from ..geometry.gridding import grid_points
 from ..geometry.tiles import enclosing, lay_tiles
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read, write
+from ..imagery.sampling import median_of_known, median_of_neighbours
 from ..imagery.warping import sample_array, source_positions
 from ..matching.backends import matcher_of
 from ..parallel import run_tasks
@@ -27,7 +30,6 @@ from ..progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import grown, rectified_pair
 from ..stereo.triangulation import pair_geometry
-from .grid import CellGrid, grid_points
 
 Bounds = Tuple[float, float, float, float]
 
@@ -105,15 +107,8 @@ def coarse_surface(
         found = [part for part in parts[begin : begin + len(pairs)] if part is not None]
         if found:
             col, row, width, rows = grid.window(tasks[begin].bounds)
-            height[row : row + rows, col : col + width] = _middle(np.stack(found))
+            height[row : row + rows, col : col + width] = median_of_known(np.stack(found))
     return CoarseSurface(grid, height)
-
-
-def _middle(stack: FloatArray) -> FloatArray:
-    """Median along the first axis, the lower of two middle ones; NaN where nothing is known."""
-    ordered = np.sort(stack, axis=0)  # NaN last
-    count = np.isfinite(stack).sum(axis=0)
-    return np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[None], axis=0)[0]
 
 
 def _match_block(task: _Task) -> Optional[FloatArray]:
@@ -141,7 +136,8 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     z = geometry.height.on_grid(columns, rows, disparity)
     x, y = (table.on_grid(columns, rows, z) for table in (geometry.x, geometry.y))
     cells, _, _ = grid_points(task.grid.part(task.grid.window(task.bounds)), x, y, z, found.score)
-    return _without_blunders(cells)
+    # Medians drop blunders and cells that stand alone.
+    return median_of_neighbours(cells, 5, 8)
 
 
 def _reduced(view: View, stretch: Stretch, positions: FloatArray) -> NDArray[np.float32]:
@@ -156,11 +152,3 @@ def _reduced(view: View, stretch: Stretch, positions: FloatArray) -> NDArray[np.
         window = (int(low[0]), int(low[1]), int(size[0]) * FACTOR, int(size[1]) * FACTOR)
         pixels = read(dataset, window, view.band, (int(size[0]), int(size[1])))
     return sample_array(stretch.apply(pixels), (positions - low + 0.5) / FACTOR - 0.5, "bilinear")
-
-
-def _without_blunders(cells: FloatArray) -> FloatArray:
-    """Medians of 5 x 5 cells where enough of them are known, and nothing that lies alone."""
-    padded = np.pad(cells, 2, constant_values=np.nan)
-    rows, columns = cells.shape
-    stack = np.stack([padded[i : i + rows, j : j + columns] for i in range(5) for j in range(5)])
-    return np.where(np.isfinite(stack).sum(axis=0) >= 8, _middle(stack), np.nan)

@@ -8,20 +8,20 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..arrays import Bounds, FloatArray, Window
+from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
-from ..imagery.sampling import upsample_grid
+from ..geometry.gridding import grid_points, surface_step
+from ..geometry.interpolation import on_lattice
 from ..matching.dense import HeightMap, HeightSource, height_source
 from ..matching.occlusions import STEP_PX
 from ..records import HeightMapRecord
 from ..scene import Scene, View
 from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
-from .grid import CellGrid, grid_points, surface_step
 from .hidden import hidden_ground
 from .ortho import orthophoto
 from .outliers import without_lone_points
 
-_LATTICE = 17  # nodes a side of the map between two CRSs
 _COVERED = 0.5  # of a cell
 _PART_CELLS = 512  # a side that are fused at once
 MARGIN_CELLS = 8
@@ -36,10 +36,10 @@ class FuseTask:
     """
 
     scene: Scene
-    bounds: Tuple[float, float, float, float]
+    bounds: Bounds
     records: Tuple[HeightMapRecord, ...]
     grid: CellGrid
-    window: Tuple[int, int, int, int]
+    window: Window
     crs: str
     method: str
     fill: str
@@ -140,10 +140,8 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
 
 def fuse_tile(task: FuseTask) -> FusedTile:
     """Grid each height map, aggregate, remove lonely cells, cut to the tile's own cells."""
-    col, row, width, height = task.window
-    wide = (max(col - MARGIN_CELLS, 0), max(row - MARGIN_CELLS, 0))
-    ends = (min(col + width + MARGIN_CELLS, task.grid.shape[1]), min(row + height + MARGIN_CELLS, task.grid.shape[0]))
-    grid = task.grid.part((wide[0], wide[1], ends[0] - wide[0], ends[1] - wide[1]))
+    wide = task.window.grown(MARGIN_CELLS, task.grid.size)
+    grid = task.grid.part(wide)
     sources = [height_source(task.scene, task.bounds, record, task.crs) for record in task.records]
     fused = _aggregated(task, grid, sources)
     if task.fill == "none":
@@ -154,7 +152,7 @@ def fuse_tile(task: FuseTask) -> FusedTile:
         removed = int(alone.sum())
         fused = _without(fused, alone)
     ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
-    own = (slice(row - wide[1], row - wide[1] + height), slice(col - wide[0], col - wide[0] + width))
+    own = task.window.inside(wide)
     cut = Aggregate(*(getattr(fused, field.name)[own] for field in fields(fused)))
     ortho = None if ortho is None else ortho[own]
     belonging = _belonging(task)
@@ -168,30 +166,19 @@ def fuse_tile(task: FuseTask) -> FusedTile:
 def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> Aggregate:
     """The fused cells of a grid, in parts of bounded memory that overlap by what neighbours are asked for."""
     whole: Dict[str, NDArray[Any]] = {}
-    for row in range(0, grid.shape[0], _PART_CELLS):
-        for col in range(0, grid.shape[1], _PART_CELLS):
-            c0, r0 = max(col - REACH_CELLS, 0), max(row - REACH_CELLS, 0)
-            c1, r1 = (min(start + _PART_CELLS + REACH_CELLS, size) for start, size in zip((col, row), grid.shape[::-1]))
-            part = grid.part((c0, r0, c1 - c0, r1 - r0))
-            rim = part.cell
-            box = (
-                part.west - rim,
-                part.north - part.shape[0] * rim - rim,
-                part.west + part.shape[1] * rim + rim,
-                part.north + rim,
-            )
-            fused = aggregate(
-                [
-                    _layer(part, source.within(box), record, task.scene.gsd_m)
-                    for source, record in zip(sources, task.records)
-                ],
-                task.method,
-            )
-            own = np.s_[row - r0 : row - r0 + _PART_CELLS, col - c0 : col - c0 + _PART_CELLS]
-            for field in fields(fused):
-                values = getattr(fused, field.name)[own]
-                target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
-                target[row : row + values.shape[0], col : col + values.shape[1]] = values
+    everything = Window(0, 0, *grid.size)
+    for own, wide in overlapping_blocks(grid.size, _PART_CELLS, REACH_CELLS):
+        part = grid.part(wide)
+        bounds = part.bounds.grown(part.cell)
+        layers = [
+            _layer(part, source.within(bounds), record, task.scene.gsd_m)
+            for source, record in zip(sources, task.records)
+        ]
+        fused = aggregate(layers, task.method)
+        for field in fields(fused):
+            values = getattr(fused, field.name)
+            target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
+            target[own.inside(everything)] = values[own.inside(wide)]
     return Aggregate(**whole)
 
 
@@ -229,9 +216,11 @@ def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
     grid = task.grid.part(task.window)
     if task.crs == task.scene.crs or not all(grid.shape):
         return None
-    xs, ys = grid.centres()
-    lattice = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE)), axis=-1)
-    xy = upsample_grid(projected_from_geodetic(task.scene.crs, geodetic_from_projected(task.crs, lattice)), grid.shape)
+
+    def to_scene(xy: FloatArray) -> FloatArray:
+        return projected_from_geodetic(task.scene.crs, geodetic_from_projected(task.crs, xy))
+
+    xy = on_lattice(*grid.centres(), to_scene)
     # A millimetre more, so that no cell falls between two tiles.
     x0, y0, x1, y1 = np.array(task.bounds) + [-1e-3, -1e-3, 1e-3, 1e-3]
     return (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import List, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
+from ..geometry.interpolation import on_lattice
 from ..imagery.raster import opened_masked
-from ..imagery.sampling import upsample_grid
 from ..imagery.warping import sample_source
 from ..scene import Scene, View
 from ..sfm.altitude_range import ground_slope
-from .grid import CellGrid
 
 _NODES = 9
 _CLEARANCE_M = 1.0
@@ -46,19 +47,15 @@ def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: s
 
 def _pixels(view: View, grid: CellGrid, height: FloatArray, crs: str) -> FloatArray:
     """(H, W, 2) pixels of the cells: exact on a coarse grid at two heights, linear between."""
-    xs, ys = grid.centres()
-    lon_lat = geodetic_from_projected(
-        crs, np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _NODES), np.linspace(ys[0], ys[-1], _NODES)), axis=-1)
-    )
     low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
-    ends = [
-        upsample_grid(
-            view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), z)], axis=-1)), grid.shape
-        )
-        for z in (low, high)
-    ]
+
+    def seen(xy: FloatArray, altitude: float) -> FloatArray:
+        lon_lat = geodetic_from_projected(crs, xy)
+        return view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1))
+
+    at_low, at_high = (on_lattice(*grid.centres(), partial(seen, altitude=z), (_NODES, _NODES)) for z in (low, high))
     share = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
-    return ends[0] + share * (ends[1] - ends[0])
+    return at_low + share * (at_high - at_low)
 
 
 def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.bool_]:

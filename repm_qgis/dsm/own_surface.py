@@ -7,13 +7,13 @@ from typing import Tuple
 import numpy as np
 import pyproj
 
+from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.tiles import enclosing
 from ..imagery.raster import created
 from ..scene import Scene
 from ..stereo.pairing import grown
 from .fusion import FuseTask, fuse_tile
-from .grid import CellGrid
 
 
 def lon_lat_bounds(scene: Scene, margin_m: float = 300.0) -> Tuple[float, float, float, float]:

@@ -10,24 +10,24 @@ import numpy as np
 import pyproj
 
 from .. import __version__
+from ..arrays import Window
 from ..errors import EmptyResultError
+from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.frames import geodetic_from_projected
+from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import created
-from ..imagery.sampling import upsample_grid
 from ..options import DsmFuseOptions
 from ..scene import Scene, Tile
 from .expected_error import expected_error
 from .fusion import StoredTile
-from .grid import CellGrid
 from .holes import REACH_CELLS, fill_holes
 from .point_cloud import created_cloud
 from .seams import blended
 
-_LATTICE = 17  # nodes a side of what is smooth: the undulation, the map to longitude and latitude
 CONFIDENCE_BANDS = (
     "height maps that agree",
     "spread between them (m)",
@@ -46,7 +46,7 @@ class Layout:
 
     grid: CellGrid
     crs: str
-    windows: List[Tuple[int, int, int, int]]
+    windows: List[Window]
 
     @classmethod
     def of(cls, scene: Scene, tiles: List[Tile], crs: str, cell: float) -> Layout:
@@ -122,9 +122,10 @@ def write_products(
         )
         tolerance = float(np.median([record.metres_per_px for tile in scene.tiles for record in tile.heights]))
         for index, (window, tile) in enumerate(zip(windows, stored)):
-            place, cut = _placed(window, crop)
-            if place is None:
+            common = window.common(crop)
+            if common is None:
                 continue
+            place, cut = (common.col - crop.col, common.row - crop.row), common.inside(window)
             result = tile.load()
             fused = result.fused
             keep = result.own is not None
@@ -163,21 +164,16 @@ def _fill(
     """Write the DSM from the raster of all tiles' heights, holes filled window by window; gives how many cells were."""
     surface = _terrain_of(scene, grid, crs, folder)
     count = 0
-    for row in range(0, grid.shape[0], _WINDOW):
-        for col in range(0, grid.shape[1], _WINDOW):
-            c0, r0 = max(col - REACH_CELLS, 0), max(row - REACH_CELLS, 0)
-            c1, r1 = (min(start + _WINDOW + REACH_CELLS, size) for start, size in zip((col, row), grid.shape[::-1]))
-            height = whole.read((c0, r0, c1 - c0, r1 - r0))
-            holes = bool(np.isnan(height).any())
-            base = _on_cells(surface, grid.part((c0, r0, c1 - c0, r1 - r0)), crs) if surface and holes else None
-            height, filled = fill_holes(height, base)
-            own = np.s_[row - r0 : row - r0 + _WINDOW, col - c0 : col - c0 + _WINDOW]
-            cells = grid.part((col, row, *height[own].shape[::-1]))
-            dsm.write((height[own] - _undulation(datum, crs, cells)).astype(np.float32), col, row)
-            if confidence is not None and filled[own].any():
-                source = np.where(filled[own], np.float32(_INTERPOLATED if base is None else _SHAPED), np.nan)
-                confidence.write(source.astype(np.float32), col, row, _SOURCE_BAND, keep=True)
-            count += int(filled[own].sum())
+    for own, wide in overlapping_blocks(grid.size, _WINDOW, REACH_CELLS):
+        height = whole.read(wide)
+        holes = bool(np.isnan(height).any())
+        base = _on_cells(surface, grid.part(wide), crs) if surface and holes else None
+        height, filled = (values[own.inside(wide)] for values in fill_holes(height, base))
+        dsm.write((height - _undulation(datum, crs, grid.part(own))).astype(np.float32), own.col, own.row)
+        if confidence is not None and filled.any():
+            source = np.where(filled, np.float32(_INTERPOLATED if base is None else _SHAPED), np.nan)
+            confidence.write(source.astype(np.float32), own.col, own.row, _SOURCE_BAND, keep=True)
+        count += int(filled.sum())
     return count
 
 
@@ -194,24 +190,18 @@ def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional
 
 def _on_cells(surface: Surface, grid: CellGrid, crs: str) -> np.ndarray:
     """Heights of a surface at the cells' centres; the map to longitude and latitude is smooth, a lattice will do."""
-    xs, ys = grid.centres()
-    lattice = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE)), axis=-1)
-    lon_lat = upsample_grid(geodetic_from_projected(crs, lattice), grid.shape)
+    lon_lat = on_lattice(*grid.centres(), lambda xy: geodetic_from_projected(crs, xy))
     return surface.height(lon_lat[..., 0], lon_lat[..., 1])
 
 
 def _undulation(datum: HeightDatum, crs: str, grid: CellGrid) -> np.ndarray:
     """(rows, columns) to take off ellipsoidal heights; geoids are smooth, and evaluated on a lattice."""
-    xs, ys = grid.centres()
-    if not datum.code or not len(xs) or not len(ys):
+    if not datum.code or not all(grid.shape):
         return np.zeros(grid.shape)
-    nodes = np.meshgrid(np.linspace(xs[0], xs[-1], _LATTICE), np.linspace(ys[0], ys[-1], _LATTICE))
-    return upsample_grid(datum.undulation(crs, np.stack(nodes, axis=-1)), grid.shape)
+    return on_lattice(*grid.centres(), lambda xy: datum.undulation(crs, xy))
 
 
-def _valid_part(
-    grid: CellGrid, windows: List[Tuple[int, int, int, int]], stored: List[StoredTile]
-) -> Tuple[int, int, int, int]:
+def _valid_part(grid: CellGrid, windows: List[Window], stored: List[StoredTile]) -> Window:
     """The window of the grid that holds all heights: tiles reach beyond what the images see."""
     ends = [
         (col + tile.columns[0], row + tile.rows[0], col + tile.columns[1], row + tile.rows[1])
@@ -219,19 +209,9 @@ def _valid_part(
         if tile.columns and tile.rows
     ]
     if not ends:
-        return 0, 0, grid.shape[1], grid.shape[0]
-    c0, r0 = min(end[0] for end in ends), min(end[1] for end in ends)
-    return c0, r0, max(end[2] for end in ends) - c0 + 1, max(end[3] for end in ends) - r0 + 1
-
-
-def _placed(window: Tuple[int, int, int, int], crop: Tuple[int, int, int, int]) -> Tuple[Any, Any]:
-    """Where a tile's cells go in the cropped raster, and which of them."""
-    c0, r0 = max(window[0], crop[0]), max(window[1], crop[1])
-    c1, r1 = min(window[0] + window[2], crop[0] + crop[2]), min(window[1] + window[3], crop[1] + crop[3])
-    if c0 >= c1 or r0 >= r1:
-        return None, None
-    cut = (slice(r0 - window[1], r1 - window[1]), slice(c0 - window[0], c1 - window[0]))
-    return (c0 - crop[0], r0 - crop[1]), cut
+        return Window(0, 0, *grid.size)
+    c0, r0, c1, r1 = (choose(end) for choose, end in zip((min, min, max, max), zip(*ends)))
+    return Window.spanning(c0, r0, c1 + 1, r1 + 1)
 
 
 def _put(raster: Any, bands: List[Any], place: Tuple[int, int], cut: Any, keep: bool) -> None:

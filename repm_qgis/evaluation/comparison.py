@@ -9,7 +9,9 @@ from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import gdal
 
+from ..arrays import Window
 from ..errors import EmptyResultError, ImageError
+from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..progress import Part, Progress
 from . import coregistration
@@ -215,7 +217,7 @@ def _align(
     return coregistration.align_3d(patches, cell, progress.check_cancelled)
 
 
-def _sample_windows(grid: Grid, common: Tuple[float, ...]) -> List[raster.Window]:
+def _sample_windows(grid: Grid, common: Tuple[float, ...]) -> List[Window]:
     """The overlap in one window, or where that is large, in patches at full resolution spread evenly over it."""
     x = np.array([common[0], common[2], common[0], common[2]])
     y = np.array([common[1], common[1], common[3], common[3]])
@@ -223,10 +225,10 @@ def _sample_windows(grid: Grid, common: Tuple[float, ...]) -> List[raster.Window
     c0, r0 = max(0, math.floor(column.min())), max(0, math.floor(row.min()))
     c1, r1 = min(grid.size[0], math.ceil(column.max())), min(grid.size[1], math.ceil(row.max()))
     if (c1 - c0) * (r1 - r0) <= _SAMPLE_CELLS:
-        return [(c0, r0, c1 - c0, r1 - r0)]
+        return [Window.spanning(c0, r0, c1, r1)]
     across = _starts(c0, c1)
     along = _starts(r0, r1)
-    return [(c, r, min(_PATCH_CELLS, c1 - c), min(_PATCH_CELLS, r1 - r)) for r in along for c in across]
+    return [Window(c, r, min(_PATCH_CELLS, c1 - c), min(_PATCH_CELLS, r1 - r)) for r in along for c in across]
 
 
 def _starts(low: int, high: int) -> List[int]:
@@ -235,10 +237,8 @@ def _starts(low: int, high: int) -> List[int]:
     return sorted({round(low + (last - low) * (i + 0.5) / count) for i in range(count)})
 
 
-def _windows(size: Tuple[int, int], side: int) -> Iterator[raster.Window]:
-    for row in range(0, size[1], side):
-        for column in range(0, size[0], side):
-            yield column, row, min(side, size[0] - column), min(side, size[1] - row)
+def _windows(size: Tuple[int, int], side: int) -> Iterator[Window]:
+    return (window for window, _ in overlapping_blocks(size, side))
 
 
 def _cell_metres(grid: Grid) -> Tuple[float, float]:

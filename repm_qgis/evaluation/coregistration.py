@@ -20,6 +20,7 @@ from typing import Callable, List, Sequence, Tuple
 import numpy as np
 
 from ..errors import EmptyResultError
+from ..imagery.sampling import mean_of_known
 from .metrics import NMAD_FACTOR
 
 Patch = Tuple[np.ndarray, np.ndarray]
@@ -287,10 +288,8 @@ def _smoothed(array: np.ndarray) -> np.ndarray:
     z = np.asarray(array, np.float32)
     good = np.isfinite(z)
     level = np.float32(z[good].mean()) if good.any() else np.float32(0)
-    value, weight = np.where(good, z - level, 0).astype(np.float32), good.astype(np.float32)
-    for axis in (0, 1):
-        value, weight = _convolved(value, axis), _convolved(weight, axis)
-    return np.where(good & (weight > 0.5), value / np.maximum(weight, 1e-6) + level, np.nan).astype(np.float32)
+    mean, share = mean_of_known(z - level, good, lambda image: _convolved(_convolved(image, 0), 1), 1e-6)
+    return np.where(good & (share > 0.5), mean + level, np.nan).astype(np.float32)
 
 
 def _convolved(array: np.ndarray, axis: int) -> np.ndarray:

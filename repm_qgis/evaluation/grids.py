@@ -11,8 +11,10 @@ from osgeo import gdal, osr
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
+from ..arrays import Window
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, vertical_operations, vertical_part
+from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery import raster
 from ..imagery.sampling import sample
@@ -145,7 +147,7 @@ def _text(bounds: Bounds) -> str:
     )
 
 
-def read_heights(dataset: gdal.Dataset, window: Optional[raster.Window] = None) -> np.ndarray:
+def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None) -> np.ndarray:
     """Heights of band 1 as float32 with NaN; where no nodata value is declared, -9999 and its like count as none."""
     values = raster.read(dataset, window)
     if dataset.GetRasterBand(1).GetNoDataValue() is None:
@@ -227,7 +229,7 @@ class HeightWarper:
             heights = (heights * scale + offset[0]).astype(np.float32)
         return heights
 
-    def _source_window(self, cells: Grid) -> Optional[raster.Window]:
+    def _source_window(self, cells: Grid) -> Optional[Window]:
         columns, rows = cells.size
         t = np.linspace(0, 1, 21)
         u, v = (a.ravel() for a in np.meshgrid(t * columns, t * rows))
@@ -241,7 +243,7 @@ class HeightWarper:
         high = [min(n, math.ceil(v[good].max()) + margin) for v, n in zip((column, row), self._source.size)]
         if low[0] >= high[0] or low[1] >= high[1]:
             return None
-        return low[0], low[1], high[0] - low[0], high[1] - low[1]
+        return Window.spanning(low[0], low[1], high[0], high[1])
 
     def _warp(self, bands: list[np.ndarray], source: Grid, cells: Grid) -> list[np.ndarray]:
         memory = gdal.GetDriverByName("MEM")
@@ -327,13 +329,7 @@ def _before(cells: Grid, alignment: Alignment) -> Grid:
 
 def _spread_mesh(mesh: np.ndarray, columns: int, rows: int) -> np.ndarray:
     """(n, n) values at evenly spaced cells, bilinearly at all (rows, columns) cells."""
-    n = len(mesh) - 1
-    u = np.linspace(0, n, columns) if columns > 1 else np.zeros(1)
-    v = np.linspace(0, n, rows) if rows > 1 else np.zeros(1)
-    across = np.array([np.interp(u, np.arange(n + 1), line) for line in mesh])
-    low = np.minimum(v.astype(int), n - 1)
-    share = (v - low)[:, None]
-    return across[low] * (1 - share) + across[low + 1] * share
+    return upsample_grid(mesh, (rows, columns))
 
 
 def _in_memory(driver: gdal.Driver, grid: Grid, bands: int, crs: CRS) -> gdal.Dataset:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
+from .interpolation import bilinear
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,7 @@ class Surface:
             v = np.clip((self.lat - np.asarray(lat)) / self.step_lat, 0.0, m - 1.0)
         known = np.isfinite(u) & np.isfinite(v)
         u, v = np.where(known, u, 0.0), np.where(known, v, 0.0)
-        j, i = np.minimum(u.astype(np.intp), max(n - 2, 0)), np.minimum(v.astype(np.intp), max(m - 2, 0))
-        fu, fv = u - j, v - i
-        below, right = min(1, m - 1), min(1, n - 1)
-        z = self.heights
-        result = (z[i, j] * (1 - fu) + z[i, j + right] * fu) * (1 - fv) + (
-            z[i + below, j] * (1 - fu) + z[i + below, j + right] * fu
-        ) * fv
-        return np.where(known, result, np.nan)
+        return np.where(known, bilinear(self.heights, u, v), np.nan)
 
     @classmethod
     def level(cls, height: float) -> "Surface":

@@ -9,11 +9,8 @@ from typing import Callable, List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import FloatArray
+from ..arrays import Altitudes, Bounds, FloatArray, Size, Window
 from .footprints import box
-
-Bounds = Tuple[float, float, float, float]
-Window = Tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -26,7 +23,8 @@ class GroundTile:
 
 def enclosing(boxes: Sequence[Bounds]) -> Bounds:
     """The rectangle around rectangles (at least one)."""
-    return (min(b[0] for b in boxes), min(b[1] for b in boxes), max(b[2] for b in boxes), max(b[3] for b in boxes))
+    xmin, ymin, xmax, ymax = zip(*boxes)
+    return Bounds(min(xmin), min(ymin), max(xmax), max(ymax))
 
 
 def lay_tiles(area: ogr.Geometry, size_m: float) -> List[GroundTile]:
@@ -43,9 +41,10 @@ def lay_tiles(area: ogr.Geometry, size_m: float) -> List[GroundTile]:
     tiles = []
     for i in range(rows):
         for j in range(columns):
-            bounds = (west + j * width, north - (i + 1) * height, west + (j + 1) * width, north - i * height)
+            top, left = float(north - i * height), float(west + j * width)
+            bounds = Bounds(left, top - height, left + width, top)
             if box(bounds).Intersects(area):
-                tiles.append(GroundTile(f"r{i:03d}c{j:03d}", tuple(map(float, bounds))))
+                tiles.append(GroundTile(f"r{i:03d}c{j:03d}", bounds))
     return tiles
 
 
@@ -53,8 +52,8 @@ def pixel_window(
     project: Callable[[FloatArray], FloatArray],
     to_geodetic: Callable[[FloatArray], FloatArray],
     bounds: Bounds,
-    altitudes: Tuple[float, float],
-    size: Tuple[int, int],
+    altitudes: Altitudes,
+    size: Size,
     margin: int = 0,
     smallest: int = 48,
 ) -> Optional[Window]:
@@ -74,7 +73,7 @@ def pixel_window(
     high = np.minimum(np.ceil(pixels.max(axis=0)) + margin + 1, size)
     if (high - low < smallest).any():
         return None
-    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+    return Window.spanning(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
 
 
 def largest_within(budget: float, sizes: Sequence[int], error_of: Callable[[int], float]) -> Tuple[int, float]:

@@ -9,12 +9,13 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
+from ..arrays import FloatArray
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, geodetic_from_projected, vertical_part
+from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..workspace import file_identity
 from .raster import NODATA, opened, quiet, read, write
-from .sampling import upsample_grid
 
 _MOST_CELLS = 512
 _MOST_SURFACE = 2000  # cells a side of a coarse surface
@@ -115,9 +116,14 @@ def _undulation(
     crs: pyproj.CRS, path: str, bounds: Tuple[float, float, float, float], shape: Tuple[int, int]
 ) -> np.ndarray:
     """What to add to a DEM's heights, from a lattice of exact values: the geoid is smooth."""
-    lon, lat = np.meshgrid(np.linspace(bounds[0], bounds[2], 17), np.linspace(bounds[3], bounds[1], 17))
-    x, y = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True).transform(lon.ravel(), lat.ravel())
-    return upsample_grid(_to_ellipsoid(crs, path, np.asarray(x), np.asarray(y)).reshape(17, 17), shape)
+    transformer = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True)
+
+    def exact(lon_lat: FloatArray) -> FloatArray:
+        x, y = transformer.transform(lon_lat[..., 0].ravel(), lon_lat[..., 1].ravel())
+        return _to_ellipsoid(crs, path, np.asarray(x), np.asarray(y)).reshape(lon_lat.shape[:2])
+
+    west, south, east, north = bounds
+    return on_lattice(np.linspace(west, east, shape[1]), np.linspace(north, south, shape[0]), exact)
 
 
 def load_surface(path: str) -> Surface:

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
+from ..arrays import Size, Window
 from ..errors import ImageError, WorkspaceError
 from ..workspace import take_name, temporary_name
-
-Window = Tuple[int, int, int, int]
-"""Column and row of the first pixel, width and height."""
 
 NODATA = -9999.0
 
@@ -96,7 +94,7 @@ def read(
     dataset: Union[gdal.Dataset, MaskedImage],
     window: Optional[Window] = None,
     band: int = 1,
-    size: Optional[Tuple[int, int]] = None,
+    size: Optional[Size] = None,
 ) -> NDArray[np.float32]:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 

@@ -1,10 +1,13 @@
-"""Bilinear sampling and box means of arrays, in numpy alone: for the light stages, which have no OpenCV."""
+"""Sampling and means of arrays in which values may be missing (NaN), in numpy alone: light stages have no OpenCV."""
 
 from __future__ import annotations
 
+from typing import Callable, Tuple
+
 import numpy as np
 
-from ..arrays import Floats
+from ..arrays import Floats, Mask
+from ..geometry.interpolation import bilinear
 
 
 def sample(image: Floats, cols: Floats, rows: Floats) -> Floats:
@@ -15,19 +18,39 @@ def sample(image: Floats, cols: Floats, rows: Floats) -> Floats:
     height, width = image.shape
     with np.errstate(invalid="ignore"):
         inside = (cols >= 0) & (cols <= width - 1) & (rows >= 0) & (rows <= height - 1)
-    c = np.where(inside, cols, cols.dtype.type(0))
-    r = np.where(inside, rows, rows.dtype.type(0))
-    c0 = np.minimum(c.astype(np.intp), max(width - 2, 0))
-    r0 = np.minimum(r.astype(np.intp), max(height - 2, 0))
-    fc, fr = (c - c0).astype(image.dtype), (r - r0).astype(image.dtype)
-    flat = image.ravel()
-    index = r0 * width + c0
-    right, below = min(1, width - 1), width * min(1, height - 1)
-    top = flat[index] * (1 - fc) + flat[index + right] * fc
-    bottom = flat[index + below] * (1 - fc) + flat[index + below + right] * fc
-    result = top * (1 - fr) + bottom * fr
+    zero = cols.dtype.type(0)
+    result = bilinear(image, np.where(inside, cols, zero), np.where(inside, rows, zero))
     result[~inside] = np.nan
     return result
+
+
+def median_of_known(stack: Floats, least: int = 1) -> Floats:
+    """Median along the first axis of what is not NaN, the lower of two middle values; NaN where fewer than ``least``
+    values are known."""
+    count = np.isfinite(stack).sum(axis=0)
+    ordered = np.sort(stack, axis=0)  # NaN last
+    middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[None], axis=0)[0]
+    return np.where(count >= least, middle, np.float32(np.nan))
+
+
+def median_of_neighbours(image: Floats, side: int, least: int) -> Floats:
+    """:func:`median_of_known` of the square of ``side`` pixels around each pixel."""
+    rows, columns = image.shape
+    padded = np.pad(image, side // 2, constant_values=np.nan)
+    stack = np.stack([padded[i : i + rows, j : j + columns] for i in range(side) for j in range(side)])
+    return median_of_known(stack, least)
+
+
+def mean_of_known(
+    image: Floats, known: Mask, window_mean: Callable[[Floats], Floats], least: float
+) -> Tuple[Floats, Floats]:
+    """The mean of the known pixels around each pixel, and their share of its window; 0 where there are none.
+
+    ``window_mean`` averages a whole window (cv2.blur, or :func:`box_mean`); shares below ``least`` count as that.
+    """
+    share = window_mean(known.astype(np.float32))
+    total = window_mean(np.where(known, image, np.float32(0)))
+    return total / np.maximum(share, np.float32(least)), share
 
 
 def box_mean(values: Floats, radius: int) -> Floats:
@@ -65,21 +88,3 @@ def _window_sums(part: Floats, radius: int, columns: bool) -> Floats:
         rest = part.shape[axis] - length
         part = cut(part, 0, rest) + cut(part, length, rest)
         length *= 2
-
-
-def upsample_grid(grid: Floats, shape: tuple[int, int]) -> Floats:
-    """Bilinear interpolation of a coarse (m, n, ...) grid, corners on corners, to (height, width, ...)."""
-    m, n = grid.shape[:2]
-    return interpolate_grid(grid, np.linspace(0, m - 1, shape[0]), np.linspace(0, n - 1, shape[1]))
-
-
-def interpolate_grid(grid: Floats, rows: Floats, columns: Floats) -> Floats:
-    """Bilinear interpolation of a (m, n, ...) grid at (H,) rows and (W,) columns, in units of nodes; ends extended."""
-    m, n = grid.shape[:2]
-    i = np.clip(rows.astype(int), 0, m - 2)
-    j = np.clip(columns.astype(int), 0, n - 2)
-    extra, dtype = (1,) * (grid.ndim - 2), np.result_type(grid, np.float32)
-    fi, fj = ((rows - i).astype(dtype).reshape(-1, 1, *extra), (columns - j).astype(dtype).reshape(1, -1, *extra))
-    # Rows first: they are few, and the wide passes that follow run along memory.
-    tall = grid[i] * (1 - fi) + grid[i + 1] * fi
-    return tall[:, j] * (1 - fj) + tall[:, j + 1] * fj

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Size, Window
 from ..errors import ImageError
+from ..geometry.interpolation import interpolate_steps
 from .raster import read
 
 PixelMap = Callable[[FloatArray], FloatArray]
@@ -24,9 +25,7 @@ KERNELS = {"bilinear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv
 _REACH = {"bilinear": 1, "cubic": 2, "lanczos": 4}  # pixels on either side that a kernel touches
 
 
-def source_positions(
-    to_source: PixelMap, size: Tuple[int, int], first_row: int = 0, rows: Optional[int] = None
-) -> FloatArray:
+def source_positions(to_source: PixelMap, size: Size, first_row: int = 0, rows: Optional[int] = None) -> FloatArray:
     """(rows, width, 2) source positions of all pixels of an image of ``size`` (width, height).
 
     The map is evaluated on a grid of 16 px and interpolated bilinearly: the maps here are so smooth (homographies
@@ -34,7 +33,7 @@ def source_positions(
     """
     rows = size[1] - first_row if rows is None else rows
     nodes = _nodes(to_source, size[0], first_row, rows)
-    return np.stack([between(nodes[..., axis], rows, size[0]) for axis in (0, 1)], axis=-1)
+    return np.stack([interpolate_steps(nodes[..., axis], (rows, size[0]), GRID_STEP) for axis in (0, 1)], axis=-1)
 
 
 def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatArray:
@@ -44,17 +43,8 @@ def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatA
     return to_source(np.stack(np.meshgrid(x, y), axis=-1))
 
 
-def between(nodes: NDArray[np.floating], rows: int, columns: int) -> NDArray[np.floating]:
-    """(rows, columns) bilinear interpolation of (m, n) nodes that lie ``GRID_STEP`` px apart."""
-    share = np.arange(GRID_STEP, dtype=nodes.dtype) / nodes.dtype.type(GRID_STEP)
-    down = nodes[:-1, None, :] + np.diff(nodes, axis=0)[:, None, :] * share[None, :, None]
-    down = down.reshape(-1, nodes.shape[1])[:rows]
-    across = down[:, :-1, None] + np.diff(down, axis=1)[:, :, None] * share
-    return across.reshape(rows, -1)[:, :columns]
-
-
 def warp(
-    dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int], kernel: str = "bilinear"
+    dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Size, kernel: str = "bilinear"
 ) -> NDArray[np.float32]:
     """Resample an image: pixel p of the result takes the source's value at ``to_source(p)``.
 
@@ -69,7 +59,7 @@ def warp(
 
 
 def warp_strips(
-    dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Tuple[int, int], kernel: str = "bilinear"
+    dataset: gdal.Dataset, band: int, to_source: PixelMap, size: Size, kernel: str = "bilinear"
 ) -> Iterator[Tuple[int, NDArray[np.float32]]]:
     """:func:`warp` by strips of rows, for images that do not fit into memory: first row and pixels of each."""
     width, height = size
@@ -91,12 +81,12 @@ def _warp_strip(
             continue
         # In the window's own pixels float32 is good to 1e-4 px, and half the work.
         local = (own - window[:2]).astype(np.float32)
-        u, v = (between(local[..., axis], shape[0], columns) for axis in (0, 1))
+        u, v = (interpolate_steps(local[..., axis], (shape[0], columns), GRID_STEP) for axis in (0, 1))
         result[:, col : col + columns] = _remapped(read(dataset, window, band), u, v, kernel)
     return result
 
 
-def _window(dataset: gdal.Dataset, positions: FloatArray, kernel: str) -> Optional[Tuple[int, int, int, int]]:
+def _window(dataset: gdal.Dataset, positions: FloatArray, kernel: str) -> Optional[Window]:
     """The window of an image that positions span, with the kernel's reach; None where they miss it."""
     known = np.isfinite(positions).all(axis=-1)
     if not known.any():
@@ -112,7 +102,7 @@ def _window(dataset: gdal.Dataset, positions: FloatArray, kernel: str) -> Option
             f"A block of the refined image spans {high[0] - low[0]} x {high[1] - low[1]} px of "
             f"'{dataset.GetDescription()}': its RPC does not fit its pixels; is it another image's?"
         )
-    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+    return Window.spanning(int(low[0]), int(low[1]), int(high[0]), int(high[1]))
 
 
 def sample_source(dataset: gdal.Dataset, band: int, positions: FloatArray, kernel: str) -> NDArray[np.float32]:

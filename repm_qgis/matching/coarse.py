@@ -16,7 +16,9 @@ import numpy as np
 
 from ..altitudes import ALTITUDES
 from ..arrays import FloatArray, FloatImage
-from ..imagery.warping import GRID_STEP, between
+from ..geometry.interpolation import bilinear, interpolate_steps
+from ..imagery.sampling import median_of_known, median_of_neighbours
+from ..imagery.warping import GRID_STEP
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
 from .backends import Matcher
@@ -58,7 +60,8 @@ class Guide:
     def whole(self, residual: FloatImage) -> FloatImage:
         """Disparities (H, W) from residual ones: the guide counts at the column where the match was found."""
         height, width = residual.shape
-        guide = between(self.nodes.astype(np.float32), height, width + self.high - self.low + 1)
+        wide = (height, width + self.high - self.low + 1)
+        guide = interpolate_steps(self.nodes.astype(np.float32), wide, GRID_STEP)
         columns = np.arange(width, dtype=np.float32) + np.float32(self.high) - np.nan_to_num(residual)
         left = np.clip(columns.astype(np.int32), 0, guide.shape[1] - 2)
         share = columns - left.astype(np.float32)
@@ -100,24 +103,11 @@ def _ground(coarse: FloatImage) -> Optional[FloatArray]:
     """Disparity of the ground in cells of 16 px: medians of cells and of their neighbours, gaps filled, smoothed."""
     height, width = (n // _CELL for n in coarse.shape)
     blocks = coarse[: height * _CELL, : width * _CELL].reshape(height, _CELL, width, _CELL)
-    cells = _median(blocks.transpose(1, 3, 0, 2).reshape(_CELL * _CELL, height, width), _CELL)
+    cells = median_of_known(blocks.transpose(1, 3, 0, 2).reshape(_CELL * _CELL, height, width), _CELL)
     if np.isfinite(cells).mean() < _LEAST_CELLS:
         return None
-    reach = _MEDIAN_CELLS // 2
-    padded = np.pad(cells, reach, constant_values=np.nan)
-    neighbours = np.stack(
-        [padded[i : i + height, j : j + width] for i in range(_MEDIAN_CELLS) for j in range(_MEDIAN_CELLS)]
-    )
-    ground = _without_gaps(_median(neighbours, _MEDIAN_CELLS))
+    ground = _without_gaps(median_of_neighbours(cells, _MEDIAN_CELLS, _MEDIAN_CELLS))
     return cv2.GaussianBlur(ground, (0, 0), 1.0, borderType=cv2.BORDER_REFLECT).astype(np.float64)
-
-
-def _median(stack: FloatImage, least: int) -> FloatImage:
-    """Median along the first axis of what is known; NaN where that is fewer than ``least``."""
-    ordered = np.sort(stack, axis=0)  # NaN last
-    count = np.isfinite(stack).sum(axis=0)
-    middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[None], axis=0)[0]
-    return np.where(count >= least, middle, np.float32(np.nan))
 
 
 def _without_gaps(cells: FloatImage) -> FloatImage:
@@ -154,11 +144,7 @@ def _at(ground: FloatArray, columns: FloatArray, rows: FloatArray) -> FloatArray
     cell = FACTOR * _CELL
     u = np.clip((columns - (cell - 1) / 2) / cell, 0, ground.shape[1] - 1)
     v = np.clip((rows - (cell - 1) / 2) / cell, 0, ground.shape[0] - 1)
-    j, i = (np.minimum(w.astype(np.intp), n - 2) for w, n in ((u, ground.shape[1]), (v, ground.shape[0])))
-    fu, fv = u - j, v - i
-    return (ground[i, j] * (1 - fu) + ground[i, j + 1] * fu) * (1 - fv) + (
-        ground[i + 1, j] * (1 - fu) + ground[i + 1, j + 1] * fu
-    ) * fv
+    return bilinear(ground, u, v)
 
 
 def _residual(coarse: FloatImage, ground: FloatArray) -> FloatArray:

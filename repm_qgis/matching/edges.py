@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatImage
+from ..imagery.sampling import mean_of_known
 
 _MEDIAN = 5
 _REACH = 5  # px to each side of a step that are looked at
@@ -62,9 +63,8 @@ def _without_gaps(surface: FloatImage, known: NDArray[np.bool_]) -> FloatImage:
     """Unknown pixels take the mean of what is known around them."""
     if known.all():
         return surface
-    size = 2 * _REACH + 5
-    share = np.maximum(_mean(known.astype(np.float32), size), np.float32(1e-3))
-    return np.where(known, surface, _mean(np.where(known, surface, np.float32(0)), size) / share).astype(np.float32)
+    around, _ = mean_of_known(surface, known, lambda image: _mean(image, 2 * _REACH + 5), 1e-3)
+    return np.where(known, surface, around).astype(np.float32)
 
 
 def _surfaces(surface: FloatImage) -> Tuple[FloatImage, FloatImage, NDArray[np.bool_]]:
@@ -81,9 +81,8 @@ def _surfaces(surface: FloatImage) -> Tuple[FloatImage, FloatImage, NDArray[np.b
 
 def _mean_where(surface: FloatImage, chosen: NDArray[np.bool_]) -> Tuple[FloatImage, NDArray[np.bool_]]:
     """The mean of the chosen pixels around each pixel, and whether there are any."""
-    share = _mean(chosen.astype(np.float32), _NEIGHBOURHOOD)
-    total = _mean(np.where(chosen, surface, np.float32(0)), _NEIGHBOURHOOD)
-    return total / np.maximum(share, np.float32(1e-3)), share > 0.5 / _NEIGHBOURHOOD**2
+    mean, share = mean_of_known(surface, chosen, lambda image: _mean(image, _NEIGHBOURHOOD), 1e-3)
+    return mean, share > 0.5 / _NEIGHBOURHOOD**2
 
 
 class _Cost:

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 from ..arrays import FloatImage, Mask
+from ..imagery.sampling import mean_of_known
 from .matched import Matched
 
 _CORRELATION_PX = 7  # windows that are correlated,
@@ -151,10 +152,8 @@ def _unsupported(matched: Matched, correlation: FloatImage, known: Mask, seen: M
 
 def _scatter(disparity: FloatImage, inside: Mask) -> FloatImage:
     """How far disparities lie from the mean of their neighbours within the same mask; a slope does not count."""
-    weight = inside.astype(np.float32)
-    values = np.where(inside, disparity, np.float32(0))
-    mean = _box(values, _SCATTER_WINDOW_PX) / np.maximum(_box(weight, _SCATTER_WINDOW_PX), np.float32(1e-6))
-    return np.where(inside, np.abs(values - mean), np.float32(0))
+    mean, _ = mean_of_known(disparity, inside, lambda image: _box(image, _SCATTER_WINDOW_PX), 1e-6)
+    return np.where(inside, np.abs(disparity - mean), np.float32(0))
 
 
 def _grown(seed: Mask, into: Mask, pixels: int) -> Mask:

@@ -18,11 +18,12 @@ from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame, geodetic_from_projected
+from ..geometry.interpolation import upsample_grid
 from ..geometry.tiles import pixel_window
 from ..imagery.dem import dem_range
 from ..imagery.enhancement import view_stretch
 from ..imagery.raster import opened_masked, read
-from ..imagery.sampling import box_mean, sample, upsample_grid
+from ..imagery.sampling import box_mean, sample
 from ..progress import Progress
 from ..scene import View
 

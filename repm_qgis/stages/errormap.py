@@ -9,14 +9,14 @@ import numpy as np
 import pyproj
 
 from ..arrays import FloatArray
-from ..dsm.grid import CellGrid
 from ..errors import OptionError
 from ..evaluation.stage_reports import errormap_report
 from ..evaluation.styles import write_style
+from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
+from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
 from ..imagery.raster import created
-from ..imagery.sampling import upsample_grid
 from ..options import ErrorMapOptions
 from ..progress import Progress
 from ..scene import Scene, Tile, View
@@ -94,22 +94,23 @@ def _tile_error(
     scene: Scene, view: View, tile: Tile, grid: CellGrid, altitude: float
 ) -> Tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Magnitude, column and row at the altitude, and the worst magnitude over the tile's altitudes; NaN outside."""
-    xs, ys = grid.centres()
-    nodes = tuple(max(2, n // _NODE_STEP + 1) for n in grid.shape)
-    xy = np.stack(np.meshgrid(np.linspace(xs[0], xs[-1], nodes[1]), np.linspace(ys[0], ys[-1], nodes[0])), axis=-1)
-    lon_lat = geodetic_from_projected(scene.crs, xy)
-    column, row = np.moveaxis(_on_cells(scene, view, tile, lon_lat, altitude, grid), -1, 0)
+    column, row = np.moveaxis(_on_cells(scene, view, tile, altitude, grid), -1, 0)
     magnitude = np.hypot(column, row)
     worst = magnitude
     for level in np.linspace(*tile.altitudes, _LEVELS):
-        other = _on_cells(scene, view, tile, lon_lat, float(level), grid)
+        other = _on_cells(scene, view, tile, float(level), grid)
         worst = np.fmax(worst, np.hypot(other[..., 0], other[..., 1]))
     return magnitude, column, row, worst
 
 
-def _on_cells(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float, grid: CellGrid) -> FloatArray:
+def _on_cells(scene: Scene, view: View, tile: Tile, altitude: float, grid: CellGrid) -> FloatArray:
     """(rows, columns, 2) errors of all cells, interpolated from the nodes; NaN where the image does not see a cell."""
-    both = upsample_grid(np.concatenate(_error(scene, view, tile, lon_lat, altitude), axis=-1), grid.shape)
+
+    def exact(xy: FloatArray) -> FloatArray:
+        return np.concatenate(_error(scene, view, tile, geodetic_from_projected(scene.crs, xy), altitude), axis=-1)
+
+    columns, rows = (max(2, n // _NODE_STEP + 1) for n in grid.size)
+    both = on_lattice(*grid.centres(), exact, (columns, rows))
     pixels = both[..., 2:]
     inside = ((pixels > -1) & (pixels < (view.width, view.height))).all(axis=-1, keepdims=True)
     return np.where(inside, both[..., :2], np.nan)

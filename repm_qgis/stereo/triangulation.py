@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
-from ..imagery.sampling import interpolate_grid
+from ..geometry.interpolation import interpolate_grid
 from ..scene import View
 from .rectification import RectifiedPair
 

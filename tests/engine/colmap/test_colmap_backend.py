@@ -20,9 +20,10 @@ from repm_qgis.colmap.backend import GpuTask, match_tile
 from repm_qgis.colmap.depth_heights import depth_geometry
 from repm_qgis.colmap.runner import PatchMatch, bytes_needed, colmap_options, failure, on_gpus, run_patch_match
 from repm_qgis.colmap.workspace import brightness, write_workspace
-from repm_qgis.dsm.grid import CellGrid, grid_points
 from repm_qgis.environment import Gpu
 from repm_qgis.errors import Cancelled, DeviceError, ImageError, SceneError
+from repm_qgis.geometry.cell_grid import CellGrid
+from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.matching import backends
 from repm_qgis.matching.dense import height_source

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.dsm.grid import CellGrid
 from repm_qgis.dsm.ortho import nadir_first, orthophoto
+from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
 from repm_qgis.scene import Scene, load_views
 from repm_qgis.sfm.altitude_range import ground_slope

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from repm_qgis.arrays import Window
 from repm_qgis.dsm.fusion import MARGIN_CELLS, StoredTile, wide_file
 from repm_qgis.dsm.seams import blended
 
 SHAPE = (60, 100)
-WINDOWS = [(0, 0, 40, 30), (40, 0, 60, 30), (0, 30, 40, 30), (40, 30, 60, 30)]
+WINDOWS = [Window(0, 0, 40, 30), Window(40, 0, 60, 30), Window(0, 30, 40, 30), Window(40, 30, 60, 30)]
 OFFSETS = (0.0, 0.4, -0.3, 0.2)
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.imagery.sampling import box_mean, sample, upsample_grid
+from repm_qgis.geometry.interpolation import upsample_grid
+from repm_qgis.imagery.sampling import box_mean, sample
 
 NUMBERS = np.random.default_rng(11)
 

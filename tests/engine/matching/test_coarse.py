@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.imagery.warping import GRID_STEP, between, sample_array
+from repm_qgis.geometry.interpolation import interpolate_steps
+from repm_qgis.imagery.warping import GRID_STEP, sample_array
 from repm_qgis.matching import coarse, sgm
 from repm_qgis.matching.coarse import Guide, guide_of, reduced
 from repm_qgis.stereo.pairing import rectified_pair
@@ -51,7 +52,7 @@ def test_a_guide_leaves_a_small_search_and_gives_the_whole_disparity():
     guide = guide_of(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
     assert guide is not None and guide.high - guide.low < 0.5 * (HIGH - LOW)
     assert guide.low < -3 and guide.high > 18  # the tower has its room, though the coarse level loses it
-    nodes = between(guide.nodes, HEIGHT, WIDTH + guide.high - guide.low)
+    nodes = interpolate_steps(guide.nodes, (HEIGHT, WIDTH + guide.high - guide.low), GRID_STEP)
     columns = np.arange(nodes.shape[1], dtype=np.float64)[None] - guide.high
     residual = sgm.match(known.first, known.second_at(columns - nodes), (guide.low, guide.high), 1.0)
     error = (guide.whole(residual.disparity) - known.disparity)[16:-16, 16:-16]
@@ -71,7 +72,7 @@ def test_whole_disparities_count_the_guide_where_the_match_lies():
     residual = rng.uniform(-19, 29, (60, 70)).astype(np.float32)
     residual[3, 5] = np.nan
     whole = guide.whole(residual)
-    fine = between(nodes, 60, 128)
+    fine = interpolate_steps(nodes, (60, 128), GRID_STEP)
     for row, column in ((0, 0), (17, 40), (59, 69), (31, 8)):
         place = column - residual[row, column] + guide.high
         expected = residual[row, column] + np.interp(place, np.arange(128), fine[row])

@@ -1,63 +1,21 @@
-"""The DSM's cells, and how matched points become heights of cells."""
+"""How matched points become heights of cells."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Iterator, Sequence, Tuple, Union
+from typing import Iterator, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from .cell_grid import CellGrid
 
 _SURFACE_M_PER_CELL = 3.0  # points of one cell farther apart belong to two surfaces: roof, wall, ground
 _MIXED = 0.3  # spread within a cell, as a share of that step, from which on it is looked at
 _BRUSHED = 0.02  # of a whole point: less is no evidence of another surface
 _LEAST_WEIGHT = 0.15  # of a whole point: below that a cell is only brushed by its neighbours' points
-
-
-@dataclass(frozen=True)
-class CellGrid:
-    """A north-up grid: ``west``, ``north`` are its corner, multiples of the cell size; ``shape`` is rows, columns."""
-
-    west: float
-    north: float
-    cell: float
-    shape: Tuple[int, int]
-
-    @classmethod
-    def covering(cls, bounds: Sequence[float], cell: float) -> "CellGrid":
-        """The grid of whole multiples of the cell size that holds bounds xmin, ymin, xmax, ymax."""
-        west, south = math.floor(bounds[0] / cell + 1e-9), math.floor(bounds[1] / cell + 1e-9)
-        east, north = math.ceil(bounds[2] / cell - 1e-9), math.ceil(bounds[3] / cell - 1e-9)
-        return cls(west * cell, north * cell, cell, (north - south, east - west))
-
-    @property
-    def geotransform(self) -> Tuple[float, float, float, float, float, float]:
-        return self.west, self.cell, 0.0, self.north, 0.0, -self.cell
-
-    def window(self, bounds: Sequence[float], margin: int = 0) -> Tuple[int, int, int, int]:
-        """First column and row, width and height of the cells whose centres lie in bounds, cut to the grid."""
-        c0 = math.ceil((bounds[0] - self.west) / self.cell - 0.5 - 1e-9) - margin
-        c1 = math.ceil((bounds[2] - self.west) / self.cell - 0.5 - 1e-9) + margin
-        r0 = math.ceil((self.north - bounds[3]) / self.cell - 0.5 - 1e-9) - margin
-        r1 = math.ceil((self.north - bounds[1]) / self.cell - 0.5 - 1e-9) + margin
-        c0, r0 = max(c0, 0), max(r0, 0)
-        c1, r1 = min(c1, self.shape[1]), min(r1, self.shape[0])
-        return c0, r0, max(c1 - c0, 0), max(r1 - r0, 0)
-
-    def part(self, window: Tuple[int, int, int, int]) -> "CellGrid":
-        """The sub-grid of a window."""
-        col, row, width, height = window
-        return CellGrid(self.west + col * self.cell, self.north - row * self.cell, self.cell, (height, width))
-
-    def centres(self) -> Tuple[FloatArray, FloatArray]:
-        """(columns,) x and (rows,) y of the cells' centres."""
-        return (
-            self.west + (np.arange(self.shape[1]) + 0.5) * self.cell,
-            self.north - (np.arange(self.shape[0]) + 0.5) * self.cell,
-        )
 
 
 def surface_step(cell: float) -> float:

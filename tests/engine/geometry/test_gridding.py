@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.dsm.grid import CellGrid, grid_points
+from repm_qgis.geometry.cell_grid import CellGrid
+from repm_qgis.geometry.gridding import grid_points
 
 
 def lattice(spacing, phase, size=40.0):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.dsm.grid import CellGrid, grid_points
 from repm_qgis.evaluation.coregistration import align_3d
+from repm_qgis.geometry.cell_grid import CellGrid
+from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.sampling import sample
 
 GSD = 0.5
