@@ -9,6 +9,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+HELP = sorted((ROOT / "resources" / "help").glob("*.md"))
 
 
 def anchors(page: pathlib.Path) -> set[str]:
@@ -32,6 +33,22 @@ def test_links_lead_somewhere(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_pages_name_no_folder_of_one_machine(page):
     assert not re.search(r"(?<![\w.])/(work|root|home|tmp)/", page.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_pages_name_files_that_exist(page):
+    names = set(re.findall(r"`([a-z_]+/[a-z_/]*\.py)`", page.read_text(encoding="utf-8")))
+    assert not [name for name in names if not any((folder / name).is_file() for folder in (ROOT, ROOT / "repm_qgis"))]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES + HELP if page.stem not in ("glossary", "benchmarks") and "benchmarks" not in page.parts],
+    ids=lambda page: page.relative_to(ROOT).as_posix(),
+)
+def test_pages_use_plain_words(page):
+    found = re.findall(r"(?i)\b(?:told|forth|wants|wanted|lonely|islands?|rows left)\b", page.read_text("utf-8"))
+    assert not found, "see docs/glossary.md"
 
 
 def test_every_algorithm_has_its_page_and_its_help():
