@@ -1,8 +1,8 @@
-"""REPM: digital surface models from satellite images with RPCs. QGIS's front door; the work is in repm_qgis."""
+"""REPM: digital surface models from satellite images with RPCs. QGIS loads this file; the work is in repm_qgis."""
 
 
 def classFactory(iface):  # noqa: N802 - QGIS asks for this name
-    """Make the plugin; QGIS calls this. ``iface`` is None in qgis_process."""
+    """Make the plugin for QGIS, which calls this. ``iface`` is None in qgis_process."""
     from .plugin import RepmPlugin
 
     return RepmPlugin(iface)

@@ -1,4 +1,4 @@
-"""The plugin object: puts the Processing provider (with its settings) in, and takes it out. No work here."""
+"""The plugin object: adds the Processing provider and the translations to QGIS, and removes them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class RepmPlugin:
         self.translator = None
 
     def initProcessing(self) -> None:
-        """Register the provider: all that qgis_process needs, and no GUI."""
+        """Register the provider; qgis_process needs no more than this."""
         self._install_translator()
         if self.provider is None:
             self.provider = RepmProvider()
             QgsApplication.processingRegistry().addProvider(self.provider)
-            # Our models are of our own algorithms, which the registry knows only now.
+            # Our models use our own algorithms, which the registry knows only from here on.
             self.provider.refreshAlgorithms()
 
     def initGui(self) -> None:

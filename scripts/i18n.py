@@ -2,7 +2,7 @@
 """Bring i18n/*.ts up to date with the source, and compile them ('make i18n'): ``scripts/i18n.py [LANGUAGE ...]``.
 
 Texts are found in the syntax tree: self.tr("...") in a class, tr("...") and _tr("...") of a module, and the names of
-groups and layers. What is translated already stays; what is gone from the source leaves. A new language starts empty.
+groups and layers. Translations are kept as long as their text is in the source. A new language starts empty.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "processing_provider"
-BASE = "RepmAlgorithm"  # the context of what all algorithms share; base.py looks there second
+BASE = "RepmAlgorithm"  # the context of texts that all algorithms share; base.py looks there second
 MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings", "styles.py": "RepmStyles"}
 
 
@@ -63,7 +63,7 @@ def source() -> dict[str, list[str]]:
 
 
 def translations(path: pathlib.Path) -> dict[tuple[str, str], str]:
-    """What a .ts file has already, by context and text."""
+    """The translations in a .ts file, by context and text."""
     if not path.exists():
         return {}
     import xml.dom.minidom as minidom  # our own file
@@ -81,7 +81,7 @@ def translations(path: pathlib.Path) -> dict[tuple[str, str], str]:
 
 
 def write(path: pathlib.Path, language: str) -> tuple[int, int]:
-    """The .ts file of a language anew; gives how many texts there are, and how many are translated."""
+    """Write the .ts file of a language; gives the number of texts, and how many are translated."""
     done, lines, count, translated = translations(path), [], 0, 0
     for context, texts in source().items():
         lines += ["<context>", f"    <name>{context}</name>"]
@@ -114,7 +114,7 @@ def main(languages: list[str]) -> int:
         if compiler:
             subprocess.run([compiler, "-silent", str(path), "-qm", str(path.with_suffix(".qm"))], check=True)
     if not compiler:
-        sys.stderr.write("i18n: no lrelease here (Debian: apt-get install qttools5-dev-tools): .qm files stay old.\n")
+        sys.stderr.write("i18n: no .qm files were written: lrelease is missing (Debian: qttools5-dev-tools).\n")
     return 0 if compiler else 1
 
 

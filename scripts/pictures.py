@@ -3,8 +3,7 @@
 
 Takes the demo's results ('make demo' makes them first), the report as Chromium shows it, screenshots of the desktop
 tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair and the report of a real
-triplet. What cannot be made here is
-said and left as it is.
+triplet. Pictures that cannot be made here are named and stay as they are.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ def report(source: str, name: str, height: int, folder: str) -> None:
         return
     path, page = os.path.join(folder, name), os.path.join(folder, "report.html")
     with open(os.path.join(source, "report.html"), encoding="utf-8") as text, open(page, "w", encoding="utf-8") as copy:
-        # The picture is to show no folder of this machine.
+        # The picture must not show folders of this machine.
         copy.write(text.read().replace(source + os.sep, "").replace(SHARED + os.sep, ""))
     subprocess.run(
         [
