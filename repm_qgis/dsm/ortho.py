@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..geometry.cell_grid import CellGrid
+from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import on_lattice
 from ..imagery.raster import opened_masked
 from ..imagery.warping import sample_source
 from ..scene import Scene, View
-from ..sfm.altitude_range import ground_slope
 
 _NODES = 9
 _CLEARANCE_M = 1.0
@@ -26,7 +26,7 @@ def nadir_first(scene: Scene) -> List[View]:
     """The views, steepest first."""
     centre = np.array([scene.frame.lon, scene.frame.lat])
     altitude = sum(scene.altitudes) / 2
-    return sorted(scene.views, key=lambda view: float(np.linalg.norm(ground_slope(view, centre, altitude))))
+    return sorted(scene.views, key=lambda view: float(np.linalg.norm(ray_slope(view, centre, altitude))))
 
 
 def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.float32]:
@@ -62,7 +62,7 @@ def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArra
     """Cells whose ray to the satellite meets a higher part of the surface on its way up."""
     xs, ys = grid.centres()
     centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
-    slope = ground_slope(view, centre, float(np.nanmedian(height)))
+    slope = ray_slope(view, centre, float(np.nanmedian(height)))
     steepness = float(np.linalg.norm(slope))
     blocked = np.zeros(grid.shape, dtype=bool)
     relief = float(np.nanmax(height) - np.nanmin(height))

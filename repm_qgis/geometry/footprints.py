@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Callable, List, Sequence, Tuple
+from typing import Callable, List, Sequence
 
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import FloatArray
+from ..arrays import Bounds, FloatArray, Size
+from .frames import EnuFrame
+from .refinement import SensorModel
 
 Polygon = FloatArray
 """(N, 2) vertices, not closed."""
 
 
 def footprint(
-    localise: Callable[[FloatArray, float], FloatArray], size: Tuple[int, int], altitude: float, points: int = 6
+    localise: Callable[[FloatArray, float], FloatArray], size: Size, altitude: float, points: int = 6
 ) -> Polygon:
     """The ground outline of an image at one altitude.
 
@@ -33,6 +35,15 @@ def footprint(
     )
     ground = localise(border, altitude)[:, :2]
     return ground[np.isfinite(ground).all(axis=1)]
+
+
+def ray_slope(view: SensorModel, lon_lat: FloatArray, altitude: float) -> FloatArray:
+    """(2,) how far a view's line of sight at a place goes east and north, m for each m that it rises."""
+    pixel = view.project(np.array([*lon_lat, altitude]))
+    points = view.localise(np.array([pixel, pixel]), np.array([altitude - 50.0, altitude + 50.0]))
+    enu = EnuFrame(float(lon_lat[0]), float(lon_lat[1]), altitude).from_geodetic(points)
+    step: FloatArray = enu[1] - enu[0]
+    return step[:2] / step[2]
 
 
 def geometry_of(polygon: Polygon) -> ogr.Geometry:
@@ -67,7 +78,7 @@ def box(bounds: Sequence[float]) -> ogr.Geometry:
     return geometry_of(np.array([[xmin, ymin], [xmax, ymin], [xmax, ymax], [xmin, ymax]]))
 
 
-def bounds_of(geometry: ogr.Geometry) -> Tuple[float, float, float, float]:
-    """xmin, ymin, xmax, ymax of a geometry."""
+def bounds_of(geometry: ogr.Geometry) -> Bounds:
+    """The bounding box of a geometry."""
     xmin, xmax, ymin, ymax = geometry.GetEnvelope()
-    return xmin, ymin, xmax, ymax
+    return Bounds(xmin, ymin, xmax, ymax)

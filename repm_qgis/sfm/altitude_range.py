@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import FloatArray
 from ..errors import OptionError
-from ..geometry.frames import EnuFrame, geodetic_from_projected
+from ..geometry.footprints import ray_slope
+from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import upsample_grid
 from ..geometry.tiles import pixel_window
 from ..imagery.dem import dem_range
@@ -89,21 +90,13 @@ def _best_pair(
     """The pair with the base-to-height ratio nearest to 0.3: wide enough to tell heights, narrow enough to match."""
     centre = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
     middle = (search[0] + search[1]) / 2
-    slopes = [ground_slope(view, centre, middle) for view in views]
+    slopes = [ray_slope(view, centre, middle) for view in views]
     ranked = []
     for i, j in combinations(range(len(views)), 2):
         ratio = float(np.linalg.norm(slopes[i] - slopes[j]))
         ranked.append((abs(np.log(max(ratio, 1e-6) / 0.3)), i, j, ratio))
     _, i, j, ratio = min(ranked)
     return views[i], views[j], ratio
-
-
-def ground_slope(view: View, lon_lat: FloatArray, altitude: float) -> FloatArray:
-    """(2,) metres east and north by which a pixel's ground point moves for each metre it is taken higher."""
-    pixel = view.project(np.array([*lon_lat, altitude]))
-    points = view.localise(np.array([pixel, pixel]), np.array([altitude - 50.0, altitude + 50.0]))
-    enu = EnuFrame(float(lon_lat[0]), float(lon_lat[1]), altitude).from_geodetic(points)
-    return (enu[1] - enu[0])[:2] / (enu[1] - enu[0])[2]
 
 
 def _patches(bounds: Tuple[float, float, float, float], gsd: float) -> List[Tuple[float, float, float, float]]:
@@ -246,7 +239,7 @@ def _cross_shift(
     if any(image is None for image in images):
         return -1.0, 0, (0, 0)
     lon, lat = lon_lat.reshape(-1, 2).mean(axis=0)
-    slopes = [ground_slope(view, np.array([lon, lat]), float(planes.mean())) for view in (first, second)]
+    slopes = [ray_slope(view, np.array([lon, lat]), float(planes.mean())) for view in (first, second)]
     parallax = slopes[1] - slopes[0]
     across = np.array([-parallax[1], parallax[0]]) / max(float(np.linalg.norm(parallax)), 1e-9)
     some = planes[:: max(1, len(planes) // 40)]

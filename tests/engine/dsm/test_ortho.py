@@ -7,9 +7,9 @@ import pytest
 
 from repm_qgis.dsm.ortho import nadir_first, orthophoto
 from repm_qgis.geometry.cell_grid import CellGrid
+from repm_qgis.geometry.footprints import ray_slope
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
 from repm_qgis.scene import Scene, load_views
-from repm_qgis.sfm.altitude_range import ground_slope
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_a_box_hides_what_lies_behind_it(urban, middle, tmp_path, write_image):
     view = painted(urban, tmp_path, write_image)[0]
     found = orthophoto([view], middle, height, urban.crs)
     centre = on_ground(urban, middle, height)[50, 50, :2]
-    slope = ground_slope(view, centre, 195.0)
+    slope = ray_slope(view, centre, 195.0)
     # Toward the satellite a ray climbs 1 m for each |slope| m: behind the tower, 30 m high, that much is hidden.
     hidden = np.zeros((100, 100), bool)
     for lift in np.arange(0.5, 30.0, 0.25):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from repm_qgis.errors import OptionError
+from repm_qgis.geometry.footprints import ray_slope
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.sfm.altitude_range import _patches, altitude_range, ground_slope, sweep_altitudes
+from repm_qgis.sfm.altitude_range import _patches, altitude_range, sweep_altitudes
 
 NONE = (None, None)
 
@@ -60,7 +61,7 @@ def test_slopes_are_what_two_heights_say(urban):
     lon_lat = geodetic_from_projected(
         urban.crs, np.array([(urban.bounds[0] + urban.bounds[2]) / 2, (urban.bounds[1] + urban.bounds[3]) / 2])
     )
-    slope = ground_slope(view, lon_lat, 200.0)
+    slope = ray_slope(view, lon_lat, 200.0)
     tilt = np.degrees(np.arctan(np.linalg.norm(slope)))
     look = urban.record["views"][0]
     # Pitch and roll of the satellite make a little more at the curved ground.
