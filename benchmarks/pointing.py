@@ -38,7 +38,8 @@ from repm_qgis.scene import Scene, Tile, View, load_views  # noqa: E402
 from repm_qgis.sfm.adjustment import Track, adjust  # noqa: E402
 from repm_qgis.sfm.colmap_adjustment import adjust_colmap  # noqa: E402
 from repm_qgis.sfm.ground_control import Gcp  # noqa: E402
-from repm_qgis.sfm.pair_selection import NARROW, WIDE, badness, choose_pairs  # noqa: E402
+from repm_qgis.sfm.pair_selection import choose_pairs, pair_cost  # noqa: E402
+from repm_qgis.sfm.parameters import POINTING  # noqa: E402
 from repm_qgis.sfm.pointing import Pointing, point_views  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene, make_views, rpc_tags, surface_bounds  # noqa: E402
@@ -878,7 +879,8 @@ def pair_selection() -> List[str]:
         convergence(a, b, scene.frame.lon, scene.frame.lat, sum(scene.altitudes) / 2)
         for a, b in combinations(scene.views, 2)
     ]
-    out = sum(ratio < NARROW for _, ratio in every), sum(ratio > WIDE for _, ratio in every)
+    good = POINTING.pairs
+    out = sum(ratio < good.narrow for _, ratio in every), sum(ratio > good.wide for _, ratio in every)
     slanting = max(ratio for angle, ratio in every if angle < 8)
     count = [sum(view.name in (pair.first, pair.second) for pair in pairs) for view in scene.views]
     rows = [
@@ -890,7 +892,7 @@ def pair_selection() -> List[str]:
             100.0 * pair.share,
             apart_text(pair.days),
             pair.sun_deg,
-            badness(pair),
+            pair_cost(pair),
         ]
         for pair in pairs
     ]

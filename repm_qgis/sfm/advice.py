@@ -15,7 +15,8 @@ from ..imagery.acquisition import apart_text
 from ..progress import counted
 from ..records import ViewPair
 from ..scene import Scene
-from .pair_selection import NARROW, WIDE, days_off_season, sun_over
+from .pair_selection import days_off_season, sun_over
+from .parameters import POINTING
 
 MATCHING_PX = 0.25
 """What dense matching is good for, px: the expected height accuracy of a pair is so many pixels of its parallax."""
@@ -85,13 +86,13 @@ def advice(scene: Scene, pairs: Sequence[ViewPair], figures: Mapping[str, Any]) 
 def _geometry(pair: ViewPair, gsd_m: float) -> List[str]:
     """A pair that is too narrow or too wide."""
     looks = f"(B/H {pair.base_to_height:.2f}, {pair.angle_deg:.1f} degrees)"
-    if pair.base_to_height < NARROW:
+    if pair.base_to_height < POINTING.pairs.narrow:
         return [
             f"{pair.first} and {pair.second} look from nearly one direction {looks}: heights of this pair are good "
             f"to some {MATCHING_PX * gsd_m / pair.base_to_height:.1f} m only; add an image from farther away, or "
             "leave one of the two out."
         ]
-    if pair.base_to_height > WIDE:
+    if pair.base_to_height > POINTING.pairs.wide:
         return [
             f"{pair.first} and {pair.second} look from very different directions {looks}: walls and trees will not "
             "match; add an image from between."

@@ -1,8 +1,8 @@
 """The altitude range of the ground, from the images themselves.
 
 An RPC's own range may be kilometres wide, and windows, cameras and tiles grow with it. A plane sweep over a few
-strongly reduced patches (Collins, A space-sweep approach to true multi-image matching, 1996) finds what is really
-there to within some ten metres; numpy alone suffices.
+strongly reduced patches (Collins, A space-sweep approach to true multi-image matching, 1996) finds the real range to
+within some ten metres, with numpy alone.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from itertools import combinations
 from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..altitudes import ALTITUDES, AltitudeParameters
-from ..arrays import FloatArray
+from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Window
 from ..errors import OptionError
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
@@ -27,21 +26,14 @@ from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
 from ..progress import Progress
 from ..scene import View
-
-_REDUCTION = 8  # image px a cell
-_CELLS = 160  # cells a side of a patch
-_PATCHES = 3  # patches a side of the area, at most
-_WINDOW = 5  # radius of the correlation window, cells
-_MIN_CORRELATION = 0.7
-_MIN_CELLS = 60
-_MAX_PLANES = 180
+from .parameters import POINTING, SweepParameters
 
 
 @dataclass(frozen=True)
 class SweepResult:
-    """The range found (margins included), and on how many cells of how many it rests."""
+    """The range found, margins included; how many of all cells gave an altitude; the distance of the planes."""
 
-    altitudes: Tuple[float, float]
+    altitudes: Altitudes
     matched: int
     cells: int
     step_m: float
@@ -50,205 +42,200 @@ class SweepResult:
 def sweep_altitudes(
     views: Sequence[View],
     crs: str,
-    bounds: Tuple[float, float, float, float],
-    search: Tuple[float, float],
+    bounds: Bounds,
+    search: Altitudes,
     progress: Progress,
+    parameters: SweepParameters = POINTING.sweep,
     altitudes: AltitudeParameters = ALTITUDES,
 ) -> Optional[SweepResult]:
     """Find the altitude range of the ground within ``bounds`` (in ``crs``), inside ``search`` metres.
 
-    None where the images do not say (no texture, too narrow a pair, no overlap).
+    None where the images do not show it: no texture, no overlap, or all pairs too narrow.
     """
-    first, second, base_to_height = _best_pair(views, bounds, crs, search)
-    if base_to_height < 0.05:
+    first, second, base_to_height = _best_pair(views, bounds, crs, search, parameters)
+    if base_to_height < parameters.least_base_to_height:
         return None
     gsd = max(first.gsd_m, second.gsd_m)
-    step = max(gsd * _REDUCTION / base_to_height, (search[1] - search[0]) / _MAX_PLANES)
-    planes = np.arange(search[0], search[1] + step, step)
+    step = max(gsd * parameters.reduction / base_to_height, (search[1] - search[0]) / parameters.most_planes)
+    sweep = _Sweep(first, second, crs, np.arange(search[0], search[1] + step, step), parameters)
     found: List[FloatArray] = []
     cells = 0
-    patches = _patches(bounds, gsd)
-    shift = _pointing_shift(first, second, crs, patches, planes)
+    patches = sweep_patches(bounds, gsd, parameters)
+    shift = _pointing_shift(sweep, patches)
     for index, patch in enumerate(patches):
         progress.check_cancelled()
         progress.step(index / len(patches), "altitude range from the images")
-        altitude, score = _sweep_patch(first, second, crs, patch, planes, shift)
-        good = score > _MIN_CORRELATION
+        altitude, score = _sweep_patch(sweep, patch, shift)
+        good = score > parameters.least_correlation
         cells += score.size
         found.append(altitude[good])
     heights = np.concatenate(found) if found else np.empty(0)
-    if heights.size < max(_MIN_CELLS, 0.01 * cells):
+    if heights.size < max(parameters.least_cells, parameters.least_share * cells):
         return None
-    low, high = np.percentile(heights, (0.5, 99.5))
+    low, high = np.percentile(heights, (parameters.tail_percent, 100.0 - parameters.tail_percent))
     low, high = altitudes.around_sweep(low, high, step)
     return SweepResult((max(search[0], low), min(search[1], high)), int(heights.size), cells, float(step))
 
 
+@dataclass(frozen=True)
+class _Sweep:
+    """Two views, the altitudes of the planes, and the CRS of the patches."""
+
+    first: View
+    second: View
+    crs: str
+    planes: FloatArray
+    parameters: SweepParameters
+
+
 def _best_pair(
-    views: Sequence[View], bounds: Tuple[float, float, float, float], crs: str, search: Tuple[float, float]
+    views: Sequence[View], bounds: Bounds, crs: str, search: Altitudes, parameters: SweepParameters
 ) -> Tuple[View, View, float]:
-    """The pair with the base-to-height ratio nearest to 0.3: wide enough to tell heights, narrow enough to match."""
+    """The two views whose base-to-height ratio is nearest to the best one, and that ratio."""
     centre = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
     middle = (search[0] + search[1]) / 2
     slopes = [ray_slope(view, centre, middle) for view in views]
     ranked = []
     for i, j in combinations(range(len(views)), 2):
         ratio = float(np.linalg.norm(slopes[i] - slopes[j]))
-        ranked.append((abs(np.log(max(ratio, 1e-6) / 0.3)), i, j, ratio))
+        ranked.append((abs(np.log(max(ratio, 1e-6) / parameters.best_base_to_height)), i, j, ratio))
     _, i, j, ratio = min(ranked)
     return views[i], views[j], ratio
 
 
-def _patches(bounds: Tuple[float, float, float, float], gsd: float) -> List[Tuple[float, float, float, float]]:
+def sweep_patches(bounds: Bounds, gsd: float, parameters: SweepParameters) -> List[Bounds]:
     """Square patches spread over the area: all of it where it is small."""
-    side = _CELLS * _REDUCTION * gsd
+    side = parameters.cells * parameters.reduction * gsd
     axes = []
     for low, high in ((bounds[0], bounds[2]), (bounds[1], bounds[3])):
-        # Patches take up to half as much again, rather than another one that overlaps them almost wholly.
-        count = int(np.clip(np.round((high - low) / side), 1, _PATCHES))
-        width = min(1.5 * side, (high - low) / count)
-        axes.append([(s, s + width) for s in np.linspace(low, high - width, count)])
-    return [(x0, y0, x1, y1) for y0, y1 in axes[1] for x0, x1 in axes[0]]
+        # Patches may be larger than usual, rather than overlap almost wholly.
+        count = int(np.clip(np.round((high - low) / side), 1, parameters.patches))
+        width = min(parameters.most_stretch * side, (high - low) / count)
+        axes.append([(float(s), float(s + width)) for s in np.linspace(low, high - width, count)])
+    return [Bounds(x0, y0, x1, y1) for y0, y1 in axes[1] for x0, x1 in axes[0]]
 
 
-def _middle(patch: Tuple[float, float, float, float]) -> Tuple[float, float, float, float]:
+def _middle(patch: Bounds) -> Bounds:
     """The inner quarter of a patch."""
     xmin, ymin, xmax, ymax = patch
-    return 0.75 * xmin + 0.25 * xmax, 0.75 * ymin + 0.25 * ymax, 0.25 * xmin + 0.75 * xmax, 0.25 * ymin + 0.75 * ymax
+    return Bounds(
+        0.75 * xmin + 0.25 * xmax, 0.75 * ymin + 0.25 * ymax, 0.25 * xmin + 0.75 * xmax, 0.25 * ymin + 0.75 * ymax
+    )
 
 
-def _sweep_patch(
-    first: View,
-    second: View,
-    crs: str,
-    patch: Tuple[float, float, float, float],
-    planes: FloatArray,
-    shift: Tuple[int, int],
-) -> Tuple[FloatArray, FloatArray]:
+def _sweep_patch(sweep: _Sweep, patch: Bounds, shift: Tuple[int, int]) -> Tuple[FloatArray, FloatArray]:
     """Best altitude and its correlation for each cell of a patch."""
-    shape, lon_lat, images = _reduced_pair(first, second, crs, patch, planes)
+    shape, lon_lat, images = _reduced_pair(sweep, patch)
     best_score, best_altitude = np.full(shape, -1.0), np.zeros(shape)
-    if any(image is None for image in images):
+    if images is None:
         return best_altitude, best_score
-    for altitude in planes:
-        score = _correlation(*(_on_plane(image, lon_lat, altitude, shape) for image in images), shift)
+    for altitude in sweep.planes:
+        first, second = (_on_plane(image, lon_lat, altitude, shape) for image in images)
+        score = _correlation(first, second, shift, sweep.parameters)
         better = score > best_score
         best_score[better], best_altitude[better] = score[better], altitude
     # A best plane at either end of the search is no maximum.
-    inner = (best_altitude > planes[0]) & (best_altitude < planes[-1])
+    inner = (best_altitude > sweep.planes[0]) & (best_altitude < sweep.planes[-1])
     return best_altitude, np.where(inner, best_score, -1.0)
 
 
 def _reduced_pair(
-    first: View, second: View, crs: str, patch: Tuple[float, float, float, float], planes: FloatArray
-) -> Tuple[Tuple[int, int], FloatArray, List[Optional["_Reduced"]]]:
-    """A patch's shape in cells, the lattice of its longitudes and latitudes, and what both views show of it."""
-    cell = max(first.gsd_m, second.gsd_m) * _REDUCTION
+    sweep: _Sweep, patch: Bounds
+) -> Tuple[Tuple[int, int], FloatArray, Optional[Tuple["_Reduced", "_Reduced"]]]:
+    """A patch's shape in cells, the lattice of its longitudes and latitudes, and its images (None: not both see it)."""
+    cell = max(sweep.first.gsd_m, sweep.second.gsd_m) * sweep.parameters.reduction
     shape = (max(8, int((patch[3] - patch[1]) / cell)), max(8, int((patch[2] - patch[0]) / cell)))
     u, v = np.linspace(patch[0], patch[2], 9), np.linspace(patch[3], patch[1], 9)
-    lon_lat = geodetic_from_projected(crs, np.stack(np.meshgrid(u, v), axis=-1))
-    return (
-        shape,
-        lon_lat,
-        [_Reduced.of(view, crs, patch, (float(planes[0]), float(planes[-1]))) for view in (first, second)],
-    )
+    lon_lat = geodetic_from_projected(sweep.crs, np.stack(np.meshgrid(u, v), axis=-1))
+    first, second = (_Reduced.of(view, sweep, patch) for view in (sweep.first, sweep.second))
+    return shape, lon_lat, None if first is None or second is None else (first, second)
 
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A window of a view, reduced, with its mean brightness taken out."""
+    """A window of a view, reduced, as square roots of its intensity."""
 
     view: View
-    pixels: NDArray[np.float32]
-    window: Tuple[int, int, int, int]
+    pixels: FloatImage
+    window: Window
 
     @classmethod
-    def of(
-        cls, view: View, crs: str, patch: Tuple[float, float, float, float], altitudes: Tuple[float, float]
-    ) -> Optional["_Reduced"]:
-        window = pixel_window(
-            view.project,
-            lambda xy: geodetic_from_projected(crs, xy),
-            patch,
-            altitudes,
-            view.size,
-            smallest=8 * _REDUCTION,
-        )
+    def of(cls, view: View, sweep: _Sweep, patch: Bounds) -> Optional["_Reduced"]:
+        reduction, altitudes = sweep.parameters.reduction, (float(sweep.planes[0]), float(sweep.planes[-1]))
+
+        def to_geodetic(xy: FloatArray) -> FloatArray:
+            return geodetic_from_projected(sweep.crs, xy)
+
+        window = pixel_window(view.project, to_geodetic, patch, altitudes, view.size, smallest=8 * reduction)
         if window is None:
             return None
+        size = max(1, window[2] // reduction), max(1, window[3] // reduction)
         with opened_masked(view.image, view.mask) as dataset:
-            pixels = read(
-                dataset, window, view.band, (max(1, window[2] // _REDUCTION), max(1, window[3] // _REDUCTION))
-            )
-        return cls(view, np.sqrt(np.maximum(pixels, 0)), window)
+            pixels = read(dataset, window, view.band, size)
+        return cls(view, np.sqrt(np.maximum(pixels, 0)), Window(*window))
 
 
-def _on_plane(image: _Reduced, lon_lat: FloatArray, altitude: float, shape: Tuple[int, int]) -> FloatArray:
+def _on_plane(image: _Reduced, lon_lat: FloatArray, altitude: float, shape: Tuple[int, int]) -> FloatImage:
     """The image as it lies on a plane of one altitude, on the patch's cells."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1)
     reduced = np.array(image.pixels.shape[::-1]) / image.window[2:]
     nodes = (image.view.project(ground) - image.window[:2] + 0.5) * reduced - 0.5
-    return sample(image.pixels, *(upsample_grid(nodes[..., i].astype(np.float32), shape) for i in (0, 1)))
+    columns, rows = (upsample_grid(nodes[..., i].astype(np.float32), shape) for i in (0, 1))
+    return sample(image.pixels, columns, rows)
 
 
-def _correlation(a: FloatArray, b: FloatArray, shift: Tuple[int, int]) -> FloatArray:
+def _correlation(a: FloatImage, b: FloatImage, shift: Tuple[int, int], parameters: SweepParameters) -> FloatImage:
     """Normalised cross-correlation of windows around each cell; -1 where either has gaps or no contrast."""
     b = np.roll(b, shift, axis=(0, 1))
     known = np.isfinite(a) & np.isfinite(b)
     if not known.any():
         return np.full(a.shape, np.float32(-1))
-    # About their means, so that the squares' sums do not lose what single precision has not.
+    # The means are subtracted first, because sums of squares would exceed single precision.
     middle_a, middle_b = a[known].mean(), b[known].mean()
     a, b = np.where(known, a - middle_a, np.float32(0)), np.where(known, b - middle_b, np.float32(0))
     count, mean_a, mean_b, var_a, var_b, covariance = (
-        box_mean(part, _WINDOW) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b)
+        box_mean(part, parameters.window_radius) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b)
     )
     safe = np.maximum(count, np.float32(1e-6))
     mean_a, mean_b = mean_a / safe, mean_b / safe
     var_a, var_b = var_a / safe - mean_a**2, var_b / safe - mean_b**2
     covariance = covariance / safe - mean_a * mean_b
-    # Contrast below a hundredth of the brightness's root is noise.
-    flat = (var_a < 1e-4 * (mean_a + middle_a) ** 2) | (var_b < 1e-4 * (mean_b + middle_b) ** 2) | (count < 0.8)
-    return np.where(flat, np.float32(-1), covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12))))
+    noise = parameters.least_contrast
+    flat = (var_a < noise * (mean_a + middle_a) ** 2) | (var_b < noise * (mean_b + middle_b) ** 2)
+    score = covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12)))
+    return np.where(flat | (count < parameters.least_known), np.float32(-1), score)
 
 
-def _pointing_shift(
-    first: View, second: View, crs: str, patches: Sequence[Tuple[float, float, float, float]], planes: FloatArray
-) -> Tuple[int, int]:
-    """The whole-cell shift across the parallax that the pointing errors make.
+def _pointing_shift(sweep: _Sweep, patches: Sequence[Bounds]) -> Tuple[int, int]:
+    """The shift, in whole cells across the parallax, that the errors of the two RPCs make.
 
-    It is the same all over the images: the first patch that agrees well tells it, from the middle on, else the best
-    of three.
+    It is the same all over the images: that of the first patch with a good correlation, the middle one first, else
+    the best of three.
     """
     found = []
     for index in dict.fromkeys((len(patches) // 2, 0, len(patches) - 1)):
-        found.append(_cross_shift(first, second, crs, _middle(patches[index]), planes))
-        if found[-1][0] > _MIN_CORRELATION:
+        found.append(_cross_shift(sweep, _middle(patches[index])))
+        if found[-1][0] > sweep.parameters.least_correlation:
             break
     return max(found)[2]
 
 
-def _cross_shift(
-    first: View, second: View, crs: str, patch: Tuple[float, float, float, float], planes: FloatArray
-) -> Tuple[float, int, Tuple[int, int]]:
-    """The whole-cell shift across the parallax that makes a patch agree best: pointing errors of tens of px.
-
-    Gives how well it agrees, and the shift last.
-    """
-    shape, lon_lat, images = _reduced_pair(first, second, crs, patch, planes)
-    if any(image is None for image in images):
+def _cross_shift(sweep: _Sweep, patch: Bounds) -> Tuple[float, int, Tuple[int, int]]:
+    """The correlation of a patch, minus the number of cells, and the shift (rows, columns), where it is best."""
+    shape, lon_lat, images = _reduced_pair(sweep, patch)
+    if images is None:
         return -1.0, 0, (0, 0)
-    lon, lat = lon_lat.reshape(-1, 2).mean(axis=0)
-    slopes = [ray_slope(view, np.array([lon, lat]), float(planes.mean())) for view in (first, second)]
+    centre = lon_lat.reshape(-1, 2).mean(axis=0)
+    slopes = [ray_slope(view, centre, float(sweep.planes.mean())) for view in (sweep.first, sweep.second)]
     parallax = slopes[1] - slopes[0]
     across = np.array([-parallax[1], parallax[0]]) / max(float(np.linalg.norm(parallax)), 1e-9)
-    some = planes[:: max(1, len(planes) // 40)]
-    stack = [tuple(_on_plane(image, lon_lat, z, shape) for image in images) for z in some]
+    some = sweep.planes[:: max(1, len(sweep.planes) // sweep.parameters.shift_planes)]
+    stack = [[_on_plane(image, lon_lat, z, shape) for image in images] for z in some]
     scored = []
-    for step in (0, -1, 1, -2, 2, -3, 3):
+    for step in range(-sweep.parameters.most_shift, sweep.parameters.most_shift + 1):
         # Rows run south: a move north is a move up.
         shift = (int(round(-step * across[1])), int(round(step * across[0])))
-        best = np.max([_correlation(a, b, shift) for a, b in stack], axis=0)
+        best = np.max([_correlation(a, b, shift, sweep.parameters) for a, b in stack], axis=0)
         scored.append((float(np.mean(best)), -abs(step), shift))
     return max(scored)
 
@@ -256,35 +243,36 @@ def _cross_shift(
 def altitude_range(
     views: Sequence[View],
     crs: str,
-    bounds: Tuple[float, float, float, float],
-    search: Tuple[float, float],
+    bounds: Bounds,
+    search: Altitudes,
     given: Tuple[Optional[float], Optional[float]],
     dem: Optional[str],
     progress: Progress,
+    parameters: SweepParameters = POINTING.sweep,
     altitudes: AltitudeParameters = ALTITUDES,
-) -> Tuple[Tuple[float, float], str]:
+) -> Tuple[Altitudes, str]:
     """The altitude range to work in, and where it comes from.
 
-    Best first: what the user gives, a DEM, the images, the RPCs' own range (``search``). A given end replaces that
-    end of whatever the others say.
+    The first of these that is there: the user's, that of a DEM, of the images, of the RPCs (``search``). Where the
+    user gives one end only, it replaces that end. Raises OptionError where nothing is left between the ends.
     """
     if given[0] is not None and given[1] is not None:
         return (given[0], given[1]), "given"
     if dem:
-        low, high, said = dem_range(dem, crs, bounds)
-        if not said:
+        low, high, known = dem_range(dem, crs, bounds)
+        if not known:
             progress.warn(
-                f"The DEM '{dem}' does not say what its heights refer to: they are taken as metres above "
-                "the WGS 84 ellipsoid."
+                f"The DEM '{dem}' does not state its vertical datum: its heights are taken as metres above the WGS 84 "
+                "ellipsoid."
             )
         found, source = altitudes.around_dem(low, high), "DEM"
     else:
-        swept = sweep_altitudes(views, crs, bounds, search, progress, altitudes)
+        swept = sweep_altitudes(views, crs, bounds, search, progress, parameters, altitudes)
         if swept is None:
-            for view in views:  # before the altitudes get the blame: does every image show something?
+            for view in views:  # an image that shows nothing is an error of its own
                 view_stretch(view.image, view.band, view.mask)
             progress.warn(
-                f"The images do not tell the altitude range: the RPCs' own is taken, {search[0]:.0f} to "
+                f"The images do not show the altitude range: that of the RPCs is used, {search[0]:.0f} to "
                 f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors."
             )
             found, source = search, "RPC"
@@ -293,9 +281,7 @@ def altitude_range(
     low = found[0] if given[0] is None else given[0]
     high = found[1] if given[1] is None else given[1]
     if low >= high:
-        raise OptionError(
-            "ALTITUDE_MIN" if given[0] is not None else "ALTITUDE_MAX",
-            low if given[0] is not None else high,
-            f"leaves no range: the ground lies between {found[0]:.0f} and {found[1]:.0f} m",
-        )
+        option, value = ("ALTITUDE_MIN", low) if given[0] is not None else ("ALTITUDE_MAX", high)
+        ground = f"the ground lies between {found[0]:.0f} and {found[1]:.0f} m"
+        raise OptionError(option, value, f"leaves no range: {ground}")
     return (float(low), float(high)), source

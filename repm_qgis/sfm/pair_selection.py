@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import combinations
 from statistics import median
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 from osgeo import ogr
 
@@ -16,52 +16,46 @@ from ..geometry.sun import shadow_shift, sun_angle, sun_position
 from ..records import ViewPair
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
-
-NARROW, WIDE = 0.1, 0.9
-"""Base-to-height ratios between which a pair is good: 5.7 to 48 degrees about the vertical."""
-
-_BEST_RATIO, _BEST_DEG = 0.35, 20.0  # the same about the vertical
-_LEAST_RATIO = 0.05
-_LEAST_GOOD_DEG = 5.0  # slanting looks have a fair ratio at angles too small to tell heights well
-_ALL_UP_TO = 3  # views: up to so many, all pairs
-_WANTED = 3  # pairs a view
-_BUSIEST = 5  # pairs a view that is a good partner to many; more only where it takes that to connect all views
+from .graph import components
+from .parameters import POINTING, PairParameters
 
 _YEAR = 365.25
-_DECADE_COST, _SEASON_COST, _SUN_COST_DEG = 0.25, 0.5, 30.0
-_LEAST_SHARE = 0.01
 
 
-def choose_pairs(scene: Scene) -> List[ViewPair]:
-    """Pairs that share tiles and are neither too narrow to tell heights nor too wide to match, best first.
+def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> List[ViewPair]:
+    """Pairs that share tiles and are neither too narrow to measure heights nor too wide to match, best first.
 
-    Up to three views: all that can tell heights. Of more, each view keeps its three best good pairs (:func:`badness`),
-    and as many more, good ones first, as it takes to connect all views. Raises EmptyResultError with the angles where
-    no pair will do.
+    Of up to three views, these are all pairs that can measure heights. Of more views, each one keeps its three best
+    good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Raises
+    EmptyResultError with the angles where no pair is usable.
     """
     candidates = _candidates(scene)
-    usable = [c for c in candidates if c.base_to_height >= _LEAST_RATIO]
+    usable = [c for c in candidates if c.base_to_height >= parameters.least_base_to_height]
     if not usable:
         angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
         angles = angles or "they share no tile"
         raise EmptyResultError(
-            f"No pair of images can tell heights ({angles}): choose images that look at the ground "
-            "from directions at least 3 degrees apart."
+            f"No pair of images can measure heights ({angles}): choose images with lines of sight at least 3 degrees "
+            "apart."
         )
-    if len(scene.views) <= _ALL_UP_TO:
-        return sorted(usable, key=lambda pair: abs(math.log(pair.base_to_height / _BEST_RATIO)))
-    unknown = usual_change(usable)
-    return _few(sorted(usable, key=lambda pair: badness(pair, unknown)), [view.name for view in scene.views], unknown)
+    if len(scene.views) <= parameters.all_up_to:
+        return sorted(usable, key=lambda pair: abs(math.log(pair.base_to_height / parameters.best_base_to_height)))
+    unknown = usual_change(usable, parameters)
+
+    def cost(pair: ViewPair) -> float:
+        return pair_cost(pair, unknown, parameters)
+
+    return sorted(_few(sorted(usable, key=cost), [view.name for view in scene.views], parameters), key=cost)
 
 
-def badness(pair: ViewPair, unknown: float = 0.0) -> float:
-    """What speaks against a pair; 0 is best.
+def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters = POINTING.pairs) -> float:
+    """How unsuitable a pair is; 0 is best, and 1 is as bad as a convergence angle that is wrong by a factor of e.
 
-    Everything is counted in the unit of the first term: 1 is as bad as an angle wrong by a factor of e.
+    The sum of three terms:
 
-    * convergence: abs(ln(angle / 20 degrees)); semi-global matching does best at 15 to 25;
+    * convergence: abs(ln(angle / 20 degrees)); semi-global matching is best at 15 to 25 degrees;
     * overlap: -ln(part of the area that both see), so that half of it costs as much as twice the angle;
-    * time: :func:`change_cost`, ``unknown`` where a time is.
+    * time: :func:`change_cost`, or ``unknown`` where a time is not known.
 
     References
     ----------
@@ -69,34 +63,36 @@ def badness(pair: ViewPair, unknown: float = 0.0) -> float:
     prediction model", ISPRS Journal of Photogrammetry and Remote Sensing 154 (2019): of over 1000 pairs of one place,
     those with angles of 15 to 25 degrees still differ much in accuracy; the difference of the suns decides.
     """
-    cost = change_cost(pair)
+    cost = change_cost(pair, parameters)
     return (
-        abs(math.log(pair.angle_deg / _BEST_DEG))
-        - math.log(max(pair.share, _LEAST_SHARE))
+        abs(math.log(pair.angle_deg / parameters.best_deg))
+        - math.log(max(pair.share, parameters.least_share))
         + (unknown if cost is None else cost)
     )
 
 
-def is_good(pair: ViewPair) -> bool:
-    """Whether a pair is neither too narrow to tell heights well nor too wide to match well."""
-    return NARROW <= pair.base_to_height <= WIDE and pair.angle_deg >= _LEAST_GOOD_DEG
+def is_good(pair: ViewPair, parameters: PairParameters = POINTING.pairs) -> bool:
+    """Whether a pair is neither too narrow to measure heights well nor too wide to match well."""
+    fair = parameters.narrow <= pair.base_to_height <= parameters.wide
+    return fair and pair.angle_deg >= parameters.least_good_deg
 
 
-def change_cost(pair: ViewPair) -> Optional[float]:
-    """What changed between two images: the ground with time and season, the shadows with the sun; None if unknown.
+def change_cost(pair: ViewPair, parameters: PairParameters = POINTING.pairs) -> Optional[float]:
+    """The cost of what changed between two images: the ground with time and season, the shadows with the sun.
 
     A quarter for each power of ten of 1 + days (same pass 0, ten days 0.26, a year 0.64), up to a half for the
-    opposite season, and one for each 30 degrees between the suns.
+    opposite season, and one for each 30 degrees between the two suns. None where the time is not known.
     """
     if pair.days is None:
         return None
     season = (1.0 - math.cos(2.0 * math.pi * pair.days / _YEAR)) / 2.0
-    return _DECADE_COST * math.log10(1.0 + pair.days) + _SEASON_COST * season + (pair.sun_deg or 0.0) / _SUN_COST_DEG
+    time = parameters.decade_cost * math.log10(1.0 + pair.days) + parameters.season_cost * season
+    return time + (pair.sun_deg or 0.0) / parameters.sun_cost_deg
 
 
-def usual_change(pairs: Sequence[ViewPair]) -> float:
-    """The median change cost of the pairs whose times are known: what speaks neither for nor against another."""
-    known = [cost for cost in map(change_cost, pairs) if cost is not None]
+def usual_change(pairs: Sequence[ViewPair], parameters: PairParameters = POINTING.pairs) -> float:
+    """The median change cost of the pairs whose times are known: a neutral cost for the others."""
+    known = [cost for cost in (change_cost(pair, parameters) for pair in pairs) if cost is not None]
     return median(known) if known else 0.0
 
 
@@ -139,7 +135,7 @@ def _candidates(scene: Scene) -> List[ViewPair]:
 
 
 def _share(first: ogr.Geometry, second: ogr.Geometry, area: Optional[ogr.Geometry]) -> float:
-    """The part of an area (else of the smaller outline) that lies within two outlines."""
+    """The part of an area (of the smaller outline where there is none) that lies within two outlines."""
     common = first.Intersection(second)
     if area is not None and common is not None:
         common = common.Intersection(area)
@@ -152,35 +148,29 @@ def _apart(scene: Scene, first: View, second: View) -> Tuple[Optional[float], Op
     if first.time is None or second.time is None:
         return None, None, None
     days = abs((second.time - first.time).total_seconds()) / 86400.0
-    suns = sun_over(scene, first), sun_over(scene, second)
-    if min(sun[1] for sun in suns) <= 0:
+    one, two = (sun_position(time, scene.frame.lon, scene.frame.lat) for time in (first.time, second.time))
+    if min(one[1], two[1]) <= 0:
         return days, None, None
-    return days, sun_angle(*suns), shadow_shift(*suns)
+    return days, sun_angle(one, two), shadow_shift(one, two)
 
 
-def _few(ranked: Sequence[ViewPair], names: Sequence[str], unknown: float) -> List[ViewPair]:
-    """Of pairs, best first, each view's best good ones, and those that connect all views."""
-    group: Dict[str, str] = {name: name for name in names}
+def _few(ranked: Sequence[ViewPair], names: Sequence[str], parameters: PairParameters) -> List[ViewPair]:
+    """Of pairs, best first, the best good ones of each view, and those that connect all views."""
     count = dict.fromkeys(names, 0)
     kept: List[ViewPair] = []
 
-    def root(name: str) -> str:
-        while group[name] != name:
-            name = group[name]
-        return name
-
     def keep(pair: ViewPair) -> None:
         kept.append(pair)
-        group[root(pair.first)] = root(pair.second)
         count[pair.first] += 1
         count[pair.second] += 1
 
-    good = [pair for pair in ranked if is_good(pair)]
+    good = [pair for pair in ranked if is_good(pair, parameters)]
     for pair in good:
         counts = count[pair.first], count[pair.second]
-        if min(counts) < _WANTED and max(counts) < _BUSIEST:
+        if min(counts) < parameters.per_view and max(counts) < parameters.most_per_view:
             keep(pair)
     for pair in (*good, *ranked):
-        if root(pair.first) != root(pair.second):
+        groups = components(names, [(other.first, other.second) for other in kept])
+        if not any(pair.first in group and pair.second in group for group in groups):
             keep(pair)
-    return sorted(kept, key=lambda pair: badness(pair, unknown))
+    return kept

@@ -8,7 +8,8 @@ import pytest
 from repm_qgis.errors import OptionError
 from repm_qgis.geometry.footprints import ray_slope
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.sfm.altitude_range import _patches, altitude_range, sweep_altitudes
+from repm_qgis.sfm.altitude_range import altitude_range, sweep_altitudes, sweep_patches
+from repm_qgis.sfm.parameters import POINTING
 
 NONE = (None, None)
 
@@ -28,7 +29,7 @@ def test_the_true_range_is_inside_and_the_range_is_not_absurd(request, told, kin
 
 @pytest.mark.parametrize("side", (900, 1600, 2000, 2600, 4000, 12000))
 def test_patches_of_the_sweep_do_not_overlap(side):
-    patches = _patches((0.0, 0.0, float(side), float(side)), 1.0)
+    patches = sweep_patches((0.0, 0.0, float(side), float(side)), 1.0, POINTING.sweep)
     starts, ends = sorted({p[0] for p in patches}), sorted({p[2] for p in patches})
     assert len(patches) == len(starts) ** 2 and starts[0] == 0 and ends[-1] == side
     assert all(end <= start + 1e-6 for end, start in zip(ends, starts[1:]))
@@ -98,4 +99,4 @@ def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
     )
     said = told()
     assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
-    assert "do not tell the altitude range" in said.warnings[0]
+    assert "do not show the altitude range" in said.warnings[0]

@@ -17,15 +17,14 @@ from repm_qgis.records import ViewPair
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene, Tile, View
 from repm_qgis.sfm.pair_selection import (
-    NARROW,
-    WIDE,
-    badness,
     change_cost,
     choose_pairs,
     days_off_season,
+    pair_cost,
     sun_over,
     usual_change,
 )
+from repm_qgis.sfm.parameters import POINTING
 from repm_qgis.stereo.pairing import convergence
 
 NOON = datetime(2012, 6, 20, 12, 0, tzinfo=timezone.utc)
@@ -127,7 +126,9 @@ def test_seventeen_real_views(melbourne):
         for b in melbourne.views[i + 1 :]
     ]
     assert len(names) == 17 and min(every) < 6 and max(every) > 90  # there is much to choose wrongly
-    assert all(12 < pair.angle_deg < 32 and NARROW < pair.base_to_height < WIDE for pair in pairs)
+    assert all(
+        12 < pair.angle_deg < 32 and POINTING.pairs.narrow < pair.base_to_height < POINTING.pairs.wide for pair in pairs
+    )
     count = Counter(name for pair in pairs for name in (pair.first, pair.second))
     assert set(count) == set(names) and min(count.values()) >= 3 and max(count.values()) <= 5
     assert connected(pairs, names) and pairs == choose_pairs(melbourne)
@@ -135,7 +136,7 @@ def test_seventeen_real_views(melbourne):
     # The summer sun of Melbourne at 11.24 in the morning stands high in the north-east.
     azimuth, elevation = sun_over(melbourne, melbourne.views[0])
     assert 30 < azimuth < 70 and 45 < elevation < 60
-    scores = [badness(pair) for pair in pairs]
+    scores = [pair_cost(pair) for pair in pairs]
     assert scores == sorted(scores)
 
 
@@ -179,15 +180,15 @@ def test_of_equal_geometry_the_closer_in_time_wins(urban):
 
 def test_unknown_times_speak_neither_for_nor_against():
     pair = ViewPair("a", "b", 20.0, 0.35, 1)
-    assert badness(pair) == 0.0 and change_cost(pair) is None and usual_change([pair]) == 0.0
+    assert pair_cost(pair) == 0.0 and change_cost(pair) is None and usual_change([pair]) == 0.0
     dated = [replace(pair, days=days, sun_deg=sun) for days, sun in ((0.001, 0.1), (30.0, 8.0), (183.0, 45.0))]
     assert usual_change([pair, *dated]) == change_cost(dated[1])
-    assert badness(dated[0], 9.0) < badness(pair, usual_change(dated)) < badness(dated[2], 9.0)
+    assert pair_cost(dated[0], 9.0) < pair_cost(pair, usual_change(dated)) < pair_cost(dated[2], 9.0)
 
 
 def test_what_speaks_against_a_pair():
     best = ViewPair("a", "b", 20.0, 0.35, 1, days=0.0, sun_deg=0.0)
-    assert badness(best) == 0.0
+    assert pair_cost(best) == 0.0
     for worse, cost in (
         (replace(best, angle_deg=40.0), np.log(2)),
         (replace(best, angle_deg=10.0), np.log(2)),
@@ -196,7 +197,7 @@ def test_what_speaks_against_a_pair():
         (replace(best, days=365.25), 0.25 * np.log10(366.25)),
         (replace(best, days=365.25 / 2), 0.25 * np.log10(1 + 365.25 / 2) + 0.5),
     ):
-        assert badness(worse) == pytest.approx(cost)
+        assert pair_cost(worse) == pytest.approx(cost)
     assert days_off_season(365.25 * 3 + 10) == pytest.approx(10) and days_off_season(355.25) == pytest.approx(10)
 
 
