@@ -220,6 +220,7 @@ def _layer(path: Path) -> bytes:
 def _report(path: Path, work: str) -> bytes:
     """Numbers of tables and charts, and pictures; words may be put better, and times and paths differ."""
     text = path.read_text(encoding="utf-8").replace(work, "")
+    text = text.replace("&#39;", "&#x27;").replace("&#34;", "&quot;")  # jinja2's and html's spelling of one character
     text = re.sub(r"<(style|footer|nav|head|pre)\b.*?</\1>", "", text, flags=re.S)
     text = re.split(r"<h2[^>]*>What was done", text)[0]
     pictures = re.findall(r'src="data:[^"]*"', text)

@@ -63,7 +63,8 @@ def shaded(dsm: str, name: str, size: int, folder: str) -> None:
     relief = pictures.shaded_relief(heights, cell)
     relief[relief[..., 3] == 0] = 255
     path = os.path.join(folder, name)
-    pictures.write_png(relief[..., :3].copy(), path)
+    with open(path, "wb") as stream:
+        stream.write(pictures.png_bytes(relief[..., :3]))
     keep(path, name)
 
 

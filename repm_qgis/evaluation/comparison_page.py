@@ -7,12 +7,13 @@ from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures
 from .comparison import Comparison
 from .grids import Grid
 from .metrics import HeightMetrics
-from .report import Report
+from .report import Report, fixed
 
 _METHODS = {
     "none": "none: the rasters are compared as they are",
@@ -30,7 +31,7 @@ def comparison_page(found: Comparison, error_path: str = "", others: Sequence[Co
         _side_by_side(page, everyone)
     page.section("Inputs").table(["", "DSM", "Reference"], _input_rows(found))
     if error_path:
-        page.facts({"Error raster (DSM − reference)": error_path})
+        page.facts([("Error raster (DSM − reference)", error_path)])
     _alignment(page, found)
     _metrics(page, found)
     _distribution(page, found, everyone)
@@ -40,7 +41,7 @@ def comparison_page(found: Comparison, error_path: str = "", others: Sequence[Co
 
 
 def _names(found: Sequence[Comparison]) -> List[str]:
-    """A short name for each DSM: its file's, with as much of the folders as tells them apart."""
+    """A short name for each DSM: its file's, with as many of the folders as tell them apart."""
     parts = [PurePath(one.dsm.path).with_suffix("").parts for one in found]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(part[-count:]) for part in parts]
@@ -52,33 +53,21 @@ def _names(found: Sequence[Comparison]) -> List[str]:
 def _side_by_side(page: Report, everyone: Mapping[str, Comparison]) -> None:
     """All DSMs in one table: the reason to compare several at once."""
     first = next(iter(everyone.values()))
-    levels = [threshold for threshold, _ in first.metrics.completeness]
+    moved = first.alignment.method != "none"
     rows = []
     for name, one in everyone.items():
         m, a = one.metrics, one.alignment
-        row = [
-            name,
-            f"{m.valid:.1f}",
-            *(f"{v:.3f}" for v in (m.rmse, m.me, m.mae, m.nmad)),
-            f"{m.bias:+.3f}",
-            *(f"{share:.1f}" for _, share in m.completeness),
-        ]
-        rows.append(row + ([f"{a.dx:+.2f}, {a.dy:+.2f}, {a.dz:+.2f}"] if a.method != "none" else []))
+        shares = [f"{share:.1f}" for _, share in m.completeness]
+        shift = [f"{a.dx:+.2f}, {a.dy:+.2f}, {a.dz:+.2f}"] if moved else []
+        rows.append([name, f"{m.valid:.1f}", *fixed(m.rmse, m.me, m.mae, m.nmad), f"{m.bias:+.3f}", *shares, *shift])
+    headers = ["DSM", "valid (%)", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)"]
+    headers += [f"< {level:g} m (%)" for level, _ in first.metrics.completeness]
     page.section("Side by side").table(
-        [
-            "DSM",
-            "valid (%)",
-            "RMSE (m)",
-            "ME (m)",
-            "MAE (m)",
-            "NMAD (m)",
-            "bias (m)",
-            *(f"< {level:g} m (%)" for level in levels),
-            *(["dx, dy, dz added (m)"] if first.alignment.method != "none" else []),
-        ],
+        headers + ["dx, dy, dz added (m)"] * moved,
         rows,
-        "All against the same reference, each aligned for itself. RMSE and MAE know only the cells that a DSM has: "
-        "read them with valid and the completeness, which count all of the reference's.",
+        "All are compared with the same reference, and each is aligned for itself. RMSE and MAE count only the cells "
+        "that a DSM has. Read them together with the valid share and the completeness, which count all cells of the "
+        "reference.",
     )
 
 
@@ -88,12 +77,9 @@ def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
     page.section("Profiles")
     for index, profile in enumerate(first.profiles):
         series = {"reference": (profile.distance, profile.reference)}
-        series.update(
-            {
-                name if len(everyone) > 1 else "DSM": (one.profiles[index].distance, one.profiles[index].dsm)
-                for name, one in everyone.items()
-            }
-        )
+        for name, one in everyone.items():
+            cut = one.profiles[index]
+            series[name if len(everyone) > 1 else "DSM"] = (cut.distance, cut.dsm)
         page.svg(charts.curves(series, "distance (m)", "height (m)", profile.name), "Heights after the alignment.")
 
 
@@ -108,12 +94,12 @@ def _summary(page: Report, found: Comparison) -> None:
         page.warning(text)
     if m.valid < 50:
         page.warning(
-            f"The DSM covers only {m.valid:.1f} % of the reference's cells, and completeness counts all of them.",
-            "cut the reference to the DSM's area if the rest was not meant to be covered.",
+            f"The DSM covers only {m.valid:.1f} % of the reference's cells, and the completeness counts all of them.",
+            "cut the reference to the DSM's area if the DSM was not meant to cover the rest.",
         )
     if abs(m.bias) > max(2 * m.nmad, 0.5):
         page.warning(
-            f"The heights differ by {m.bias:+.2f} m as a whole, much more than they scatter.",
+            f"The heights differ by {m.bias:+.2f} m as a whole, which is much more than they scatter.",
             "check the vertical datums and the absolute pointing, or set ALIGN to vertical or 3d.",
         )
 
@@ -140,7 +126,7 @@ def _alignment(page: Report, found: Comparison) -> None:
     page.section("Alignment").facts([("Method", _METHODS[a.method])])
     if a.method == "none":
         return
-    page.paragraph("This was added to the DSM before comparing; add the same to move the DSM onto the reference.")
+    page.paragraph("This was added to the DSM before comparing. Add the same to move the DSM onto the reference.")
     rows = [
         ["dx, to the east", f"{a.dx:+.3f} m"],
         ["dy, to the north", f"{a.dy:+.3f} m"],
@@ -148,7 +134,7 @@ def _alignment(page: Report, found: Comparison) -> None:
         ["NMAD before", f"{a.nmad_before:.3f} m"],
         ["NMAD after", f"{a.nmad_after:.3f} m"],
     ]
-    page.table(["Shift", "Value"], rows, f"From {a.cells} cells.")
+    page.table("Shift | Value", rows, f"Estimated from {a.cells} cells.")
 
 
 def _metrics(page: Report, found: Comparison) -> None:
@@ -158,29 +144,24 @@ def _metrics(page: Report, found: Comparison) -> None:
         _accuracy_tables(page, found, "Class", found.by_class)
     page.paragraph(
         "The DSM is resampled onto the reference's grid bilinearly, from cells that have heights only. Where less "
-        "than half of a cell's weight has a height there is no error, so holes neither grow nor shrink; gdalwarp "
-        "itself closes holes of one cell and would count some more cells."
+        "than half of a cell's weight has a height there is no error, so holes neither grow nor shrink. gdalwarp "
+        "itself closes holes of one cell, and would count some more cells."
     )
 
 
 def _accuracy_tables(page: Report, found: Comparison, by: str, parts: Sequence[Tuple[str, HeightMetrics]]) -> None:
     rows = [("all", found.metrics)] + [(name, m) for name, m in parts if m.reference_cells]
     page.table(
-        [by, "Compared cells", "RMSE (m)", "ME (m)", "MAE (m)", "NMAD (m)", "bias (m)"],
-        [
-            [name, m.cells] + [f"{v:.3f}" if m.cells else "–" for v in (m.rmse, m.me, m.mae, m.nmad, m.bias)]
-            for name, m in rows
-        ],
-        "Of e = DSM − reference, over the cells that have both heights: ME is the median of |e|, bias the median of "
+        f"{by} | Compared cells | RMSE (m) | ME (m) | MAE (m) | NMAD (m) | bias (m)",
+        [[name, m.cells, *fixed(m.rmse, m.me, m.mae, m.nmad, m.bias)] for name, m in rows],
+        "e is DSM − reference, over the cells that have both heights. ME is the median of |e|, bias is the median of "
         "e. " + ("" if found.exact else "Medians are good to 0.5 mm. ") + "Medians of parts are good to 5 mm.",
     )
     page.table(
         [by, "Reference cells", "valid (%)"] + [f"< {t:g} m (%)" for t, _ in found.metrics.completeness],
-        [
-            [name, m.reference_cells, f"{m.valid:.1f}"] + [f"{share:.1f}" for _, share in m.completeness]
-            for name, m in rows
-        ],
-        "Completeness: |e| below each threshold, over all reference cells, so that a hole counts as a miss.",
+        [[name, m.reference_cells, *fixed(m.valid, *(s for _, s in m.completeness), decimals=1)] for name, m in rows],
+        "Completeness is the share of all reference cells whose |e| is below each threshold, so a hole counts as a "
+        "miss.",
     )
 
 
@@ -194,27 +175,20 @@ def _distribution(page: Report, found: Comparison, everyone: Mapping[str, Compar
     padded = np.zeros(count * group)
     padded[: inside.size] = inside
     grouped_edges = edges[low] + np.arange(count + 1) * group * (edges[1] - edges[0])
-    page.section("Distribution of errors")
-    page.svg(
-        charts.histogram((padded.reshape(count, group).sum(1), grouped_edges), "DSM − reference (m)", "Errors"),
+    page.section("Distribution of errors").svg(
+        charts.counted_histogram(padded.reshape(count, group).sum(1), grouped_edges, "DSM − reference (m)", "Errors"),
         "The middle 99 % of the errors.",
     )
-    series = {name: _cumulative(one) for name, one in everyone.items()}
+    series = {name if len(everyone) > 1 else "cells": _cumulative(one) for name, one in everyone.items()}
+    ends = ", ".join(f"{one.metrics.valid:.1f} %" for one in everyone.values())
+    labels = "|DSM − reference| (m)", "share of all reference cells (%)", "Cumulative error"
     page.svg(
-        charts.curves(
-            series if len(series) > 1 else {"cells": next(iter(series.values()))},
-            "|DSM − reference| (m)",
-            "share of all reference cells (%)",
-            "Cumulative error",
-            ylim=(0.0, 100.0),
-        ),
-        "A curve ends at the share of reference cells that have a DSM height: "
-        + ", ".join(f"{one.metrics.valid:.1f} %" for one in everyone.values())
-        + ".",
+        charts.curves(series, *labels, ylim=(0.0, 100.0)),
+        f"A curve ends at the share of reference cells that have a DSM height: {ends}.",
     )
 
 
-def _cumulative(found: Comparison) -> Tuple[np.ndarray, np.ndarray]:
+def _cumulative(found: Comparison) -> Tuple[FloatArray, FloatArray]:
     """Sizes of errors in metres, and the share of the reference's cells in per cent that are better."""
     edges, counts = found.histogram_edges(), found.histogram
     half = counts.size // 2
@@ -228,14 +202,13 @@ def _cumulative(found: Comparison) -> Tuple[np.ndarray, np.ndarray]:
 def _pictures(page: Report, found: Comparison) -> None:
     error = found.thumbnails["error"]
     limit = max(abs(v) for v in pictures.spread(error))
-    page.section("Pictures")
-    page.png(
+    page.section("Pictures").png(
         pictures.png_bytes(pictures.colour_map(error, -limit, limit, "diverging")),
-        "DSM − reference. Red: the DSM is higher; blue: it is lower; white: equal. Transparent: no error known.",
+        "DSM − reference. Red: the DSM is higher. Blue: it is lower. White: equal. Transparent: no error is known.",
     )
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))
     cell = abs(found.cell_m[0]) * found.thumbnail_factor
-    vmin, vmax = pictures.spread(found.thumbnails["reference"])
+    low, high = pictures.spread(found.thumbnails["reference"])
     for name, text in (("dsm", "The DSM, aligned, on the reference's grid"), ("reference", "The reference")):
-        picture = pictures.shaded_relief(found.thumbnails[name], cell, vmin, vmax)
-        page.png(pictures.png_bytes(picture), f"{text}. Heights {vmin:.1f} to {vmax:.1f} m, same colours in both.")
+        picture = pictures.png_bytes(pictures.shaded_relief(found.thumbnails[name], cell, low, high))
+        page.png(picture, f"{text}. Heights {low:.1f} to {high:.1f} m, with the same colours in both pictures.")

@@ -11,7 +11,7 @@ from ..geometry.equivalent_error import TILE_GRID, EquivalentError, fit_pinhole,
 from ..geometry.refinement import Terrain
 from ..scene import Scene, View
 from . import charts
-from .report import Report
+from .report import Report, fixed
 
 Window = Tuple[float, float, float, float]
 
@@ -78,20 +78,11 @@ def add_error_study(report: Report, scene: Scene) -> None:
             if view.name in tile.views
         ]
         for model in found[0] if found else ():
-            errors = [entry[model] for entry in found]
-            rows.append(
-                [
-                    view.name,
-                    model,
-                    *(
-                        f"{np.sqrt(np.mean([getattr(e, name) ** 2 for e in errors])):.4f}"
-                        for name in ("samp_rmse", "line_rmse", "rmse")
-                    ),
-                    f"{max(e.max for e in errors):.4f}",
-                ]
-            )
+            errors = np.array([(e.samp_rmse, e.line_rmse, e.rmse) for e in (entry[model] for entry in found)])
+            largest = max(entry[model].max for entry in found)
+            rows.append([view.name, model, *fixed(*np.sqrt(np.mean(errors**2, axis=0)), largest, decimals=4)])
     report.table(
-        ["view", "model", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px"],
+        "view | model | Samp RMSE, px | Line RMSE, px | RMSE, px | Max, px",
         rows,
         f"Over {len(tiles)} of {len(scene.tiles)} tiles. The terrain model, where there is a surface, is "
         "measured within 10 m of it.",

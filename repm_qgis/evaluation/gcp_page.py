@@ -11,15 +11,14 @@ from ..options import CheckGcpsOptions
 from ..progress import counted
 from . import charts
 from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
-from .report import Report
+from .report import Report, fixed
 
-_MOST_ROWS = 300
 _MOST_LABELS = 60
 _SHORT = {"rpc": "RPC", "compensated": "compensated", "scene": "scene", "dsm": "DSM"}
 
 
 def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
-    """What the points say of the images' geometry and of the DSM, for the analyst."""
+    """What the points say about the images' geometry and about the DSM, for the analyst."""
     page = Report("Accuracy at ground control points", _counts(found))
     for text in found.warnings:
         page.warning(text)
@@ -28,23 +27,18 @@ def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
     _arrows(page, found)
     _points(page, found)
     _residuals(page, found)
-    page.section("Inputs").facts(
-        [
-            (name, value)
-            for name, value in (
-                ("Points", options.gcps),
-                ("Their heights", options.gcp_datum or "above the WGS 84 ellipsoid"),
-                ("Scene", options.scene),
-                ("DSM", options.dsm),
-            )
-            if value
-        ]
-    )
+    inputs = {
+        "Points": options.gcps,
+        "Their heights": options.gcp_datum or "above the WGS 84 ellipsoid",
+        "Scene": options.scene,
+        "DSM": options.dsm,
+    }
+    page.section("Inputs").facts([(name, value) for name, value in inputs.items() if value])
     return page
 
 
 def _counts(found: GcpAccuracy) -> str:
-    """How many points of each role; where no image was measured roles mean nothing."""
+    """How many points of each role there are; roles mean nothing where no image was measured."""
     if not any(gcp.pixels for gcp in found.gcps):
         return counted(len(found.gcps), "point")
     counts = ((sum(gcp.role == role for gcp in found.gcps), role) for role in ("control", "check"))
@@ -59,14 +53,13 @@ def _roles(found: GcpAccuracy) -> List[str]:
 
 def _heights(page: Report, found: GcpAccuracy) -> None:
     """The paper's table."""
-    page.section("Heights")
     rows = []
     for column in found.errors:
         for role in _roles(found):
             e = found.summary(column, "height", role)
-            rows.append([COLUMNS[column], role or "all", e.count, *_metres(e.me, e.rmse, e.max)])
-    page.table(
-        ["heights by", "points", "count", "ME, m", "RMSE, m", "Max, m"],
+            rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.me, e.rmse, e.max)])
+    page.section("Heights").table(
+        "heights by | points | count | ME, m | RMSE, m | Max, m",
         rows,
         "ME is the median of the absolute errors, Max the largest of them." + _notes(found),
     )
@@ -74,38 +67,38 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
 
 def _notes(found: GcpAccuracy) -> str:
     """How to read the columns that are there."""
-    said = ""
+    notes = ""
     if "compensated" in found.errors:
-        said += (
-            " With compensation, each control point is located with the shifts of the other control points, so "
-            "that no point vouches for itself."
+        notes += (
+            " With compensation, each control point is located with the shifts of the other control points only, so "
+            "that no point confirms itself."
         )
     if any(gcp.pixels and gcp.role == "control" for gcp in found.gcps):
-        said += (
-            " Where the scene's pointing or the DSM were made with the control points, only check points judge them."
+        notes += (
+            " Where the control points were used to make the scene's pointing or the DSM, only check points are "
+            "independent of them."
         )
     if "rpc" in found.errors and "dsm" in found.errors:
-        said += (
-            " What the images say of a point's height carries the noise of its own few measured pixels; the DSM's "
-            "height does not."
+        notes += (
+            " A height that is located from the images has the noise of the point's own few measured pixels; the "
+            "DSM's height does not."
         )
-    return said
+    return notes
 
 
 def _components(page: Report, found: GcpAccuracy) -> None:
-    page.section("East, north and height")
-    rows = []
+    rows: List[List[Any]] = []
     for column, errors in found.errors.items():
-        for component in COMPONENTS:
+        for index, component in enumerate(COMPONENTS):
             e = found.summary(column, component)
             if e.count:
-                values = errors[found.rows(), COMPONENTS.index(component)]
-                bias = float(np.nanmedian(values))
-                rows.append([COLUMNS[column], component, e.count, f"{bias:+.3f}", *_metres(e.me, e.rmse, e.max)])
-    page.table(
-        ["by", "component", "count", "median, m", "ME, m", "RMSE, m", "Max, m"],
+                bias = float(np.nanmedian(errors[found.rows(), index]))
+                rows.append([COLUMNS[column], component, e.count, f"{bias:+.3f}", *fixed(e.me, e.rmse, e.max)])
+    page.section("East, north and height").table(
+        "by | component | count | median, m | ME, m | RMSE, m | Max, m",
         rows,
-        "Found less true. A median far from zero is a shift of the whole, which control points take out.",
+        "Errors are the place found minus the true place. A median far from zero is a shift of the whole, which "
+        "control points remove.",
     )
 
 
@@ -118,35 +111,24 @@ def _arrows(page: Report, found: GcpAccuracy) -> None:
             names = [gcp.id for gcp in found.gcps] if len(found.gcps) <= _MOST_LABELS else []
             page.svg(
                 charts.arrows(flat, vectors, COLUMNS[column], "m", labels=names),
-                "Planimetric errors of the points, north up; from the true place to the one found.",
+                "Planimetric errors of the points, north up, from the true place to the place found.",
             )
 
 
 def _points(page: Report, found: GcpAccuracy) -> None:
-    page.section("Points")
-    columns = list(found.errors)
-    heads = [
-        f"{_SHORT[column]} {part}" for column in columns for part in (("H",) if column == "dsm" else ("E", "N", "H"))
-    ]
-    rows: List[List[Any]] = []
-    for row, gcp in enumerate(found.gcps[:_MOST_ROWS]):
-        values = [value for column in columns for value in found.errors[column][row][2 if column == "dsm" else 0 :]]
-        rows.append(
-            [
-                gcp.id,
-                "wrong" if gcp.id in found.wrong else gcp.role,
-                f"{gcp.height:.3f}",
-                *(f"{value:+.3f}" if np.isfinite(value) else "–" for value in values),
-            ]
-        )
-    left = len(found.gcps) - _MOST_ROWS
-    page.table(
+    first = {column: 2 if column == "dsm" else 0 for column in found.errors}  # a DSM has errors of heights only
+    heads = [f"{_SHORT[column]} {part}" for column, start in first.items() for part in "ENH"[start:]]
+    rows = []
+    for row, gcp in enumerate(found.gcps):
+        values = [value for column, start in first.items() for value in found.errors[column][row][start:]]
+        role = "wrong" if gcp.id in found.wrong else gcp.role
+        rows.append([gcp.id, role, f"{gcp.height:.3f}", *fixed(*values, sign="+")])
+    page.section("Points").table(
         ["point", "role", "height", *heads],
         rows,
-        f"{left} more points are left out here; the layer has them all."
-        if left > 0
-        else "In metres: the true height above the ellipsoid, and errors (found less true). Points called wrong "
+        "In metres: the true height above the ellipsoid, and errors (found minus true). Points called wrong "
         "contradict the other control points and are in no figure above.",
+        where="The layer has them all.",
     )
 
 
@@ -154,34 +136,15 @@ def _residuals(page: Report, found: GcpAccuracy) -> None:
     """Image residuals, and what the compensation is."""
     if not found.residuals:
         return
-    page.section("In the images")
-    page.table(
-        ["view", "column shift, px", "row shift, px"],
-        [[name, *(f"{value:+.3f}" for value in shift)] for name, shift in found.shifts.items()],
-        "Image-space compensation: the control points' mean of measured less projected pixels.",
+    page.section("In the images").table(
+        "view | column shift, px | row shift, px",
+        [[name, *fixed(*shift, sign="+")] for name, shift in found.shifts.items()],
+        "Image-space compensation: the mean of the control points' measured minus projected pixels.",
     )
-    kinds = list(found.residuals)
-    rows = []
-    for row, gcp in enumerate(found.gcps[:_MOST_ROWS]):
+    rows, none = [], np.full(2, np.nan)
+    for row, gcp in enumerate(found.gcps):
         for view in sorted(gcp.pixels):
-            pairs = [found.residuals[kind][row].get(view) for kind in kinds]
-            rows.append(
-                [
-                    gcp.id,
-                    view,
-                    *(
-                        text
-                        for pair in pairs
-                        for text in ((f"{pair[0]:+.2f}", f"{pair[1]:+.2f}") if pair is not None else ("–", "–"))
-                    ),
-                ]
-            )
-    page.table(
-        ["point", "view", *(f"{_SHORT[kind]} {axis}" for kind in kinds for axis in ("column", "row"))],
-        rows[:_MOST_ROWS],
-        "Measured less projected, px.",
-    )
-
-
-def _metres(*values: float) -> List[str]:
-    return [f"{value:.3f}" if np.isfinite(value) else "–" for value in values]
+            pairs = [residuals[row].get(view, none) for residuals in found.residuals.values()]
+            rows.append([gcp.id, view, *fixed(*np.concatenate(pairs), decimals=2, sign="+")])
+    heads = [f"{_SHORT[kind]} {axis}" for kind in found.residuals for axis in ("column", "row")]
+    page.table(["point", "view", *heads], rows, "Measured minus projected pixels.", where="The layer has them all.")

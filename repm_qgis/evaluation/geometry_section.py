@@ -18,7 +18,7 @@ from ..scene import Scene
 from ..sfm.advice import MATCHING_PX
 from . import charts
 from .gcp_accuracy import Errors
-from .report import Report
+from .report import Report, fixed
 
 _MOST_TIES = 200000
 _MOST_TILES = 60
@@ -38,31 +38,13 @@ def _pairs(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
     rows = []
     for pair in facts["pairs"]:
         metres = _metres_per_px(scene, pair)
-        rows.append(
-            [
-                pair["first"],
-                pair["second"],
-                f"{pair['angle_deg']:.1f}°",
-                f"{pair['base_to_height']:.2f}",
-                f"{overlap_percent(scene, pair['first'], pair['second']):.0f}",
-                f"{metres:.2f}",
-                f"{MATCHING_PX * metres:.2f}",
-                apart_text(pair.get("days")),
-                _sun_text(pair.get("sun_deg")),
-            ]
-        )
+        overlap = overlap_percent(scene, pair["first"], pair["second"])
+        figures = f"{pair['base_to_height']:.2f}", f"{overlap:.0f}", *fixed(metres, MATCHING_PX * metres, decimals=2)
+        times = apart_text(pair.get("days")), _sun_text(pair.get("sun_deg"))
+        rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", *figures, *times])
     report.table(
-        [
-            "first",
-            "second",
-            "convergence",
-            "B/H",
-            "overlap, %",
-            "m of height a px",
-            "expected accuracy, m",
-            "taken apart",
-            "angle between suns",
-        ],
+        "first | second | convergence | B/H | overlap, % | m of height per px | expected accuracy, m | taken apart | "
+        "angle between suns",
         rows,
         "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
         f"heights is that of matching good to {MATCHING_PX:g} px; a narrow pair (B/H below 0.1) tells heights "
@@ -109,29 +91,23 @@ def _ties(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
             ("Matcher", facts["backend"]),
         ]
     )
+    rows = []
+    for pair in ties["pairs"]:
+        figures = f"{pair['rows_before_px']:+.2f}", *fixed(pair["rows_after_px"], pair["rows_spread_px"])
+        rows.append([*pair["pair"], pair["candidates"], pair["count"], *figures])
     report.table(
-        ["first", "second", "candidates", "ties", "rows before, px", "rows after, px", "spread, px"],
-        [
-            [
-                *pair["pair"],
-                pair["candidates"],
-                pair["count"],
-                f"{pair['rows_before_px']:+.2f}",
-                f"{pair['rows_after_px']:.3f}",
-                f"{pair['rows_spread_px']:.3f}",
-            ]
-            for pair in ties["pairs"]
-        ],
+        "first | second | candidates | ties | before, px | after, px | spread, px",
+        rows,
         "'Rows' are by how much a pair's pixels miss each other across the parallax: with the vendors' RPCs "
         "(median), and corrected (median of the absolute values; their spread as NMAD).",
     )
     tiles = ties.get("tiles", [])
     if len(tiles) > 1:
-        left = f" {len(tiles) - _MOST_TILES} more tiles are left out here." if len(tiles) > _MOST_TILES else ""
         report.table(
-            ["tile", "tie points around it"],
-            [[entry["tile"], entry["ties"]] for entry in tiles[:_MOST_TILES]],
-            "Within the tile, or within a fifth of the scene where that is more." + left,
+            "tile | tie points around it",
+            [[entry["tile"], entry["ties"]] for entry in tiles],
+            "Within the tile, or within a fifth of the scene where that is more.",
+            most=_MOST_TILES,
         )
     parts = ties.get("parts", [])
     if parts:
@@ -205,8 +181,8 @@ def _pointing(report: Report, ties: Mapping[str, Any]) -> None:
     said = {"shift": "one shift an image", "affine": "an affine correction an image"}
     report.facts([("Correction", said.get(ties["model"], ties["model"])), ("Why", ties["reason"])])
     report.table(
-        ["view", "column shift, px", "row shift, px"],
-        [[name, *(f"{value:+.2f}" for value in shift)] for name, shift in ties["shifts_px"].items()],
+        "view | column shift, px | row shift, px",
+        [[name, *fixed(*shift, decimals=2, sign="+")] for name, shift in ties["shifts_px"].items()],
         "Corrections of the vendors' RPCs at the images' centres.",
     )
 
@@ -238,22 +214,16 @@ def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
             "deviation, estimated from their own residuals), and have the weight of that."
         )
     report.table(
-        ["points", "count", "component", "ME, m", "RMSE, m", "Max, m"],
+        "points | count | component | ME, m | RMSE, m | Max, m",
         _summary(points),
         "From the true place to where the corrected images put it. Control points were fitted; only check "
         "points tell how good the result is.",
     )
-    report.table(
-        ["point", "role", "east, m", "north, m", "height, m"],
-        [
-            [
-                point["id"],
-                "rejected" if point["rejected"] else point["role"],
-                *(f"{point[name]:+.3f}" for name in ("east_m", "north_m", "up_m")),
-            ]
-            for point in points
-        ],
-    )
+    rows = []
+    for point in points:
+        errors = fixed(*(point[name] for name in ("east_m", "north_m", "up_m")), sign="+")
+        rows.append([point["id"], "rejected" if point["rejected"] else point["role"], *errors])
+    report.table("point | role | east, m | north, m | height, m", rows)
 
 
 def _summary(points: List[Dict[str, Any]]) -> List[List[Any]]:
@@ -263,5 +233,5 @@ def _summary(points: List[Dict[str, Any]]) -> List[List[Any]]:
         for name, title in (("east_m", "east"), ("north_m", "north"), ("up_m", "height")):
             errors = Errors.of(np.array([point[name] for point in mine]))
             if errors.count:
-                rows.append([role, errors.count, title, f"{errors.me:.3f}", f"{errors.rmse:.3f}", f"{errors.max:.3f}"])
+                rows.append([role, errors.count, title, *fixed(errors.me, errors.rmse, errors.max)])
     return rows

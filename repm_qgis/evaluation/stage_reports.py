@@ -20,9 +20,8 @@ from ..sfm.pair_selection import sun_over
 from . import charts, pictures
 from .error_study import add_error_study
 from .geometry_section import add_geometry
-from .report import Report
+from .report import Report, fixed
 
-_MOST_ROWS = 300
 _PRODUCTS = (
     ("output", "DSM"),
     ("confidence", "Confidence"),
@@ -34,6 +33,7 @@ _PRODUCTS = (
     ("tie_points", "Tie points"),
     ("scene", "Scene, for the next stage"),
 )
+_TILES_LAYER = "The TILES layer has them all."
 _WHERE_IT_RUNS = frozenset(
     (
         "workspace",
@@ -64,27 +64,16 @@ def fit_report(scene: Scene) -> Report:
         "pixels and 7 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
         "|x (Z - Zmean) / Zmean| at the tile's corner."
     )
-    rows = [
-        [
-            tile.id,
-            name,
-            *_px(view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max, view.error.predicted),
-        ]
-        for tile in scene.tiles
-        for name, view in tile.views.items()
-    ]
-    _long_table(
-        report, ["tile", "view", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px", "predicted, px"], rows
-    )
+    rows, errors = [], []
+    for tile in scene.tiles:
+        for name, view in tile.views.items():
+            e = view.error
+            rows.append([tile.id, name, *fixed(e.samp_rmse, e.line_rmse, e.rmse, e.max, e.predicted)])
+            errors.append(e.rmse)
+    headers = "tile | view | Samp RMSE, px | Line RMSE, px | RMSE, px | Max, px | predicted, px"
+    report.table(headers, rows, where=_TILES_LAYER)
     if len(rows) > 20:
-        report.svg(
-            charts.histogram(
-                np.array([view.error.rmse for tile in scene.tiles for view in tile.views.values()]),
-                "px",
-                "RMSE of tiles and views",
-            ),
-            "Distribution over tiles and views.",
-        )
+        report.svg(charts.histogram(errors, "px", "RMSE of tiles and views"), "Distribution over tiles and views.")
     add_error_study(report, scene)
     _history(report, scene)
     return report
@@ -145,7 +134,7 @@ def pipeline_report(
     _confidence(report, products)
     report.section("Files")
     report.table(
-        ["product", "file"],
+        "product | file",
         [[title, str(products[name])] for name, title in _PRODUCTS if products.get(name)],
         "To measure the DSM, compare it with a reference: 'Compare a DSM with a reference' (repm:comparedsm).",
     )
@@ -154,21 +143,6 @@ def pipeline_report(
         report.command(command)
     _history(report, scene, seconds)
     return report
-
-
-def _px(*values: float) -> List[str]:
-    """Errors in px with three decimals, which is a tenth of what matching can see."""
-    return [f"{value:.3f}" for value in values]
-
-
-def _long_table(report: Report, headers: List[str], rows: List[List[Any]]) -> None:
-    """A table cut where nobody reads on; what is left out is in the layers."""
-    left = len(rows) - _MOST_ROWS
-    report.table(
-        headers,
-        rows[:_MOST_ROWS],
-        f"{left} more rows are left out here; the TILES layer has them all." if left > 0 else "",
-    )
 
 
 def _surface(report: Report, products: Mapping[str, Any]) -> None:
@@ -211,7 +185,7 @@ def _inputs(report: Report, scene: Scene) -> None:
     """Images, area and a map of the footprints."""
     report.section("Images")
     report.table(
-        ["view", "file", "size, px", "GSD, m", "RPC heights, m", "taken (UTC)", "sun's azimuth, elevation"],
+        "view | file | size, px | GSD, m | RPC heights, m | taken (UTC) | sun's azimuth, elevation",
         [
             [
                 v.name,
@@ -228,7 +202,7 @@ def _inputs(report: Report, scene: Scene) -> None:
     middle = sum(scene.altitudes) / 2
     outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}
     report.svg(
-        charts.footprints(outlines, _outline(scene.area), geographic=False),
+        charts.footprints(outlines, _outline(scene.area)),
         f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is worked on.",
     )
     report.facts(
@@ -268,28 +242,14 @@ def _errors(report: Report, scene: Scene) -> None:
         f"ground point: fitted, and after refinement ({scene.refinement}). Heights are computed with the "
         "RPCs, so none of it reaches the DSM; below about 0.3 px it does not disturb matching either."
     )
-    rows = [
-        [
-            tile.id,
-            name,
-            *_px(
-                view.error.rmse,
-                view.error.max,
-                view.refined.error.samp_rmse,
-                view.refined.error.line_rmse,
-                view.refined.error.rmse,
-                view.refined.error.max,
-            ),
-        ]
-        for tile in scene.tiles
-        for name, view in tile.views.items()
-        if view.refined
-    ]
-    _long_table(
-        report,
-        ["tile", "view", "RMSE before, px", "Max before, px", "Samp RMSE, px", "Line RMSE, px", "RMSE, px", "Max, px"],
-        rows,
-    )
+    rows = []
+    for tile in scene.tiles:
+        for name, view in tile.views.items():
+            if view.refined:
+                a, b = view.error, view.refined.error
+                rows.append([tile.id, name, *fixed(a.rmse, a.max, b.samp_rmse, b.line_rmse, b.rmse, b.max)])
+    headers = "tile | view | RMSE before, px | Max before, px | Samp RMSE, px | Line RMSE, px | RMSE, px | Max, px"
+    report.table(headers, rows, where=_TILES_LAYER)
 
 
 def _reconstruction(report: Report, scene: Scene) -> None:
@@ -300,21 +260,14 @@ def _reconstruction(report: Report, scene: Scene) -> None:
 
 def _height_maps(report: Report, scene: Scene) -> None:
     report.section("Height maps")
-    rows = [
-        [
-            tile.id,
-            *record.pair,
-            "{} x {}".format(*record.size),
-            f"{100.0 * record.valid / record.pixels:.0f}",
-            f"{record.metres_per_px:.2f}",
-            f"{record.vertical_parallax_px:.3f}",
-        ]
-        for tile in scene.tiles
-        for record in tile.heights
-    ]
-    _long_table(
-        report, ["tile", "first", "second", "size, px", "matched, %", "m of height a px", "rows left, px"], rows
-    )
+    rows = []
+    for tile in scene.tiles:
+        for record in tile.heights:
+            size, matched = "{} x {}".format(*record.size), f"{100.0 * record.valid / record.pixels:.0f}"
+            figures = f"{record.metres_per_px:.2f}", f"{record.vertical_parallax_px:.3f}"
+            rows.append([tile.id, *record.pair, size, matched, *figures])
+    headers = "tile | first | second | size, px | matched, % | m of height per px | vertical parallax, px"
+    report.table(headers, rows, where=_TILES_LAYER)
 
 
 def _confidence(report: Report, products: Mapping[str, Any]) -> None:
@@ -351,7 +304,7 @@ def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]
         "A stage that was reused takes no time in this run. Equal fingerprint, equal result.",
     )
     _options(report, scene)
-    report.table(["software", "version"], _versions())
+    report.table("software | version", _versions())
 
 
 def _options(report: Report, scene: Scene) -> None:
@@ -363,7 +316,7 @@ def _options(report: Report, scene: Scene) -> None:
                 text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
                 told.setdefault((name, text), []).append(entry["stage"])
     report.table(
-        ["option", "value", "stage"],
+        "option | value | stage",
         [[name, text, ", ".join(stages)] for (name, text), stages in told.items()],
         "What is not listed was left to the defaults.",
     )

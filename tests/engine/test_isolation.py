@@ -35,12 +35,28 @@ def test_every_module_imports_without_qgis():
 
 @pytest.mark.parametrize("stage", ("epmfit", "errormap", "comparedsm", "checkgcps", "environment"))
 def test_light_stages_need_only_what_qgis_ships(stage):
-    """numpy, GDAL and pyproj: these stages run in QGIS's own process, where the wheels may be missing."""
+    """numpy, GDAL, pyproj and jinja2: these stages run in QGIS's own process, where the wheels may be missing."""
     done = python(
         "import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"
         f"    sys.modules[name] = None\nimport repm_qgis.stages.{stage}"
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("blocked", ("cv2 pycolmap laspy lazrs scipy qgis", "cv2 scipy qgis jinja2"))
+def test_reports_need_jinja2_and_no_wheel(blocked, tmp_path):
+    """The survey itself runs without jinja2, or nothing could tell that it is missing."""
+    done = python(
+        f"import sys\nfor name in {blocked.split()!r}:\n    sys.modules[name] = None\n"
+        "from repm_qgis.errors import MissingPackageError\nfrom repm_qgis.progress import Silent\n"
+        "from repm_qgis.stages import run_stage\nrun_stage('environment', {}, Silent())\n"
+        f"try:\n    run_stage('environment', {{'report': {str(tmp_path / 'r.html')!r}}}, Silent())\n"
+        "except MissingPackageError as error:\n    print(error)"
+    )
+    assert done.returncode == 0, done.stderr
+    assert ("jinja2" in done.stdout) == ("jinja2" in blocked) and (tmp_path / "r.html").exists() != (
+        "jinja2" in blocked
+    )
 
 
 def test_heavy_packages_are_imported_only_where_they_are_used():

@@ -76,7 +76,7 @@ def test_the_pipeline_makes_all_that_it_names(whole):
         page = stream.read()
     for words in (
         "qgis_process run repm:pipeline -- IMAGES=",
-        "Tie points&#x27; residuals",
+        "Tie points&#39; residuals",
         "Mean matching score",
         given["CLOUD"],
         "opencv-python-headless",

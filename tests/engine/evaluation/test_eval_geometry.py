@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 from dataclasses import replace
 
@@ -55,7 +56,7 @@ def test_every_pair_and_view_is_told_with_its_figures(scene):
         assert f">{pair['candidates']}</td>" in page and f">{pair['rows_after_px']:.3f}</td>" in page
     for entry in facts["ties"]["tiles"]:
         assert f">{entry['tile']}</td>" in page and f">{entry['ties']}</td>" in page
-    assert facts["ties"]["reason"] in page.replace("&#x27;", "'")
+    assert facts["ties"]["reason"] in html.unescape(page)
     assert f"uncertain by {facts['ties']['height_uncertainty_m']:.1f} m" in page
 
 

@@ -57,10 +57,10 @@ def full_page():
     rng = np.random.default_rng(0)
     outline = np.array([[5.0, 43.0], [5.1, 43.0], [5.1, 43.1], [5.0, 43.1]])
     page = Report("A <b>title</b> & more", "sub")
-    page.section("One").paragraph("<i>x</i>").facts({"a<": 1.5}).facts([("b", None)])
+    page.section("One").paragraph("<i>x</i>").facts([("a<", 1.5), ("b", None)])
     page.section("Two").table(["name", "value"], [["<x>", 1.25], ["y", None]], "a caption").warning("odd", "do this")
-    page.section("Three").command("run --x <y>").png(pictures.png_bytes(np.zeros((3, 4, 3), np.uint8)), 'a "quote"', 40)
-    page.svg(charts.histogram(rng.normal(size=500), "m", "<t>")).svg(charts.bars({"<a>": 2, "b": 1}, "s"))
+    page.section("Three").command("run --x <y>").png(pictures.png_bytes(np.zeros((3, 4, 3), np.uint8)), 'a "quote"')
+    page.svg(charts.histogram(rng.normal(size=500), "m", "<t>"))
     page.svg(charts.curves({"<c>": (np.arange(9), np.arange(9) ** 2), "d": ([0, 1], [np.nan, 2])}, "x", "y"))
     page.svg(charts.footprints({"<img>": outline}, outline * 1.0)).svg(
         charts.arrows(rng.uniform(0, 9, (5, 2)), np.ones((5, 2)))
@@ -73,7 +73,7 @@ def test_page_is_whole_escaped_and_offline():
     text = "".join(page.text)
     for piece in ("A <b>title</b> & more", "<i>x</i>", "<x>", "run --x <y>", "<img>", "<c>", "do this"):
         assert piece in text
-    assert "i" not in page.tags and "x" not in page.tags and page.tags.count("svg") == 6
+    assert "i" not in page.tags and "x" not in page.tags and page.tags.count("svg") == 5
     assert page.tags.count("nav") == 1
 
 
@@ -89,13 +89,8 @@ def test_report_refuses_what_it_cannot_show(tmp_path):
     page = Report("x")
     with pytest.raises(ValueError, match="1 cells under 2"):
         page.table(["a", "b"], [[1]])
-    for bad in (
-        "<svg><script>1</script></svg>",
-        "<p>",
-        '<svg onload="x()"></svg>',
-        '<svg><image href="http://x"/></svg>',
-    ):
-        with pytest.raises(ValueError):
+    for bad in ("<svg><script>1</script></svg>", "<p>", '<svg onload="x()"></svg>', "<svg></svg>"):
+        with pytest.raises(ValueError, match="Only the drawings"):
             page.svg(bad)
     with pytest.raises(ValueError):
         page.png(b"GIF89a")
@@ -137,13 +132,11 @@ def test_numbers_are_right_aligned_by_column():
         lambda: charts.histogram(np.full(9, 2.0)),
         lambda: charts.curves({}),
         lambda: charts.curves({"a": ([1], [1])}),
-        lambda: charts.bars({}),
-        lambda: charts.bars({"a": 0}),
         lambda: charts.footprints({}),
         lambda: charts.footprints({"a": [[1, 1]]}),
         lambda: charts.arrows([], []),
         lambda: charts.arrows([[5, 5]], [[0, 0]]),
-        lambda: charts.histogram((np.array([0, 0]), np.array([0, 1, 2]))),
+        lambda: charts.counted_histogram(np.array([0, 0]), np.array([0, 1, 2])),
     ],
 )
 def test_charts_of_next_to_nothing(draw):
@@ -171,7 +164,7 @@ def test_labelled_vectors_are_named_in_place_and_stay_inside():
 def test_histogram_bars_add_up():
     import re
 
-    text = charts.histogram((np.array([1.0, 3.0]), np.array([0.0, 1.0, 2.0])))
+    text = charts.counted_histogram(np.array([1.0, 3.0]), np.array([0.0, 1.0, 2.0]))
     heights = [float(h) for h in re.findall(r'<rect [^>]*height="([\d.]+)" fill="#2b83ba"', text)]
     assert len(heights) == 2 and heights[1] == pytest.approx(3 * heights[0], rel=1e-3)
 
@@ -207,7 +200,7 @@ def test_hillshade_is_gdals(terrain):
     want = (
         gdal.DEMProcessing("", memory, "hillshade", format="MEM", azimuth=300, altitude=40).ReadAsArray().astype(float)
     )
-    got = 1 + 254 * pictures.hillshade(z, 0.5, 300, 40)
+    got = 1 + 254 * pictures.hillshade(*pictures.slopes(z, 0.5), 300, 40)
     assert np.abs(got - want)[1:-1, 1:-1].max() < 1.0
 
 
@@ -218,20 +211,16 @@ def test_colours_and_relief(terrain):
     relief = pictures.shaded_relief(np.where(np.eye(40) > 0, np.nan, terrain(40, 40)), 0.5)
     assert relief.shape == (40, 40, 4) and np.array_equal(relief[..., 3] == 0, np.eye(40) > 0)
     assert pictures.shaded_relief(np.full((5, 5), np.nan), 1.0)[..., 3].max() == 0
-    for ramp in ("viridis", "magma", "elevation", "grey"):
+    for ramp in ("viridis", "elevation", "grey"):
         light = pictures.ramp_table(ramp) @ np.array([0.299, 0.587, 0.114])
         assert (np.diff(light) > -0.6).all() and light[-1] - light[0] > 120, ramp
 
 
-def test_relief_png_of_a_file(make_raster, tmp_path, terrain):
-    path = make_raster("dsm.tif", terrain(300, 600))
-    pictures.shaded_relief_png(path, tmp_path / "p.png", max_px=200)
-    dataset = gdal.Open(str(tmp_path / "p.png"))
-    assert (dataset.RasterXSize, dataset.RasterYSize, dataset.RasterCount) == (200, 100, 4)
-    values, cell = pictures.preview(path, 200)
+def test_preview_of_a_file(make_raster, tmp_path, terrain):
+    values, cell = pictures.preview(make_raster("dsm.tif", terrain(300, 600)), 200)
     assert values.shape == (100, 200) and cell == pytest.approx(1.5)
     with pytest.raises(ImageError):
-        pictures.shaded_relief_png(tmp_path / "none.tif", tmp_path / "q.png")
+        pictures.preview(tmp_path / "none.tif", 200)
 
 
 @pytest.mark.parametrize("kind", ["dsm", "error", "dsm_error", "confidence", "ortho", "hillshade"])

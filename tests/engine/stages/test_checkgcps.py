@@ -287,7 +287,7 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
     for words in (
         "RPC localisation, image-space compensation",
-        "DSM&#x27;s height",
+        "The DSM&#39;s height",
         "control",
         "check",
         "Max, m",
@@ -315,7 +315,7 @@ def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, 
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     for words in (
         "12 points: 6 control and 6 check",
-        "no point vouches for itself",
+        "no point confirms itself",
         "own few measured pixels",
         "compensated E",
         "DSM H",

@@ -1,0 +1,46 @@
+"""The templates of reports and charts, in ``resources/templates``; all text that they take is escaped."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import MissingPackageError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+RESOURCES = Path(__file__).resolve().parents[2] / "resources"
+
+
+class Drawing(str):
+    """SVG that a template made: text whose content is escaped already."""
+
+    def __html__(self) -> str:
+        return self
+
+
+@lru_cache(maxsize=1)
+def _environment() -> Environment:
+    try:  # here, so that what shows no report works without the package
+        from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    except ImportError as error:
+        raise MissingPackageError(
+            f"Reports are written with the Python package 'jinja2', which is not installed ({error}): run "
+            "repm:environment, which shows the command that installs it, or leave REPORT empty."
+        ) from error
+    loader = FileSystemLoader(str(RESOURCES / "templates"))
+    found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    found.filters["fixed"] = lambda value, decimals: f"{value:.{decimals}f}"
+    return found
+
+
+def page(template: str, **values: Any) -> str:
+    """A whole template, filled in. Raises MissingPackageError where jinja2 is not installed."""
+    return _environment().get_template(template).render(**values)
+
+
+def draw(kind: str, **values: Any) -> Drawing:
+    """One macro of ``charts.svg``, filled in. Raises MissingPackageError where jinja2 is not installed."""
+    return Drawing(getattr(_environment().get_template("charts.svg").module, kind)(**values))
