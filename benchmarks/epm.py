@@ -35,6 +35,7 @@ from repm_qgis.geometry.refinement import Terrain  # noqa: E402
 from repm_qgis.geometry.surface import Surface  # noqa: E402
 from repm_qgis.rpc import Rpc  # noqa: E402
 from repm_qgis.rpc.readers import read_rpc_file  # noqa: E402
+from repm_qgis.simulation.parameters import RpcFitParameters  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.sensor import GF7, ZY3, Look, Sensor, aim  # noqa: E402
 
@@ -167,7 +168,7 @@ def full_scenes() -> List[str]:
 def simulated(sensor: Sensor, look: Look, size: Tuple[int, int], altitudes: Tuple[float, float]) -> Rpc:
     """The RPC of a simulated full scene."""
     view = aim(sensor, look, (6.6, 43.4, sum(altitudes) / 2), size, 190.0, 7, "view")
-    return fit_rpc(view.localise, size, altitudes, (21, 21, 9)).rpc
+    return fit_rpc(view.localise, size, altitudes, RpcFitParameters(nodes=(21, 21, 9))).rpc
 
 
 def paper_table() -> List[str]:

@@ -15,12 +15,13 @@ from scipy import ndimage
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from repm_qgis.arrays import Bounds  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.simulation.gcps import common_square  # noqa: E402
 from repm_qgis.simulation.render import render_view  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, surface_bounds, write_truth  # noqa: E402
 from repm_qgis.simulation.sensor import PushbroomView  # noqa: E402
-from repm_qgis.simulation.surface import Bounds, Ground, SimulatedSurface, Sun, fractal  # noqa: E402
+from repm_qgis.simulation.surface import Ground, SimulatedSurface, Sun, fractal  # noqa: E402
 
 MORNING = Sun(azimuth_deg=105.0, elevation_deg=28.0)
 AFTERNOON = Sun(azimuth_deg=245.0, elevation_deg=32.0)
@@ -104,7 +105,7 @@ def town_under(spec: SceneSpec, sun: Sun) -> SimulatedSurface:
 
 def exposed(surface: SimulatedSurface, view: PushbroomView, seed: int) -> np.ndarray:
     """The whole image (rows, columns) of a view."""
-    return np.concatenate([strip for _, strip in render_view(surface, view, seed)])
+    return np.concatenate([strip for _, strip in render_view(surface, view, seed, Silent())])
 
 
 def write_scene(folder: Path, spec: SceneSpec, surfaces: Sequence[SimulatedSurface], write: Writer) -> None:

@@ -85,7 +85,7 @@ def make_pair(
     images, alphas = [], []
     for number, (view, fit, bias) in enumerate(zip(views, fits, pointing_errors(2, seed))):
         lit = _rippled(surface, lakes, seed + number)
-        pixels = np.concatenate([strip for _, strip in render_view(lit, view, seed + number)])
+        pixels = np.concatenate([strip for _, strip in render_view(lit, view, seed + number, Silent())])
         alpha = np.zeros(pixels.shape)
         for index, cloud in enumerate(_clouds(size * gsd) if clouds else ()):
             pixels, alpha = _clouded(pixels, alpha, view, spec, cloud, number, index)

@@ -20,7 +20,7 @@ _LOCALISE_TOLERANCE_PX = 3e-8  # rounding of 40000 px images is some 1e-8 px: le
 _LOCALISE_STEPS = 20
 
 
-def _monomials(lon: FloatArray, lat: FloatArray, height: FloatArray, out: FloatArray) -> FloatArray:
+def monomials(lon: FloatArray, lat: FloatArray, height: FloatArray, out: FloatArray) -> FloatArray:
     """RPC00B's twenty terms in normalised longitude L, latitude P and height H, as rows of ``out`` (20, n)."""
     out[0] = 1.0
     out[1], out[2], out[3] = lon, lat, height
@@ -138,7 +138,7 @@ class Rpc:
             lon = self._wrapped(part[:, 0]) / self.lon_scale
             lat = (part[:, 1] - self.lat_off) / self.lat_scale
             height = (part[:, 2] - self.height_off) / self.height_scale
-            values = coefficients @ _monomials(lon, lat, height, terms[:, : part.shape[0]])
+            values = coefficients @ monomials(lon, lat, height, terms[:, : part.shape[0]])
             with np.errstate(divide="ignore", invalid="ignore"):
                 result[start : start + _CHUNK, 0] = values[0] / values[1] * self.col_scale + self.col_off
                 result[start : start + _CHUNK, 1] = values[2] / values[3] * self.row_scale + self.row_off

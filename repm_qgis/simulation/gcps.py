@@ -10,32 +10,31 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..errors import OptionError
 from ..workspace import write_text
+from .parameters import SIMULATION, ControlParameters
 from .render import RayCaster
 from .sensor import PushbroomView
-from .surface import FloatArray, SimulatedSurface
-
-GCP_COUNT = 12
-GCP_NOISE_PX = 0.3
-_EDGE_PX = 4.0
-_FLAT_M = 0.3
+from .surface import SimulatedSurface
 
 
-def common_square(surface: SimulatedSurface, views: Sequence[PushbroomView], step: int) -> Tuple[int, int, int]:
+def common_square(
+    surface: SimulatedSurface,
+    views: Sequence[PushbroomView],
+    step: int,
+    parameters: ControlParameters = SIMULATION.control,
+) -> Tuple[int, int, int]:
     """The largest square around the surface's middle that lies inside every image at every height.
 
-    Returns
-    -------
-    First row and first column (multiples of ``step``) of nodes, and the count of every ``step``-th node a side.
-
-    Raises OptionError if there is none.
+    Returns the first row and column of nodes (multiples of ``step``), and the count of every ``step``-th node a side.
+    Raises OptionError if there is no such square.
     """
     middle = [step * int(round((n - 1) / 2 / step)) for n in surface.height.shape]
     low, high = 0, min(min(m, n - 1 - m) for m, n in zip(middle, surface.height.shape)) // step
     while low < high:
         half = (low + high + 1) // 2
-        if _seen_by_all(surface, views, middle, half * step):
+        if _seen_by_all(surface, views, middle, half * step, parameters.edge_px):
             low = half
         else:
             high = half - 1
@@ -44,8 +43,10 @@ def common_square(surface: SimulatedSurface, views: Sequence[PushbroomView], ste
     return middle[0] - low * step, middle[1] - low * step, 2 * low + 1
 
 
-def _seen_by_all(surface: SimulatedSurface, views: Sequence[PushbroomView], middle: Sequence[int], half: int) -> bool:
-    """Whether a square's edge projects into every image at the surface's lowest and highest height."""
+def _seen_by_all(
+    surface: SimulatedSurface, views: Sequence[PushbroomView], middle: Sequence[int], half: int, edge_px: float
+) -> bool:
+    """Whether the edge of a square projects into every image at the surface's lowest and highest height."""
     side = np.linspace(-half, half, 5)
     col, row = (part.ravel() for part in np.meshgrid(middle[1] + side, middle[0] + side))
     ground = surface.ground(col, row)
@@ -53,14 +54,14 @@ def _seen_by_all(surface: SimulatedSurface, views: Sequence[PushbroomView], midd
         for height in surface.height_range():
             ground[:, 2] = height
             pixels = view.project(ground)
-            if pixels.min() < _EDGE_PX or (pixels > np.array(view.size) - 1 - _EDGE_PX).any():
+            if pixels.min() < edge_px or (pixels > np.array(view.size) - 1 - edge_px).any():
                 return False
     return True
 
 
 @dataclass(frozen=True)
 class SimulatedGcp:
-    """One point in one view: degrees, metres above the ellipsoid, px (first pixel's centre is (0, 0))."""
+    """One point in one view: degrees, metres above the ellipsoid, px (the first pixel's centre is (0, 0))."""
 
     id: str
     lon: float
@@ -73,77 +74,76 @@ class SimulatedGcp:
 
 
 def choose_gcps(
-    surface: SimulatedSurface, views: Sequence[PushbroomView], square: Tuple[int, int, int], step: int, seed: int
+    surface: SimulatedSurface,
+    views: Sequence[PushbroomView],
+    square: Tuple[int, int, int],
+    step: int,
+    seed: int,
+    parameters: ControlParameters = SIMULATION.control,
 ) -> List[SimulatedGcp]:
-    """Flat, visible places spread over the common square, measured in the real sensor with noise of 0.3 px.
+    """Flat, visible places spread over the common square, measured in the real sensor with noise.
 
-    In each of 4 x 3 fields of the square, the candidate seen by most views, among flat ground and roofs if there are
-    any, else among the flattest places. Points that fewer than two views see are left out; a view that does not see a
-    point has no row for it. Roles alternate by point.
+    In each field of the square, the candidate that most views see is taken: among flat ground and roofs if there are
+    any, otherwise among the flattest places. Points that fewer than two views see are left out, and a view that does
+    not see a point has no row for it. Every second point is a check point.
     """
     rng = np.random.default_rng([seed, 3])
     casters = [RayCaster(surface, view) for view in views]
     extent = (square[2] - 1) * step
+    columns, rows = parameters.fields
     result: List[SimulatedGcp] = []
-    for number in range(GCP_COUNT):
-        field_col, field_row = number % 4, number // 4
-        place = rng.uniform(0.08, 0.92, (240, 2))
-        col = square[1] + (field_col + place[:, 0]) / 4 * extent
-        row = square[0] + (field_row + place[:, 1]) / 3 * extent
-        # A flat roof is no better than flat enough ground: what is under the limit keeps its random order.
-        uneven = np.maximum(_unevenness(surface, col, row, 2.5 * step), _FLAT_M)
-        flattest = np.argsort(uneven, kind="stable")[:12]
-        noise = rng.normal(0.0, GCP_NOISE_PX, (len(views), 2))
+    for number in range(columns * rows):
+        field_col, field_row = number % columns, number // columns
+        place = rng.uniform(0.08, 0.92, (parameters.candidates, 2))
+        col = square[1] + (field_col + place[:, 0]) / columns * extent
+        row = square[0] + (field_row + place[:, 1]) / rows * extent
+        # Places flatter than the limit keep their random order: a flat roof is no better than flat enough ground.
+        uneven = np.maximum(_unevenness(surface, col, row, parameters.reach_cells * step), parameters.flat_m)
+        flattest = np.argsort(uneven, kind="stable")[: parameters.flattest]
+        noise = rng.normal(0.0, parameters.noise_px, (len(views), 2))
         best: List[Tuple[int, FloatArray]] = []
         for ground in surface.ground(col[flattest], row[flattest]):
-            seen = [(n, pixel) for n, c in enumerate(casters) if (pixel := _seen_at(c, ground)) is not None]
+            pixels = [(n, _seen_at(caster, ground, parameters.visible_m)) for n, caster in enumerate(casters)]
+            seen = [(n, pixel) for n, pixel in pixels if pixel is not None]
             if len(seen) > len(best):
-                best, point = seen, ground
+                best, (lon, lat, height) = seen, map(float, ground)
             if len(best) == len(views):
                 break
         if len(best) < 2:
             continue
         role = "check" if number % 2 else "control"
         for n, pixel in best:
-            measured = pixel + noise[n]
-            result.append(
-                SimulatedGcp(f"P{number + 1:02d}", *map(float, point), views[n].name, *map(float, measured), role)
-            )
+            image_col, image_row = map(float, pixel + noise[n])
+            name = f"P{number + 1:02d}"
+            result.append(SimulatedGcp(name, lon, lat, height, views[n].name, image_col, image_row, role))
     return result
 
 
 def _unevenness(surface: SimulatedSurface, col: FloatArray, row: FloatArray, reach: float) -> FloatArray:
-    """(N,) highest less lowest of 25 heights within ``reach`` nodes around places, m."""
+    """(N,) highest less lowest of 25 heights within ``reach`` nodes of places, m."""
     side = np.linspace(-reach, reach, 5)
     right, down = (part.ravel() for part in np.meshgrid(side, side))
-    around = surface.heights(col[:, None] + right, row[:, None] + down)
-    return np.ptp(around, axis=1)
+    heights = surface.heights(col[:, None] + right, row[:, None] + down)
+    spread: FloatArray = np.ptp(heights, axis=1)
+    return spread
 
 
-def _seen_at(caster: RayCaster, ground: FloatArray) -> Optional[FloatArray]:
-    """The pixel at which a view really sees a ground point; None if something hides it or it is outside."""
-    pixel = caster.view.project(ground[None])[0]
+def _seen_at(caster: RayCaster, ground: FloatArray, visible_m: float) -> Optional[FloatArray]:
+    """The pixel at which a view really sees a ground point; None if something hides the point or it is outside."""
+    pixel: FloatArray = caster.view.project(ground[None])[0]
     if pixel.min() < 0 or (pixel > np.array(caster.view.size) - 1).any():
         return None
-    return pixel if abs(caster.heights_at(pixel[None])[0] - ground[2]) < 0.1 else None
+    return pixel if abs(caster.heights_at(pixel[None])[0] - ground[2]) < visible_m else None
 
 
 def write_gcps(path: str, gcps: Sequence[SimulatedGcp]) -> None:
     """CSV with the header id, lon, lat, height, view, col, row, role."""
+    digits = {"lon": 10, "lat": 10, "height": 4, "col": 4, "row": 4}
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow([field.name for field in dataclasses.fields(SimulatedGcp)])
+    names = [field.name for field in dataclasses.fields(SimulatedGcp)]
+    table.writerow(names)
     for gcp in gcps:
-        table.writerow(
-            [
-                gcp.id,
-                f"{gcp.lon:.10f}",
-                f"{gcp.lat:.10f}",
-                f"{gcp.height:.4f}",
-                gcp.view,
-                f"{gcp.col:.4f}",
-                f"{gcp.row:.4f}",
-                gcp.role,
-            ]
-        )
+        values = {name: getattr(gcp, name) for name in names}
+        table.writerow([f"{v:.{digits[name]}f}" if name in digits else v for name, v in values.items()])
     write_text(path, text.getvalue())

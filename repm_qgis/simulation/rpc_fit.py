@@ -11,14 +11,12 @@ from typing import Callable, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import Altitudes, FloatArray, Size
 from ..errors import RpcInvalidError
-from ..rpc.model import Rpc, _monomials
+from ..rpc.model import Rpc, monomials
+from .parameters import SIMULATION, RpcFitParameters
 
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
-
-_RIDGE = 1e-6  # relative to the largest singular value: costs under 1e-3 px, and keeps denominators near one
-_REWEIGHTS = 4
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class RpcFit:
 
 
 def virtual_grid(
-    size: Tuple[int, int], heights: Tuple[float, float], nodes: Tuple[int, int, int], inset: float = 0.0
+    size: Size, heights: Altitudes, nodes: Tuple[int, int, int], inset: float = 0.0
 ) -> Tuple[FloatArray, FloatArray]:
     """Pixels (N, 2) and heights (N,) of a regular grid of columns, rows, heights over image and height range.
 
@@ -52,24 +50,15 @@ def virtual_grid(
 
 
 def fit_rpc(
-    localise: Localise, size: Tuple[int, int], heights: Tuple[float, float], nodes: Tuple[int, int, int] = (16, 16, 7)
+    localise: Localise, size: Size, heights: Altitudes, parameters: RpcFitParameters = SIMULATION.rpc_fit
 ) -> RpcFit:
-    """Fit an RPC to a sensor model.
+    """Fit an RPC to a sensor model, and measure its residuals on another, denser grid.
 
-    Parameters
-    ----------
-    localise : takes (N, 2) column, row and (N,) heights, gives (N, 3) longitude, latitude, height.
-    size : columns, rows of the image. heights : lowest, highest, metres above the ellipsoid.
-    nodes : of the virtual grid along columns, rows, heights.
+    ``localise`` takes (N, 2) columns and rows and (N,) heights, and returns (N, 3) longitudes, latitudes, heights.
 
-    Returns
-    -------
-    RpcFit, with residuals measured on another, denser grid.
-
-    Raises
-    ------
-    RpcInvalidError if the sensor model gives no finite ground points, or a height range is empty.
+    Raises RpcInvalidError if it returns ground points that are not finite, or if the range of heights is empty.
     """
+    nodes = parameters.nodes
     if not heights[1] > heights[0]:
         raise RpcInvalidError(f"no RPC can be fitted to heights from {heights[0]} to {heights[1]} m: it needs a range.")
     pixels, height = virtual_grid(size, heights, nodes)
@@ -78,9 +67,10 @@ def fit_rpc(
         raise RpcInvalidError("no RPC can be fitted: the sensor model has no ground point for some of its pixels.")
     offset, scale = _normaliser(ground)
     pixel_offset, pixel_scale = _normaliser(pixels)
-    terms = _monomials(*((ground - offset) / scale).T, np.empty((20, ground.shape[0]))).T
+    lon, lat, height = ((ground - offset) / scale).T
+    terms = monomials(lon, lat, height, np.empty((20, ground.shape[0]))).T
     col, row = ((pixels - pixel_offset) / pixel_scale).T
-    (col_num, col_den), (row_num, row_den) = _rational(terms, col), _rational(terms, row)
+    (col_num, col_den), (row_num, row_den) = (_rational(terms, value, parameters) for value in (col, row))
     rpc = Rpc(
         row_off=pixel_offset[1],
         row_scale=pixel_scale[1],
@@ -109,7 +99,7 @@ def _normaliser(values: FloatArray) -> Tuple[FloatArray, FloatArray]:
     return (low + high) / 2, (high - low) / 2
 
 
-def _rational(terms: FloatArray, value: FloatArray) -> Tuple[FloatArray, FloatArray]:
+def _rational(terms: FloatArray, value: FloatArray, parameters: RpcFitParameters) -> Tuple[FloatArray, FloatArray]:
     """Twenty numerator and twenty denominator coefficients (the first is 1) with num / den = value.
 
     The equations num - value den = 0 are linear; dividing each by the last pass's denominator makes their residuals
@@ -117,9 +107,9 @@ def _rational(terms: FloatArray, value: FloatArray) -> Tuple[FloatArray, FloatAr
     """
     design = np.concatenate([terms, -value[:, None] * terms[:, 1:]], axis=1)
     weight = np.ones_like(value)
-    for _ in range(_REWEIGHTS):
+    for _ in range(parameters.reweights):
         left, singular, right = np.linalg.svd(design * weight[:, None], full_matrices=False)
-        damped = singular / (singular**2 + (_RIDGE * singular[0]) ** 2)
+        damped = singular / (singular**2 + (parameters.ridge * singular[0]) ** 2)
         solution = right.T @ (damped * (left.T @ (value * weight)))
         denominator = np.concatenate([[1.0], solution[20:]])
         weight = 1.0 / (terms @ denominator)

@@ -18,44 +18,40 @@ import numpy as np
 from osgeo import gdal, osr
 
 from .. import __version__
+from ..arrays import Altitudes, Bounds, FloatArray
 from ..errors import OptionError
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import created
 from ..progress import Part, Progress
 from ..rpc.model import Rpc
 from ..workspace import ensure_folder, write_text
-from .gcps import GCP_NOISE_PX, SimulatedGcp, choose_gcps, common_square, write_gcps
+from .gcps import SimulatedGcp, choose_gcps, common_square, write_gcps
+from .mountains import build_mountains
+from .parameters import SIMULATION, SimulationParameters, VendorParameters
 from .render import render_view
 from .rpc_fit import RpcFit, fit_rpc
 from .sensor import PLEIADES, PushbroomView, Sensor, aim
-from .surface import Bounds, FloatArray, SimulatedSurface, Sun, build_mountains, build_urban
+from .surface import Ground, SimulatedSurface, Sun
+from .town import Town
 
-_COMMON_POINTING_PX = 2.0  # pointing errors of one pass are mostly common to its views,
-_VIEW_POINTING_PX = 1.0  # and differ by less
-_RPC_MARGIN_M = 20.0
-_STRIP_ROWS = 256
+_STRIP_ROWS = 256  # of the true DSM that are written together
 
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """What to simulate.
+    """What to simulate."""
 
-    ``size``: side of the images, px. ``lon, lat``: degrees, the middle of the images. ``base_m``: the ground's lowest
-    height (mountains) or mean height (urban) above the ellipsoid. ``relief_m``: of mountains. ``heading_deg``: of the
-    flight. ``surface_step``: surface nodes a cell of the true DSM. ``cell_m``: of the true DSM.
-    """
-
-    kind: str
-    size: int
+    kind: str  # urban or mountains
+    size: int  # side of the images, px
     seed: int
     sensor: Sensor
-    cell_m: float
-    surface_step: int
-    base_m: float
-    relief_m: float
-    lon: float = 1.44
+    cell_m: float  # of the true DSM
+    surface_step: int  # surface nodes a cell of the true DSM
+    base_m: float  # lowest height (mountains) or mean height (urban) of the ground above the ellipsoid
+    relief_m: float  # of mountains
+    lon: float = 1.44  # degrees, the middle of the images
     lat: float = 43.60
-    heading_deg: float = 191.0
+    heading_deg: float = 191.0  # of the flight
     sun: Sun = Sun()
 
     @classmethod
@@ -66,20 +62,10 @@ class SceneSpec:
         """
         if kind == "urban":
             return cls(kind, size, seed, PLEIADES, cell_m=0.5, surface_step=2, base_m=190.0, relief_m=0.0)
-        if kind == "mountains":
-            return cls(
-                kind,
-                size,
-                seed,
-                PLEIADES.at_gsd(1.0),
-                cell_m=1.0,
-                surface_step=1,
-                base_m=900.0,
-                relief_m=min(0.3 * size, 2000.0),
-                lon=6.65,
-                lat=44.38,
-            )
-        raise OptionError("KIND", kind, "must be one of urban, mountains")
+        if kind != "mountains":
+            raise OptionError("KIND", kind, "must be one of urban, mountains")
+        sensor, relief = PLEIADES.at_gsd(1.0), min(0.3 * size, 2000.0)
+        return cls(kind, size, seed, sensor, 1.0, 1, base_m=900.0, relief_m=relief, lon=6.65, lat=44.38)
 
     @property
     def crs(self) -> str:
@@ -87,33 +73,26 @@ class SceneSpec:
         return utm_crs(self.lon, self.lat)
 
     @property
-    def height_bounds(self) -> Tuple[float, float]:
-        """Heights that the surface is sure to keep within, m."""
+    def height_bounds(self) -> Altitudes:
+        """Heights that the surface never leaves, m."""
         if self.kind == "mountains":
             return self.base_m - 50.0, self.base_m + self.relief_m + 50.0
         return self.base_m - 30.0, self.base_m + 90.0
 
 
 def make_views(spec: SceneSpec) -> List[PushbroomView]:
-    """The spec's sensor, aimed at its middle by each of the sensor's looks."""
+    """The spec's sensor, aimed at the spec's middle by each of the sensor's looks."""
     low, high = spec.height_bounds
     middle = (spec.lon, spec.lat, 0.5 * (low + high) if spec.kind == "mountains" else spec.base_m)
+    size = (spec.size, spec.size)
     return [
-        aim(
-            spec.sensor,
-            look,
-            middle,
-            (spec.size, spec.size),
-            spec.heading_deg,
-            spec.seed + 101 * number,
-            f"img_{number:02d}",
-        )
+        aim(spec.sensor, look, middle, size, spec.heading_deg, spec.seed + 101 * number, f"img_{number:02d}")
         for number, look in enumerate(spec.sensor.looks, start=1)
     ]
 
 
 def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
-    """xmin, ymin, xmax, ymax in the UTM zone of all that any view may see, with a margin for shadows."""
+    """Bounds in the UTM zone of all that any view may see, with a margin for shadows."""
     places = []
     for view in views:
         edge = np.linspace(-8.0, spec.size + 7.0, 9)
@@ -122,20 +101,26 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
             places.append(projected_from_geodetic(spec.crs, view.localise(pixels, height)))
     every = np.concatenate(places)
     margin = 10 * spec.cell_m
-    low, high = every.min(axis=0) - margin, every.max(axis=0) + margin
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    return Bounds(*map(float, every.min(axis=0) - margin), *map(float, every.max(axis=0) + margin))
 
 
-def make_surface(spec: SceneSpec, bounds: Bounds, progress: Progress) -> SimulatedSurface:
+def make_surface(
+    spec: SceneSpec, bounds: Bounds, progress: Progress, parameters: SimulationParameters = SIMULATION
+) -> SimulatedSurface:
     """The spec's ground over bounds in its UTM zone."""
-    cell = spec.cell_m / spec.surface_step
+    ground = Ground.empty(bounds, spec.cell_m / spec.surface_step)
+    progress.step(0.1, spec.kind)
     if spec.kind == "mountains":
-        return build_mountains(bounds, cell, spec.crs, spec.base_m, spec.relief_m, spec.sun, spec.seed, progress)
-    return build_urban(bounds, cell, spec.crs, spec.base_m, spec.sun, spec.seed, progress)
+        build_mountains(ground, spec.base_m, spec.relief_m, spec.seed, progress)
+    else:
+        Town(ground, spec.base_m, spec.seed, progress, parameters.town).build()
+    progress.step(0.7, "sunlight")
+    wall_m = math.inf if spec.kind == "mountains" else parameters.town.wall_m
+    return ground.finish(spec.crs, spec.sun, wall_m, parameters.light)
 
 
 def rpc_tags(rpc: Rpc) -> Dict[str, str]:
-    """GDAL's RPC metadata of an RPC; GDAL's offsets count from the first pixel's centre, as ours."""
+    """GDAL's RPC metadata of an RPC; GDAL's offsets count from the first pixel's centre, as ours do."""
     tags = {}
     for ours, theirs in (("row", "LINE"), ("col", "SAMP"), ("lat", "LAT"), ("lon", "LONG"), ("height", "HEIGHT")):
         tags[f"{theirs}_OFF"] = repr(float(getattr(rpc, f"{ours}_off")))
@@ -147,23 +132,22 @@ def rpc_tags(rpc: Rpc) -> Dict[str, str]:
 
 
 def write_image(
-    path: str, view: PushbroomView, rpc: Rpc, surface: SimulatedSurface, seed: int, progress: Progress
+    path: str,
+    view: PushbroomView,
+    rpc: Rpc,
+    surface: SimulatedSurface,
+    seed: int,
+    progress: Progress,
+    parameters: SimulationParameters = SIMULATION,
 ) -> None:
     """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
-    _drop_side_file(path)
+    _drop_sidecar(path)
+    shape, names = view.size[::-1], ("panchromatic",)
     with created(
-        path,
-        (view.size[1], view.size[0]),
-        np.dtype(np.uint16),
-        1,
-        None,
-        "",
-        nodata=None,
-        descriptions=("panchromatic",),
-        compress=False,
+        path, shape, np.dtype(np.uint16), 1, None, "", nodata=None, descriptions=names, compress=False
     ) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
-        for first, strip in render_view(surface, view, seed, progress):
+        for first, strip in render_view(surface, view, seed, progress, parameters.render):
             dataset.write(strip, 0, first)
 
 
@@ -173,21 +157,15 @@ def write_truth(path: str, surface: SimulatedSurface, square: Tuple[int, int, in
     cell = step * surface.cell
     reference = osr.SpatialReference()
     reference.SetFromUserInput(surface.crs)
-    corner = (
-        surface.west + col * surface.cell - cell / 2,
-        cell,
-        0.0,
-        surface.north - row * surface.cell + cell / 2,
-        0.0,
-        -cell,
-    )
-    _drop_side_file(path)
+    west = surface.west + col * surface.cell - cell / 2
+    north = surface.north - row * surface.cell + cell / 2
+    _drop_sidecar(path)
     with created(
         path,
         (count, count),
         np.dtype(np.float32),
         1,
-        corner,
+        (west, cell, 0.0, north, 0.0, -cell),
         reference.ExportToWkt(),
         descriptions=("height above the WGS 84 ellipsoid (m)",),
         unit="m",
@@ -199,24 +177,27 @@ def write_truth(path: str, surface: SimulatedSurface, square: Tuple[int, int, in
             dataset.write(surface.height[rows, col : col + (count - 1) * step + 1 : step], 0, first)
 
 
-def _drop_side_file(path: str) -> None:
-    """Statistics that GDAL or QGIS kept beside an earlier file of this name are not the new one's."""
+def _drop_sidecar(path: str) -> None:
+    """Remove the statistics that GDAL or QGIS kept in a sidecar of an earlier file of this name."""
     if os.path.exists(path + ".aux.xml"):
         os.remove(path + ".aux.xml")
 
 
-def fit_view_rpcs(views: Sequence[PushbroomView], heights: Tuple[float, float]) -> List[RpcFit]:
+def fit_view_rpcs(
+    views: Sequence[PushbroomView], heights: Altitudes, parameters: SimulationParameters = SIMULATION
+) -> List[RpcFit]:
     """RPCs true to the sensor, for heights rounded outwards with a margin."""
-    low = math.floor((heights[0] - _RPC_MARGIN_M) / 10) * 10.0
-    high = math.ceil((heights[1] + _RPC_MARGIN_M) / 10) * 10.0
-    return [fit_rpc(view.localise, view.size, (low, high)) for view in views]
+    margin = parameters.vendor.height_margin_m
+    low = math.floor((heights[0] - margin) / 10) * 10.0
+    high = math.ceil((heights[1] + margin) / 10) * 10.0
+    return [fit_rpc(view.localise, view.size, (low, high), parameters.rpc_fit) for view in views]
 
 
-def pointing_errors(count: int, seed: int) -> FloatArray:
+def pointing_errors(count: int, seed: int, parameters: VendorParameters = SIMULATION.vendor) -> FloatArray:
     """(count, 2) px column, row by which the vendor's RPC of each view is wrong: up to 3 px, mostly in common."""
     rng = np.random.default_rng([seed, 4])
-    common = rng.uniform(-_COMMON_POINTING_PX, _COMMON_POINTING_PX, 2)
-    return common + rng.uniform(-_VIEW_POINTING_PX, _VIEW_POINTING_PX, (count, 2))
+    common, own = parameters.common_pointing_px, parameters.view_pointing_px
+    return rng.uniform(-common, common, 2) + rng.uniform(-own, own, (count, 2))
 
 
 def _record(
@@ -226,8 +207,9 @@ def _record(
     biases: FloatArray,
     surface: SimulatedSurface,
     gcps: Sequence[SimulatedGcp],
+    gcp_noise_px: float,
 ) -> Dict[str, Any]:
-    """What truth.json says."""
+    """The content of truth.json."""
     low, high = surface.height_range()
     return {
         "schema": 1,
@@ -236,7 +218,7 @@ def _record(
         "crs": spec.crs,
         "vertical_datum": "WGS 84 ellipsoid",
         "height_range_m": [low, high],
-        "gcp_noise_px": GCP_NOISE_PX,
+        "gcp_noise_px": gcp_noise_px,
         "gcp_points": len({gcp.id for gcp in gcps}),
         "rpc_bias_note": "projection with the file's RPC minus the true projection, px",
         "views": [
@@ -255,43 +237,37 @@ def _record(
     }
 
 
-def make_scene(spec: SceneSpec, folder: str, progress: Progress) -> Dict[str, Any]:
+def make_scene(
+    spec: SceneSpec, folder: str, progress: Progress, parameters: SimulationParameters = SIMULATION
+) -> Dict[str, Any]:
     """Simulate a scene and write it into a folder.
 
-    Returns
-    -------
-    ``folder``, ``images`` (paths), ``truth``, ``gcps`` (paths) and ``rpc_fit_max_px``, the RPCs' largest deviation
-    from the sensor before their pointing errors are added.
+    Returns ``folder``, ``images`` (paths), ``truth``, ``gcps`` (paths) and ``rpc_fit_max_px``, the largest deviation of
+    the RPCs from the sensor before their pointing errors are added.
 
-    Raises
-    ------
-    WorkspaceError if the folder cannot be written, Cancelled if the user asked to stop: then no half file is left.
+    Raises WorkspaceError if the folder cannot be written, and Cancelled if the user stopped it; no half file is left.
     """
     folder = str(ensure_folder(os.path.abspath(folder)))
     views = make_views(spec)
-    surface = make_surface(spec, surface_bounds(spec, views), Part(progress, 0.0, 0.35))
+    surface = make_surface(spec, surface_bounds(spec, views), Part(progress, 0.0, 0.35), parameters)
     progress.check_cancelled()
     progress.step(0.35, "RPCs and control points")
-    fits = fit_view_rpcs(views, surface.height_range())
-    biases = pointing_errors(len(views), spec.seed)
-    square = common_square(surface, views, spec.surface_step)
-    gcps = choose_gcps(surface, views, square, spec.surface_step, spec.seed)
-    paths = {name: os.path.join(folder, name) for name in ("truth.tif", "gcps.csv", "truth.json")}
-    write_truth(paths["truth.tif"], surface, square, spec.surface_step)
-    write_gcps(paths["gcps.csv"], gcps)
+    fits = fit_view_rpcs(views, surface.height_range(), parameters)
+    biases = pointing_errors(len(views), spec.seed, parameters.vendor)
+    square = common_square(surface, views, spec.surface_step, parameters.control)
+    gcps = choose_gcps(surface, views, square, spec.surface_step, spec.seed, parameters.control)
+    truth, gcp_file = os.path.join(folder, "truth.tif"), os.path.join(folder, "gcps.csv")
+    write_truth(truth, surface, square, spec.surface_step)
+    write_gcps(gcp_file, gcps)
     images = []
     for number, (view, fit, bias) in enumerate(zip(views, fits, biases)):
         part = Part(progress, 0.4 + 0.6 * number / len(views), 0.4 + 0.6 * (number + 1) / len(views), view.name)
         images.append(os.path.join(folder, f"{view.name}.tif"))
-        # Moving the image by -bias is moving its RPC's projections by +bias.
-        write_image(images[-1], view, fit.rpc.shifted(-bias[0], -bias[1]), surface, spec.seed + number, part)
-    record = json.dumps(_record(spec, views, fits, biases, surface, gcps), indent=1, allow_nan=False)
-    write_text(paths["truth.json"], record + "\n")
+        # Moving the image by -bias is the same as moving its RPC's projections by +bias.
+        rpc = fit.rpc.shifted(-bias[0], -bias[1])
+        write_image(images[-1], view, rpc, surface, spec.seed + number, part, parameters)
+    record = _record(spec, views, fits, biases, surface, gcps, parameters.control.noise_px)
+    write_text(os.path.join(folder, "truth.json"), json.dumps(record, indent=1, allow_nan=False) + "\n")
     progress.step(1.0, "done")
-    return {
-        "folder": folder,
-        "images": images,
-        "truth": paths["truth.tif"],
-        "gcps": paths["gcps.csv"],
-        "rpc_fit_max_px": max(fit.max_px for fit in fits),
-    }
+    worst = max(fit.max_px for fit in fits)
+    return {"folder": folder, "images": images, "truth": truth, "gcps": gcp_file, "rpc_fit_max_px": worst}

@@ -1,9 +1,9 @@
 """A linear-array pushbroom satellite: circular orbit, steady attitude with a small wobble, one detector line.
 
-Earth-centred, Earth-fixed coordinates (ECEF, WGS 84, metres) throughout; the Earth's rotation during the second or
-so of one image is neglected, which changes the image's shear and nothing that an RPC could not describe. Pixels are
-column, row of pixel centres, the first pixel's centre is (0, 0); row r is exposed around time (r - (rows - 1) / 2)
-line periods. Columns grow to the left of the flight, so that an image is never mirrored.
+Coordinates are Earth-centred and Earth-fixed (ECEF, WGS 84, metres). The Earth's rotation during an image's second or
+so is neglected, which changes the image's shear and nothing that an RPC could not describe. Pixels are columns and rows
+of pixel centres, and the first pixel's centre is (0, 0); row r is exposed (r - (rows - 1) / 2) line periods after the
+middle. Columns grow to the left of the flight, so that an image is never mirrored.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..errors import OptionError
 from ..geometry.frames import ecef_from_geodetic, geodetic_from_ecef
 
 EARTH_GM = 3.986004418e14  # m^3 / s^2
-_STEPS = 30
+_STEPS = 30  # at most; far more than these iterations need
 _TOLERANCE_PX = 1e-9
 
 
@@ -34,22 +34,18 @@ class Look:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A satellite's camera.
-
-    ``wobble_rad`` is the amplitude of each attitude angle's oscillation, spread over ``wobble_periods_s``.
-    ``distortion_px`` bends the detector line by so many px at the ends of the ``detectors`` long line. ``blur_px`` is
-    the standard deviation of the optics' point spread; with the pixel's aperture, 0.57 px makes an MTF of about 0.13
-    at the Nyquist frequency. Noise variance is ``read_noise_dn`` squared plus ``photon_gain`` times the signal.
-    """
+    """A satellite's camera. Its noise variance is ``read_noise_dn`` squared plus ``photon_gain`` times the signal."""
 
     name: str
     altitude_m: float
     looks: Tuple[Look, ...]
-    detectors: int = 30000
-    wobble_rad: float = 1e-6
+    detectors: int = 30000  # length of the detector line
+    wobble_rad: float = 1e-6  # amplitude of the oscillation of each attitude angle
     wobble_periods_s: Tuple[float, ...] = (3.1, 5.3, 11.7)
-    distortion_px: float = 0.8
-    blur_px: float = 0.57
+    distortion_px: float = 0.8  # bend of the detector line at its ends
+    blur_px: float = (
+        0.57  # standard deviation of the point spread; with the pixel's aperture, an MTF of 0.13 at Nyquist
+    )
     read_noise_dn: float = 3.0
     photon_gain: float = 0.05
     bits: int = 12
@@ -129,16 +125,7 @@ class PushbroomView:
         return up * self.radius_m, direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
     def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
-        """Ground points seen at pixels, at heights above the ellipsoid.
-
-        Parameters
-        ----------
-        col_row : (N, 2) float64; height : float or (N,) float64, metres.
-
-        Returns
-        -------
-        (N, 3) float64 longitude, latitude (degrees), height (m).
-        """
+        """(N, 3) longitudes and latitudes (degrees) that pixels (N, 2) see at heights (m), and these heights."""
         position, direction = self.rays(col_row)
         heights = np.broadcast_to(np.asarray(height, dtype=np.float64), position.shape[:1])
         reach = np.full(heights.shape, self.sensor.altitude_m)
@@ -155,15 +142,9 @@ class PushbroomView:
         return ground
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
-        """Pixels at which ground points are seen (visible or not).
+        """(N, 2) columns and rows at which ground points are seen, visible or not.
 
-        Parameters
-        ----------
-        lon_lat_h : (N, 3) float64; degrees, degrees, metres above the WGS 84 ellipsoid.
-
-        Returns
-        -------
-        (N, 2) float64 column, row; the first pixel's centre is (0, 0).
+        ``lon_lat_h`` is (N, 3): degrees, degrees, metres above the WGS 84 ellipsoid.
         """
         ground = ecef_from_geodetic(np.asarray(lon_lat_h, dtype=np.float64))
         middle = np.array([(self.size[0] - 1) / 2, (self.size[1] - 1) / 2])
@@ -193,38 +174,32 @@ class PushbroomView:
         body = body - np.cross(self._wobble(time), body)
         forward, right = self._detector(pixels[:, 0])
         seen = body[:, :2] / body[:, 2:]
-        return np.stack([right - seen[:, 1], seen[:, 0] - forward], axis=1) / self.ifov_rad
+        miss: FloatArray = np.stack([right - seen[:, 1], seen[:, 0] - forward], axis=1) / self.ifov_rad
+        return miss
 
 
 def _rotated(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
     """Rodrigues' rotation of a vector about a unit axis."""
-    return (
-        vector * math.cos(angle)
-        + np.cross(axis, vector) * math.sin(angle)
-        + axis * (axis @ vector) * (1 - math.cos(angle))
-    )
+    turned: FloatArray = vector * math.cos(angle) + np.cross(axis, vector) * math.sin(angle)
+    turned += axis * (axis @ vector) * (1 - math.cos(angle))
+    return turned
 
 
 def _camera_axes(sight: FloatArray) -> FloatArray:
     """(3, 3) orbital_from_body of a camera whose boresight is the unit vector ``sight`` of the orbital frame."""
     right = np.cross(sight, [1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
-    return np.stack([np.cross(right, sight), right, sight], axis=1)
+    axes: FloatArray = np.stack([np.cross(right, sight), right, sight], axis=1)
+    return axes
 
 
 def aim(
     sensor: Sensor, look: Look, target: Sequence[float], size: Tuple[int, int], heading_deg: float, seed: int, name: str
 ) -> PushbroomView:
-    """Point a camera so that the middle of its image sees a target.
+    """Point a camera so that the middle of its image sees ``target``: longitude, latitude (degrees), height (m).
 
-    Parameters
-    ----------
-    target : longitude, latitude (degrees), height (m) of the ground point in the image's middle.
-    size : columns, rows of the image.
-    heading_deg : direction of flight over the target, clockwise from north.
-    seed : of the attitude wobble.
-
-    Raises OptionError for a look that misses the Earth.
+    ``heading_deg`` is the direction of flight over the target, clockwise from north; ``seed`` that of the attitude
+    wobble. Raises OptionError for a look that misses the Earth.
     """
     lon, lat = math.radians(target[0]), math.radians(target[1])
     ground = ecef_from_geodetic(np.array([target], dtype=np.float64))[0]

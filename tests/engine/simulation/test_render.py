@@ -9,9 +9,11 @@ import pytest
 from repm_qgis.errors import Cancelled
 from repm_qgis.geometry.frames import geodetic_from_ecef, projected_from_geodetic
 from repm_qgis.progress import Silent
-from repm_qgis.simulation.render import RayCaster, _expose, render_view, render_views
+from repm_qgis.simulation.parameters import SIMULATION
+from repm_qgis.simulation.render import RayCaster, _expose, render_view
+from repm_qgis.simulation.scene import SceneSpec, make_surface
 from repm_qgis.simulation.sensor import PLEIADES, aim
-from repm_qgis.simulation.surface import SimulatedSurface, Sun, build_mountains, build_urban
+from repm_qgis.simulation.surface import SimulatedSurface
 
 CRS = "EPSG:32631"
 CENTRE = (1.44, 43.60)
@@ -36,6 +38,10 @@ def _surface(height, cell=0.5, wall=math.inf):
         height - 1,
         np.zeros_like(height),
     )
+
+
+def _whole(surface, view, seed):
+    return np.concatenate([strip for _, strip in render_view(surface, view, seed, Silent())])
 
 
 def _true_heights(surface, view, pixels, step=0.02):
@@ -76,11 +82,8 @@ def test_rays_meet_a_plane_where_it_is():
 def test_rays_stop_at_the_first_thing_they_meet(kind):
     east, north = projected_from_geodetic(CRS, np.array(CENTRE))
     bounds = (east - 130, north - 130, east + 130, north + 130)
-    surface = (
-        build_urban(bounds, 0.25, CRS, 190.0, Sun(), 2)
-        if kind == "urban"
-        else build_mountains(bounds, 1.0, CRS, 150.0, 90.0, Sun(), 2)
-    )
+    cell, base, relief = (0.25, 190.0, 0.0) if kind == "urban" else (1.0, 150.0, 90.0)
+    surface = make_surface(SceneSpec(kind, 240, 2, PLEIADES, cell, 1, base, relief), bounds, Silent())
     rng = np.random.default_rng(0)
     for number in (0, 1, 2):
         view = _view(number, 240, 195.0)
@@ -122,7 +125,7 @@ def test_point_spread_at_the_nyquist_frequency():
     for axis in (0, 1):
         wave = (1000 + 800 * np.cos(np.pi * place)).astype(np.float32)
         fine = np.broadcast_to(wave if axis else wave[:, None], (wave.size, wave.size))
-        image = _expose(fine, quiet, np.random.default_rng(0), 2).astype(float)
+        image = _expose(fine, quiet, np.random.default_rng(0), SIMULATION.render).astype(float)
         contrast = (image.max() - image.min()) / 1600
         assert 0.09 < contrast < 0.16
 
@@ -130,7 +133,7 @@ def test_point_spread_at_the_nyquist_frequency():
 def test_noise_is_as_stated():
     view = _view(1, 256)
     fine = np.full(((256 + 6) * 2,) * 2, 1500.0, np.float32)
-    image = _expose(fine, view, np.random.default_rng(0), 2).astype(float)
+    image = _expose(fine, view, np.random.default_rng(0), SIMULATION.render).astype(float)
     assert image.mean() == pytest.approx(1500, abs=0.3)
     expected = math.sqrt(PLEIADES.read_noise_dn**2 + PLEIADES.photon_gain * 1500 + 1 / 12)
     assert image.std() == pytest.approx(expected, rel=0.02)
@@ -142,12 +145,12 @@ def test_strips_and_whole_image_agree_and_views_differ():
     surface = _surface((200 + 0.02 * cols + rng.normal(0, 0.1, cols.shape)).astype(np.float32))
     surface = replace(surface, radiance=rng.uniform(200, 2000, cols.shape).astype(np.float32))
     view = _view(0, 280)
-    strips = dict(render_view(surface, view, 9))
+    strips = dict(render_view(surface, view, 9, Silent()))
     assert sorted(strips) == [0, 256] and strips[256].shape == (24, 280)
-    ((same, image),) = render_views(surface, [view], 9)
-    assert same is view and image.dtype == np.uint16
+    image = _whole(surface, view, 9)
+    assert image.dtype == np.uint16
     np.testing.assert_array_equal(np.concatenate([strips[0], strips[256]]), image)
-    ((_, other),) = render_views(surface, [view], 10)
+    other = _whole(surface, view, 10)
     assert (other != image).mean() > 0.5
     # No seam between strips: the step across it is like any other.
     steps = np.abs(np.diff(image.astype(float), axis=0)).mean(axis=1)
@@ -176,7 +179,7 @@ def test_pixels_lie_where_the_sensor_says():
     surface = replace(_surface(np.full((800, 800), 200.0, np.float32)), radiance=wave.astype(np.float32))
     for number in (0, 1, 2):
         view = _view(number, 300)
-        ((_, image),) = render_views(surface, [view], 2)
+        image = _whole(surface, view, 2)
         grid = np.arange(20.0, 280.0)
         pixels = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
         x, y = surface.grid(view.localise(pixels, 200.0))

@@ -5,7 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from repm_qgis.simulation.surface import Sun, build_mountains, build_urban, fractal, interpolate, shadow_height
+from repm_qgis.arrays import Bounds
+from repm_qgis.progress import Silent
+from repm_qgis.simulation.scene import SceneSpec, make_surface
+from repm_qgis.simulation.sensor import PLEIADES
+from repm_qgis.simulation.surface import Sun, fractal, interpolate, shadow_height
 
 
 def test_interpolation_is_bilinear_but_keeps_walls():
@@ -49,7 +53,8 @@ def test_fractal_is_normalised_seeded_and_band_limited():
 
 
 def test_mountains_have_the_relief_asked_for_and_weak_and_strong_texture():
-    surface = build_mountains((500000, 4900000, 500800, 4900800), 1.0, "EPSG:32632", 900.0, 240.0, Sun(), 4)
+    spec = SceneSpec("mountains", 800, 4, PLEIADES, 1.0, 1, 900.0, 240.0, lon=6.65, lat=44.38)
+    surface = make_surface(spec, Bounds(500000, 4900000, 500800, 4900800), Silent())
     low, high = surface.height_range()
     assert 895 < low < 905 and 1130 < high < 1150
     slope = np.hypot(*np.gradient(surface.height))
@@ -59,7 +64,8 @@ def test_mountains_have_the_relief_asked_for_and_weak_and_strong_texture():
 
 
 def test_town_has_roofs_gables_towers_streets_and_plain_parts():
-    surface = build_urban((374000, 4828500, 374400, 4828900), 0.25, "EPSG:32631", 190.0, Sun(), 4)
+    spec = SceneSpec("urban", 800, 4, PLEIADES, 0.25, 1, 190.0, 0.0)
+    surface = make_surface(spec, Bounds(374000, 4828500, 374400, 4828900), Silent())
     low, high = surface.height_range()
     assert low > 170 and 215 < high < 275
     above = surface.height - np.median(surface.height)
