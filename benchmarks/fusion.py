@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.imagery.raster import write  # noqa: E402
-from repm_qgis.matching.dense import _BANDS, _rectified  # noqa: E402
+from repm_qgis.matching.pair_backend import rectified_over_tile  # noqa: E402
 from repm_qgis.parallel import run_tasks  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.records import HeightMapRecord  # noqa: E402
@@ -35,6 +35,7 @@ from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.height_maps import BANDS  # noqa: E402
 from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
 
 SIZE = int(os.environ.get("REPM_BENCH_CELLS", "10000"))  # cells a side of the largest DSM
@@ -69,7 +70,7 @@ def height_map(
     """Write the height map that a pair would give of a tile, with 0.2 px of smooth noise; gives its record."""
     scene, tile, bounds, altitudes, names, path = work
     first, second = (scene.view(name) for name in names)
-    pair = _rectified(scene, first, second, bounds, altitudes)
+    pair = rectified_over_tile(scene, first, second, bounds, altitudes)
     geometry = pair_geometry(pair, first, second, altitudes, scene.crs)
     width, rows = pair.size
     axes = np.arange(width, dtype=float), np.arange(rows, dtype=float)
@@ -88,7 +89,7 @@ def height_map(
     height[gaps & ~filled] = np.nan
     score = np.where(filled | np.isnan(height), np.nan, rng.beta(9, 1, height.shape)).astype(np.float32)
     write(
-        path, [height.astype(np.float32), score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "", descriptions=_BANDS
+        path, [height.astype(np.float32), score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "", descriptions=BANDS
     )
     return HeightMapRecord(
         tile=tile,

@@ -120,10 +120,11 @@ gdal.UseExceptions()
 from repm_qgis.imagery.warping import GRID_STEP
 from repm_qgis.imagery.raster import read
 from repm_qgis.matching import coarse
-from repm_qgis.matching.dense import height_source
+from repm_qgis.matching.pair_backend import rectified_over_tile
 from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from repm_qgis.stereo.triangulation import pair_geometry
 
 def left_as_they_are(self, pair, geometry):
     rows, columns = (GRID_STEP * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
@@ -137,9 +138,11 @@ scene = Scene.load(run_stage("pipeline", job, Silent())["scene"])
 square, count, most = 0.0, 0, 0.0
 for tile in scene.tiles:
     for record in tile.heights:
-        source = height_source(scene, tile.bounds, record, scene.crs)
+        first, second = (scene.view(name) for name in record.pair)
+        pair = rectified_over_tile(scene, first, second, tile.bounds, record.altitudes)
+        geometry = pair_geometry(pair, first, second, record.altitudes, scene.crs)
         heights = read(gdal.Open(record.file))
-        rows = source.geometry.row.on_grid(*(np.arange(n, dtype=float) for n in heights.shape[::-1]), heights)
+        rows = geometry.row.on_grid(*(np.arange(n, dtype=float) for n in heights.shape[::-1]), heights)
         rows = np.abs(rows[np.isfinite(rows)])
         square, count, most = square + float((rows ** 2).sum()), count + rows.size, max(most, float(rows.max()))
 print(json.dumps([len(scene.tiles), (square / count) ** 0.5, most]))

@@ -62,7 +62,7 @@ def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
 
     dsms = []
     for step in (lambda matched, *_: matched, timed):
-        with changed({"dense.without_unsupported": step}):
+        with changed({"pair_backend.without_unsupported": step}):
             dsms.append(case.dsm_of(case.matched()))
     dr, dc, up = shift_of(case, dsms[0]) if case.align else (0, 0, 0.0)
     errors = [np.roll(dsm, (dr, dc), (0, 1)) - case.truth - up for dsm in dsms]

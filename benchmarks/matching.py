@@ -29,18 +29,18 @@ from repm_qgis.dsm.aggregation import aggregate  # noqa: E402
 from repm_qgis.geometry.cell_grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
-from repm_qgis.matching import dense, edges, occlusions, sgm, subpixel  # noqa: E402
-from repm_qgis.matching.dense import DenseTask, HeightMap  # noqa: E402
-from repm_qgis.matching.matched import Matched  # noqa: E402
+from repm_qgis.matching import edges, occlusions, pair_backend, sgm, subpixel  # noqa: E402
+from repm_qgis.matching.disparity_map import DisparityMap  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.height_maps import HeightMap  # noqa: E402
 from repm_qgis.stereo.pairing import grown, rectified_pair  # noqa: E402
 from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CELL = 0.5
-MODULES = {"dense": dense, "sgm": sgm, "edges": edges, "subpixel": subpixel, "occlusions": occlusions}
+MODULES = {"pair_backend": pair_backend, "sgm": sgm, "edges": edges, "subpixel": subpixel, "occlusions": occlusions}
 
 
 class Case:
@@ -54,16 +54,10 @@ class Case:
         )
         scene = Scene.load(made["scene"])
         tile, self.views = scene.tiles[0], scene.views[:2]
-        self.task = DenseTask(
-            scene,
-            tile.id,
-            tile.bounds,
-            tile.altitudes,
-            *(view.name for view in self.views),
-            tuple(view_stretch(view.image, view.band) for view in self.views),
-            "sgm",
-            "",
-            "",
+        names = tuple(view.name for view in self.views)
+        stretches = tuple(view_stretch(view.image, view.band) for view in self.views)
+        self.task = pair_backend.PairTask(
+            sgm.BACKEND, scene, tile.id, tile.bounds, tile.altitudes, names, stretches, "", ""
         )
         self.pair = rectified_pair(scene, *self.views, grown(tile.bounds, 32 * scene.gsd_m), tile.altitudes)
         self.geometry = pair_geometry(self.pair, *self.views, tile.altitudes, scene.crs)
@@ -75,11 +69,11 @@ class Case:
         self.grid = CellGrid(west, north, cell * step, (size[1] // step, size[0] // step))
         self.truth = self.truth[: self.grid.shape[0], : self.grid.shape[1]]
 
-    def matched(self) -> Matched:
+    def matched(self) -> DisparityMap:
         """What the matcher, as it now is, finds."""
-        return dense._match(self.task, self.pair, self.geometry, *self.views)
+        return pair_backend._match(self.task, self.pair, self.geometry, *self.views)
 
-    def dsm_of(self, found: Matched) -> np.ndarray:
+    def dsm_of(self, found: DisparityMap) -> np.ndarray:
         """The DSM of a height map alone, on the truth's grid."""
         columns, rows = (np.arange(n, dtype=np.float64) for n in found.disparity.shape[::-1])
         height = self.geometry.height.on_grid(columns, rows, found.disparity.astype(np.float64))
@@ -181,8 +175,8 @@ AS_MATCHED = {"sgm.at_edges": lambda disparity, *others: disparity}
 THREE, FIVE, EIGHT = cv2.STEREO_SGBM_MODE_SGBM_3WAY, cv2.STEREO_SGBM_MODE_SGBM, cv2.STEREO_SGBM_MODE_HH
 VARIANTS: Dict[str, Dict[str, Any]] = {
     "as it is": {},
-    "no coarse level": {"dense.guide_of": lambda *_: None},
-    "all that floats kept": {"dense.without_unsupported": lambda matched, *_: matched},
+    "no coarse level": {"pair_backend.guide_of": lambda *_: None},
+    "all that floats kept": {"pair_backend.without_unsupported": lambda matched, *_: matched},
     "OpenCV's eight ways, checked both ways, nothing else": {
         "sgm._matcher": _with_mode(EIGHT, 3, 8, 32),
         **AS_MATCHED,

@@ -23,12 +23,13 @@ from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.imagery.warping import sample_array  # noqa: E402
-from repm_qgis.matching import dense, subpixel  # noqa: E402
+from repm_qgis.matching import pair_backend, sgm, subpixel  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene  # noqa: E402
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
+from repm_qgis.stereo.height_maps import MARGIN_PX  # noqa: E402
 from repm_qgis.stereo.pairing import grown, rectified_pair  # noqa: E402
 from repm_qgis.stereo.triangulation import PairGeometry, pair_geometry  # noqa: E402
 
@@ -89,11 +90,10 @@ class Case:
     def __init__(self, scene: Scene, views: Tuple[int, int], truth: np.ndarray, place: Tuple[float, ...]) -> None:
         tile, first, second = scene.tiles[0], *(scene.views[view] for view in views)
         stretches = tuple(view_stretch(view.image, view.band) for view in (first, second))
-        pair = rectified_pair(scene, first, second, grown(tile.bounds, dense.MARGIN_PX * scene.gsd_m), tile.altitudes)
+        pair = rectified_pair(scene, first, second, grown(tile.bounds, MARGIN_PX * scene.gsd_m), tile.altitudes)
         geometry = pair_geometry(pair, first, second, tile.altitudes, scene.crs)
-        task = dense.DenseTask(
-            scene, "", tile.bounds, tile.altitudes, first.name, second.name, stretches, "sgm", "", ""
-        )
+        names = first.name, second.name
+        task = pair_backend.PairTask(sgm.BACKEND, scene, "", tile.bounds, tile.altitudes, names, stretches, "", "")
         seen: Dict[str, Any] = {}
 
         def watched(disparity: Any, a: Any, b: Any, high: int) -> Any:
@@ -106,12 +106,12 @@ class Case:
             guides.append(guide_of(*arguments))
             return guides[-1]
 
-        guide_of, dense.guide_of = dense.guide_of, kept
+        guide_of, pair_backend.guide_of = pair_backend.guide_of, kept
         try:
             with changed({"sgm.refined": watched}):
-                matched = dense._match(task, pair, geometry, first, second)
+                matched = pair_backend._match(task, pair, geometry, first, second)
         finally:
-            dense.guide_of = guide_of
+            pair_backend.guide_of = guide_of
         self.seen, self.guide, self.metres_per_px = seen, guides[-1], geometry.metres_per_px
         self.truth = true_disparities(geometry, pair.size, truth, place)
         error = (matched.disparity - self.truth)[~matched.filled]

@@ -422,8 +422,8 @@
         <translation>{name} ist {value}: der Wert muss zwischen {low:g} und {high:g} liegen.</translation>
     </message>
     <message>
-        <source>BACKEND is 'colmap', which needs CUDA, and {remedy}; or choose sgm.</source>
-        <translation>BACKEND ist 'colmap', das CUDA braucht ({remedy}); oder sgm wählen.</translation>
+        <source>BACKEND is '{name}', which {remedy}; or choose auto.</source>
+        <translation>BACKEND '{name}' geht hier nicht ({remedy}); sonst auto wählen.</translation>
     </message>
     <message>
         <source>{name} '{path}' is not there: check its path.</source>

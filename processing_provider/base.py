@@ -131,7 +131,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             elif definition.type() in ("raster", "multilayer") and not is_empty(parameters.get(definition.name())):
                 problem = self._check_raster(definition.name(), parameters[definition.name()], context)
             if not problem and definition.name() == "BACKEND":
-                problem = self._check_backend(parameters.get(definition.name()))
+                problem = self._check_backend(definition, parameters.get(definition.name()))
             if problem:
                 return False, problem
         low, high = (parameters.get(name) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
@@ -198,14 +198,12 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             )
         return ""
 
-    def _check_backend(self, value: object) -> str:
-        """COLMAP needs a GPU: the engine's interpreter is asked, as it is the one that needs it."""
-        remedy = engine.cuda_remedy() if value == "colmap" else ""
-        return (
-            self.tr("BACKEND is 'colmap', which needs CUDA, and {remedy}; or choose sgm.").format(remedy=remedy)
-            if remedy
-            else ""
-        )
+    def _check_backend(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
+        """Whether a backend that is asked for by name can run: only the engine's interpreter knows."""
+        remedy = "" if is_empty(value) or value == definition.defaultValue() else engine.backend_remedy(str(value))
+        if not remedy:
+            return ""
+        return self.tr("BACKEND is '{name}', which {remedy}; or choose auto.").format(name=value, remedy=remedy)
 
     def _check_file(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
         if is_empty(value) or not isinstance(value, str):

@@ -128,9 +128,9 @@ def find_python() -> str:
     )
 
 
-def cuda_remedy() -> str:
-    """What makes CUDA usable for the engine; "" where it is, or where the engine cannot be asked (it will say itself)."""
-    code = "from repm_qgis.environment import cuda; print(cuda()['remedy'])"
+def backend_remedy(name: str) -> str:
+    """What to do to make a backend run; "" where it can, or where the engine cannot be asked (it will say itself)."""
+    code = f"from repm_qgis.matching.backends import remedy; print(remedy({name!r}))"
     try:
         python = find_python()
         done = subprocess.run(

@@ -1,8 +1,7 @@
 """Backend ``colmap``: a tile's views matched by COLMAP's patch match on CUDA, a height map for each.
 
 Every view that is matched with others is a reference once. Its height map has the bands of those of ``sgm``, in the
-geometry of the image that COLMAP was given, and is put on the ground by :func:`height_source`, which makes frame and
-tables again from the scene. Nothing is taken from the background of occlusions: COLMAP leaves them empty.
+geometry of the image that COLMAP was given. COLMAP leaves occlusions empty, and nothing is filled in.
 """
 
 from __future__ import annotations
@@ -11,21 +10,23 @@ import os
 import shutil
 import threading
 from dataclasses import dataclass
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Bounds, FloatArray, FloatImage
-from ..environment import Gpu, gpus
+from ..environment import Gpu, cuda, cuda_usable, gpus
 from ..errors import DeviceError, EmptyResultError, ImageError, SceneError
 from ..imagery.enhancement import Stretch
 from ..imagery.warping import sample_array
-from ..matching.dense import MARGIN_PX, HeightSource, finished, map_size, store
+from ..matching.backends import MatchingJob, MatchingResult
+from ..options import ReconstructOptions
 from ..progress import Progress
 from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
+from ..stereo.height_maps import MARGIN_PX, HeightSource, finished_record, map_size, write_height_map
 from ..workspace import ensure_folder, fingerprint, temporary_name
 from .depth_heights import DepthGeometry, depth_geometry
 from .maps import read_map
@@ -70,42 +71,77 @@ class GpuTask:
         return os.path.join(self.folder, f"{self.tile}_{reference}_colmap{part or ''}.tif")
 
 
-def match_tiles(
-    scene: Scene,
-    pairs: Sequence[ViewPair],
-    stretches: Mapping[str, Stretch],
-    settings: PatchMatch,
-    key: str,
-    folder: str,
-    progress: Progress,
-) -> Tuple[List[HeightMapRecord], Dict[str, DeviceError]]:
-    """Match all tiles of a scene, one worker a GPU; gives the records, and the tiles that a GPU failed on, with why."""
-    tasks = [
-        GpuTask(
-            scene.lean(),
-            tile.id,
-            tile.bounds,
-            tile.altitudes,
-            sources,
-            {name: stretches[name] for name in sorted(sources)},
-            settings,
-            folder,
-            fingerprint(key, tile.id, sources),
-        )
-        for tile, sources in ((tile, _partners(tile, pairs)) for tile in scene.tiles)
-        if sources
-    ]
-    devices = gpus()
-    if not devices:
-        return [], {
-            task.tile: DeviceError(
-                "no CUDA device answers any more: look at it with nvidia-smi and run again, or choose BACKEND sgm."
+@dataclass(frozen=True)
+class ColmapBackend:
+    """COLMAP's patch match as a backend (:class:`repm_qgis.matching.backends.Backend`).
+
+    ``run`` is what runs it in a tile's workspace, ``devices`` finds the GPUs.
+    """
+
+    run: Runner = run_patch_match
+    devices: Callable[[], Sequence[Gpu]] = gpus
+    name: str = "colmap"
+    pair_matcher: None = None
+
+    def usable(self) -> bool:
+        return cuda_usable()
+
+    def remedy(self) -> str:
+        missing = cuda()["remedy"]
+        return f"needs CUDA, and {missing}" if missing else ""
+
+    def settings(self, options: ReconstructOptions) -> List[Any]:
+        return [options.geometric, options.colmap_fusion, options.window_radius]
+
+    def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
+        """Match all tiles, one worker a GPU."""
+        chosen = job.options
+        settings = PatchMatch(chosen.geometric, chosen.window_radius, chosen.gpu_memory, chosen.colmap_fusion)
+        tasks = [
+            GpuTask(
+                job.scene.lean(),
+                tile.id,
+                tile.bounds,
+                tile.altitudes,
+                sources,
+                {name: job.stretches[name] for name in sorted(sources)},
+                settings,
+                job.folder,
+                fingerprint(job.key, tile.id, sources),
             )
-            for task in tasks
-        }
-    results = on_gpus(match_tile, tasks, devices, progress, lambda task: f"matched tile {task.tile}")
-    failed = {task.tile: result for task, result in zip(tasks, results) if isinstance(result, DeviceError)}
-    return [record for result in results if not isinstance(result, DeviceError) for record in result], failed
+            for tile, sources in ((tile, _partners(tile, job.pairs)) for tile in job.tiles)
+            if sources
+        ]
+        devices = self.devices()
+        if not devices:
+            lost = "no CUDA device answers any more: look at it with nvidia-smi and run again, or choose BACKEND sgm."
+            return MatchingResult([], {task.tile: DeviceError(lost) for task in tasks})
+
+        def work(task: GpuTask, gpu: Gpu, stop: threading.Event) -> List[HeightMapRecord]:
+            return match_tile(task, gpu, stop, self.run)
+
+        results = on_gpus(work, tasks, devices, progress, lambda task: f"matched tile {task.tile}")
+        failed = {task.tile: result for task, result in zip(tasks, results) if isinstance(result, DeviceError)}
+        done = (result for result in results if not isinstance(result, DeviceError))
+        return MatchingResult([record for records in done for record in records], failed)
+
+    def height_source(self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
+        """Where the tile was matched in parts, heights beyond the part are left out: its neighbour has them."""
+        size, own = map_size(record.file), record.bounds or bounds
+        frame = tile_frame(scene, record.views, own, record.altitudes, MARGIN_PX)
+        names = (record.pair[0], *record.sources)
+        views = [view for view in map(frame.view, names) if view is not None] if frame else []
+        if frame is None or len(views) < len(names) or views[0].size != size:
+            raise SceneError(
+                f"The height map '{record.file}' does not belong to the scene '{scene.path}': run "
+                "'Reconstruct heights' again."
+            )
+        tables = depth_geometry(scene, frame, views[0], views[1:], crs)
+        part = (bounds, own) if record.part else None
+        return HeightSource(record.file, tables.x, tables.y, size, record.altitudes, part)
+
+
+BACKEND = ColmapBackend()
 
 
 def _partners(tile: Tile, pairs: Sequence[ViewPair]) -> Dict[str, Tuple[str, ...]]:
@@ -118,7 +154,7 @@ def _partners(tile: Tile, pairs: Sequence[ViewPair]) -> Dict[str, Tuple[str, ...
     return {name: tuple(others) for name, others in found.items()}
 
 
-def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner = run_patch_match) -> List[HeightMapRecord]:
+def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner) -> List[HeightMapRecord]:
     """Match a tile on a GPU, in as many parts as its memory asks for; gives the height maps' records.
 
     Height maps that an earlier, stopped run has finished are taken as they are (``reused`` in the record). Raises
@@ -128,7 +164,7 @@ def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner = run
     for part, frame in enumerate(_parts(task, bytes_allowed(gpu, task.settings))):
         sources = _sources(task, frame)
         keys = {name: fingerprint(task.key, name, others, frame.bounds) for name, others in sources.items()}
-        done = [finished(task.path(name, part), key) for name, key in keys.items()]
+        done = [finished_record(task.path(name, part), key) for name, key in keys.items()]
         if not all(done):
             done = _match_part(task, part, frame, sources, keys, gpu, stop, run)
         records += [record for record in done if record]
@@ -166,7 +202,9 @@ def _parts(task: GpuTask, allowed: int) -> List[TileFrame]:
 def _divided(bounds: Bounds, count: int) -> List[Bounds]:
     """A rectangle in count x count equal ones."""
     x, y = np.linspace(bounds[0], bounds[2], count + 1), np.linspace(bounds[1], bounds[3], count + 1)
-    return [(float(x[i]), float(y[j]), float(x[i + 1]), float(y[j + 1])) for j in range(count) for i in range(count)]
+    return [
+        Bounds(float(x[i]), float(y[j]), float(x[i + 1]), float(y[j + 1])) for j in range(count) for i in range(count)
+    ]
 
 
 def _sources(task: GpuTask, frame: TileFrame) -> Dict[str, Tuple[str, ...]]:
@@ -252,10 +290,10 @@ def _height_map(
         altitudes=frame.altitudes,
         sources=tuple(others),
         views=tuple(task.stretches),
-        bounds=Bounds(*frame.bounds),
-        part=tuple(frame.bounds) != tuple(task.bounds),
+        bounds=frame.bounds,
+        part=frame.bounds != task.bounds,
     )
-    store(path, key, record, heights.astype(np.float32), score, np.zeros(heights.shape, dtype=bool))
+    write_height_map(path, key, record, heights.astype(np.float32), score, np.zeros(heights.shape, dtype=bool))
     return record
 
 
@@ -339,26 +377,3 @@ def _correlation(a: FloatImage, b: FloatImage) -> FloatImage:
 
 def _mean(values: FloatImage) -> FloatImage:
     return cv2.blur(values, (_SCORE_WINDOW, _SCORE_WINDOW), borderType=cv2.BORDER_REPLICATE)
-
-
-def height_source(scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
-    """A height map of this backend, to be placed on the ground in any projected ``crs``.
-
-    Where the tile was matched in parts, heights beyond the part are left out: its neighbour has them. Raises
-    SceneError where the file is gone, damaged or of another scene.
-    """
-    size, own = map_size(record.file), record.bounds or Bounds(*bounds)
-    frame = tile_frame(scene, record.views, own, record.altitudes, MARGIN_PX)
-    views = [frame.view(name) for name in (record.pair[0], *record.sources)] if frame else [None]
-    if frame is None or None in views or views[0].size != size:
-        raise SceneError(
-            f"The height map '{record.file}' does not belong to the scene '{scene.path}': run "
-            "'Reconstruct heights' again."
-        )
-    return HeightSource(
-        record.file,
-        depth_geometry(scene, frame, views[0], views[1:], crs),
-        size,
-        record.altitudes,
-        (Bounds(*bounds), own) if record.part else None,
-    )

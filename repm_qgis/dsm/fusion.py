@@ -13,10 +13,11 @@ from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.gridding import grid_points, surface_step
 from ..geometry.interpolation import on_lattice
-from ..matching.dense import HeightMap, HeightSource, height_source
+from ..matching.backends import height_source
 from ..matching.occlusions import STEP_PX
 from ..records import HeightMapRecord
 from ..scene import Scene, View
+from ..stereo.height_maps import HeightMap, HeightSource
 from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
 from .hidden import hidden_ground
 from .ortho import orthophoto

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Floats
-from ..matching.dense import HeightMap
+from ..stereo.height_maps import HeightMap
 
 
 def hidden_ground(heights: HeightMap, step_m: float) -> Tuple[Floats, Floats, Floats]:

@@ -1,36 +1,140 @@
-"""Which matcher works: the names of the dialog, and the modules behind them.
+"""The registry of matching backends, and the interface that all of them have.
 
-``sgm`` matches pairs on the CPU (:mod:`dense`, its ``match`` is asked for by name); ``colmap`` all views of a tile on
-CUDA (:mod:`colmap_backend`).
+A backend turns the tiles of a scene into height maps. There are two kinds in use: a matcher of rectified pairs, which
+:class:`repm_qgis.matching.pair_backend.PairBackend` runs over all tiles and pairs (``sgm``), and one that matches all
+views of a tile together (``colmap``). A matcher that only computes a cost volume becomes a pair matcher by a function
+that aggregates the volume and selects the disparities. A new backend is a module with an object ``BACKEND``, a line in
+``_MODULES`` here, and its name in ``options.BACKENDS``.
 """
 
 from __future__ import annotations
 
 import importlib
-from typing import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
-from ..environment import cuda, cuda_usable
+from ..arrays import Bounds
 from ..errors import DeviceError
-from .matched import Matched
+from ..imagery.enhancement import Stretch
+from ..options import ReconstructOptions
+from ..progress import Part, Progress
+from ..records import HeightMapRecord, ViewPair
+from ..scene import Scene, Tile
+from ..stereo.height_maps import HeightSource
+from .disparity_map import PairMatcher
 
-Matcher = Callable[..., Matched]
+_AUTO = "auto"
+_MODULES = {"colmap": "repm_qgis.colmap.backend", "sgm": "repm_qgis.matching.sgm"}
+"""Where each backend's object ``BACKEND`` is; ``auto`` takes the first usable one, and the next where that fails."""
 
-_MODULES = {"sgm": "repm_qgis.matching.sgm"}
+
+@dataclass(frozen=True)
+class MatchingJob:
+    """The tiles to match: ``key`` is the fingerprint of what all height maps are made from, ``folder`` their place."""
+
+    scene: Scene
+    tiles: Tuple[Tile, ...]
+    pairs: Tuple[ViewPair, ...]
+    stretches: Mapping[str, Stretch]
+    options: ReconstructOptions
+    key: str
+    folder: str
 
 
-def resolve(backend: str) -> str:
-    """The backend that ``auto`` means on this machine: ``colmap`` only where a CUDA device really answers.
+class MatchingResult(NamedTuple):
+    """Records of height maps (None for a pair without common ground in a tile), and why tiles failed, by their id."""
 
-    Raises DeviceError where ``colmap`` is asked for by name and cannot run.
+    records: List[Optional[HeightMapRecord]]
+    failed: Dict[str, DeviceError]
+
+
+class Backend(Protocol):
+    """What every backend has."""
+
+    @property
+    def name(self) -> str:
+        """The backend's name in options and in records of height maps."""
+
+    @property
+    def pair_matcher(self) -> Optional[PairMatcher]:
+        """The backend's matcher of rectified pairs, if it has one."""
+
+    def usable(self) -> bool:
+        """Whether the backend can run on this machine: a quick answer for ``auto``."""
+
+    def remedy(self) -> str:
+        """What the backend needs, and what to do to make it run, after its name; "" where it can run."""
+
+    def settings(self, options: ReconstructOptions) -> List[Any]:
+        """The user's choices that change this backend's height maps: they are part of the fingerprint."""
+
+    def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
+        """Match all tiles of a job."""
+
+    def height_source(self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
+        """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
+
+        The geometry is made again from the scene: it is exact, and nothing stored can contradict it. Raises SceneError
+        where the file is gone, damaged or of another scene.
+        """
+
+
+def backend_of(name: str) -> Backend:
+    """The backend of this name; its module is imported now."""
+    found: Backend = importlib.import_module(_MODULES[name]).BACKEND
+    return found
+
+
+def remedy(name: str) -> str:
+    """What to do to make the backend of an option run, after the backend's name; "" where it can run."""
+    return "" if name == _AUTO else backend_of(name).remedy()
+
+
+def resolve(name: str) -> List[Backend]:
+    """The backends that an option means on this machine: the first one matches, the next ones what it fails on.
+
+    Raises DeviceError where a backend is asked for by name and cannot run.
     """
-    if backend == "auto":
-        return "colmap" if cuda_usable() else "sgm"
-    remedy = cuda()["remedy"] if backend == "colmap" else ""
-    if remedy:
-        raise DeviceError(f"BACKEND colmap needs CUDA, and {remedy}; or choose sgm.")
-    return backend
+    require(name)
+    if name != _AUTO:
+        return [backend_of(name)]
+    return [backend for backend in map(backend_of, _MODULES) if backend.usable()]
 
 
-def matcher_of(backend: str) -> Matcher:
-    """The ``match`` function of a backend that matches pairs, imported now: workers ask for it by name."""
-    return importlib.import_module(_MODULES[backend]).match
+def require(name: str) -> None:
+    """Raise DeviceError where a backend is asked for by name and cannot run."""
+    missing = remedy(name)
+    if missing:
+        raise DeviceError(f"BACKEND {name} {missing}; or choose auto.")
+
+
+def pair_matcher(backend: Backend) -> PairMatcher:
+    """The backend's matcher of pairs; where it has none, that of the first backend which has one."""
+    candidates = (backend, *map(backend_of, _MODULES))
+    return next(found for found in (candidate.pair_matcher for candidate in candidates) if found is not None)
+
+
+def match_scene(job: MatchingJob, backends: Sequence[Backend], progress: Progress) -> List[Optional[HeightMapRecord]]:
+    """Records of all tiles' height maps; tiles on which a backend fails are matched by the next one.
+
+    A warning names each tile that fails. Raises DeviceError where no tile has height maps for that reason.
+    """
+    records: List[Optional[HeightMapRecord]] = []
+    begin = 0.0
+    for number, backend in enumerate(backends, start=1):
+        last = number == len(backends)
+        end = 1.0 if last else 0.9 + 0.1 * begin
+        found = backend.match(job, Part(progress, begin, end))
+        records += found.records
+        outcome = "has no heights" if last else f"was matched by {backends[number].name} instead"
+        for tile, error in found.failed.items():
+            progress.warn(f"Tile {tile} {outcome}: {error}")
+        if last and found.failed and not records:
+            raise next(iter(found.failed.values()))
+        begin, job = end, replace(job, tiles=tuple(tile for tile in job.tiles if tile.id in found.failed))
+    return records
+
+
+def height_source(scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
+    """A height map's source by the backend that made it, see :meth:`Backend.height_source`."""
+    return backend_of(record.backend).height_source(scene, bounds, record, crs)

@@ -21,7 +21,7 @@ from ..imagery.sampling import median_of_known, median_of_neighbours
 from ..imagery.warping import GRID_STEP
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
-from .backends import Matcher
+from .disparity_map import PairMatcher
 
 FACTOR = 4  # fine px a coarse one, along each side
 _CELL = 4  # coarse px a cell of the guide, along each side: 16 fine px
@@ -71,7 +71,7 @@ class Guide:
 
 
 def guide_of(
-    first: FloatImage, second: FloatImage, disparities: Tuple[int, int], geometry: PairGeometry, match: Matcher
+    first: FloatImage, second: FloatImage, disparities: Tuple[int, int], geometry: PairGeometry, match: PairMatcher
 ) -> Optional[Guide]:
     """Match a pair at a quarter of its resolution; None where that does not narrow the search.
 

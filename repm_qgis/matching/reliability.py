@@ -24,7 +24,7 @@ import numpy as np
 
 from ..arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
-from .matched import Matched
+from .disparity_map import DisparityMap
 
 _CORRELATION_PX = 7  # windows that are correlated,
 _SUPPORT_PX = 25  # and the window over which their correlations are averaged:
@@ -44,13 +44,13 @@ _AROUND_PX, _AROUND_SHARE = 30, 0.8
 
 
 def without_unsupported(
-    matched: Matched,
+    matched: DisparityMap,
     first: FloatImage,
     second: FloatImage,
     disparities: Tuple[int, int],
     nearer: float,
     metres_per_px: float,
-) -> Matched:
+) -> DisparityMap:
     """The matches without those that the images do not support, and without clouds.
 
     Parameters
@@ -129,7 +129,7 @@ def _seen_twice(first: FloatImage, second: FloatImage, disparities: Tuple[int, i
     return np.isfinite(first) & (count[:, ends] > count[:, :width])
 
 
-def _unsupported(matched: Matched, correlation: FloatImage, known: Mask, seen: Mask) -> Mask:
+def _unsupported(matched: DisparityMap, correlation: FloatImage, known: Mask, seen: Mask) -> Mask:
     """Large pieces that correlate with nothing and whose disparities scatter."""
     # What an occlusion explains need not be matched.
     expected = (seen & ~matched.filled).astype(np.float32)

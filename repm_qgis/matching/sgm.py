@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatImage
+from .disparity_map import DisparityMap
 from .edges import at_edges
-from .matched import Matched
 from .occlusions import with_background
+from .pair_backend import PairBackend
 from .subpixel import median, positions, refined
 
 # Blocks of one pixel keep steps sharp; the noise that they let through is taken out afterwards.
@@ -32,17 +33,8 @@ _RIM = 9  # px: block, pre-filter and median together reach 4 px to each side
 
 def match(
     first: FloatImage, second: FloatImage, disparities: Tuple[int, int], nearer: float, lean: float = 0.0
-) -> Matched:
-    """Disparities of a rectified pair.
-
-    Parameters
-    ----------
-    first : (H, W) brightness in 0..1, NaN where there is none.
-    second : (H, W + high - low), brightness whose column c shows the rectified column c - high.
-    disparities : low, high: whole px, least and greatest first column minus second column.
-    nearer : +1 if greater disparities are higher ground, -1 if lower.
-    lean : by how many columns the first image moves what rises by one px of disparity (0: it looks straight down).
-    """
+) -> DisparityMap:
+    """Disparities of a rectified pair, as :class:`repm_qgis.matching.disparity_map.PairMatcher` says."""
     low, high = disparities
     a, b = _grey(first), _grey(second)
     forth = at_edges(_forth(a, b, low, high), first, second, (-1.0, high), nearer)
@@ -59,7 +51,10 @@ def match(
     whole[~np.isfinite(first)] = np.nan
     filled = np.isfinite(whole) & ~np.isfinite(disparity)
     whole = np.where(filled, median(whole), whole)
-    return Matched(whole, np.where(np.isfinite(disparity), np.clip(score, 0, 1), np.float32(np.nan)), filled)
+    return DisparityMap(whole, np.where(np.isfinite(disparity), np.clip(score, 0, 1), np.float32(np.nan)), filled)
+
+
+BACKEND = PairBackend("sgm", match)
 
 
 def _grey(image: FloatImage) -> NDArray[np.uint8]:

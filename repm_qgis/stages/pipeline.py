@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict
 from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
-from ..matching.backends import resolve
+from ..matching.backends import require
 from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
 from ..parallel import kept_workers
 from ..progress import Part, Progress
@@ -29,8 +29,7 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
-    if options.backend == "colmap":  # refused, if at all, before any work
-        resolve(options.backend)
+    require(options.backend)  # refused, if at all, before any work
     folder = ensure_folder(options.workspace)
     for path in (
         options.output,

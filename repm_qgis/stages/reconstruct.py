@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
 
 from ..altitudes import ALTITUDES
-from ..dsm.coarse_surface import coarse_surface
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..imagery.enhancement import Stretch, view_stretch
-from ..matching.backends import resolve
-from ..matching.dense import DenseTask, frame_size, match_tile
-from ..memory import matching_mib, workers_within
+from ..matching.backends import Backend, MatchingJob, match_scene, pair_matcher, resolve
+from ..matching.coarse_surface import coarse_surface
 from ..options import ReconstructOptions
-from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile, reusable
@@ -33,7 +29,7 @@ from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.row_residuals import worst_rows
 from ..sfm.tie_points import covered_by_ties
 from ..vector import write_layer
-from ..workspace import drop_temporary, ensure_folder, file_identity, fingerprint
+from ..workspace import ensure_folder, file_identity, fingerprint
 from .refine import refine_tiles, use_surface
 
 _LEAST_SHARE = 0.01  # of matched pixels: below that, nothing was reconstructed
@@ -42,7 +38,7 @@ _LEAST_SHARE = 0.01  # of matched pixels: below that, nothing was reconstructed
 def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
     start = time.monotonic()
-    backend = resolve(options.backend)
+    backends = resolve(options.backend)
     scene = Scene.load(options.scene)
     if not scene.refinement:
         scene.refinement = "polynomial"
@@ -50,13 +46,13 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     key = fingerprint(
         "reconstruct",
         scene.fingerprint,
-        backend,
+        backends[0].name,
         options.pointing,
         options.adjustment,
         options.own_surface,
         control,
         [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
-        *([options.geometric, options.colmap_fusion, options.window_radius] if backend == "colmap" else []),
+        *backends[0].settings(options),
     )
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
@@ -74,15 +70,16 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         _tell_pairs(scene, pairs, notes)
         stretches = {view.name: view_stretch(view.image, view.band, view.mask) for view in scene.views}
         ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
-        _lay_surface(scene, pairs, stretches, options, Part(notes, 0.35, 0.4))
-        _match(scene, pairs, stretches, backend, key, str(folder), options, Part(notes, 0.4, 1.0))
+        _lay_surface(scene, pairs, stretches, backends[0], options, Part(notes, 0.35, 0.4))
+        job = MatchingJob(scene, tuple(scene.tiles), tuple(pairs), stretches, options, key, str(folder))
+        _match(job, backends, Part(notes, 0.4, 1.0))
         scene.record(
             "reconstruct",
             key,
             options.to_json(),
             time.monotonic() - start,
             warnings=notes.warnings,
-            backend=backend,
+            backend=backends[0].name,
             ties=ties,
             pairs=[pair.to_mapping() for pair in pairs],
         )
@@ -146,13 +143,15 @@ def _lay_surface(
     scene: Scene,
     pairs: Sequence[ViewPair],
     stretches: Dict[str, Stretch],
+    backend: Backend,
     options: ReconstructOptions,
     progress: Progress,
 ) -> None:
     """The scene's coarse surface, where tie points do not tell every tile's altitudes or the refinement needs it."""
     if covered_by_ties(scene) and not options.own_surface:
         return
-    surface = coarse_surface(scene, [(pair.first, pair.second) for pair in pairs], stretches, options.workers, progress)
+    names = [(pair.first, pair.second) for pair in pairs]
+    surface = coarse_surface(scene, names, stretches, pair_matcher(backend), options.workers, progress)
     for tile in scene.tiles:
         found = surface.altitudes(tile.bounds)
         tile.altitudes = scene.altitudes if found is None else ALTITUDES.around_ground(*found)
@@ -218,104 +217,17 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
     write_style("tie_points", path)
 
 
-def _match(
-    scene: Scene,
-    pairs: Sequence[ViewPair],
-    stretches: Dict[str, Stretch],
-    backend: str,
-    key: str,
-    folder: str,
-    options: ReconstructOptions,
-    progress: Progress,
-) -> None:
+def _match(job: MatchingJob, backends: Sequence[Backend], progress: Progress) -> None:
     """Match all pairs over all tiles, and note the height maps in the scene."""
-    lean = scene.lean()
-    records: List[Optional[HeightMapRecord]] = []
-    tiles = list(scene.tiles)
-    if backend == "colmap":
-        matched, tiles = _match_on_gpus(scene, pairs, stretches, options, key, folder, Part(progress, 0.0, 0.9))
-        records += matched
-        backend, progress = "sgm", Part(progress, 0.9, 1.0)
-    tasks = [
-        DenseTask(
-            lean,
-            tile.id,
-            tile.bounds,
-            tile.altitudes,
-            pair.first,
-            pair.second,
-            (stretches[pair.first], stretches[pair.second]),
-            backend,
-            str(Path(folder) / f"{tile.id}_{pair.first}_{pair.second}.tif"),
-            fingerprint(key, tile.id, pair.first, pair.second),
-        )
-        for tile in tiles
-        for pair in pairs
-        if pair.first in tile.views and pair.second in tile.views
-    ]
-    workers = _workers(tasks, pairs, options, progress)
-    try:
-        records += run_tasks(
-            match_tile,
-            tasks,
-            workers,
-            progress,
-            lambda task: f"matching tile {task.tile}, {task.first} and {task.second}",
-        )
-    except BaseException:
-        for task in tasks:  # a worker that is ended while it writes cannot clean up
-            drop_temporary(task.path)
-        raise
+    records = match_scene(job, backends, progress)
     reused = sum(bool(record and record.reused) for record in records)
     if reused:
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
-    for tile in scene.tiles:
+    for tile in job.scene.tiles:
         tile.heights = tuple(
             replace(record, reused=False) for record in records if record and record.tile == tile.id and record.valid
         )
     _check(records, progress)
-
-
-def _workers(
-    tasks: Sequence[DenseTask], pairs: Sequence[ViewPair], options: ReconstructOptions, progress: Progress
-) -> int:
-    """How many workers the memory allows; tiles are alike, so the one with the widest altitudes speaks for all."""
-    if not tasks:
-        return options.workers
-    task = max(tasks, key=lambda t: t.altitudes[1] - t.altitudes[0])
-    slope = max(pair.base_to_height for pair in pairs)
-    disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.gsd_m
-    side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
-    return workers_within(
-        options.workers, matching_mib(*frame_size(task), disparities), options.memory, math.ceil(side), progress
-    )
-
-
-def _match_on_gpus(
-    scene: Scene,
-    pairs: Sequence[ViewPair],
-    stretches: Dict[str, Stretch],
-    options: ReconstructOptions,
-    key: str,
-    folder: str,
-    progress: Progress,
-) -> Tuple[List[HeightMapRecord], List[Tile]]:
-    """Records of the height maps by COLMAP, and the tiles that are left for the CPU: those a GPU failed on, if any.
-
-    A tile that fails is named in a warning; where ``colmap`` was asked for by name it stays without heights. Raises
-    DeviceError where that is so of all.
-    """
-    from ..colmap.backend import match_tiles
-    from ..colmap.runner import PatchMatch
-
-    settings = PatchMatch(options.geometric, options.window_radius, options.gpu_memory, options.colmap_fusion)
-    records, failed = match_tiles(scene, pairs, stretches, settings, key, folder, progress)
-    instead = "was matched on the CPU (sgm)" if options.backend == "auto" else "has no heights"
-    for tile, error in failed.items():
-        progress.warn(f"Tile {tile} {instead}: {error}")
-    if failed and not records and options.backend != "auto":
-        raise next(iter(failed.values()))
-    return records, [tile for tile in scene.tiles if tile.id in failed and options.backend == "auto"]
 
 
 def _check(records: Sequence[Optional[HeightMapRecord]], progress: Progress) -> None:

@@ -191,14 +191,14 @@ def test_colmap_without_cuda_is_refused_in_the_dialog(plugin, context, tmp_path,
     scene = tmp_path / "scene.json"
     scene.write_text("{}")
     given = {"SCENE": str(scene), "OUTPUT_SCENE": str(tmp_path / "out.json"), "BACKEND": "colmap"}
-    if engine.cuda_remedy():
+    if engine.backend_remedy("colmap"):
         fine, text = check("reconstruct", given, context)
         assert not fine and "BACKEND is 'colmap'" in text and "pycolmap-cuda12" in text and "\n" not in text
-    monkeypatch.setattr(engine, "cuda_remedy", lambda: "")
+    monkeypatch.setattr(engine, "backend_remedy", lambda name: "")
     assert check("reconstruct", given, context)[0]
-    monkeypatch.setattr(engine, "cuda_remedy", lambda: "none here")
+    monkeypatch.setattr(engine, "backend_remedy", lambda name: f"{name} needs a device")
     assert check("reconstruct", {**given, "BACKEND": "auto"}, context)[0]
-    assert "none here; or choose sgm" in check("reconstruct", given, context)[1]
+    assert "which colmap needs a device; or choose auto" in check("reconstruct", given, context)[1]
 
 
 def test_options_of_colmap_reach_the_engine(plugin, context, feedback):

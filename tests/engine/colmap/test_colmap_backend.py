@@ -16,17 +16,17 @@ import pytest
 
 from repm_qgis.colmap import backend as colmap_backend
 from repm_qgis.colmap import runner as colmap_runner
-from repm_qgis.colmap.backend import GpuTask, match_tile
+from repm_qgis.colmap.backend import ColmapBackend, GpuTask, match_tile
 from repm_qgis.colmap.depth_heights import depth_geometry
 from repm_qgis.colmap.runner import PatchMatch, bytes_needed, colmap_options, failure, on_gpus, run_patch_match
 from repm_qgis.colmap.workspace import brightness, write_workspace
-from repm_qgis.environment import Gpu
+from repm_qgis.environment import Gpu, cuda_usable
 from repm_qgis.errors import Cancelled, DeviceError, ImageError, SceneError
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.matching import backends
-from repm_qgis.matching.dense import height_source
+from repm_qgis.matching.backends import height_source
 from repm_qgis.records import HeightMapRecord
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -273,7 +273,7 @@ def test_stock_pycolmap_without_cuda_is_a_device_error(urban, tmp_path):
     if pycolmap.has_cuda:
         pytest.skip("this pycolmap has CUDA")
     with pytest.raises(DeviceError, match="(?i)cuda"):
-        match_tile(task_of(urban, tmp_path), GPU, threading.Event())
+        match_tile(task_of(urban, tmp_path), GPU, threading.Event(), run_patch_match)
 
 
 @pytest.fixture
@@ -366,10 +366,9 @@ def with_gpu(monkeypatch):
     """with_gpu(runner): a machine with one GPU on which this runs in COLMAP's place."""
 
     def make(run):
-        monkeypatch.setattr(backends, "cuda_usable", lambda: True)
-        monkeypatch.setattr(backends, "cuda", lambda: {"remedy": ""})
-        monkeypatch.setattr(colmap_backend, "gpus", lambda: [GPU])
-        monkeypatch.setattr(colmap_backend, "match_tile", functools.partial(match_tile, run=run))
+        monkeypatch.setattr(colmap_backend, "cuda_usable", lambda: True)
+        monkeypatch.setattr(colmap_backend, "cuda", lambda: {"remedy": ""})
+        monkeypatch.setattr(colmap_backend, "BACKEND", ColmapBackend(run, lambda: [GPU]))
 
     return make
 
@@ -431,10 +430,10 @@ def test_auto_falls_back_to_the_cpu_for_a_tile_and_says_so(refined, tmp_path, wi
     first, *others = scene.tiles
     assert all(record.backend == "sgm" for record in first.heights) and first.heights
     assert others and all(record.backend == "colmap" for tile in others for record in tile.heights)
-    warning = f"Tile {first.id} was matched on the CPU (sgm): GPU 0 ran out of memory"
+    warning = f"Tile {first.id} was matched by sgm instead: GPU 0 ran out of memory"
     assert any(text.startswith(warning) for text in said.warnings)
     with open(made["report"], encoding="utf-8") as stream:
-        assert "was matched on the CPU (sgm)" in stream.read()
+        assert "was matched by sgm instead" in stream.read()
     run_stage("dsmfuse", {"scene": str(tmp_path / "done.json"), "output": str(tmp_path / "dsm.tif")}, told())
 
 
@@ -457,7 +456,7 @@ def test_colmap_by_name_names_the_tile_without_heights(refined, tmp_path, with_g
 
 
 def test_colmap_without_cuda_refuses_before_any_work(refined, tmp_path, told, urban):
-    if backends.cuda_usable():
+    if cuda_usable():
         pytest.skip("this machine has CUDA")
     for stage, options in (
         ("reconstruct", {"scene": refined, "output_scene": str(tmp_path / "x" / "done.json")}),
@@ -484,10 +483,13 @@ def test_a_height_map_of_another_scene_is_refused(matched, tmp_path):
 
 
 def test_auto_is_sgm_where_no_device_answers(monkeypatch):
-    monkeypatch.setattr(backends, "cuda_usable", lambda: False)
-    assert backends.resolve("auto") == "sgm" and backends.resolve("sgm") == "sgm"
-    monkeypatch.setattr(backends, "cuda_usable", lambda: True)
-    assert backends.resolve("auto") == "colmap"
+    def names(option):
+        return [backend.name for backend in backends.resolve(option)]
+
+    monkeypatch.setattr(colmap_backend, "cuda_usable", lambda: False)
+    assert names("auto") == names("sgm") == ["sgm"]
+    monkeypatch.setattr(colmap_backend, "cuda_usable", lambda: True)
+    assert names("auto") == ["colmap", "sgm"]
 
 
 def test_the_process_says_what_is_wrong(tmp_path):

@@ -7,9 +7,9 @@ import pytest
 
 from repm_qgis.dsm.hidden import hidden_ground
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.matching.dense import HeightMap
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from repm_qgis.stereo.height_maps import HeightMap
 
 WEST, EAST, SOUTH, NORTH = 40.0, 70.0, 30.0, 60.0
 GROUND, ROOF = 100.0, 124.0

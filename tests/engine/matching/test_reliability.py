@@ -10,7 +10,7 @@ import pytest
 from osgeo import gdal
 from scipy import ndimage
 
-from repm_qgis.matching.matched import Matched
+from repm_qgis.matching.disparity_map import DisparityMap
 from repm_qgis.matching.reliability import without_unsupported
 from repm_qgis.matching.sgm import match
 
@@ -87,7 +87,7 @@ def test_a_plain_roof_stays(size, wobble, stays):
     first, second = pair(disparity.astype(int), np.where(roof, 0.75, land()))
     patches = ndimage.gaussian_filter(np.random.default_rng(4).normal(size=SHAPE), 5)
     disparity = np.where(roof, disparity + wobble * patches / patches.std(), 0.0).astype(np.float32)
-    found = Matched(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
+    found = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
     left = without_unsupported(found, first, second, (LOW, HIGH), 1.0, 1.0)
     assert np.isfinite(left.disparity[inner(roof, 6)]).mean() == stays
     assert np.isfinite(left.disparity[inner(~roof, 16)]).all()  # nearer, the roof hides land
@@ -105,7 +105,12 @@ def _plateau(rise, bright, metres):
     texture = np.where(top, bright + 0.05 * (land(3) - 0.5), land()).astype(np.float32)
     first, second = pair(disparity.astype(int), texture)
     left = without_unsupported(
-        Matched(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)), first, second, (LOW, HIGH), 1.0, metres
+        DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)),
+        first,
+        second,
+        (LOW, HIGH),
+        1.0,
+        metres,
     )
     return np.isfinite(left.disparity[inner(top, 6)]).mean(), np.isfinite(left.disparity[:50]).mean()
 
@@ -122,7 +127,7 @@ def test_a_bright_slope_stays():
     disparity = np.rint(18 * np.exp(-((rows - 150) ** 2 + (columns - 200) ** 2) / 2 / 60**2)).astype(np.float32)
     texture = np.where(disparity > 9, 0.85 + 0.3 * (land(3) - 0.5), land()).astype(np.float32)
     first, second = pair(disparity.astype(int), texture)
-    found = Matched(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
+    found = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
     left = without_unsupported(found, first, second, (LOW, HIGH), 1.0, 20.0)
     assert np.isfinite(left.disparity[disparity > 10]).mean() > 0.99
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.matching.backends import matcher_of, resolve
+from repm_qgis.matching.backends import backend_of, pair_matcher, resolve
+from repm_qgis.matching.sgm import BACKEND
 from repm_qgis.matching.sgm import match as match_with_background
+from repm_qgis.options import BACKENDS
 
 HEIGHT, WIDTH = 180, 240
 LOW, HIGH = -12, 20
@@ -125,4 +127,6 @@ def test_threads_do_not_change_a_bit():
 
 
 def test_backends_by_name():
-    assert resolve("auto") == "sgm" and resolve("sgm") == "sgm" and matcher_of("sgm") is match_with_background
+    assert resolve("auto") == [BACKEND] == resolve("sgm") and BACKEND.pair_matcher is match_with_background
+    assert [backend_of(name).name for name in BACKENDS[1:]] == list(BACKENDS[1:])
+    assert all(pair_matcher(backend_of(name)) is match_with_background for name in BACKENDS[1:])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.dsm.coarse_surface import coarse_surface
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.imagery.sampling import sample
+from repm_qgis.matching import sgm
+from repm_qgis.matching.coarse_surface import coarse_surface
 from repm_qgis.scene import Scene
 from repm_qgis.sfm import tie_points
 from repm_qgis.stages import run_stage
@@ -39,7 +40,7 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
     scene = Scene.load(mountains_run.result["scene"])
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     pairs = [("img_01", "img_02"), ("img_02", "img_03"), ("img_01", "img_03")]
-    found = coarse_surface(scene, pairs, stretches, 1, told())
+    found = coarse_surface(scene, pairs, stretches, sgm.match, 1, told())
     x, y = np.meshgrid(*found.grid.centres())
     error = found.height - true_heights(mountains, x, y)
     assert np.isfinite(error).sum() > 0.9 * np.isfinite(true_heights(mountains, x, y)).sum()

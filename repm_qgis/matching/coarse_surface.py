@@ -15,7 +15,7 @@ import pyproj
 from numpy.typing import NDArray
 from osgeo import ogr
 
-from ..arrays import FloatArray
+from ..arrays import Bounds, FloatArray
 from ..errors import EmptyResultError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.gridding import grid_points
@@ -24,14 +24,12 @@ from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read, write
 from ..imagery.sampling import median_of_known, median_of_neighbours
 from ..imagery.warping import sample_array, source_positions
-from ..matching.backends import matcher_of
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import grown, rectified_pair
 from ..stereo.triangulation import pair_geometry
-
-Bounds = Tuple[float, float, float, float]
+from .disparity_map import PairMatcher
 
 FACTOR = 8
 CELL_PX = 16  # a side of the surface's cells, fine px: two coarse ones
@@ -45,7 +43,7 @@ _ROOM_CELLS = 1.25  # m of height a m of cell: what narrow valleys and ridges ma
 
 @dataclass(frozen=True)
 class _Task:
-    """What a worker needs: the scene without its tiles, a ground rectangle, a pair, and the grid of the whole."""
+    """What a worker needs: the scene without its tiles, a ground rectangle, a pair, the whole grid, and the matcher."""
 
     scene: Scene
     bounds: Bounds
@@ -53,6 +51,7 @@ class _Task:
     second: str
     stretches: Tuple[Stretch, Stretch]
     grid: CellGrid
+    match: PairMatcher
 
 
 @dataclass(frozen=True)
@@ -85,17 +84,19 @@ class CoarseSurface:
 
 
 def coarse_surface(
-    scene: Scene, pairs: Sequence[Tuple[str, str]], stretches: Dict[str, Stretch], workers: int, progress: Progress
+    scene: Scene,
+    pairs: Sequence[Tuple[str, str]],
+    stretches: Dict[str, Stretch],
+    match: PairMatcher,
+    workers: int,
+    progress: Progress,
 ) -> CoarseSurface:
-    """Match all pairs over all of the scene at an eighth of the resolution, cell by cell the median of the pairs.
-
-    By ``sgm``, whatever backend works on the fine level.
-    """
+    """Match all pairs over all of the scene at an eighth of the resolution, cell by cell the median of the pairs."""
     cell = CELL_PX * scene.gsd_m
     grid = CellGrid.covering(enclosing([tile.bounds for tile in scene.tiles]), cell)
     blocks = lay_tiles(ogr.CreateGeometryFromWkt(scene.area), _BLOCK_PX * scene.gsd_m)
     tasks = [
-        _Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), grid)
+        _Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), grid, match)
         for block in blocks
         for first, second in pairs
     ]
@@ -129,7 +130,7 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     positions = source_positions(lambda p: pair.second_original(p - (high, 0)), (width + high - low, height))
     a = _reduced(first, task.stretches[0], source_positions(pair.first_original, pair.size))
     b = _reduced(second, task.stretches[1], positions)
-    found = matcher_of("sgm")(a, b, (low, high), geometry.nearer)
+    found = task.match(a, b, (low, high), geometry.nearer)
     good = ~found.filled & (found.score >= _LEAST_SCORE)
     disparity = np.where(good, found.disparity, np.nan).astype(np.float64)
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
