@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Dict, List, Tuple
 
@@ -120,7 +121,7 @@ def scene_of(size: int, pairs: int, folder: Path) -> str:
         Silent(),
     )
     scene = Scene.load(made["scene"])
-    scene.refinement = "polynomial"
+    scene = replace(scene, refinement="polynomial")
     names = [(scene.views[i].name, scene.views[j].name) for i, j in ((0, 1), (1, 2), (0, 2))][:pairs]
     lean = scene.lean()
     tasks = [
@@ -130,8 +131,7 @@ def scene_of(size: int, pairs: int, folder: Path) -> str:
         if pair[0] in tile.views and pair[1] in tile.views
     ]
     records = run_tasks(height_map, tasks, WORKERS, Silent(), str)
-    for tile in scene.tiles:
-        tile.heights = tuple(record for record in records if record.tile == tile.id)
+    scene = scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in records if r.tile == tile.id)))
     return scene.save(str(folder / "scene.json"))
 
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
@@ -169,9 +170,7 @@ class Case:
 def fitted(images: Sequence[str], workspace: Path, **options: Any) -> Scene:
     """The scene with cameras, as the pipeline makes it by default."""
     made = run_stage("epmfit", {"images": list(images), "workspace": str(workspace), **options}, Silent())
-    scene = Scene.load(made["scene"])
-    scene.refinement = "polynomial"
-    return scene
+    return replace(Scene.load(made["scene"]), refinement="polynomial")
 
 
 def pointed(scene: Scene, gcps: Sequence[Gcp] = (), model: str = "auto") -> Pointing:
@@ -227,7 +226,7 @@ def dsm(images: Sequence[str], folder: Path, **options: Any) -> Dict[str, Any]:
         },
         Silent(),
     )
-    return {**made, "facts": Scene.load(made["scene"]).facts("reconstruct")["ties"]}
+    return {**made, "facts": Scene.load(made["scene"]).pointing}
 
 
 def errors_of(path: str, truth: Path) -> np.ndarray:
@@ -269,18 +268,18 @@ def truth_urban() -> List[str]:
             made = dsm(images, Path(folder), **options)
             error = errors_of(made["output"], data / "truth.tif")
             error = error[np.isfinite(error)]
-            pair, facts = made["facts"]["pairs"][0], made["facts"]
+            pair, facts = made["facts"].pairs[0], made["facts"]
             said = (
-                f"{facts['height_uncertainty_m']:.1f} m"
-                if "height_uncertainty_m" in facts
-                else f"{len(facts['rejected_gcps'])} of {len(facts['gcps'])} points rejected"
+                f"{facts.height_uncertainty_m:.1f} m"
+                if facts.height_uncertainty_m is not None
+                else f"{len(facts.rejected_gcps)} of {len(facts.gcps)} points rejected"
             )
             rows.append(
                 [
                     label,
-                    pair["count"],
-                    abs(pair["rows_before_px"]),
-                    pair["rows_after_px"],
+                    pair.count,
+                    abs(pair.before_px),
+                    pair.after_px,
                     float(np.median(error)),
                     float(1.4826 * np.median(np.abs(error - np.median(error)))),
                     said,
@@ -455,8 +454,9 @@ def pairwise_dsms(images: Sequence[str], folder: Path, **options: Any) -> Dict[T
     names = [view.name for view in Scene.load(made["output_scene"]).views]
     for pair in combinations(names, 2):
         scene = Scene.load(made["output_scene"])
-        for tile in scene.tiles:
-            tile.heights = tuple(record for record in tile.heights if set(record.pair) == set(pair))
+        scene = scene.with_tiles(
+            lambda tile, of=set(pair): replace(tile, heights=tuple(r for r in tile.heights if set(r.pair) == of))
+        )
         path = scene.save(str(folder / f"{'_'.join(pair)}.json"))
         result[pair] = run_stage(
             "dsmfuse", {"scene": path, "output": str(folder / f"{'_'.join(pair)}.tif"), "resolution": 0.5}, Silent()
@@ -624,7 +624,7 @@ def poor_scenes() -> List[str]:
                 [
                     label,
                     len(found.tracks),
-                    found.figures["after_px"],
+                    found.figures.after_px,
                     f"{np.median(left):.3f} / {left.max():.3f}",
                     found.adjusted.reason,
                 ]
@@ -646,14 +646,13 @@ def poor_scenes() -> List[str]:
 
 _COST = """
 import json, os, resource, sys, time
-from benchmarks.pointing import Scene, pointed
+from benchmarks.pointing import Scene, pointed, replace
 from repm_qgis.sfm import keypoints
 
 def main():
     if {detector!r} != "opencv":
         keypoints.best_detector = lambda: keypoints.ColmapSift("cpu")
-    scene = Scene.load({scene!r})
-    scene.refinement = "polynomial"
+    scene = replace(Scene.load({scene!r}), refinement="polynomial")
     wall, before = time.perf_counter(), os.times()
     found = pointed(scene)
     wall, after = time.perf_counter() - wall, os.times()
@@ -662,7 +661,7 @@ def main():
     own = next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
     child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     print(json.dumps(dict(wall=wall, cpu=cpu, own=own / 1024, child=child / 1024, ties=len(found.tracks),
-                          after=found.figures["after_px"], pairs=found.figures["pairs"],
+                          after=found.figures.after_px, pairs=found.figures.to_mapping()["pairs"],
                           pointing={{name: A.tolist() for name, A in found.adjusted.pointing.items()}})))
 
 if __name__ == "__main__":
@@ -749,7 +748,7 @@ def detectors() -> List[str]:
                     detector,
                     sum(pair["candidates"] for pair in found["pairs"]),
                     found["ties"],
-                    float(np.mean([pair["rows_after_px"] for pair in found["pairs"]])),
+                    float(np.mean([pair["after_px"] for pair in found["pairs"]])),
                     left,
                     found["cpu"],
                     f"{found['own']:.0f}",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
@@ -42,8 +43,7 @@ SCENES: Dict[str, SceneSpec] = {
 def scored(scene_path: str, pairs: List[Tuple[str, ...]], truth: str, folder: str) -> Dict[str, Any]:
     """Fuse some pairs' height maps of a scene, and compare."""
     scene = Scene.load(scene_path)
-    for tile in scene.tiles:
-        tile.heights = tuple(record for record in tile.heights if record.pair in pairs)
+    scene = scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in tile.heights if r.pair in pairs)))
     path = scene.save(f"{folder}/chosen.json")
     run_stage("dsmfuse", {"scene": path, "output": f"{folder}/dsm.tif"}, Silent())
     error = f"{folder}/error.tif"

@@ -10,30 +10,31 @@ import math
 import os
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from . import __version__
-from .arrays import FloatArray
+from .arrays import Altitudes, Bounds, FloatArray, Size, Window
 from .errors import ImageError, RpcInvalidError, SceneError, SceneVersionError
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.frames import EnuFrame
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain, map_from_mapping
 from .imagery.acquisition import acquired, moment
-from .records import HeightMapRecord
+from .records import HeightMapRecord, PointingFigures, Record, StageRecord, ViewPair
 from .rpc import Rpc
 from .workspace import write_text
 
-SCHEMA = 1
+SCHEMA = 2
 _MAX_SCENE_BYTES = 512 << 20
 _IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class View:
+class View(Record):
     """One image with its RPC, and where it really looks.
 
     ``pointing`` (2, 3) is the affine map from the pixel the vendor's RPC gives to the pixel where the ground point
@@ -59,7 +60,7 @@ class View:
         return moment(self.acquired)
 
     @property
-    def size(self) -> Tuple[int, int]:
+    def size(self) -> Size:
         return self.width, self.height
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
@@ -74,128 +75,74 @@ class View:
     def with_pointing(self, pointing: FloatArray) -> "View":
         return replace(self, pointing=np.asarray(pointing, dtype=np.float64))
 
-    def to_mapping(self) -> Dict[str, Any]:
-        return {
-            "name": self.name,
-            "image": self.image,
-            "band": self.band,
-            "width": self.width,
-            "height": self.height,
-            "gsd_m": self.gsd_m,
-            "pointing": self.pointing.tolist(),
-            "acquired": self.acquired,
-            "rpc": self.rpc.to_mapping(),
-            "mask": self.mask,
-        }
 
-    @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> "View":
-        return cls(
-            str(values["name"]),
-            str(values["image"]),
-            int(values["band"]),
-            int(values["width"]),
-            int(values["height"]),
-            Rpc.from_mapping(values["rpc"]),
-            float(values["gsd_m"]),
-            np.array(values["pointing"], dtype=np.float64).reshape(2, 3),
-            str(values.get("acquired") or ""),
-            str(values.get("mask") or ""),
-        )
-
-
-@dataclass
-class TileView:
+@dataclass(frozen=True)
+class TileView(Record):
     """How one view sees one tile: pixel window, fitted camera with its error, and the refinement once it is made."""
 
-    window: Tuple[int, int, int, int]
+    window: Window
     camera: PinholeCamera
     error: EquivalentError
     refined: Optional[RefinedPinhole] = None
     image: Optional[str] = None
 
-    def to_mapping(self) -> Dict[str, Any]:
-        return {
-            "window": list(self.window),
-            "camera": self.camera.to_mapping(),
-            "error": self.error.to_mapping(),
-            "refined": self.refined.to_mapping() if self.refined else None,
-            "image": self.image,
-        }
-
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], terrain: Callable[[], Terrain]) -> "TileView":
-        return cls(
-            tuple(int(v) for v in values["window"]),
-            PinholeCamera.from_mapping(values["camera"]),
-            EquivalentError(**values["error"]),
-            _refined_from(values["refined"], terrain) if values.get("refined") else None,
-            values.get("image"),
+    def read(cls, values: Mapping[str, Any], terrain: Callable[[], Optional[Terrain]]) -> "TileView":
+        """From JSON; ``terrain`` gives what a terrain-aware refinement needs."""
+        view, refined = cls.from_mapping({**values, "refined": None}), values["refined"]
+        if not refined:
+            return view
+        camera = PinholeCamera.from_mapping(refined["camera"])
+        to_original = map_from_mapping(refined["to_original"], camera, terrain)
+        width, height = map(int, refined["size"])
+        return replace(
+            view,
+            refined=RefinedPinhole(camera, to_original, (width, height), EquivalentError(**refined["error"])),
         )
 
 
-def _refined_from(values: Mapping[str, Any], terrain: Callable[[], Terrain]) -> RefinedPinhole:
-    camera = PinholeCamera.from_mapping(values["camera"])
-    return RefinedPinhole(
-        camera,
-        map_from_mapping(values["to_original"], camera, terrain),
-        tuple(int(v) for v in values["size"]),
-        EquivalentError(**values["error"]),
-    )
-
-
-@dataclass
-class Tile:
+@dataclass(frozen=True)
+class Tile(Record):
     """A ground rectangle (in the scene's CRS) with the altitude range expected in it."""
 
     id: str
-    bounds: Tuple[float, float, float, float]
-    altitudes: Tuple[float, float]
+    bounds: Bounds
+    altitudes: Altitudes
     views: Dict[str, TileView]
     heights: Tuple[HeightMapRecord, ...] = ()
 
-    def to_mapping(self) -> Dict[str, Any]:
-        return {
-            "id": self.id,
-            "bounds": list(self.bounds),
-            "altitudes": list(self.altitudes),
-            "views": {name: view.to_mapping() for name, view in self.views.items()},
-            "heights": [record.to_mapping() for record in self.heights],
-        }
-
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any], terrain: Callable[[str], Terrain]) -> "Tile":
-        return cls(
-            str(values["id"]),
-            tuple(map(float, values["bounds"])),
-            tuple(map(float, values["altitudes"])),
-            {
-                str(name): TileView.from_mapping(view, lambda name=name: terrain(str(name)))
-                for name, view in values["views"].items()
-            },
-            tuple(HeightMapRecord.from_mapping(record) for record in values["heights"]),
-        )
+    def read(cls, values: Mapping[str, Any], terrain: Callable[[str], Optional[Terrain]]) -> "Tile":
+        """From JSON; ``terrain`` gives what a view's terrain-aware refinement needs."""
+        views = {str(name): TileView.read(view, partial(terrain, str(name))) for name, view in values["views"].items()}
+        return replace(cls.from_mapping({**values, "views": {}}), views=views)
 
 
-@dataclass
-class Scene:
-    """Views, local frame, ground area, tiles, and what was done so far.
+@dataclass(frozen=True)
+class Scene(Record):
+    """Views, local frame, ground area, tiles, and what was done so far. A stage makes a new scene of the one before.
 
     ``area`` is the outline, as WKT in ``crs``, of the ground that at least two views see. ``altitudes`` are metres
-    above the ellipsoid. ``refinement`` is the model's name ("" before any), ``order`` the polynomial's, ``surface``
-    the coarse surface's file of the terrain model.
+    above the ellipsoid. ``dem`` is the terrain model that was given, "" for none. ``refinement`` is the model's name
+    ("" before any), ``order`` the polynomial's, ``surface`` the file of the terrain model's coarse surface. Matching
+    adds the ``pairs`` of views, their ``pointing``, the layer of ``tie_points`` and the ``backend``.
     """
 
-    views: List[View]
+    views: Tuple[View, ...]
     frame: EnuFrame
     crs: str
     area: str
-    altitudes: Tuple[float, float]
-    tiles: List[Tile]
+    altitudes: Altitudes
+    tiles: Tuple[Tile, ...]
     refinement: str = ""
     order: int = 2
     surface: str = ""
-    history: List[Dict[str, Any]] = field(default_factory=list)
+    dem: str = ""
+    pairs: Tuple[ViewPair, ...] = ()
+    pointing: Optional[PointingFigures] = None
+    tie_points: str = ""
+    backend: str = ""
+    history: Tuple[StageRecord, ...] = ()
     path: Path = Path("scene.json")
 
     def view(self, name: str) -> View:
@@ -225,52 +172,35 @@ class Scene:
     @property
     def fingerprint(self) -> str:
         """What the last stage that worked on the scene was made from."""
-        return str(self.history[-1]["fingerprint"]) if self.history else ""
+        return self.history[-1].fingerprint if self.history else ""
 
     def lean(self) -> "Scene":
         """The scene without tiles and history: what a worker needs of it."""
-        return replace(self, tiles=[], history=[])
+        return replace(self, tiles=(), pairs=(), pointing=None, history=())
+
+    def with_tiles(self, change: Callable[[Tile], Tile]) -> "Scene":
+        """The scene with each tile changed."""
+        return replace(self, tiles=tuple(map(change, self.tiles)))
 
     def folder(self, kind: str) -> Path:
         """Where products of a kind lie: beside the scene's file, named after it."""
         return self.path.parent / f"{self.path.stem}_{kind}"
 
-    def record(self, stage: str, key: str, options: Mapping[str, Any], seconds: float, **facts: Any) -> None:
-        """Add a finished stage to the history; an earlier record of the same stage gives way."""
-        self.history = [entry for entry in self.history if entry["stage"] != stage]
-        self.history.append(
-            {
-                "stage": stage,
-                "fingerprint": key,
-                "engine": __version__,
-                "seconds": round(seconds, 3),
-                "options": dict(options),
-                **facts,
-            }
-        )
+    def recorded(
+        self, stage: str, key: str, options: Mapping[str, Any], seconds: float, warnings: Sequence[str] = ()
+    ) -> "Scene":
+        """The scene with a finished stage in its history, where it replaces an earlier record of the same stage."""
+        record = StageRecord(stage, key, __version__, round(seconds, 3), dict(options), tuple(warnings))
+        return replace(self, history=(*(entry for entry in self.history if entry.stage != record.stage), record))
 
-    def facts(self, stage: str) -> Dict[str, Any]:
-        """The record of a finished stage; empty where it has not been run."""
-        return next((entry for entry in self.history if entry["stage"] == stage), {})
+    def record_of(self, stage: str) -> Optional[StageRecord]:
+        """The record of a finished stage; None where it has not been run."""
+        return next((entry for entry in self.history if entry.stage == stage), None)
 
     def save(self, path: str) -> str:
-        """Write the scene, whole or not at all; its products are looked for beside the new place from now on."""
-        self.path = Path(path)
-        document = {
-            "format": "repm-scene",
-            "schema": SCHEMA,
-            "engine": __version__,
-            "frame": self.frame.to_mapping(),
-            "crs": self.crs,
-            "area": self.area,
-            "altitudes": list(self.altitudes),
-            "refinement": self.refinement,
-            "order": self.order,
-            "surface": self.surface,
-            "views": [view.to_mapping() for view in self.views],
-            "tiles": [tile.to_mapping() for tile in self.tiles],
-            "history": self.history,
-        }
+        """Write the scene, whole or not at all; its products are looked for beside the new place once it is read."""
+        document = {"format": "repm-scene", "schema": SCHEMA, "engine": __version__, **self.to_mapping()}
+        del document["path"]
         return write_text(str(path), json.dumps(document, indent=1, allow_nan=False))
 
     @classmethod
@@ -282,24 +212,14 @@ class Scene:
         """
         document = _document(path)
         try:
-            scene = cls(
-                [View.from_mapping(view) for view in document["views"]],
-                EnuFrame.from_mapping(document["frame"]),
-                str(document["crs"]),
-                str(document["area"]),
-                tuple(map(float, document["altitudes"])),
-                [],
-                str(document["refinement"]),
-                int(document["order"]),
-                str(document["surface"]),
-                list(document["history"]),
-                Path(path),
-            )
+            scene = cls.from_mapping({**document, "tiles": [], "path": Path(path)})
             # Stored refinements belong to the vendors' RPCs; pointing came later.
-            scene.tiles = [
-                Tile.from_mapping(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]
-            ]
-            return scene
+            return replace(
+                scene,
+                tiles=tuple(
+                    Tile.read(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]
+                ),
+            )
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
             raise SceneError(
                 f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
@@ -334,6 +254,11 @@ def _document(path: str) -> Dict[str, Any]:
             f"The scene '{path}' has schema {schema}, this version of the plugin reads up to "
             f"{SCHEMA}: update the plugin, or make the scene anew."
         )
+    if schema < SCHEMA:
+        raise SceneError(
+            f"The scene '{path}' has schema {schema} of an earlier version of the plugin, this version reads {SCHEMA}: "
+            "make the scene anew with 'Fit equivalent pinhole cameras'."
+        )
     return document
 
 
@@ -357,11 +282,11 @@ def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
         raise
     except SceneError:
         return None
-    last = scene.history[-1] if scene.history else {}
-    return scene if last.get("stage") == stage and last.get("fingerprint") == key else None
+    last = scene.history[-1] if scene.history else None
+    return scene if last is not None and (last.stage, last.fingerprint) == (stage, key) else None
 
 
-def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[str] = ()) -> List[View]:
+def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[str] = ()) -> Tuple[View, ...]:
     """Open images, read their RPCs, and make views; names are unique, in the order given.
 
     ``rpcs`` names the images' RPC files in the same order; "" is for an image whose RPC is to be found, as all are
@@ -400,7 +325,7 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
                 mask=mask,
             )
         )
-    return views
+    return tuple(views)
 
 
 def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, List, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -21,6 +21,7 @@ from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import created
 from ..options import DsmFuseOptions
+from ..records import FusionFacts
 from ..scene import Scene, Tile
 from .expected_error import expected_error
 from .fusion import StoredTile
@@ -64,7 +65,7 @@ def cloud_of(options: DsmFuseOptions, folder: str) -> Optional[str]:
 
 def write_products(
     options: DsmFuseOptions, scene: Scene, layout: Layout, datum: HeightDatum, stored: List[StoredTile], folder: str
-) -> Dict[str, Any]:
+) -> FusionFacts:
     """Write DSM, confidence, orthophoto and cloud from the fused tiles; gives what was counted on the way.
 
     ``folder`` is for what lives only meanwhile. Raises EmptyResultError where no cell has a height, WorkspaceError
@@ -144,18 +145,18 @@ def write_products(
                 cloud.write(x, y, height - datum.undulation(crs, np.column_stack([x, y])), score)
         points = cloud.count if cloud is not None else 0
         interpolated = 0 if whole is None else _fill(whole, dsm, confidence, scene, grid.part(crop), crs, datum, folder)
-    return {
-        "cells": cells,
-        "valid": valid + interpolated,
-        "valid_percent": 100.0 * (valid + interpolated) / cells,
-        "matched": valid - sum(tile.filled for tile in stored),
-        "background": sum(tile.filled for tile in stored),
-        "interpolated": interpolated,
-        "points": points,
-        "removed": sum(tile.removed for tile in stored),
-        "resolution": grid.cell,
-        "crs": crs,
-    }
+    return FusionFacts(
+        cells=cells,
+        valid=valid + interpolated,
+        valid_percent=100.0 * (valid + interpolated) / cells,
+        matched=valid - sum(tile.filled for tile in stored),
+        background=sum(tile.filled for tile in stored),
+        interpolated=interpolated,
+        points=points,
+        removed=sum(tile.removed for tile in stored),
+        resolution=grid.cell,
+        crs=crs,
+    )
 
 
 def _fill(
@@ -179,13 +180,12 @@ def _fill(
 
 def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional[Surface]:
     """The DEM that the scene was made with, over the grid; None where there was none."""
-    dem = scene.facts("epmfit").get("options", {}).get("dem")
-    if not dem:
+    if not scene.dem:
         return None
     xs, ys = grid.centres()
     lon_lat = geodetic_from_projected(crs, np.array([(x, y) for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])]))
     bounds = (*lon_lat.min(axis=0), *lon_lat.max(axis=0))
-    return load_surface(make_surface(str(dem), tuple(map(float, bounds)), grid.cell, f"{folder}/dem.tif"))
+    return load_surface(make_surface(scene.dem, tuple(map(float, bounds)), grid.cell, f"{folder}/dem.tif"))
 
 
 def _on_cells(surface: Surface, grid: CellGrid, crs: str) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from functools import lru_cache
-from typing import Any, Dict, List, Mapping, Optional
+from typing import Any, List, Optional, Sequence
 
 import numpy as np
 from osgeo import ogr
@@ -14,6 +14,7 @@ from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import apart_text
 from ..imagery.raster import quiet
 from ..progress import counted
+from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
 from ..sfm.advice import MATCHING_PX
 from . import charts
@@ -26,22 +27,22 @@ _MOST_TILES = 60
 
 def add_geometry(report: Report, scene: Scene) -> None:
     """Pairs, tie points before and after, pointing, and what the absolute position rests on."""
-    facts = scene.facts("reconstruct")
-    _pairs(report, scene, facts)
-    _ties(report, scene, facts)
-    _pointing(report, facts["ties"])
-    _absolute(report, facts["ties"])
+    _pairs(report, scene)
+    if scene.pointing is not None:
+        _ties(report, scene, scene.pointing)
+        _pointing(report, scene.pointing)
+        _absolute(report, scene.pointing)
 
 
-def _pairs(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
+def _pairs(report: Report, scene: Scene) -> None:
     report.section("Pairs")
     rows = []
-    for pair in facts["pairs"]:
+    for pair in scene.pairs:
         metres = _metres_per_px(scene, pair)
-        overlap = overlap_percent(scene, pair["first"], pair["second"])
-        figures = f"{pair['base_to_height']:.2f}", f"{overlap:.0f}", *fixed(metres, MATCHING_PX * metres, decimals=2)
-        times = apart_text(pair.get("days")), _sun_text(pair.get("sun_deg"))
-        rows.append([pair["first"], pair["second"], f"{pair['angle_deg']:.1f}°", *figures, *times])
+        overlap = overlap_percent(scene, pair.first, pair.second)
+        figures = f"{pair.base_to_height:.2f}", f"{overlap:.0f}", *fixed(metres, MATCHING_PX * metres, decimals=2)
+        times = apart_text(pair.days), _sun_text(pair.sun_deg)
+        rows.append([pair.first, pair.second, f"{pair.angle_deg:.1f}°", *figures, *times])
     report.table(
         "first | second | convergence | B/H | overlap, % | m of height per px | expected accuracy, m | taken apart | "
         "angle between suns",
@@ -69,60 +70,57 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
     return 100.0 * common.GetArea() / smaller if common is not None and smaller > 0 else 0.0
 
 
-def _metres_per_px(scene: Scene, pair: Mapping[str, Any]) -> float:
+def _metres_per_px(scene: Scene, pair: ViewPair) -> float:
     """Metres of height a px of parallax: as matched, else from the angle."""
     known = [
         record.metres_per_px
         for tile in scene.tiles
         for record in tile.heights
-        if record.pair == (pair["first"], pair["second"])
+        if record.pair == (pair.first, pair.second)
     ]
-    return float(np.median(known)) if known else scene.gsd_m / pair["base_to_height"]
+    return float(np.median(known)) if known else scene.gsd_m / pair.base_to_height
 
 
-def _ties(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
+def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
     report.section("Tie points")
-    ties = facts["ties"]
     report.facts(
         [
-            ("Tie points", ties["count"]),
-            ("Median residual", f"{ties['before_px']:.2f} px before, {ties['after_px']:.2f} px after the correction"),
-            ("Keypoints", ties.get("detector", "")),
-            ("Matcher", facts["backend"]),
+            ("Tie points", ties.count),
+            ("Median residual", f"{ties.before_px:.2f} px before, {ties.after_px:.2f} px after the correction"),
+            ("Keypoints", ties.detector),
+            ("Matcher", scene.backend),
         ]
     )
     rows = []
-    for pair in ties["pairs"]:
-        figures = f"{pair['rows_before_px']:+.2f}", *fixed(pair["rows_after_px"], pair["rows_spread_px"])
-        rows.append([*pair["pair"], pair["candidates"], pair["count"], *figures])
+    for pair in ties.pairs:
+        figures = f"{pair.before_px:+.2f}", *fixed(pair.after_px, pair.spread_px)
+        rows.append([*pair.pair, pair.candidates, pair.count, *figures])
     report.table(
         "first | second | candidates | ties | before, px | after, px | spread, px",
         rows,
         "'Rows' are by how much a pair's pixels miss each other across the parallax: with the vendors' RPCs "
         "(median), and corrected (median of the absolute values; their spread as NMAD).",
     )
-    tiles = ties.get("tiles", [])
+    tiles = [list(entry) for entry in ties.ties_by_tile.items()]
     if len(tiles) > 1:
         report.table(
             "tile | tie points around it",
-            [[entry["tile"], entry["ties"]] for entry in tiles],
+            tiles,
             "Within the tile, or within a fifth of the scene where that is more.",
             most=_MOST_TILES,
         )
-    parts = ties.get("parts", [])
-    if parts:
+    if ties.ties_by_part:
         report.table(
-            [entry["part"] for entry in parts],
-            [[entry["ties"] for entry in parts]],
+            list(ties.ties_by_part),
+            [list(ties.ties_by_part.values())],
             "Tie points by ninths of the area, north up.",
         )
-    _curves(report, scene, facts)
+    _curves(report, scene)
 
 
-def _curves(report: Report, scene: Scene, facts: Mapping[str, Any]) -> None:
+def _curves(report: Report, scene: Scene) -> None:
     """How many ties are how good, and where rows still differ; nothing where the ties' layer is gone."""
-    path = facts["options"].get("tie_points") or str(scene.path.with_name("tie_points.gpkg"))
-    found = _read_ties(path)
+    found = _read_ties(scene.tie_points)
     if not len(found):
         return
     share = np.linspace(0, 100, len(found))
@@ -176,30 +174,29 @@ def _ties_of(path: str, changed_ns: int) -> np.ndarray:
     return np.array(values, dtype=float).reshape(-1, 6)
 
 
-def _pointing(report: Report, ties: Mapping[str, Any]) -> None:
+def _pointing(report: Report, ties: PointingFigures) -> None:
     report.section("Pointing")
     said = {"shift": "one shift an image", "affine": "an affine correction an image"}
-    report.facts([("Correction", said.get(ties["model"], ties["model"])), ("Why", ties["reason"])])
+    report.facts([("Correction", said.get(ties.model, ties.model)), ("Why", ties.reason)])
     report.table(
         "view | column shift, px | row shift, px",
-        [[name, *fixed(*shift, decimals=2, sign="+")] for name, shift in ties["shifts_px"].items()],
+        [[name, *fixed(*shift, decimals=2, sign="+")] for name, shift in ties.shifts_px.items()],
         "Corrections of the vendors' RPCs at the images' centres.",
     )
 
 
-def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
+def _absolute(report: Report, ties: PointingFigures) -> None:
     """Ground control, or how uncertain things are without it."""
     report.section("Absolute position")
-    if "height_uncertainty_m" in ties:
+    if ties.height_uncertainty_m is not None:
         report.paragraph(
             "Without control points the corrections sum to zero: the position and height of the whole "
             "stay where the vendors put them. By how much their RPCs disagree across the parallax, the "
-            f"absolute height is uncertain by {ties['height_uncertainty_m']:.1f} m (two "
+            f"absolute height is uncertain by {ties.height_uncertainty_m:.1f} m (two "
             "standard deviations; relative heights are not affected). Ground control points (GCPS), or "
             "an alignment with a reference, take that out."
         )
-    points = ties.get("gcps", [])
-    rejected = ties.get("rejected_gcps", [])
+    points, rejected = ties.gcps, ties.rejected_gcps
     if rejected:
         report.warning(
             f"{counted(len(rejected), 'control point')} contradicted all others and took no part: "
@@ -208,9 +205,9 @@ def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
         )
     if not points:
         return
-    if ties.get("control_noise_px") is not None:
+    if ties.control_noise_px is not None:
         report.paragraph(
-            f"The control points fit to {ties['control_noise_px']:.2f} px in each direction (standard "
+            f"The control points fit to {ties.control_noise_px:.2f} px in each direction (standard "
             "deviation, estimated from their own residuals), and have the weight of that."
         )
     report.table(
@@ -221,17 +218,17 @@ def _absolute(report: Report, ties: Mapping[str, Any]) -> None:
     )
     rows = []
     for point in points:
-        errors = fixed(*(point[name] for name in ("east_m", "north_m", "up_m")), sign="+")
-        rows.append([point["id"], "rejected" if point["rejected"] else point["role"], *errors])
+        errors = fixed(point.east_m, point.north_m, point.up_m, sign="+")
+        rows.append([point.id, "rejected" if point.rejected else point.role, *errors])
     report.table("point | role | east, m | north, m | height, m", rows)
 
 
-def _summary(points: List[Dict[str, Any]]) -> List[List[Any]]:
+def _summary(points: Sequence[GcpFigures]) -> List[List[Any]]:
     rows = []
     for role in ("control", "check"):
-        mine = [point for point in points if point["role"] == role and not point["rejected"]]
+        mine = [point for point in points if point.role == role and not point.rejected]
         for name, title in (("east_m", "east"), ("north_m", "north"), ("up_m", "height")):
-            errors = Errors.of(np.array([point[name] for point in mine]))
+            errors = Errors.of(np.array([getattr(point, name) for point in mine]))
             if errors.count:
                 rows.append([role, errors.count, title, *fixed(errors.me, errors.rmse, errors.max)])
     return rows

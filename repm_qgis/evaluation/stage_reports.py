@@ -176,7 +176,7 @@ def _thin(products: Mapping[str, Any]) -> List[str]:
 
 def _warnings(report: Report, scene: Scene, more: Tuple[str, ...] | List[str] = ()) -> None:
     """Everything the stages warned of, first thing on the page."""
-    said = [text for entry in scene.history for text in entry.get("warnings", [])]
+    said = [text for entry in scene.history for text in entry.warnings]
     for text in dict.fromkeys([*more, *said]):
         report.warning(text)
 
@@ -291,13 +291,13 @@ def _confidence(report: Report, products: Mapping[str, Any]) -> None:
 def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> None:
     """Time, options and versions of everything that led here."""
     report.section("What was done")
-    computed = {entry["stage"]: entry for entry in scene.history}
+    computed = {entry.stage: entry for entry in scene.history}
     names = list(seconds) if seconds else list(computed)
     rows = []
     for name in names:
-        entry = computed.get(name, {})
+        entry = computed.get(name)
         now = [f"{seconds[name]:.1f}"] if seconds else []
-        rows.append([name, *now, f"{entry['seconds']:.1f}" if entry else "–", entry.get("fingerprint", "–")])
+        rows.append([name, *now, f"{entry.seconds:.1f}" if entry else "–", entry.fingerprint if entry else "–"])
     report.table(
         ["stage", *(["this run, s"] if seconds else []), "when computed, s", "fingerprint"],
         rows,
@@ -311,10 +311,10 @@ def _options(report: Report, scene: Scene) -> None:
     """One table of all stages' options; a value that several stages share is told once."""
     told: Dict[Tuple[str, str], List[str]] = {}
     for entry in scene.history:
-        for name, value in entry["options"].items():
+        for name, value in entry.options.items():
             if value not in (None, "", []) and name not in _WHERE_IT_RUNS:
                 text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-                told.setdefault((name, text), []).append(entry["stage"])
+                told.setdefault((name, text), []).append(entry.stage)
     report.table(
         "option | value | stage",
         [[name, text, ", ".join(stages)] for (name, text), stages in told.items()],

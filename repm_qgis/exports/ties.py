@@ -21,7 +21,7 @@ def tie_points(scene: Scene, tile: Tile) -> Tuple[FloatArray, FloatArray]:
 
     Empty where the scene was not reconstructed, or its tie points' file is gone.
     """
-    path = _file(scene)
+    path = Path(scene.tie_points)
     rows = _read(path) if path.is_file() else np.empty((0, 4))
     xmin, ymin, xmax, ymax = tile.bounds
     rows = rows[
@@ -35,18 +35,6 @@ def tie_points(scene: Scene, tile: Tile) -> Tuple[FloatArray, FloatArray]:
         return np.empty((0, 3)), np.empty(0)
     ground = np.column_stack([geodetic_from_projected(scene.crs, rows[:, :2]), rows[:, 2]])
     return scene.frame.from_geodetic(ground), rows[:, 3]
-
-
-def _file(scene: Scene) -> Path:
-    options = scene.facts("reconstruct").get("options", {})
-    named = options.get("tie_points")
-    return (
-        Path(named)
-        if named
-        else Path(options.get("output_scene", "")).with_name("tie_points.gpkg")
-        if options
-        else Path("")
-    )
 
 
 def _read(path: Path) -> FloatArray:

@@ -5,13 +5,14 @@ Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMS
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Callable, Optional, Tuple
+from dataclasses import dataclass
+from typing import Callable, Optional, Tuple
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import OptionError
+from ..records import Record
 from .frames import EnuFrame
 from .pinhole import PinholeCamera, factorise, fit_projection
 from .refinement import RefinementMap, Terrain, TerrainMap, fit_map
@@ -26,7 +27,7 @@ TILE_GRID = (13, 13, 7)
 
 
 @dataclass(frozen=True)
-class EquivalentError:
+class EquivalentError(Record):
     """Statistics over the virtual grid in px; ``predicted`` is the paper's bound |x (Z - Zmean) / Zmean|."""
 
     samp_rmse: float
@@ -46,9 +47,6 @@ class EquivalentError:
             float(np.sqrt(square.sum(axis=1).max())),
             predicted,
         )
-
-    def to_mapping(self) -> dict[str, float]:
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -113,21 +111,13 @@ def fit_pinhole(grid: VirtualGrid) -> EquivalentPinhole:
 
 
 @dataclass(frozen=True)
-class RefinedPinhole:
+class RefinedPinhole(Record):
     """A zero-skew camera, the map M from its image's pixels to the original's, that image's size, and what is left."""
 
     camera: PinholeCamera
     to_original: RefinementMap
     size: Tuple[int, int]
     error: EquivalentError
-
-    def to_mapping(self) -> dict[str, Any]:
-        return {
-            "camera": self.camera.to_mapping(),
-            "to_original": self.to_original.to_mapping(),
-            "size": list(self.size),
-            "error": self.error.to_mapping(),
-        }
 
 
 def surface_grid(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, List, Mapping, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -18,6 +18,7 @@ from pyproj.transformer import TransformerGroup
 
 from ..arrays import FloatArray
 from ..errors import OptionError
+from ..records import Record
 
 _TO_ECEF = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
 
@@ -43,7 +44,7 @@ def geodetic_from_ecef(xyz_ecef_m: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class EnuFrame:
+class EnuFrame(Record):
     """East, north, up at one point of the ellipsoid, in metres."""
 
     lon: float
@@ -80,13 +81,6 @@ class EnuFrame:
     def to_geodetic(self, enu_m: FloatArray) -> FloatArray:
         """(..., 3) east, north, up to (..., 3) longitude, latitude, height."""
         return geodetic_from_ecef(np.asarray(enu_m, dtype=np.float64) @ self._rotation + self._origin)
-
-    def to_mapping(self) -> dict[str, float]:
-        return {"lon": self.lon, "lat": self.lat, "height": self.height}
-
-    @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> "EnuFrame":
-        return cls(float(values["lon"]), float(values["lat"]), float(values["height"]))
 
 
 def utm_crs(lon: float, lat: float) -> str:

@@ -7,16 +7,16 @@ local metric frame (ENU).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Mapping
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import RpcInvalidError
+from ..records import Record
 
 
 @dataclass(frozen=True)
-class PinholeCamera:
+class PinholeCamera(Record):
     """K (3, 3) upper triangular with K[2, 2] = 1, R (3, 3) and t (3,): x ~ K (R X + t), depths positive."""
 
     K: FloatArray
@@ -54,13 +54,6 @@ class PinholeCamera:
         K[0, 2] -= col
         K[1, 2] -= row
         return PinholeCamera(K, self.R, self.t)
-
-    def to_mapping(self) -> dict[str, Any]:
-        return {"K": self.K.tolist(), "R": self.R.tolist(), "t": self.t.tolist()}
-
-    @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> "PinholeCamera":
-        return cls(*(np.array(values[name], dtype=np.float64) for name in ("K", "R", "t")))
 
 
 def normaliser(points: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ the original at M(p') gives it. Pixels are column, row with the first pixel's ce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping, Protocol, Union
+from typing import Any, Callable, Mapping, Optional, Protocol, Union
 
 import numpy as np
 
@@ -170,7 +170,9 @@ class TerrainMap:
 RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
 
 
-def map_from_mapping(values: Mapping[str, Any], camera: PinholeCamera, terrain: Callable[[], Terrain]) -> RefinementMap:
+def map_from_mapping(
+    values: Mapping[str, Any], camera: PinholeCamera, terrain: Callable[[], Optional[Terrain]]
+) -> RefinementMap:
     """The inverse of ``to_mapping``; raises SceneError for what is none of ours.
 
     A terrain map is made again from its camera and from ``terrain()``, called only then.

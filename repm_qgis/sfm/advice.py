@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Dict, List, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from ..geometry.footprints import bounds_of
 from ..geometry.footprints import box as rectangle
 from ..imagery.acquisition import apart_text
 from ..progress import counted
-from ..records import ViewPair
+from ..records import PointingFigures, ViewPair
 from ..scene import Scene
 from .pair_selection import days_off_season, sun_over
 from .parameters import POINTING
@@ -32,32 +32,32 @@ _CELLS = 5  # a side of the scene: ties are looked for in a patch of each
 _UNCERTAIN_M, _UNCERTAIN_GSD = 5.0, 10.0  # two standard deviations
 
 
-def ties_by_tile(scene: Scene, xy: FloatArray) -> List[Dict[str, Any]]:
+def ties_by_tile(scene: Scene, xy: FloatArray) -> Dict[str, int]:
     """How many ties (N, 2) lie around each tile: within it, or within a fifth of the scene where that is more.
 
     Ties come from patches spread over a large scene, so that a small tile may well have none of its own.
     """
     bounds = np.array([tile.bounds for tile in scene.tiles])
     least = (bounds[:, 2:].max(axis=0) - bounds[:, :2].min(axis=0)) / _CELLS
-    result = []
+    result = {}
     for tile, box in zip(scene.tiles, bounds):
         middle, reach = (box[:2] + box[2:]) / 2, np.maximum(box[2:] - box[:2], least) / 2
-        result.append({"tile": tile.id, "ties": int((np.abs(xy - middle) <= reach).all(axis=1).sum())})
+        result[tile.id] = int((np.abs(xy - middle) <= reach).all(axis=1).sum())
     return result
 
 
-def ties_by_part(scene: Scene, xy: FloatArray) -> List[Dict[str, Any]]:
+def ties_by_part(scene: Scene, xy: FloatArray) -> Dict[str, int]:
     """How many ties (N, 2) lie in the north-west, north ... of the area, by ninths of its bounds that it fills."""
     area = ogr.CreateGeometryFromWkt(scene.area)
     xmin, ymin, xmax, ymax = bounds_of(area)
     x, y = np.linspace(xmin, xmax, 4), np.linspace(ymax, ymin, 4)
-    result = []
+    result = {}
     for row, names in enumerate(_PARTS):
         for column, name in enumerate(names):
             part = rectangle((x[column], y[row + 1], x[column + 1], y[row]))
             if area.Intersection(part).GetArea() >= _LEAST_PART * part.GetArea():
                 inside = _within(xy, (x[column], y[row + 1]), (x[column + 1], y[row]))
-                result.append({"part": name, "ties": int(inside.sum())})
+                result[name] = int(inside.sum())
     return result
 
 
@@ -65,15 +65,12 @@ def _within(xy: FloatArray, low: Sequence[float], high: Sequence[float]) -> NDAr
     return ((xy >= low) & (xy <= high)).all(axis=1)
 
 
-def advice(scene: Scene, pairs: Sequence[ViewPair], figures: Mapping[str, Any]) -> List[str]:
-    """Warnings, each with what the analyst can do.
-
-    ``figures`` are those of the pointing, with ``tiles`` (:func:`ties_by_tile`) and ``parts`` (:func:`ties_by_part`).
-    """
+def advice(scene: Scene, pairs: Sequence[ViewPair], figures: PointingFigures) -> List[str]:
+    """Warnings, each with what the analyst can do."""
     said = [text for pair in pairs for text in _geometry(pair, scene.gsd_m)]
     said += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs) + _dates(pairs)
-    said += _thin(scene, figures["tiles"], figures.get("parts", ()))
-    uncertain = figures.get("height_uncertainty_m", 0.0)
+    said += _thin(scene, figures.ties_by_tile, figures.ties_by_part)
+    uncertain = figures.height_uncertainty_m or 0.0
     if uncertain > max(_UNCERTAIN_M, _UNCERTAIN_GSD * scene.gsd_m):
         said.append(
             f"The vendors' RPCs disagree so much that the absolute height is uncertain by some {uncertain:.1f} "
@@ -195,12 +192,12 @@ def _listed(names: Sequence[str], between: str = ", ") -> str:
     return between.join(names[:_MOST_NAMED]) + more
 
 
-def _thin(scene: Scene, tiles: Sequence[Mapping[str, Any]], parts: Sequence[Mapping[str, Any]]) -> List[str]:
+def _thin(scene: Scene, tiles: Mapping[str, int], parts: Mapping[str, int]) -> List[str]:
     """Where the area has hardly any tie."""
-    total = sum(entry["ties"] for entry in parts)
+    total = sum(parts.values())
     # With few ties in all, every part has few; then none is worse than the others.
-    bare = [entry["part"] for entry in parts if entry["ties"] < min(_FEW_TIES, 0.25 * total / len(parts))]
-    few = [entry["tile"] for entry in tiles if entry["ties"] < _FEW_TIES] if len(tiles) > 1 else []
+    bare = [name for name, count in parts.items() if count < min(_FEW_TIES, 0.25 * total / len(parts))]
+    few = [name for name, count in tiles.items() if count < _FEW_TIES] if len(tiles) > 1 else []
     if not few and not bare:
         return []
     where = _listed([*bare, *dict.fromkeys(_part_of(scene, tile) for tile in few if _part_of(scene, tile) not in bare)])

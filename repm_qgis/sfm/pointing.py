@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Sequence
+from dataclasses import dataclass
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..progress import Part, Progress
-from ..records import ViewPair
+from ..records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..scene import Scene, View
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .colmap_adjustment import adjust_colmap
@@ -37,7 +37,7 @@ class Pointing:
     tracks: List[Track]
     adjusted: Adjustment
     xy: FloatArray
-    figures: Dict[str, Any]
+    figures: PointingFigures
 
 
 def point_views(
@@ -76,18 +76,22 @@ def point_views(
         {(pair.first, pair.second): _rows(seen, pair, tracks, adjusted.ground) for pair in pairs}
         for seen in (scene.views, views)
     )
-    figures = {
-        "count": len(tracks),
-        "detector": detector.name,
-        "before_px": float(np.median(adjusted.before_px)),
-        "after_px": float(np.median(adjusted.residual_px)),
-        "model": adjusted.model,
-        "reason": adjusted.reason,
-        "shifts_px": {name: shift.tolist() for name, shift in adjusted.shifts.items()},
-        "pairs": [_pair_figures(match, before, after) for match in matches],
-        **_absolute(replace(scene, views=views), pairs, before, gcps, adjusted),
-    }
-    _tell(figures, progress)
+    controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
+    figures = PointingFigures(
+        count=len(tracks),
+        detector=detector.name,
+        before_px=float(np.median(adjusted.before_px)),
+        after_px=float(np.median(adjusted.residual_px)),
+        model=adjusted.model,
+        reason=adjusted.reason,
+        shifts_px={name: (float(shift[0]), float(shift[1])) for name, shift in adjusted.shifts.items()},
+        pairs=tuple(_pair_figures(match, before, after) for match in matches),
+        gcps=_gcp_figures(gcps, views, adjusted),
+        rejected_gcps=tuple(adjusted.rejected) if gcps else (),
+        control_noise_px=adjusted.control_noise_px if controlled else None,
+        height_uncertainty_m=None if controlled else _height_uncertainty(scene, pairs, before),
+    )
+    _log(figures, progress)
     return Pointing(views, tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
 
 
@@ -102,44 +106,30 @@ def _rows(views: Sequence[View], pair: ViewPair, tracks: Sequence[Track], ground
     return row_residuals((first, second), pixels, ground[shared])[0]
 
 
-def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> Dict[str, Any]:
+def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> PairFigures:
     key = (match.first, match.second)
-    return {
-        "pair": list(key),
-        "candidates": len(match.rows_px),
-        "count": len(after[key]),
-        "rows_before_px": _median(before[key]),
-        "rows_after_px": _median(np.abs(after[key])),
-        "rows_spread_px": 1.4826 * _median(np.abs(after[key] - _median(after[key]))),
-    }
+    return PairFigures(
+        pair=key,
+        candidates=len(match.rows_px),
+        count=len(after[key]),
+        before_px=_median(before[key]),
+        after_px=_median(np.abs(after[key])),
+        spread_px=1.4826 * _median(np.abs(after[key] - _median(after[key]))),
+    )
 
 
 def _median(values: FloatArray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def _absolute(
-    scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray], gcps: Sequence[Gcp], adjusted: Adjustment
-) -> Dict[str, Any]:
-    """How far the absolute height can be trusted: by ground control, or by how much the vendors' RPCs disagree."""
-    points = []
-    for gcp in gcps:
-        offset = intersect(gcp, scene.views)
-        if offset is not None:
-            points.append(
-                {
-                    "id": gcp.id,
-                    "role": gcp.role,
-                    "rejected": gcp.id in adjusted.rejected,
-                    "east_m": float(offset[0]),
-                    "north_m": float(offset[1]),
-                    "up_m": float(offset[2]),
-                }
-            )
-    figures: Dict[str, Any] = {"gcps": points, "rejected_gcps": list(adjusted.rejected)} if gcps else {}
-    if any(gcp.role == "control" and gcp.pixels for gcp in gcps):
-        return {**figures, "control_noise_px": adjusted.control_noise_px}
-    return {**figures, "height_uncertainty_m": _height_uncertainty(scene, pairs, before)}
+def _gcp_figures(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustment) -> Tuple[GcpFigures, ...]:
+    """Where the corrected views put the control points that they see."""
+    offsets = [(gcp, intersect(gcp, views)) for gcp in gcps]
+    return tuple(
+        GcpFigures(gcp.id, gcp.role, gcp.id in adjusted.rejected, *map(float, offset))
+        for gcp, offset in offsets
+        if offset is not None
+    )
 
 
 def _height_uncertainty(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray]) -> float:
@@ -154,26 +144,25 @@ def _height_uncertainty(scene: Scene, pairs: Sequence[ViewPair], before: Dict[An
     return float(2.0 * deviation * scene.gsd_m / max(pair.base_to_height for pair in pairs))
 
 
-def _tell(figures: Dict[str, Any], progress: Progress) -> None:
-    shifts = ", ".join(f"{name} ({c:+.2f}, {r:+.2f})" for name, (c, r) in figures["shifts_px"].items())
+def _log(figures: PointingFigures, progress: Progress) -> None:
+    shifts = ", ".join(f"{name} ({c:+.2f}, {r:+.2f})" for name, (c, r) in figures.shifts_px.items())
     progress.info(
-        f"{figures['count']} tie points; pointing corrected by {shifts} px ({figures['model']}: "
-        f"{figures['reason']}); their median residual fell from {figures['before_px']:.2f} to "
-        f"{figures['after_px']:.2f} px."
+        f"{figures.count} tie points; pointing corrected by {shifts} px ({figures.model}: {figures.reason}); their "
+        f"median residual fell from {figures.before_px:.2f} to {figures.after_px:.2f} px."
     )
-    if figures.get("control_noise_px") is not None:
+    if figures.control_noise_px is not None:
         progress.info(
-            f"The control points fit to {figures['control_noise_px']:.2f} px in each direction: that gives "
+            f"The control points fit to {figures.control_noise_px:.2f} px in each direction: that gives "
             "them their weight beside the tie points."
         )
-    for identity in figures.get("rejected_gcps", []):
+    for identity in figures.rejected_gcps:
         progress.warn(
             f"The control point {identity} contradicts all others and was left out: check its coordinates, "
             "its height's datum, and its pixels."
         )
-    if "height_uncertainty_m" in figures:
+    if figures.height_uncertainty_m is not None:
         progress.info(
             "Without ground control points the absolute height is as good as the vendors' RPCs: uncertain by "
-            f"{figures['height_uncertainty_m']:.1f} m (two standard deviations); relative heights are not "
+            f"{figures.height_uncertainty_m:.1f} m (two standard deviations); relative heights are not "
             "affected."
         )

@@ -24,6 +24,7 @@ from ..memory import fusing_mib, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress
+from ..records import FusionFacts
 from ..scene import Scene, Tile
 from ..workspace import ensure_folder, temporary_name
 
@@ -57,14 +58,14 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     try:
         ensure_folder(folder)
         facts, needed = _fused(options, scene, tiles, layout, datum, folder, Part(progress, 0.0, share))
-        cloud = cloud_of(options, folder) if facts["points"] else None
+        cloud = cloud_of(options, folder) if facts.points else None
         shown = _write_for_display(options, cloud, datum.file_crs(crs), progress)
         for index, pair in enumerate(pairs):
             ends = [share + (1 - share) * i / len(pairs) for i in (index, index + 1)]
             _one_pair(options, pair, scene, tiles, layout, datum, folder, Part(progress, *ends))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    _tell(facts, radius, needed, options, progress)
+    _log(facts, radius, needed, options, progress)
     progress.step(1.0, "DSM fused")
     return {
         "output": options.output,
@@ -75,7 +76,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         "view_heights": options.view_heights,
         "vertical_datum": datum.name,
         "seconds": round(time.monotonic() - start, 3),
-        **facts,
+        **facts.to_mapping(),
     }
 
 
@@ -87,7 +88,7 @@ def _fused(
     datum: HeightDatum,
     folder: str,
     progress: Progress,
-) -> Tuple[Dict[str, Any], List[int]]:
+) -> Tuple[FusionFacts, List[int]]:
     """Fuse tile by tile and write the products; gives what was counted, and how many neighbours each tile asked for."""
     views = tuple(nadir_first(scene)) if options.ortho else ()
     tasks = [
@@ -213,27 +214,28 @@ def _write_for_display(options: DsmFuseOptions, cloud: Optional[str], crs: str, 
     return made
 
 
-def _tell(facts: Dict[str, Any], radius: float, needed: List[int], options: DsmFuseOptions, progress: Progress) -> None:
+def _log(facts: FusionFacts, radius: float, needed: List[int], options: DsmFuseOptions, progress: Progress) -> None:
     """What was filtered and filled, in the log."""
     if radius > 0:
         asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
         progress.info(
-            f"{facts['removed']} cells removed that have fewer neighbours within {radius:g} m than a "
+            f"{facts.removed} cells removed that have fewer neighbours within {radius:g} m than a "
             f"fifth of what is usual ({asked})."
         )
-    shares = {name: 100.0 * facts[name] / facts["cells"] for name in ("matched", "background", "interpolated")}
+    counts = facts.matched, facts.background, facts.interpolated
+    matched, background, interpolated = (100.0 * count / facts.cells for count in counts)
     progress.info(
-        f"Heights in {facts['valid_percent']:.1f} % of {facts['cells']} cells that the tiles cover: "
-        f"{shares['matched']:.1f} % matched, {shares['background']:.1f} % from the background of occlusions, "
-        f"{shares['interpolated']:.1f} % interpolated."
+        f"Heights in {facts.valid_percent:.1f} % of {facts.cells} cells that the tiles cover: "
+        f"{matched:.1f} % matched, {background:.1f} % from the background of occlusions, "
+        f"{interpolated:.1f} % interpolated."
     )
-    if facts["interpolated"] and not options.confidence:
+    if facts.interpolated and not options.confidence:
         progress.warn(
-            f"{facts['interpolated']} cells of '{options.output}' are interpolated, not measured: ask for "
+            f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured: ask for "
             "CONFIDENCE to see which (band 4)."
         )
-    if facts["valid_percent"] < 20:
+    if facts.valid_percent < 20:
         progress.warn(
-            f"Only {facts['valid_percent']:.0f} % of the cells have a height: look at the confidence and at "
+            f"Only {facts.valid_percent:.0f} % of the cells have a height: look at the confidence and at "
             "the reconstruction's report before you use this DSM."
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -45,9 +46,7 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
     else:
         notes = Recorder(progress)
         scene = _fit(options, notes)
-        scene.record(
-            "epmfit", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings, notes=notes.notes
-        )
+        scene = scene.recorded("epmfit", key, options.to_json(), time.monotonic() - start, notes.warnings)
         scene.save(scene_path)
     write_tiles(scene, tiles_path)
     fit_report(scene).write(report_path)
@@ -100,9 +99,9 @@ def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
     xmin, ymin, xmax, ymax = bounds_of(area)
     lon, lat = geodetic_from_projected(crs, np.array([(xmin + xmax) / 2, (ymin + ymax) / 2]))
     frame = EnuFrame(float(lon), float(lat), 0.0)
-    scene = Scene(views, frame, crs, area.ExportToWkt(), altitudes, [])
+    scene = Scene(views, frame, crs, area.ExportToWkt(), altitudes, (), dem=options.dem or "")
     size = options.tile_size or _automatic_size(scene, area, options.error_budget, progress)
-    scene.tiles = _tiles(scene, lay_tiles(area, size * scene.gsd_m), progress)
+    scene = replace(scene, tiles=_tiles(scene, lay_tiles(area, size * scene.gsd_m), progress))
     progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
 
@@ -195,17 +194,16 @@ def _automatic_size(scene: Scene, area: ogr.Geometry, budget: float, progress: P
 
 def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
     """Cameras of all views that see a tile, with the virtual grids they were fitted to."""
-    tile = Tile(ground.id, ground.bounds, scene.altitudes, {})
-    grids = []
+    views, grids = {}, []
     for view in scene.views:
         window = view_window(scene, view, ground.bounds, scene.altitudes)
         if window is None:
             continue
         grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame, TILE_GRID)
         fitted = fit_pinhole(grid)
-        tile.views[view.name] = TileView(window, fitted.camera, fitted.error)
+        views[view.name] = TileView(window, fitted.camera, fitted.error)
         grids.append(grid)
-    return tile, grids
+    return Tile(ground.id, ground.bounds, scene.altitudes, views), grids
 
 
 def view_window(
@@ -217,7 +215,7 @@ def view_window(
     )
 
 
-def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> List[Tile]:
+def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> Tuple[Tile, ...]:
     tiles = []
     for index, ground in enumerate(grounds):
         progress.check_cancelled()
@@ -227,7 +225,7 @@ def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> L
             tiles.append(tile)
     if not tiles:
         raise OverlapError(f"None of {len(grounds)} tiles is seen by two images: choose a larger EXTENT or TILE_SIZE.")
-    return tiles
+    return tuple(tiles)
 
 
 def write_tiles(scene: Scene, path: str) -> None:

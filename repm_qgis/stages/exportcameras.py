@@ -33,7 +33,8 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     scene = Scene.load(options.scene)
     tiles = _tiles(scene, options.tile)
     # All of it is looked at before anything is written.
-    reuse = scene.facts("refine").get("options", {}).get("kernel") == options.kernel
+    refined = scene.record_of("refine")
+    reuse = refined is not None and refined.options.get("kernel") == options.kernel
     models = [layout.prepare(_model(scene, tile, reuse, options.centre)) for tile in tiles]
     folder = ensure_folder(options.folder)
     places = [folder / tile.id for tile in tiles]

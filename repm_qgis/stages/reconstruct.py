@@ -11,6 +11,7 @@ import numpy as np
 from osgeo import ogr
 
 from ..altitudes import ALTITUDES
+from ..arrays import FloatArray
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
@@ -19,7 +20,7 @@ from ..matching.backends import Backend, MatchingJob, match_scene, pair_matcher,
 from ..matching.coarse_surface import coarse_surface
 from ..options import ReconstructOptions
 from ..progress import Part, Progress, Recorder, counted
-from ..records import HeightMapRecord, ViewPair
+from ..records import HeightMapRecord
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice, ties_by_part, ties_by_tile
@@ -30,7 +31,7 @@ from ..sfm.row_residuals import worst_rows
 from ..sfm.tie_points import covered_by_ties
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
-from .refine import refine_tiles, use_surface
+from .refine import refined_tiles, with_surface
 
 _LEAST_SHARE = 0.01  # of matched pixels: below that, nothing was reconstructed
 
@@ -41,7 +42,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     backends = resolve(options.backend)
     scene = Scene.load(options.scene)
     if not scene.refinement:
-        scene.refinement = "polynomial"
+        scene = replace(scene, refinement="polynomial")
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
     key = fingerprint(
         "reconstruct",
@@ -67,24 +68,15 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene)
-        _tell_pairs(scene, pairs, notes)
+        scene = replace(scene, path=beside, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
+        _log_pairs(scene, notes)
         stretches = {view.name: view_stretch(view.image, view.band, view.mask) for view in scene.views}
-        ties = _point(scene, pairs, stretches, options, ties_path, Part(notes, 0.0, 0.35))
-        _lay_surface(scene, pairs, stretches, backends[0], options, Part(notes, 0.35, 0.4))
-        job = MatchingJob(scene, tuple(scene.tiles), tuple(pairs), stretches, options, key, str(folder))
-        _match(job, backends, Part(notes, 0.4, 1.0))
-        scene.record(
-            "reconstruct",
-            key,
-            options.to_json(),
-            time.monotonic() - start,
-            warnings=notes.warnings,
-            backend=backends[0].name,
-            ties=ties,
-            pairs=[pair.to_mapping() for pair in pairs],
-        )
-        scene.save(options.output_scene)
-        done = scene
+        scene = _pointed(scene, stretches, options, Part(notes, 0.0, 0.35))
+        scene = _with_coarse_surface(scene, stretches, backends[0], options, Part(notes, 0.35, 0.4))
+        job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder))
+        scene = _matched(job, backends, Part(notes, 0.4, 1.0))
+        done = scene.recorded("reconstruct", key, options.to_json(), time.monotonic() - start, notes.warnings)
+        done.save(options.output_scene)
     reconstruct_report(done).write(report_path)
     progress.step(1.0, "heights reconstructed")
     return {
@@ -92,17 +84,17 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         "tie_points": ties_path,
         "heights": str(folder),
         "report": report_path,
-        "n_tie_points": done.facts("reconstruct")["ties"]["count"],
+        "n_tie_points": done.pointing.count,
     }
 
 
-def _tell_pairs(scene: Scene, pairs: Sequence[ViewPair], progress: Progress) -> None:
+def _log_pairs(scene: Scene, progress: Progress) -> None:
     """How many pairs of many views are matched."""
     possible = len(scene.views) * (len(scene.views) - 1) // 2
-    if len(pairs) < possible:
-        angles = [pair.angle_deg for pair in pairs]
+    if len(scene.pairs) < possible:
+        angles = [pair.angle_deg for pair in scene.pairs]
         progress.info(
-            f"{len(pairs)} of {counted(possible, 'pair')} of images will be matched, at {min(angles):.1f} to "
+            f"{len(scene.pairs)} of {counted(possible, 'pair')} of images will be matched, at {min(angles):.1f} to "
             f"{max(angles):.1f} degrees."
         )
 
@@ -113,53 +105,47 @@ def _complete(scene: Scene, folder: Path) -> bool:
     return all(file.exists() and file.parent.resolve() == folder.resolve() for file in files)
 
 
-def _point(
-    scene: Scene,
-    pairs: Sequence[ViewPair],
-    stretches: Dict[str, Stretch],
-    options: ReconstructOptions,
-    ties_path: str,
-    progress: Progress,
-) -> Dict[str, Any]:
-    """Point the views, narrow the tiles' altitudes, write the ties; gives the figures for the record."""
+def _pointed(scene: Scene, stretches: Dict[str, Stretch], options: ReconstructOptions, progress: Progress) -> Scene:
+    """The scene with its views pointed and its tiles' altitudes narrowed by the tie points, which are written."""
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         progress.warn(
             f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
             "where the vendors put it; fill the fields view, col and row of points with the role control."
         )
-    found = point_views(scene, pairs, stretches, options.pointing, gcps, progress, options.workers, options.adjustment)
-    scene.views = found.views
-    for tile in scene.tiles:
-        tile.altitudes = _tile_altitudes(scene, tile, found.xy, found.adjusted)
-    _write_ties(scene, found.tracks, found.adjusted, found.xy, ties_path)
-    figures = {**found.figures, "tiles": ties_by_tile(scene, found.xy), "parts": ties_by_part(scene, found.xy)}
-    for text in advice(scene, pairs, figures):
+    found = point_views(
+        scene, scene.pairs, stretches, options.pointing, gcps, progress, options.workers, options.adjustment
+    )
+    figures = replace(
+        found.figures, ties_by_tile=ties_by_tile(scene, found.xy), ties_by_part=ties_by_part(scene, found.xy)
+    )
+    scene = replace(scene, views=tuple(found.views), pointing=figures)
+    _write_ties(scene, found.tracks, found.adjusted, found.xy)
+    for text in advice(scene, scene.pairs, figures):
         progress.warn(text)
-    return figures
+    return scene.with_tiles(
+        lambda tile: replace(tile, altitudes=_tile_altitudes(scene, tile, found.xy, found.adjusted))
+    )
 
 
-def _lay_surface(
-    scene: Scene,
-    pairs: Sequence[ViewPair],
-    stretches: Dict[str, Stretch],
-    backend: Backend,
-    options: ReconstructOptions,
-    progress: Progress,
-) -> None:
-    """The scene's coarse surface, where tie points do not tell every tile's altitudes or the refinement needs it."""
+def _with_coarse_surface(
+    scene: Scene, stretches: Dict[str, Stretch], backend: Backend, options: ReconstructOptions, progress: Progress
+) -> Scene:
+    """Altitudes of the coarse surface, where tie points do not give every tile's or the refinement needs the surface."""
     if covered_by_ties(scene) and not options.own_surface:
-        return
-    names = [(pair.first, pair.second) for pair in pairs]
+        return scene
+    names = [(pair.first, pair.second) for pair in scene.pairs]
     surface = coarse_surface(scene, names, stretches, pair_matcher(backend), options.workers, progress)
-    for tile in scene.tiles:
-        found = surface.altitudes(tile.bounds)
-        tile.altitudes = scene.altitudes if found is None else ALTITUDES.around_ground(*found)
-    if options.own_surface:
-        scene.path = Path(options.output_scene)
-        source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
-        use_surface(scene, source, progress)
-        refine_tiles(scene, progress)
+
+    def narrowed(tile: Tile) -> Tile:
+        ends = surface.altitudes(tile.bounds)
+        return replace(tile, altitudes=scene.altitudes if ends is None else ALTITUDES.around_ground(*ends))
+
+    scene = scene.with_tiles(narrowed)
+    if not options.own_surface:
+        return scene
+    source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
+    return refined_tiles(with_surface(scene, source, progress), progress)
 
 
 def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustment) -> Tuple[float, float]:
@@ -179,7 +165,7 @@ def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustme
     return ALTITUDES.around_ground(*np.percentile(heights, (0.5, 99.5)))
 
 
-def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: np.ndarray, path: str) -> None:
+def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: FloatArray) -> None:
     rows, directions = worst_rows(scene.views, tracks, adjusted.ground)
 
     def features() -> Any:
@@ -199,35 +185,23 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
                 ),
             )
 
-    write_layer(
-        path,
-        scene.crs,
-        ogr.wkbPoint,
-        {
-            "track": int,
-            "views": str,
-            "height": float,
-            "residual": float,
-            "before": float,
-            "row": float,
-            "direction": float,
-        },
-        features(),
-    )
-    write_style("tie_points", path)
+    fields: Dict[str, type] = {"track": int, "views": str}
+    fields.update(dict.fromkeys(("height", "residual", "before", "row", "direction"), float))
+    write_layer(scene.tie_points, scene.crs, ogr.wkbPoint, fields, features())
+    write_style("tie_points", scene.tie_points)
 
 
-def _match(job: MatchingJob, backends: Sequence[Backend], progress: Progress) -> None:
-    """Match all pairs over all tiles, and note the height maps in the scene."""
+def _matched(job: MatchingJob, backends: Sequence[Backend], progress: Progress) -> Scene:
+    """Match all pairs over all tiles; gives the scene with the height maps."""
     records = match_scene(job, backends, progress)
     reused = sum(bool(record and record.reused) for record in records)
     if reused:
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
-    for tile in job.scene.tiles:
-        tile.heights = tuple(
-            replace(record, reused=False) for record in records if record and record.tile == tile.id and record.valid
-        )
     _check(records, progress)
+    kept = [replace(record, reused=False) for record in records if record and record.valid]
+    return job.scene.with_tiles(
+        lambda tile: replace(tile, heights=tuple(record for record in kept if record.tile == tile.id))
+    )
 
 
 def _check(records: Sequence[Optional[HeightMapRecord]], progress: Progress) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, Optional
 
@@ -11,11 +12,11 @@ import numpy as np
 from ..dsm.own_surface import lon_lat_bounds, own_surface
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
-from ..geometry.equivalent_error import TILE_GRID, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import TILE_GRID, RefinedPinhole, refine_pinhole, virtual_grid
 from ..imagery.dem import load_surface, make_surface
 from ..options import RefineOptions
 from ..progress import Progress, Recorder
-from ..scene import Scene, TileView, reusable
+from ..scene import Scene, reusable
 from ..workspace import file_identity, fingerprint
 
 _SURFACE_PX = 48
@@ -37,9 +38,8 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
         scene = done
     else:
         notes = Recorder(progress)
-        scene.path = Path(options.output_scene)
-        _refine(scene, options, notes)
-        scene.record("refine", key, options.to_json(), time.monotonic() - start, warnings=notes.warnings)
+        scene = _refine(replace(scene, path=Path(options.output_scene)), options, notes)
+        scene = scene.recorded("refine", key, options.to_json(), time.monotonic() - start, notes.warnings)
         scene.save(options.output_scene)
     refine_report(scene).write(report_path)
     errors = [view.refined.error for tile in scene.tiles for view in tile.views.values()]
@@ -57,39 +57,43 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
     }
 
 
-def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> None:
-    scene.refinement, scene.order = options.model, options.order
+def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> Scene:
+    scene = replace(scene, refinement=options.model, order=options.order)
     if options.model == "terrain":
-        use_surface(scene, _source(scene, options), progress)
-    refine_tiles(scene, progress, options.kernel if options.write_images else None)
+        scene = with_surface(scene, _source(scene, options), progress)
+    return refined_tiles(scene, progress, options.kernel if options.write_images else None)
 
 
-def use_surface(scene: Scene, source: str, progress: Progress) -> None:
-    """Make the terrain model's surface from heights in a raster, and let the scene refine with it."""
-    scene.refinement = "terrain"
-    scene.surface = make_surface(
+def with_surface(scene: Scene, source: str, progress: Progress) -> Scene:
+    """The scene with the terrain model, whose surface is made from the heights in a raster."""
+    surface = make_surface(
         source, lon_lat_bounds(scene), _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "surface.tif")
     )
-    heights = load_surface(scene.surface).heights
+    heights = load_surface(surface).heights
     progress.info(
         f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
         f"{heights.max():.0f} m, from '{source}'."
     )
+    return replace(scene, refinement="terrain", surface=surface)
 
 
-def refine_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None) -> None:
+def refined_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None) -> Scene:
     """Find M for every tile and view by the scene's model; with a ``kernel``, write the refined images too."""
+    tiles = []
     for index, tile in enumerate(scene.tiles):
         progress.step(index / len(scene.tiles), f"tile {index + 1} of {len(scene.tiles)}")
+        views = {}
         for name, tile_view in tile.views.items():
             progress.check_cancelled()
             rpc = scene.view(name).rpc
             grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, TILE_GRID)
-            tile_view.refined = refine_pinhole(
+            refined = refine_pinhole(
                 scene.refinement, tile_view.camera, grid, tile_view.window, scene.order, scene.terrain(rpc)
             )
-            if kernel:
-                tile_view.image = _write_image(scene, tile.id, name, tile_view, kernel)
+            image = _write_image(scene, tile.id, name, refined, kernel) if kernel else tile_view.image
+            views[name] = replace(tile_view, refined=refined, image=image)
+        tiles.append(replace(tile, views=views))
+    return replace(scene, tiles=tuple(tiles))
 
 
 def _source(scene: Scene, options: RefineOptions) -> str:
@@ -106,14 +110,14 @@ def _source(scene: Scene, options: RefineOptions) -> str:
     )
 
 
-def _write_image(scene: Scene, tile: str, name: str, tile_view: TileView, kernel: str) -> str:
+def _write_image(scene: Scene, tile: str, name: str, refined: RefinedPinhole, kernel: str) -> str:
     """The refined image of a tile, in 16 bits; 0 is nodata."""
     from ..imagery.raster import created, opened
     from ..imagery.warping import warp_strips
 
     view = scene.view(name)
     path = str(scene.folder("refined") / f"{tile}_{name}.tif")
-    width, height = tile_view.refined.size
+    width, height = refined.size
     with (
         opened(view.image) as dataset,
         created(
@@ -127,7 +131,7 @@ def _write_image(scene: Scene, tile: str, name: str, tile_view: TileView, kernel
             metadata={"REPM_VIEW": name, "REPM_TILE": tile},
         ) as target,
     ):
-        to_original = tile_view.refined.to_original.original_from_refined
+        to_original = refined.to_original.original_from_refined
         for row, pixels in warp_strips(dataset, view.band, to_original, (width, height), kernel):
             known = np.isfinite(pixels)
             target.write(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -52,32 +52,34 @@ def test_what_a_scene_knows(fitted, urban):
     assert [view.name for view in scene.views] == ["img_01", "img_02", "img_03"]
     assert scene.view("img_02").size == (400, 400) and scene.altitudes == (150.0, 260.0)
     assert scene.gsd_m == pytest.approx(0.5, rel=0.15) and scene.crs == urban.crs
-    assert [entry["stage"] for entry in scene.history] == ["epmfit", "refine"]
-    assert scene.facts("epmfit")["options"]["altitude_min"] == 150.0 and scene.facts("dsmfuse") == {}
+    assert [entry.stage for entry in scene.history] == ["epmfit", "refine"]
+    assert scene.record_of("epmfit").options["altitude_min"] == 150.0 and scene.record_of("dsmfuse") is None
     with pytest.raises(SceneError) as caught:
         scene.view("img_09")
     assert "img_09" in str(caught.value) and "img_01, img_02, img_03" in str(caught.value)
-    scene.record("refine", "other", {}, 1.0)
-    assert [entry["fingerprint"] for entry in scene.history][1:] == ["other"]
+    again = scene.recorded("refine", "other", {}, 1.0)
+    assert [entry.fingerprint for entry in again.history][1:] == ["other"] and again.history[0] == scene.history[0]
+    assert again.fingerprint == "other" != scene.fingerprint
 
 
-def test_times_are_kept_and_old_scenes_have_none(fitted, tmp_path):
+def test_times_are_kept_where_there_are_any(fitted, tmp_path):
     scene = Scene.load(fitted)
     assert [view.time for view in scene.views] == [None] * 3
-    scene.views[0] = replace(scene.views[0], acquired="2012-02-25T00:24:15.300Z")
+    first = replace(scene.views[0], acquired="2012-02-25T00:24:15.300Z")
+    scene = replace(scene, views=(first, *scene.views[1:]))
     path = scene.save(str(tmp_path / "timed.json"))
     again = Scene.load(path)
     assert again.views[0].time == datetime(2012, 2, 25, 0, 24, 15, 300000, tzinfo=timezone.utc)
     assert again.views[0].with_pointing(np.eye(2, 3)).acquired == "2012-02-25T00:24:15.300Z"
     document = json.loads(open(path, encoding="utf-8").read())
-    for view, stored in zip(document["views"], ("nonsense", None, 7)):
+    for view, stored in zip(document["views"], ("nonsense", "", "7")):
         view["acquired"] = stored
     (tmp_path / "odd.json").write_text(json.dumps(document))
     assert [view.time for view in Scene.load(str(tmp_path / "odd.json")).views] == [None] * 3
     for view in document["views"]:
         del view["acquired"]
-    (tmp_path / "old.json").write_text(json.dumps(document))
-    assert [view.acquired for view in Scene.load(str(tmp_path / "old.json")).views] == [""] * 3
+    (tmp_path / "none.json").write_text(json.dumps(document))
+    assert [view.acquired for view in Scene.load(str(tmp_path / "none.json")).views] == [""] * 3
 
 
 def test_times_come_with_the_images(tmp_path, write_image, synthetic_rpc):
@@ -106,7 +108,9 @@ def test_pointing_moves_pixels_and_localise_undoes_it(fitted):
         (lambda d: d["views"][0].update(width="wide"), "damaged"),
         (lambda d: d["views"][0].update(band=float("inf")), "damaged"),
         (lambda d: d["tiles"][0].update(views=[1]), "damaged"),
+        (lambda d: d["views"][0].update(acquired=None), "damaged"),
         (lambda d: d.update(altitudes=None), "damaged"),
+        (lambda d: d["history"][0].pop("fingerprint"), "damaged"),
         (lambda d: next(iter(d["tiles"][0]["views"].values())).update(window=[float("inf")] * 4), "damaged"),
         (
             lambda d: next(iter(d["tiles"][0]["views"].values()))["refined"]["to_original"].update(kind="spline"),
@@ -160,6 +164,29 @@ def test_a_newer_schema_has_its_own_error_and_is_not_overwritten(fitted, tmp_pat
             assert words in str(caught.value)
         with pytest.raises(SceneVersionError):
             reusable(str(path), "refine", document["history"][-1]["fingerprint"])
+
+
+def test_a_scene_of_an_older_schema_is_made_again(fitted, tmp_path):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    document["schema"] = SCHEMA - 1
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(SceneError, match=f"schema {SCHEMA - 1} of an earlier version.*make the scene anew"):
+        Scene.load(str(path))
+    assert reusable(str(path), "refine", document["history"][-1]["fingerprint"]) is None
+
+
+def test_nothing_changes_a_scene_in_place(fitted):
+    scene = Scene.load(fitted)
+    tile = scene.tiles[0]
+    for part, name in (
+        (scene, "views"),
+        (scene.views[0], "pointing"),
+        (tile, "heights"),
+        (tile.views["img_01"], "image"),
+    ):
+        with pytest.raises(FrozenInstanceError):
+            setattr(part, name, ())
 
 
 def test_reuse_asks_for_the_last_stage_and_its_fingerprint(fitted):

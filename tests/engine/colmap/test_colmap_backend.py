@@ -398,7 +398,7 @@ def test_the_whole_way_to_a_dsm(urban, refined, tmp_path, with_gpu, told):
     said = told()
     reconstruct(refined, tmp_path, said, backend="auto")
     scene = Scene.load(str(tmp_path / "done.json"))
-    assert scene.facts("reconstruct")["backend"] == "colmap"
+    assert scene.backend == "colmap"
     assert not any("Tile" in text for text in said.warnings)
     for tile in scene.tiles:
         assert sorted(record.pair[0] for record in tile.heights) == sorted(view.name for view in urban.views[:2])

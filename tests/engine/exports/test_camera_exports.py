@@ -372,9 +372,9 @@ def test_mirrored_cameras_are_turned_round(scenes, ground):
     tile_view = tile.views["img_01"]
     mirror = np.diag([1.0, -1.0, 1.0])
     camera = tile_view.refined.camera
-    tile_view.refined = replace(
-        tile_view.refined, camera=type(camera)(camera.K @ mirror, mirror @ camera.R, mirror @ camera.t)
-    )
+    mirrored = type(camera)(camera.K @ mirror, mirror @ camera.R, mirror @ camera.t)
+    tile_view = replace(tile_view, refined=replace(tile_view.refined, camera=mirrored))
+    tile = replace(tile, views={**tile.views, "img_01": tile_view})
     np.testing.assert_allclose(tile_view.refined.camera.project(ground[1]), camera.project(ground[1]), atol=1e-6)
     for view in (tile_model(scene, tile).views[0], tile_model(scene, tile).views[0].centred()):
         assert view.camera.K[0, 0] > 0 and view.camera.K[1, 1] > 0 and view.source == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -131,11 +132,7 @@ def test_reduced_images_are_means_and_know_no_half_pixels():
 
 def test_rows_are_those_that_the_rpcs_say(case, gdal_pixels):
     """On the guide, the second image is sampled where its RPC sees the first one's pixel, whatever the model."""
-    case.scene.refinement = "none"
-    try:
-        pair = rectified_pair(case.scene, *case.views, case.bounds, case.altitudes)
-    finally:
-        case.scene.refinement = "polynomial"
+    pair = rectified_pair(replace(case.scene, refinement="none"), *case.views, case.bounds, case.altitudes)
     geometry = pair_geometry(pair, *case.views, case.altitudes, case.crs)
     columns, rows = (np.arange(0, size, GRID_STEP, dtype=np.float64) for size in pair.size)
     guide = np.add.outer(0.1 * rows, 0.2 * columns)

@@ -11,13 +11,13 @@ from osgeo import ogr
 
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.records import ViewPair
+from repm_qgis.records import PointingFigures, ViewPair
 from repm_qgis.scene import Scene, Tile
 from repm_qgis.sfm.advice import advice, ties_by_part
 from repm_qgis.sfm.pair_selection import choose_pairs
 
 PAIR = ViewPair("img_01", "img_02", 20.0, 0.35, 4, days=0.0001, sun_deg=0.1, shadow=0.01)
-NO_TILES = {"tiles": []}
+NO_TIES = PointingFigures(0, "", 0.0, 0.0, "", "", {}, ())
 
 
 @pytest.fixture
@@ -57,28 +57,28 @@ def all_three(*pairs):
 
 
 def test_good_pairs_and_unknown_times_need_no_advice(scene):
-    assert advice(scene, all_three(PAIR), NO_TILES) == []
+    assert advice(scene, all_three(PAIR), NO_TIES) == []
 
 
 def test_narrow_pairs_tell_their_accuracy_in_metres(scene):
-    text = only(advice(scene, all_three(replace(PAIR, base_to_height=0.06, angle_deg=3.4)), NO_TILES))
+    text = only(advice(scene, all_three(replace(PAIR, base_to_height=0.06, angle_deg=3.4)), NO_TIES))
     assert f"good to some {0.25 * scene.gsd_m / 0.06:.1f} m only; add an image" in text and "3.4 degrees" in text
 
 
 def test_another_sun_tells_how_far_shadows_moved(scene):
     other = replace(PAIR, days=183.0, sun_deg=47.0, shadow=1.42)
-    text = only(advice(scene, all_three(other), NO_TILES))
+    text = only(advice(scene, all_three(other), NO_TIES))
     assert "img_01 and img_02 (183 days, 47 degrees between the suns" in text
     assert "10 m building ends 14 m elsewhere" in text and "take images of one pass" in text
     hours = replace(PAIR, days=0.125, sun_deg=40.0, shadow=1.0)
-    assert "(3 h, 40 degrees" in only(advice(scene, all_three(hours), NO_TILES))
+    assert "(3 h, 40 degrees" in only(advice(scene, all_three(hours), NO_TIES))
     many = [replace(other, second=f"b{k}") for k in range(9)]
-    assert "and 3 more:" in advice(scene, all_three(PAIR, *many), NO_TILES)[0]
+    assert "and 3 more:" in advice(scene, all_three(PAIR, *many), NO_TIES)[0]
 
 
 @pytest.mark.parametrize(("days", "said"), [(30.0, False), (100.0, True), (360.0, False), (731.0, True)])
 def test_other_seasons_and_years_under_the_same_sun(scene, days, said):
-    found = advice(scene, all_three(replace(PAIR, days=days, sun_deg=5.0)), NO_TILES)
+    found = advice(scene, all_three(replace(PAIR, days=days, sun_deg=5.0)), NO_TIES)
     assert bool(found) == said
     if said:
         assert f"img_01 and img_02 ({days:.0f} days)" in only(found) and "one pass" in found[0]
@@ -86,15 +86,16 @@ def test_other_seasons_and_years_under_the_same_sun(scene, days, said):
 
 def test_times_of_the_night_are_named(scene):
     midnight = datetime(2012, 6, 20, 0, 0, tzinfo=timezone.utc) - timedelta(hours=scene.frame.lon / 15)
-    scene.views[1] = replace(scene.views[1], acquired=midnight.isoformat())
-    text = only(advice(scene, all_three(PAIR), NO_TILES))
+    second = replace(scene.views[1], acquired=midnight.isoformat())
+    scene = replace(scene, views=(scene.views[0], second, scene.views[2]))
+    text = only(advice(scene, all_three(PAIR), NO_TIES))
     assert text.startswith(f"img_02 ({midnight:%Y-%m-%d %H:%M} UTC): the sun had set") and "check the files" in text
 
 
 def test_unused_views_and_groups_without_a_pair_between_them(scene):
-    assert "img_03: not used" in only(advice(scene, [PAIR], NO_TILES))
-    scene.views.append(replace(scene.views[2], name="img_04"))
-    text = only(advice(scene, [PAIR, ViewPair("img_03", "img_04", 20.0, 0.35, 4)], NO_TILES))
+    assert "img_03: not used" in only(advice(scene, [PAIR], NO_TIES))
+    scene = replace(scene, views=(*scene.views, replace(scene.views[2], name="img_04")))
+    text = only(advice(scene, [PAIR, ViewPair("img_03", "img_04", 20.0, 0.35, 4)], NO_TIES))
     assert "2 groups that no pair connects (img_01, img_02; img_03, img_04)" in text and "GCPS" in text
 
 
@@ -102,13 +103,12 @@ def test_ties_are_counted_by_compass(scene):
     x, y = scene.tiles[6].bounds[:2]
     rng = np.random.default_rng(1)
     xy = rng.uniform((x, y), (x + 300, y + 300), (500, 2))
-    counts = {entry["part"]: entry["ties"] for entry in ties_by_part(scene, xy)}
+    counts = ties_by_part(scene, xy)
     assert len(counts) == 9 and sum(counts.values()) == 500
     assert counts["north-west"] == ((xy[:, 0] < x + 100) & (xy[:, 1] > y + 200)).sum()
     assert counts["south"] == ((np.abs(xy[:, 0] - x - 150) < 50) & (xy[:, 1] < y + 100)).sum()
     triangle = ogr.CreateGeometryFromWkt(f"POLYGON(({x} {y}, {x + 300} {y}, {x} {y + 300}, {x} {y}))")
-    scene.area = triangle.ExportToWkt()
-    assert [entry["part"] for entry in ties_by_part(scene, xy)] == [
+    assert list(ties_by_part(replace(scene, area=triangle.ExportToWkt()), xy)) == [
         "north-west",
         "west",
         "middle",
@@ -119,33 +119,35 @@ def test_ties_are_counted_by_compass(scene):
 
 
 def test_a_corner_without_ties_is_told_by_compass_and_tile(scene):
-    parts = [{"part": entry["part"], "ties": 60} for entry in ties_by_part(scene, np.empty((0, 2)))]
-    tiles = [{"tile": tile.id, "ties": 60} for tile in scene.tiles]
-    assert advice(scene, all_three(PAIR), {"tiles": tiles, "parts": parts}) == []
-    parts[0]["ties"], tiles[0]["ties"] = 0, 1
-    text = only(advice(scene, all_three(PAIR), {"tiles": tiles, "parts": parts}))
+    parts = dict.fromkeys(ties_by_part(scene, np.empty((0, 2))), 60)
+    tiles = {tile.id: 60 for tile in scene.tiles}
+
+    def said(parts, tiles):
+        return advice(scene, all_three(PAIR), replace(NO_TIES, ties_by_tile=tiles, ties_by_part=parts))
+
+    assert said(parts, tiles) == []
+    bare = {**parts, "north-west": 0}
+    text = only(said(bare, {**tiles, "r000c000": 1}))
     assert "in the north-west of the overlap (1 tile of 9: r000c000)" in text and "'row'" in text and "EXTENT" in text
     # One tile for all: the part alone tells.
-    text = only(advice(scene, all_three(PAIR), {"tiles": [{"tile": "r000c000", "ties": 480}], "parts": parts}))
+    text = only(said(bare, {"r000c000": 480}))
     assert "in the north-west of the overlap: water" in text
     # A small tile of a large part.
-    parts[0]["ties"], tiles[0]["ties"], tiles[8]["ties"] = 60, 60, 0
-    assert "in the south-east of the overlap (1 tile of 9: r002c002)" in only(
-        advice(scene, all_three(PAIR), {"tiles": tiles, "parts": parts})
-    )
+    assert "in the south-east of the overlap (1 tile of 9: r002c002)" in only(said(parts, {**tiles, "r002c002": 0}))
 
 
 def test_few_ties_everywhere_are_no_place(scene):
-    parts = [{"part": entry["part"], "ties": 3} for entry in ties_by_part(scene, np.empty((0, 2)))]
-    assert advice(scene, all_three(PAIR), {"tiles": [{"tile": "r000c000", "ties": 27}], "parts": parts}) == []
+    parts = dict.fromkeys(ties_by_part(scene, np.empty((0, 2))), 3)
+    figures = replace(NO_TIES, ties_by_tile={"r000c000": 27}, ties_by_part=parts)
+    assert advice(scene, all_three(PAIR), figures) == []
 
 
 def test_advice_of_real_pairs_under_two_suns(scene):
     """Through the choice of pairs: noon in summer and in winter, one place and two looks."""
     noon = datetime(2012, 6, 20, 12, 0, tzinfo=timezone.utc) - timedelta(hours=scene.frame.lon / 15)
-    for number, days in enumerate((0, 0, 183)):
-        scene.views[number] = replace(scene.views[number], acquired=(noon + timedelta(days=days)).isoformat())
+    times = [(noon + timedelta(days=days)).isoformat() for days in (0, 0, 183)]
+    scene = replace(scene, views=tuple(replace(view, acquired=time) for view, time in zip(scene.views, times)))
     pairs = choose_pairs(scene)
-    text = only([said for said in advice(scene, pairs, NO_TILES) if "sun" in said])
+    text = only([said for said in advice(scene, pairs, NO_TIES) if "sun" in said])
     assert "img_01 and img_03 (183 days, 47 degrees" in text and "img_02 and img_03" in text
     assert "img_01 and img_02 (" not in text

@@ -165,8 +165,8 @@ def test_the_detector_is_recorded_and_colmaps_gives_ties_as_good(monkeypatch, sc
     pairs = choose_pairs(scene)
     monkeypatch.setattr(keypoints, "best_detector", lambda: ColmapSift("cpu"))
     found = point_views(scene, pairs, stretches, "shift", (), Silent())
-    assert found.figures["detector"] == "SIFT of COLMAP, on the CPU"
-    assert found.figures["count"] > 60 and found.figures["after_px"] < 0.1
+    assert found.figures.detector == "SIFT of COLMAP, on the CPU"
+    assert found.figures.count > 60 and found.figures.after_px < 0.1
 
 
 def test_a_gpu_that_breaks_while_it_works(monkeypatch, scene, told):

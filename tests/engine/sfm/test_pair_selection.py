@@ -152,8 +152,9 @@ def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne):
         replace(view, name=f"later_{view.name}", acquired=(view.time + timedelta(days=183)).isoformat())
         for view in melbourne.views
     ]
-    scene = replace(melbourne, views=[*melbourne.views, *later])
-    scene.tiles = [Tile("r000c000", scene.tiles[0].bounds, scene.altitudes, {view.name: None for view in scene.views})]
+    views = (*melbourne.views, *later)
+    tile = replace(melbourne.tiles[0], views={view.name: None for view in views})
+    scene = replace(melbourne, views=views, tiles=(tile,))
     pairs = choose_pairs(scene)
     across = [pair for pair in pairs if pair.days > 1]
     assert len(across) == 1 and connected(pairs, [view.name for view in scene.views])

@@ -212,7 +212,7 @@ def pointed(urban, tmp_path_factory, told):
     folder = tmp_path_factory.mktemp("pointed")
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(folder), "tile_size": 256}, told())
     scene = Scene.load(fitted["scene"])
-    scene.refinement = "polynomial"
+    scene = replace(scene, refinement="polynomial")
     pairs = choose_pairs(scene)
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     gcps = read_gcps(urban.made["gcps"], scene.views)
@@ -234,37 +234,34 @@ def test_real_ties_and_the_tables_points_give_the_true_place(urban, pointed):
         axis=1,
     )
     assert np.sqrt(np.mean(error**2)) < 0.25  # 0.3 px / sqrt(6), and the ties
-    assert {point["id"] for point in found.figures["gcps"]} == {gcp.id for gcp in gcps}
-    assert "height_uncertainty_m" not in found.figures and found.figures["rejected_gcps"] == []
-    for point in found.figures["gcps"]:
-        gcp = next(gcp for gcp in gcps if gcp.id == point["id"])
-        np.testing.assert_allclose([point["east_m"], point["north_m"], point["up_m"]], intersect(gcp, scene.views))
-        assert np.hypot(point["east_m"], point["north_m"]) < 0.5 and abs(point["up_m"]) < 2.0
+    figures = found.figures
+    assert {point.id for point in figures.gcps} == {gcp.id for gcp in gcps}
+    assert figures.height_uncertainty_m is None and figures.rejected_gcps == ()
+    for point in figures.gcps:
+        gcp = next(gcp for gcp in gcps if gcp.id == point.id)
+        np.testing.assert_allclose([point.east_m, point.north_m, point.up_m], intersect(gcp, scene.views))
+        assert np.hypot(point.east_m, point.north_m) < 0.5 and abs(point.up_m) < 2.0
     assert not [text for text in said.warnings if "control point" in text]
-    for pair in found.figures["pairs"]:
-        assert pair["rows_after_px"] < 0.15 and pair["count"] <= pair["candidates"]
+    for pair in figures.pairs:
+        assert pair.after_px < 0.15 and pair.count <= pair.candidates
 
 
 def test_ties_are_counted_around_every_tile(pointed):
     scene, pairs, _, found, _ = pointed
     counts = ties_by_tile(scene, found.xy)
-    assert [entry["tile"] for entry in counts] == [tile.id for tile in scene.tiles]
-    tile, entry = scene.tiles[0], counts[0]
+    assert list(counts) == [tile.id for tile in scene.tiles]
+    tile = scene.tiles[0]
     x0, y0, x1, y1 = tile.bounds
     inside = (found.xy[:, 0] >= x0) & (found.xy[:, 0] <= x1) & (found.xy[:, 1] >= y0) & (found.xy[:, 1] <= y1)
-    assert entry["ties"] == inside.sum() > 50  # these tiles are larger than a fifth of the scene
+    assert counts[tile.id] == inside.sum() > 50  # these tiles are larger than a fifth of the scene
 
 
 def test_advice_names_the_pair_the_tile_and_the_remedy(pointed):
     scene, pairs, _, found, _ = pointed
-    fine = {"tiles": ties_by_tile(scene, found.xy), **found.figures}
+    fine = replace(found.figures, ties_by_tile=ties_by_tile(scene, found.xy))
     assert advice(scene, pairs, fine) == []
     narrow, wide = ViewPair("img_01", "img_02", 3.4, 0.06, 1), ViewPair("img_01", "img_03", 52.0, 1.02, 1)
-    few = {
-        **fine,
-        "tiles": [{"tile": "r000c000", "ties": 80}, {"tile": "r000c001", "ties": 2}],
-        "height_uncertainty_m": 6.4,
-    }
+    few = replace(fine, ties_by_tile={"r000c000": 80, "r000c001": 2}, height_uncertainty_m=6.4)
     said = advice(scene, [narrow, wide], few)
     assert len(said) == 4
     for text, words in zip(

@@ -233,4 +233,4 @@ def test_a_scene_in_place(again, told):
     """The same file as input and output of a stage."""
     scene = str(again.workspace / "refined.json")
     run_stage("reconstruct", {"scene": scene, "output_scene": scene, "workers": 1}, told())
-    assert [entry["stage"] for entry in Scene.load(scene).history] == ["epmfit", "refine", "reconstruct"]
+    assert [entry.stage for entry in Scene.load(scene).history] == ["epmfit", "refine", "reconstruct"]
