@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence
 
-import numpy as np
-from osgeo import gdal
-
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from repm_qgis.evaluation.scoring import score_files  # noqa: E402
+
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
-_SEARCH_CELLS = 8  # whole cells that the alignment looks at, to each side
 PEERS = ("s2p", "cars")
 
 
@@ -171,66 +171,14 @@ def peer(name: str, images: Sequence[str], resolution: float, folder: Path) -> t
 # Scores ----------------------------------------------------------------------------------------------------------
 
 
-def errors(dsm: str, truth: str, align: bool) -> np.ndarray:
-    """DSM (bilinear) less truth on the truth's grid, NaN where the DSM has nothing; cells without truth left out.
-
-    ``align`` takes out the best whole-cell shift and the median height difference first: relative pointing leaves
-    them. Cells within the search of the truth's border are then left out.
-    """
-    target = gdal.Open(truth)
-    g, known = target.GetGeoTransform(), target.ReadAsArray().astype(np.float64)
-    nodata = target.GetRasterBand(1).GetNoDataValue()
-    known[(known == nodata) | (known < -9000)] = np.nan
-    rows, columns = known.shape
-    heights = (
-        gdal.Warp(
-            "",
-            gdal.Open(dsm),
-            format="MEM",
-            dstSRS=target.GetProjection(),
-            resampleAlg="bilinear",
-            outputBounds=(g[0], g[3] + g[5] * rows, g[0] + g[1] * columns, g[3]),
-            width=columns,
-            height=rows,
-            dstNodata=-99999,
-            outputType=gdal.GDT_Float32,
-        )
-        .ReadAsArray()
-        .astype(np.float64)
-    )
-    heights[~(heights > -9000)] = np.nan
-    if not align:
-        return (heights - known)[np.isfinite(known)]
-    reach = _SEARCH_CELLS
-    inner = known[reach : rows - reach, reach : columns - reach]
-
-    def moved(dr: int, dc: int, step: int = 1) -> np.ndarray:
-        part = heights[reach + dr : rows - reach + dr, reach + dc : columns - reach + dc]
-        return part[::step, ::step] - inner[::step, ::step]
-
-    def spread(shift: tuple[int, int]) -> float:
-        error = moved(*shift, max(1, min(inner.shape) // 400))
-        return float(np.nanmedian(np.abs(error - np.nanmedian(error))))
-
-    span = range(-reach, reach + 1)
-    best = moved(*min(((dr, dc) for dr in span for dc in span), key=spread))[np.isfinite(inner)]
-    return best - np.nanmedian(best)
-
-
 def scores(dsm: str, truth: str, align: bool, thresholds: Sequence[float] = (1.0, 2.5, 5.0)) -> Dict[str, float]:
-    """The paper's measures: valid and C are percent of all cells of the truth, the others metres."""
-    error = errors(dsm, truth, align)
-    size = np.abs(error[np.isfinite(error)])
-    middle = np.median(error[np.isfinite(error)]) if size.size else np.nan
-    spread = 1.4826 * np.median(np.abs(error[np.isfinite(error)] - middle)) if size.size else np.nan
-    return {
-        "valid": 100.0 * size.size / error.size,
-        "RMSE": float(np.sqrt((size**2).mean())),
-        "ME": float(np.median(size)),
-        "MAE": float(size.mean()),
-        "NMAD": float(spread),
-        **{f"C{t:g}": 100.0 * float((size < t).sum()) / error.size for t in thresholds},
-    }
+    """The paper's measures: valid and C are per cent of all cells of the truth, the others metres.
+
+    ``align`` first removes the best whole-cell shift and the median height difference, which relative pointing leaves.
+    """
+    m = score_files(dsm, truth, "cells" if align else "none", thresholds).metrics
+    shares = {f"C{threshold:g}": share for threshold, share in m.completeness}
+    return {"valid": m.valid, "RMSE": m.rmse, "ME": m.me, "MAE": m.mae, "NMAD": m.nmad, **shares}
 
 
 def say(text: str) -> None:

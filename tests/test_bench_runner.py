@@ -92,7 +92,7 @@ def test_scores_are_those_of_the_cells(tmp_path):
     moved[50:56, 60:70] += 3.0
     moved[80:90, 20:30] = -9999
     found = scores(raster(tmp_path / "dsm.tif", moved), truth, True)
-    cells = (120 - 16) * (130 - 16)
+    cells = (120 - 3) * (130 - 2)
     assert found["valid"] == pytest.approx(100 * (1 - 100 / cells), abs=1e-6)
     assert found["C1"] == pytest.approx(100 * (1 - 160 / cells), abs=1e-6)
     assert found["C5"] == pytest.approx(found["valid"], abs=1e-6)

@@ -218,8 +218,9 @@ def _opened(limits: Tuple[float, ...]) -> Pair:
 
 def _finite(points: ArrayLike) -> FloatArray:
     """(n, 2) of the points whose both coordinates are finite."""
-    array: FloatArray = np.asarray(points, float).reshape(-1, 2)
-    return array[np.isfinite(array).all(1)]
+    array = np.asarray(points, float).reshape(-1, 2)
+    finite: FloatArray = array[np.isfinite(array).all(1)]
+    return finite
 
 
 def _runs(points: FloatArray) -> List[FloatArray]:

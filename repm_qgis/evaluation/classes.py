@@ -8,6 +8,7 @@ import numpy as np
 from osgeo import gdal
 from pyproj import Transformer
 
+from ..arrays import FloatArray, Floats, Mask, Window
 from ..errors import ImageError
 from ..geometry.frames import flat_crs
 from ..imagery import raster
@@ -20,8 +21,8 @@ _MOST_CLASSES = 64
 class ErrorsByClass:
     """Collects errors for each whole number of a class raster, whatever its CRS and grid.
 
-    A cell of the reference takes the class at its centre; cells outside the raster, or where it has no data, belong
-    to no class. Raises ImageError where the raster holds more than 64 classes: it is no class raster then.
+    A cell of the reference has the class at its centre; cells outside the raster, or where it has no data, belong to
+    no class. Raises ImageError where the raster holds fractions or more than 64 values: it is no class raster then.
     """
 
     def __init__(self, dataset: gdal.Dataset, reference: Grid, thresholds: Sequence[float]) -> None:
@@ -30,7 +31,7 @@ class ErrorsByClass:
         self._names = _names(dataset)
         self._collectors: Dict[int, ErrorCollector] = {}
 
-    def add(self, cells: Grid, difference: np.ndarray, known: np.ndarray) -> None:
+    def add(self, cells: Grid, difference: Floats, known: Mask) -> None:
         """Errors (rows, columns) of a part of the reference, and which of its cells have a reference height."""
         classes = self._at(cells)
         inside = np.isfinite(classes) & known
@@ -48,14 +49,13 @@ class ErrorsByClass:
     def _collector(self, value: float) -> ErrorCollector:
         if value != round(value) or (int(value) not in self._collectors and len(self._collectors) >= _MOST_CLASSES):
             raise ImageError(
-                f"The class raster '{self._grid.path}' has the value {value:g} among more than classes can be: give a "
-                f"raster of at most {_MOST_CLASSES} whole numbers, such as a land cover map or a mask."
+                f"The class raster '{self._grid.path}' has the value {value:g}, which is no whole number or the "
+                f"{_MOST_CLASSES + 1}st value: give a raster of at most {_MOST_CLASSES} whole numbers, such as a land "
+                "cover map or a mask."
             )
-        return self._collectors.setdefault(
-            int(value), ErrorCollector(self._thresholds, keep=0, bin_m=0.005, range_m=200.0)
-        )
+        return self._collectors.setdefault(int(value), ErrorCollector.of_part(self._thresholds))
 
-    def _at(self, cells: Grid) -> np.ndarray:
+    def _at(self, cells: Grid) -> FloatArray:
         """(rows, columns) class at each cell's centre, NaN where there is none."""
         columns, rows = cells.size
         u, v = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
@@ -67,8 +67,8 @@ class ErrorsByClass:
         result = np.full((rows, columns), np.nan)
         if inside.any():
             c, r = column[inside].astype(np.intp), row[inside].astype(np.intp)
-            window = (int(c.min()), int(r.min()), int(np.ptp(c)) + 1, int(np.ptp(r)) + 1)
-            result[inside] = raster.read(self._dataset, window)[r - window[1], c - window[0]]
+            window = Window(int(c.min()), int(r.min()), int(np.ptp(c)) + 1, int(np.ptp(r)) + 1)
+            result[inside] = raster.read(self._dataset, window)[r - window.row, c - window.col]
         return result
 
 
@@ -80,7 +80,7 @@ def _names(dataset: gdal.Dataset) -> Dict[int, str]:
     if table is None:
         return names
     usages = {table.GetUsageOfCol(i): i for i in range(table.GetColumnCount())}
-    value, name = usages.get(gdal.GFU_MinMax), usages.get(gdal.GFU_Name)
+    value, name = (usages.get(usage) for usage in (gdal.GFU_MinMax, gdal.GFU_Name))
     if value is None or name is None:
         return names
     return {table.GetValueAsInt(i, value): table.GetValueAsString(i, name) for i in range(table.GetRowCount())}

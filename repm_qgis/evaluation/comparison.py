@@ -3,35 +3,32 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from dataclasses import dataclass
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import Window
+from ..arrays import Bounds, FloatArray, FloatImage, IntArray, Window
 from ..errors import EmptyResultError, ImageError
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..progress import Part, Progress
-from . import coregistration
 from .classes import ErrorsByClass
-from .coregistration import Alignment, Patch
+from .coregistration import Alignment, Patch, align, shrunk
 from .grids import Grid, HeightWarper, aligned_heights, metres_per_unit, overlap, read_heights
 from .metrics import ErrorCollector, HeightMetrics
+from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters
 from .profiles import Profile, ProfileLine, cut, through_the_middle
 
-SLOPE_EDGES_DEG = (0.0, 5.0, 15.0, 30.0, 45.0, 90.0)
 HISTOGRAM_BIN_M = 0.001
 _HISTOGRAM_HALF = 200_000  # bins on each side of zero
 _THUMBNAIL_PX = 1000
-_SAMPLE_CELLS = 2_000_000  # aligned on all cells up to here, on patches spread over the overlap beyond
-_PATCHES, _PATCH_CELLS = 5, 320
 
 
-@dataclass
+@dataclass(frozen=True)
 class Comparison:
-    """What was found. Thumbnails are (rows, columns) float32 means of ``thumbnail_factor``² cells, NaN = none."""
+    """What was found. Thumbnails are (rows, columns) means of ``thumbnail_factor``² cells, NaN = none."""
 
     dsm: Grid
     reference: Grid
@@ -42,12 +39,12 @@ class Comparison:
     by_slope: List[Tuple[str, HeightMetrics]]
     by_class: List[Tuple[str, HeightMetrics]]
     profiles: List[Profile]
-    histogram: np.ndarray
-    thumbnails: Dict[str, np.ndarray]
+    histogram: IntArray
+    thumbnails: Dict[str, FloatImage]
     thumbnail_factor: int
-    warnings: List[str] = field(default_factory=list)
+    warnings: List[str]
 
-    def histogram_edges(self) -> np.ndarray:
+    def histogram_edges(self) -> FloatArray:
         """Edges (n + 1,) in metres of the ``histogram``'s bins; the outermost bins hold all that lies beyond."""
         return np.arange(-_HISTOGRAM_HALF, _HISTOGRAM_HALF + 1) * HISTOGRAM_BIN_M
 
@@ -55,26 +52,31 @@ class Comparison:
 def compare(
     dsm: gdal.Dataset,
     reference: gdal.Dataset,
-    align: str,
+    method: str,
     thresholds: Sequence[float],
     progress: Progress,
     error: Optional[raster.RasterWriter] = None,
     classes: Optional[gdal.Dataset] = None,
     lines: Sequence[ProfileLine] = (),
+    parameters: EvaluationParameters = EVALUATION,
 ) -> Comparison:
     """Compare two open rasters; ``error``, where given, takes DSM - reference on the reference's grid.
 
-    ``align`` is one of repm_qgis.options.ALIGNMENTS. ``classes`` is a raster whose values errors are told apart by,
-    ``lines`` those to cut profiles along (none: two through the middle). Raises OverlapError, ImageError (no CRS, no
-    vertical transformation, unreadable, no class raster) and EmptyResultError (nothing to compare).
+    ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`. ``classes`` is a raster for whose values
+    errors are also counted apart, ``lines`` those to cut profiles along (none: two through the middle). Raises
+    OverlapError, ImageError (no CRS, no vertical transformation, unreadable, no class raster) and EmptyResultError
+    (nothing to compare).
     """
     grid, source = Grid.of(reference), Grid.of(dsm)
-    cell = _cell_metres(grid)
-    common = overlap(source, grid)
+    cell, common = _cell_metres(grid), overlap(source, grid)
     warper = HeightWarper(dsm, grid)
-    alignment = _align(align, warper, reference, grid, common, cell, Part(progress, 0.0, 0.25, "Alignment"))
+    alignment = Alignment("none")
+    if method != "none":
+        part = Part(progress, 0.0, 0.25, "Alignment")
+        patches = _patches(warper, reference, grid, common, part, parameters.comparison)
+        alignment = align(method, patches, cell, progress.check_cancelled, parameters.coregistration)
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
-    work = _Blocks(warper, reference, grid, cell, alignment, thresholds, by_class)
+    work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
     metrics = work.total.metrics()
     if metrics.cells == 0:
@@ -84,31 +86,28 @@ def compare(
         )
     along = HeightWarper(reference, grid)
     return Comparison(
-        source,
-        grid,
-        cell,
-        alignment,
-        metrics,
-        work.total.exact,
-        [(name, collector.metrics()) for name, collector in zip(slope_names(), work.by_slope)],
-        by_class.metrics() if by_class is not None else [],
-        [cut(line, warper, along, grid, alignment) for line in lines or through_the_middle(common)],
-        work.histogram,
-        work.thumbnails,
-        work.factor,
-        warper.warnings,
+        dsm=source,
+        reference=grid,
+        cell_m=cell,
+        alignment=alignment,
+        metrics=metrics,
+        exact=work.total.exact,
+        by_slope=[(f"{low:g}–{high:g}°", collector.metrics()) for low, high, collector in work.by_slope],
+        by_class=by_class.metrics() if by_class is not None else [],
+        profiles=[cut(line, warper, along, grid, alignment) for line in lines or through_the_middle(common)],
+        histogram=work.histogram,
+        thumbnails=work.thumbnails,
+        thumbnail_factor=work.factor,
+        warnings=warper.warnings,
     )
 
 
-def slope_names() -> List[str]:
-    return [f"{low:g}–{high:g}°" for low, high in zip(SLOPE_EDGES_DEG, SLOPE_EDGES_DEG[1:])]
-
-
-def slope_degrees(heights: np.ndarray, cell: Tuple[float, float]) -> np.ndarray:
+def slope_degrees(heights: FloatImage, cell: Tuple[float, float]) -> FloatImage:
     """Slope by central differences (rows - 2, columns - 2) of (rows, columns) heights; NaN beside holes."""
     across = (heights[1:-1, 2:] - heights[1:-1, :-2]) / (2 * abs(cell[0]))
     along = (heights[2:, 1:-1] - heights[:-2, 1:-1]) / (2 * abs(cell[1]))
-    return np.degrees(np.arctan(np.hypot(across, along)))
+    slope: FloatImage = np.degrees(np.arctan(np.hypot(across, along)))
+    return slope
 
 
 class _Blocks:
@@ -118,127 +117,121 @@ class _Blocks:
         self,
         warper: HeightWarper,
         reference: gdal.Dataset,
-        grid: Grid,
         cell: Tuple[float, float],
         alignment: Alignment,
         thresholds: Sequence[float],
         by_class: Optional[ErrorsByClass],
+        parameters: ComparisonParameters,
     ) -> None:
-        self._warper, self._reference, self._grid, self._cell = warper, reference, grid, cell
-        self._by_class = by_class
-        self._alignment = alignment
+        self._warper, self._reference, self._grid, self._cell = warper, reference, Grid.of(reference), cell
+        self._alignment, self._by_class, self._parameters = alignment, by_class, parameters
         self.total = ErrorCollector(thresholds)
-        self.by_slope = [ErrorCollector(thresholds, keep=0, bin_m=0.005, range_m=200.0) for _ in slope_names()]
+        edges = parameters.slope_edges_deg
+        self.by_slope = [(low, high, ErrorCollector.of_part(thresholds)) for low, high in zip(edges, edges[1:])]
         self.histogram = np.zeros(2 * _HISTOGRAM_HALF, np.int64)
-        columns, rows = grid.size
-        self.factor = 2 ** max(0, math.ceil(math.log2(max(columns, rows) / _THUMBNAIL_PX)))
+        columns, rows = self._grid.size
+        self.factor = 1 << max(0, math.ceil(math.log2(max(columns, rows) / _THUMBNAIL_PX)))
         shape = (-(-rows // self.factor), -(-columns // self.factor))
         self.thumbnails = {name: np.full(shape, np.nan, np.float32) for name in ("dsm", "reference", "error")}
 
     def run(self, progress: Progress, error: Optional[raster.RasterWriter]) -> None:
-        windows = list(_windows(self._grid.size, self._side()))
-        for index, (column, row, width, height) in enumerate(windows):
+        windows = [window for window, _ in overlapping_blocks(self._grid.size, self._side())]
+        for index, window in enumerate(windows):
             progress.check_cancelled()
             progress.step(index / len(windows), f"block {index + 1} of {len(windows)}")
-            outer, reference = self._reference_with_margin(column, row, width, height)
-            cells = self._grid.window(column, row, width, height)
+            outer = self._reference_with_margin(window)
+            reference, cells = outer[1:-1, 1:-1], self._grid.window(window)
             dsm = aligned_heights(self._warper, cells, self._alignment)
             difference = dsm - reference
             self._collect(difference, reference, slope_degrees(outer, self._cell))
             if self._by_class is not None:
                 self._by_class.add(cells, difference, np.isfinite(reference))
-            self._draw(column, row, dsm=dsm, reference=reference, error=difference)
+            self._draw(window, dsm=dsm, reference=reference, error=difference)
             if error is not None:
-                error.write(difference, column, row)
-            if column + width == self._grid.size[0]:
+                error.write(difference, window.col, window.row)
+            if window.col + window.width == self._grid.size[0]:
                 _flush(error, self._reference, self._warper.dataset)
         progress.step(1.0)
 
     def _side(self) -> int:
         """Cells of a block's side: powers of two cut neither thumbnail cells nor a GeoTIFF's tiles."""
-        most = 2048 / self._warper.cells_ratio  # its part of the DSM stays small too
-        return max(self.factor, 2 ** int(np.clip(math.log2(most), 6, 10)))
+        most = math.log2(self._parameters.block_cells)
+        power = np.clip(math.log2(self._parameters.source_cells / self._warper.cells_ratio), 6, most)
+        return max(self.factor, 1 << int(power))
 
-    def _reference_with_margin(self, column: int, row: int, width: int, height: int) -> Tuple[np.ndarray, np.ndarray]:
-        c0, r0 = max(column - 1, 0), max(row - 1, 0)
-        c1, r1 = min(column + width + 1, self._grid.size[0]), min(row + height + 1, self._grid.size[1])
-        outer = np.full((height + 2, width + 2), np.nan, np.float32)
-        outer[r0 - row + 1 : r1 - row + 1, c0 - column + 1 : c1 - column + 1] = read_heights(
-            self._reference, (c0, r0, c1 - c0, r1 - r0)
-        )
-        return outer, outer[1:-1, 1:-1]
+    def _reference_with_margin(self, window: Window) -> FloatImage:
+        """The reference's heights in a window and one cell around it, NaN outside the raster."""
+        around = Window(window.col - 1, window.row - 1, window.width + 2, window.height + 2)
+        inner = window.grown(1, self._grid.size)
+        outer = np.full((around.height, around.width), np.nan, np.float32)
+        outer[inner.inside(around)] = read_heights(self._reference, inner)
+        return outer
 
-    def _collect(self, difference: np.ndarray, reference: np.ndarray, slope: np.ndarray) -> None:
+    def _collect(self, difference: FloatImage, reference: FloatImage, slope: FloatImage) -> None:
         known = np.isfinite(reference)
         self.total.add(difference, int(known.sum()))
         values = difference[np.isfinite(difference)]
         bins = np.clip(np.floor(values / HISTOGRAM_BIN_M), -_HISTOGRAM_HALF, _HISTOGRAM_HALF - 1).astype(np.int64)
         self.histogram += np.bincount(bins + _HISTOGRAM_HALF, minlength=2 * _HISTOGRAM_HALF)
-        for low, high, collector in zip(SLOPE_EDGES_DEG, SLOPE_EDGES_DEG[1:], self.by_slope):
+        for low, high, collector in self.by_slope:
             inside = known & (slope >= low) & (slope < high)
             collector.add(difference[inside], int(inside.sum()))
 
-    def _draw(self, column: int, row: int, **parts: np.ndarray) -> None:
+    def _draw(self, window: Window, **parts: FloatImage) -> None:
+        row, column = window.row // self.factor, window.col // self.factor
         for name, values in parts.items():
-            small = coregistration.shrunk(values, self.factor)
-            r, c = row // self.factor, column // self.factor
-            self.thumbnails[name][r : r + small.shape[0], c : c + small.shape[1]] = small
+            small = shrunk(values, self.factor)
+            self.thumbnails[name][row : row + small.shape[0], column : column + small.shape[1]] = small
 
 
 def _flush(error: Optional[raster.RasterWriter], *datasets: gdal.Dataset) -> None:
-    """Let GDAL forget blocks that are done with: its cache may take 5 % of the machine's memory otherwise."""
+    """Let GDAL drop blocks that are done: its cache may otherwise take 5 % of the machine's memory."""
     if error is not None:
         error.flush()
     for dataset in datasets:
         dataset.FlushCache()
 
 
-def _align(
-    align: str,
+def _patches(
     warper: HeightWarper,
     reference: gdal.Dataset,
     grid: Grid,
-    common: Tuple[float, ...],
-    cell: Tuple[float, float],
+    common: Bounds,
     progress: Progress,
-) -> Alignment:
-    if align == "none":
-        return Alignment("none")
-    progress.step(0.0, "reading")
-    patches: List[Patch] = []
-    windows = _sample_windows(grid, common)
+    parameters: ComparisonParameters,
+) -> List[Patch]:
+    """Parts of both surfaces that the alignment is estimated from."""
+    found: List[Patch] = []
+    windows = _sample_windows(grid, common, parameters)
     for index, window in enumerate(windows):
         progress.check_cancelled()
-        progress.step(0.5 * index / len(windows), f"part {index + 1} of {len(windows)}")
-        patches.append((warper.read(grid.window(*window)), read_heights(reference, window)))
+        progress.step(0.5 * index / len(windows), f"reading part {index + 1} of {len(windows)}")
+        found.append((warper.read(grid.window(window)), read_heights(reference, window)))
     progress.step(0.5, "shift")
-    if align == "vertical":
-        return coregistration.align_vertical(patches)
-    return coregistration.align_3d(patches, cell, progress.check_cancelled)
+    return found
 
 
-def _sample_windows(grid: Grid, common: Tuple[float, ...]) -> List[Window]:
-    """The overlap in one window, or where that is large, in patches at full resolution spread evenly over it."""
-    x = np.array([common[0], common[2], common[0], common[2]])
-    y = np.array([common[1], common[1], common[3], common[3]])
-    column, row = grid.cells(x, y)
-    c0, r0 = max(0, math.floor(column.min())), max(0, math.floor(row.min()))
-    c1, r1 = min(grid.size[0], math.ceil(column.max())), min(grid.size[1], math.ceil(row.max()))
-    if (c1 - c0) * (r1 - r0) <= _SAMPLE_CELLS:
-        return [Window.spanning(c0, r0, c1, r1)]
-    across = _starts(c0, c1)
-    along = _starts(r0, r1)
-    return [Window(c, r, min(_PATCH_CELLS, c1 - c), min(_PATCH_CELLS, r1 - r)) for r in along for c in across]
+def _sample_windows(grid: Grid, common: Bounds, parameters: ComparisonParameters) -> List[Window]:
+    """The overlap in one window, or where that is large, patches at full resolution spread evenly over it."""
+    x, y = common[::2] * 2, np.repeat(common[1::2], 2)
+    column, row = grid.cells(np.array(x), y)
+    whole = Window.spanning(
+        max(0, math.floor(column.min())),
+        max(0, math.floor(row.min())),
+        min(grid.size[0], math.ceil(column.max())),
+        min(grid.size[1], math.ceil(row.max())),
+    )
+    if whole.width * whole.height <= parameters.sample_cells:
+        return [whole]
+    side, count = parameters.patch_cells, parameters.patches
+    rows, columns = _starts(whole.row, whole.height, side, count), _starts(whole.col, whole.width, side, count)
+    return [Window(c, r, min(side, whole.width), min(side, whole.height)) for r in rows for c in columns]
 
 
-def _starts(low: int, high: int) -> List[int]:
-    last = max(high - _PATCH_CELLS, low)
-    count = max(1, min(_PATCHES, (high - low) // _PATCH_CELLS))
-    return sorted({round(low + (last - low) * (i + 0.5) / count) for i in range(count)})
-
-
-def _windows(size: Tuple[int, int], side: int) -> Iterator[Window]:
-    return (window for window, _ in overlapping_blocks(size, side))
+def _starts(low: int, length: int, side: int, most: int) -> List[int]:
+    last = max(length - side, 0)
+    count = max(1, min(most, length // side))
+    return sorted({round(low + last * (i + 0.5) / count) for i in range(count)})
 
 
 def _cell_metres(grid: Grid) -> Tuple[float, float]:

@@ -1,7 +1,7 @@
 """How far ground control points are from where RPCs, corrected RPCs and a DSM put them.
 
-Errors are east, north, up in metres, found less true; pixels are measured less projected. The columns are those of the
-paper's table on ISPRS-ZY3: RPC localisation (with and without image-space compensation), and the DSM's height.
+Errors are east, north, up in metres, found minus true; pixels are measured minus projected. The columns are those of
+the paper's table on ISPRS-ZY3: RPC localisation (with and without image-space compensation), and the DSM's height.
 """
 
 from __future__ import annotations
@@ -10,16 +10,17 @@ from dataclasses import dataclass, field
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 from pyproj import CRS, Transformer
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Mask
 from ..geometry.frames import EnuFrame, flat_crs, vertical_part
 from ..progress import counted
 from ..scene import View
 from ..sfm.ground_control import Gcp, intersect
 from .grids import Grid, HeightWarper, metres_per_unit
+from .metrics import NMAD_FACTOR, nmad
+from .parameters import GCPS, GcpParameters
 
 COLUMNS = {
     "rpc": "RPC localisation",
@@ -29,10 +30,7 @@ COLUMNS = {
 }
 COMPONENTS = ("east", "north", "height")
 
-_WRONG_PX = 1.5  # from here on a control point may be wrong (shifts explain less than an adjustment), ...
-_WRONG_TIMES = 4.0  # ... if it is also so many times farther off than the others scatter
-_METRES_A_DEGREE = 111320.0
-_GEOID_M = 10.0
+_METRES_PER_DEGREE = 111320.0
 
 
 @dataclass(frozen=True)
@@ -57,10 +55,10 @@ class Errors:
 class GcpAccuracy:
     """What was found at each point.
 
-    ``errors`` has (N, 3) east, north, up by the names of :data:`COLUMNS` (NaN: not known; the DSM has up only);
-    ``residuals`` by "rpc", "compensated", "scene", a mapping of views to (2,) px for each point; ``shifts`` (2,) px by
-    view, from all good control points; ``wrong`` the control points that contradict the others; ``dsm_heights`` (N,)
-    metres above the ellipsoid.
+    ``errors`` are (N, 3) east, north, up by the names of :data:`COLUMNS` (NaN: not known; a DSM has up only).
+    ``residuals``, by "rpc", "compensated" and "scene", map views to (2,) px for each point. ``shifts`` are (2,) px by
+    view, from all good control points. ``wrong`` names the control points that contradict the others. ``dsm_heights``
+    are (N,) metres above the ellipsoid.
     """
 
     gcps: List[Gcp]
@@ -71,19 +69,19 @@ class GcpAccuracy:
     dsm_heights: Optional[FloatArray] = None
     warnings: List[str] = field(default_factory=list)
 
-    def rows(self, role: str = "") -> NDArray[np.bool_]:
-        """(N,) points of a role ("": all) that count: those found wrong do not."""
+    def rows(self, role: str = "") -> Mask:
+        """(N,) which points of a role ("": all) count: those found wrong do not."""
         return np.array([gcp.id not in self.wrong and role in ("", gcp.role) for gcp in self.gcps])
 
     def summary(self, column: str, component: str, role: str = "") -> Errors:
         return Errors.of(self.errors[column][self.rows(role), COMPONENTS.index(component)])
 
 
-def locate(found: GcpAccuracy, views: Sequence[View]) -> None:
-    """Add where the images put the points: vendors' RPCs, RPCs with a shift a view, and the views' own pointing.
+def locate(found: GcpAccuracy, views: Sequence[View], parameters: GcpParameters = GCPS) -> None:
+    """Add where the images put the points: vendors' RPCs, RPCs with a shift per view, and the views' own pointing.
 
-    The shifts are the control points' mean residuals. No point vouches for itself: a control point is located with
-    the other control points' shifts. Control points that contradict the others are named and left out.
+    The shifts are the control points' mean residuals. No point confirms itself: a control point is located with the
+    shifts of the other control points. Control points that contradict the others are named and left out.
     """
     plain = [view.with_pointing(np.eye(2, 3)) for view in views]
     found.residuals["rpc"] = [_residuals(gcp, plain) for gcp in found.gcps]
@@ -93,13 +91,13 @@ def locate(found: GcpAccuracy, views: Sequence[View]) -> None:
         for gcp, residual in zip(found.gcps, found.residuals["rpc"])
         if gcp.role == "control" and residual
     }
-    found.wrong = wrong_control(control)
+    found.wrong = wrong_control(control, parameters)
     good = {name: residual for name, residual in control.items() if name not in found.wrong}
     found.shifts = _shifts(good)
     for name in found.wrong:
         found.warnings.append(
-            f"The control point {name} contradicts the others and is left out: check its "
-            "coordinates, its height's datum, and its pixels."
+            f"The control point {name} contradicts the others and is left out: check its coordinates, the datum of "
+            "its height, and its pixels."
         )
     if good:
         shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
@@ -110,8 +108,8 @@ def locate(found: GcpAccuracy, views: Sequence[View]) -> None:
         found.errors["scene"] = _located(found.gcps, [views] * len(found.gcps))
 
 
-def wrong_control(residuals: Dict[str, Dict[str, FloatArray]]) -> Tuple[str, ...]:
-    """Points whose (2,) residual lies far from the median of all, in some view; with fewer than four none is."""
+def wrong_control(residuals: Dict[str, Dict[str, FloatArray]], parameters: GcpParameters = GCPS) -> Tuple[str, ...]:
+    """Points whose (2,) residual lies far from the median of all in some view; with fewer than four points none."""
     size = dict.fromkeys(residuals, 0.0)
     for view in {name for residual in residuals.values() for name in residual}:
         seen = [name for name in residuals if view in residuals[name]]
@@ -120,7 +118,8 @@ def wrong_control(residuals: Dict[str, Dict[str, FloatArray]]) -> Tuple[str, ...
         values = np.array([residuals[name][view] for name in seen])
         for name, distance in zip(seen, np.hypot(*(values - np.median(values, axis=0)).T)):
             size[name] = max(size[name], float(distance))
-    limit = max(_WRONG_PX, _WRONG_TIMES * 1.4826 * float(np.median(list(size.values()) or [0.0])))
+    typical = NMAD_FACTOR * float(np.median(list(size.values()) or [0.0]))
+    limit = max(parameters.wrong_px, parameters.wrong_times * typical)
     return tuple(name for name in residuals if size[name] > limit)
 
 
@@ -160,8 +159,8 @@ def _located(gcps: Sequence[Gcp], views: Sequence[Sequence[View]]) -> FloatArray
     return errors
 
 
-def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str) -> None:
-    """Add the DSM's heights at the points (bilinear, in its own vertical datum, brought to the ellipsoid).
+def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: GcpParameters = GCPS) -> None:
+    """Add the DSM's heights at the points (bilinear, in its own vertical datum, transformed to the ellipsoid).
 
     ``points`` is the points' file. Where less than half of the four cells' weight has a height there is none.
     Raises ImageError where the DSM has no CRS, or PROJ lacks the grid between the vertical datums.
@@ -169,25 +168,22 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str) -> None:
     grid = Grid.of(dsm)
     places = np.array([(gcp.lon, gcp.lat) for gcp in found.gcps])
     # Target cells no larger than the DSM's, so that the warper's kernel is the four cells around a point.
-    cell = 0.5 * min(abs(grid.transform[1]), abs(grid.transform[5])) * min(metres_per_unit(grid)) / _METRES_A_DEGREE
+    cell = 0.5 * min(abs(grid.transform[1]), abs(grid.transform[5])) * min(metres_per_unit(grid)) / _METRES_PER_DEGREE
     low, high = places.min(axis=0) - cell, places.max(axis=0) + cell
     ellipsoid = CRS.from_epsg(4979).to_wkt()
-    warper = HeightWarper(
-        dsm, Grid(points, (1, 1), (low[0], high[0] - low[0], 0.0, high[1], 0.0, low[1] - high[1]), ellipsoid)
-    )
-    heights = [
-        float(
-            warper.read(Grid(points, (1, 1), (lon - cell / 2, cell, 0.0, lat + cell / 2, 0.0, -cell), ellipsoid))[0, 0]
-        )
-        for lon, lat in places
-    ]
-    found.dsm_heights = np.array(heights)
-    errors = np.full((len(heights), 3), np.nan)
-    errors[:, 2] = found.dsm_heights - [gcp.height for gcp in found.gcps]
-    found.errors["dsm"] = errors
+
+    def one_cell(west: float, north: float, width: float, height: float) -> Grid:
+        return Grid(points, (1, 1), (west, width, 0.0, north, 0.0, -height), ellipsoid)
+
+    warper = HeightWarper(dsm, one_cell(low[0], high[1], high[0] - low[0], high[1] - low[1]))
+    parts = [one_cell(lon - cell / 2, lat + cell / 2, cell, cell) for lon, lat in places]
+    heights = np.array([float(warper.read(part)[0, 0]) for part in parts])
+    found.dsm_heights = heights
+    found.errors["dsm"] = np.full((len(heights), 3), np.nan)
+    found.errors["dsm"][:, 2] = heights - [gcp.height for gcp in found.gcps]
     found.warnings += _datum_warnings(dsm, grid, warper)
-    found.warnings += _missing(found, grid, places)
-    _see_geoid(found)
+    found.warnings += _missing(found, grid, places, ~np.isfinite(heights))
+    _warn_of_geoid(found, parameters)
 
 
 def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[str]:
@@ -196,36 +192,34 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
     if "ellipsoid" in (dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
     return [
-        f"'{grid.path}' does not say its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
-        "If they are above a geoid, assign it a CRS that says so (EPSG:32631+3855, say)."
+        f"'{grid.path}' does not state its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
+        "If they are above a geoid, assign it a CRS that states it (for example EPSG:32631+3855)."
     ]
 
 
-def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray) -> List[str]:
-    """What to say of points without a height, apart by whether the DSM covers them."""
+def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> List[str]:
+    """Warnings of points that have no height, outside the DSM and inside."""
     x, y = Transformer.from_crs("EPSG:4326", flat_crs(grid.crs), always_xy=True).transform(*places.T)
     column, row = grid.cells(np.asarray(x), np.asarray(y))
     inside = (column >= 0) & (row >= 0) & (column <= grid.size[0]) & (row <= grid.size[1])
-    none = ~np.isfinite(found.dsm_heights)
-    said = []
+    warnings = []
     for which, why in ((none & ~inside, "outside the DSM"), (none & inside, "where the DSM has no height")):
         names = [gcp.id for gcp, yes in zip(found.gcps, which) if yes]
         if names:
             more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-            said.append(
-                f"{counted(len(names), 'point')} {'lies' if len(names) == 1 else 'lie'} {why} and "
-                f"{'is' if len(names) == 1 else 'are'} not counted: {', '.join(names[:10])}{more}."
-            )
-    return said
+            lies, is_not = ("lies", "is not") if len(names) == 1 else ("lie", "are not")
+            listed = ", ".join(names[:10]) + more
+            warnings.append(f"{counted(len(names), 'point')} {lies} {why} and {is_not} counted: {listed}.")
+    return warnings
 
 
-def _see_geoid(found: GcpAccuracy) -> None:
-    """All heights off by the same tens of metres are rarely an accident."""
+def _warn_of_geoid(found: GcpAccuracy, parameters: GcpParameters) -> None:
+    """Errors of the same tens of metres at all points are rarely an accident."""
     up = found.errors["dsm"][np.isfinite(found.errors["dsm"][:, 2]), 2]
     if len(up) >= 3:
         middle = float(np.median(up))
-        if abs(middle) > max(_GEOID_M, 5 * 1.4826 * float(np.median(np.abs(up - middle)))):
+        if abs(middle) > max(parameters.geoid_m, parameters.geoid_times * nmad(up)):
             found.warnings.append(
-                f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole: that is "
-                "usually a geoid, so check GCP_DATUM and the DSM's vertical datum."
+                f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid: "
+                "check GCP_DATUM and the DSM's vertical datum."
             )

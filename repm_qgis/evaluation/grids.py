@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Optional, Tuple
+from dataclasses import dataclass, replace
+from typing import Any, List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal, osr
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from ..arrays import Window
+from ..arrays import Bounds, FloatArray, FloatImage, Size, Window
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
@@ -20,14 +20,9 @@ from ..imagery import raster
 from ..imagery.sampling import sample
 from .coregistration import Alignment
 
-Bounds = Tuple[float, float, float, float]
-"""xmin, ymin, xmax, ymax."""
-
 _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 """Heights that writers mean as "none" although the file declares no nodata value."""
-
-MIN_SHARE = 0.5  # of the kernel's weight that must have heights
-
+_MIN_SHARE = 0.5  # of the kernel's weight that must have heights, so that holes keep their size
 _KERNEL_MARGIN = 3  # cells of the source around a window; bilinear needs one at its scale, the rest is for curvature
 
 
@@ -36,10 +31,9 @@ class Grid:
     """A raster's frame: ``size`` (columns, rows), GDAL's geotransform, CRS as WKT or other PROJ text ("" = none)."""
 
     path: str
-    size: Tuple[int, int]
+    size: Size
     transform: Tuple[float, ...]
     wkt: str
-    has_nodata: bool = True
 
     @classmethod
     def of(cls, dataset: gdal.Dataset) -> Grid:
@@ -48,13 +42,8 @@ class Grid:
             reference = reference.Clone()
             reference.PromoteTo3D("")  # our own DSMs say it there: GeoTIFF keys cannot
         wkt = reference.ExportToWkt(["FORMAT=WKT2_2018"]) if reference is not None else ""
-        return cls(
-            dataset.GetDescription(),
-            (dataset.RasterXSize, dataset.RasterYSize),
-            tuple(dataset.GetGeoTransform()),
-            wkt,
-            dataset.GetRasterBand(1).GetNoDataValue() is not None,
-        )
+        size = dataset.RasterXSize, dataset.RasterYSize
+        return cls(dataset.GetDescription(), size, tuple(dataset.GetGeoTransform()), wkt)
 
     @property
     def crs(self) -> CRS:
@@ -75,29 +64,29 @@ class Grid:
     @property
     def bounds(self) -> Bounds:
         x, y = self.places(np.array([0, self.size[0], 0, self.size[0]]), np.array([0, 0, self.size[1], self.size[1]]))
-        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+        return Bounds(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
-    def places(self, column: np.ndarray, row: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """Ground x, y of places in the raster; (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
+    def places(self, column: Any, row: Any) -> Tuple[Any, Any]:
+        """Ground x, y of places (numbers or arrays): (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
         a, b, c, d, e, f = self.transform
         return a + b * column + c * row, d + e * column + f * row
 
-    def cells(self, x: np.ndarray, y: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    def cells(self, x: Any, y: Any) -> Tuple[Any, Any]:
         """The inverse of :meth:`places`."""
         a, b, c, d, e, f = self.transform
         determinant = b * f - c * e
         return ((x - a) * f - (y - d) * c) / determinant, ((y - d) * b - (x - a) * e) / determinant
 
-    def window(self, column: int, row: int, width: int, height: int) -> Grid:
+    def window(self, window: Window) -> Grid:
         """The grid of a part of this raster."""
-        x, y = self.places(np.float64(column), np.float64(row))
+        x, y = self.places(float(window.col), float(window.row))
         _, b, c, _, e, f = self.transform
-        return Grid(self.path, (width, height), (float(x), b, c, float(y), e, f), self.wkt, self.has_nodata)
+        return replace(self, size=(window.width, window.height), transform=(x, b, c, y, e, f))
 
     def moved(self, x: float, y: float) -> Grid:
         """The same cells, moved by x, y in units of the CRS."""
         a, b, c, d, e, f = self.transform
-        return Grid(self.path, self.size, (a + x, b, c, d + y, e, f), self.wkt, self.has_nodata)
+        return replace(self, transform=(a + x, b, c, d + y, e, f))
 
 
 def metres_per_unit(grid: Grid) -> Tuple[float, float]:
@@ -107,9 +96,9 @@ def metres_per_unit(grid: Grid) -> Tuple[float, float]:
     crs = grid.crs
     horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
     factor = horizontal.axis_info[0].unit_conversion_factor if horizontal.axis_info else 1.0
-    if not horizontal.is_geographic:
-        return factor or 1.0, factor or 1.0
     ellipsoid = horizontal.ellipsoid
+    if ellipsoid is None or not horizontal.is_geographic:
+        return factor or 1.0, factor or 1.0
     latitude = (grid.bounds[1] + grid.bounds[3]) / 2 * factor
     a, b = ellipsoid.semi_major_metre, ellipsoid.semi_minor_metre
     e2 = 1 - (b / a) ** 2
@@ -125,29 +114,26 @@ def overlap(dsm: Grid, reference: Grid) -> Bounds:
     to_reference = Transformer.from_crs(flat_crs(dsm.crs), flat_crs(reference.crs), always_xy=True)
     theirs = reference.bounds
     try:
-        ours = to_reference.transform_bounds(*dsm.bounds, densify_pts=21)
+        ours = Bounds(*to_reference.transform_bounds(*dsm.bounds, densify_pts=21))
     except ProjError:
-        ours = (math.nan,) * 4
-    both = (max(ours[0], theirs[0]), max(ours[1], theirs[1]), min(ours[2], theirs[2]), min(ours[3], theirs[3]))
-    if not (both[0] < both[2] and both[1] < both[3]):
+        ours = Bounds(*(math.nan,) * 4)
+    both = Bounds(*(max(a, b) for a, b in zip(ours[:2], theirs)), *(min(a, b) for a, b in zip(ours[2:], theirs[2:])))
+    if not (both.xmin < both.xmax and both.ymin < both.ymax):
         raise OverlapError(
-            f"The DSM '{dsm.path}' and the reference '{reference.path}' do not overlap. "
-            f"In {flat_crs(reference.crs).name} "
-            f"the DSM lies at {_text(ours)} and the reference at {_text(theirs)}: choose a reference of the place, "
-            "or correct a wrongly assigned CRS."
+            f"The DSM '{dsm.path}' and the reference '{reference.path}' do not overlap. In "
+            f"{flat_crs(reference.crs).name} the DSM lies at {_text(ours)} and the reference at {_text(theirs)}: "
+            "choose a reference of the same place, or correct a wrongly assigned CRS."
         )
     return both
 
 
 def _text(bounds: Bounds) -> str:
-    return (
-        "x {0:.6g}..{2:.6g}, y {1:.6g}..{3:.6g}".format(*[round(v, 5) for v in bounds])
-        if all(abs(v) < 1000 for v in bounds)
-        else "x {0:.0f}..{2:.0f}, y {1:.0f}..{3:.0f}".format(*bounds)
-    )
+    if all(abs(v) < 1000 for v in bounds):
+        return "x {0:.6g}..{2:.6g}, y {1:.6g}..{3:.6g}".format(*[round(v, 5) for v in bounds])
+    return "x {0:.0f}..{2:.0f}, y {1:.0f}..{3:.0f}".format(*bounds)
 
 
-def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None) -> np.ndarray:
+def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None) -> FloatImage:
     """Heights of band 1 as float32 with NaN; where no nodata value is declared, -9999 and its like count as none."""
     values = raster.read(dataset, window)
     if dataset.GetRasterBand(1).GetNoDataValue() is None:
@@ -159,11 +145,11 @@ def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None) -> np.n
 class HeightWarper:
     """One DSM, resampled onto parts of another grid, in that grid's CRS and vertical datum.
 
-    Bilinear, with GDAL's warper (which widens its kernel where it makes cells larger). Cells without a height have no
-    weight, and where less than half of the kernel's weight has heights the cell is NaN. So nodata never bleeds into
-    heights, and holes neither grow nor shrink, which the completeness would show: a rule that drops every cell next to
-    a hole takes 20 % of the cells of a speckled DSM away when the grids lie 0.2 m apart, and GDAL's own rule (any
-    weight will do) closes the small holes. The transformation is exact to 0.02 cells.
+    Bilinear, by GDAL's warper, which widens its kernel where it makes cells larger; exact to 0.02 cells. Cells without
+    a height have no weight, and where less than half of the kernel's weight has heights the cell is NaN. So nodata is
+    never mixed into heights, and holes keep their size, which the completeness would show. (A rule that drops every
+    cell next to a hole removes 20 % of the cells of a speckled DSM where the grids lie 0.2 m apart; GDAL's own rule,
+    which accepts any weight, closes the small holes.)
 
     Raises ImageError where the vertical datums differ and PROJ lacks the grid between them.
     """
@@ -172,7 +158,7 @@ class HeightWarper:
         self.dataset, self._source, self._target = dataset, Grid.of(dataset), target
         self._source_flat, self._target_flat = flat_crs(self._source.crs), flat_crs(target.crs)
         self._to_source = Transformer.from_crs(self._target_flat, self._source_flat, always_xy=True)
-        self.warnings: list[str] = []
+        self.warnings: List[str] = []
         self.vertical = self._vertical_transformer()
 
     @property
@@ -188,7 +174,7 @@ class HeightWarper:
         ratio = max(np.hypot(column[i] - column[0], row[i] - row[0]) for i in (1, 2))
         return float(ratio) if np.isfinite(ratio) and ratio > 0 else 1.0
 
-    def read(self, cells: Grid) -> np.ndarray:
+    def read(self, cells: Grid) -> FloatImage:
         """The DSM on ``cells`` (a part of the target grid, perhaps moved): (rows, columns) float32, NaN = no height."""
         columns, rows = cells.size
         window = self._source_window(cells)
@@ -198,34 +184,34 @@ class HeightWarper:
         good = np.isfinite(heights)
         if not good.any():
             return np.full((rows, columns), np.nan, np.float32)
-        # Both bands go through the same kernel; the second tells how much of it had heights, and what filled the holes
-        # is taken out again with that.
+        # Both bands go through the same kernel. The second one becomes the share of it that had heights, and with that
+        # the level that filled the holes is removed again.
         level = np.float32(heights[good].mean())
         warped, share = self._warp(
-            [np.where(good, heights, level), good.astype(np.float32)], self._source.window(*window), cells
+            [np.where(good, heights, level), good.astype(np.float32)], self._source.window(window), cells
         )
-        beside = (share >= MIN_SHARE) & (np.abs(share - 1) > 1e-5)
+        beside = (share >= _MIN_SHARE) & (np.abs(share - 1) > 1e-5)
         warped[beside] = level + (warped[beside] - level) / share[beside]
-        warped[share < MIN_SHARE] = np.nan
+        warped[share < _MIN_SHARE] = np.nan
         if self.vertical is not None:
-            scale, offset = self._vertical_at(cells, float(level))
+            scale, offset = self._vertical_at(self.vertical, cells, float(level))
             warped = (warped * scale + offset).astype(np.float32)
         return warped
 
-    def along(self, cells: Grid) -> np.ndarray:
+    def along(self, cells: Grid) -> FloatImage:
         """The DSM at the centres of one row of cells in any direction: (columns,) float32, NaN = no height.
 
-        Bilinear; a point beside a hole has none. The warper would take a slanting row for a shrunken picture and blur.
+        Bilinear; a point beside a hole has none. The warper would blur a slanting row, as if it were a reduced picture.
         """
         columns = cells.size[0]
         window = self._source_window(cells)
         if window is None:
             return np.full(columns, np.nan, np.float32)
         x, y = self._to_source.transform(*cells.places(np.arange(columns) + 0.5, np.full(columns, 0.5)))
-        column, row = self._source.window(*window).cells(np.asarray(x), np.asarray(y))
+        column, row = self._source.window(window).cells(np.asarray(x), np.asarray(y))
         heights = sample(read_heights(self.dataset, window), column - 0.5, row - 0.5)
         if self.vertical is not None and np.isfinite(heights).any():
-            scale, offset = self._vertical_at(cells, float(np.nanmean(heights)))
+            scale, offset = self._vertical_at(self.vertical, cells, float(np.nanmean(heights)))
             heights = (heights * scale + offset[0]).astype(np.float32)
         return heights
 
@@ -245,7 +231,7 @@ class HeightWarper:
             return None
         return Window.spanning(low[0], low[1], high[0], high[1])
 
-    def _warp(self, bands: list[np.ndarray], source: Grid, cells: Grid) -> list[np.ndarray]:
+    def _warp(self, bands: List[FloatImage], source: Grid, cells: Grid) -> List[FloatImage]:
         memory = gdal.GetDriverByName("MEM")
         inputs = _in_memory(memory, source, len(bands), self._source_flat)
         for index, values in enumerate(bands, start=1):
@@ -264,17 +250,17 @@ class HeightWarper:
 
     def _vertical_transformer(self) -> Optional[Transformer]:
         source, target = self._source.crs, self._target.crs
-        names = vertical_part(source), vertical_part(target)
-        if names[0] == names[1]:
+        ours, theirs = vertical_part(source), vertical_part(target)
+        if ours == theirs:
             return None
-        if None in names:
-            silent, says = (self._source, names[1]) if names[0] is None else (self._target, names[0])
+        if ours is None or theirs is None:
+            silent = self._source if ours is None else self._target
             self.warnings.append(
-                f"'{silent.path}' does not say its vertical datum; its heights are taken to be the other "
-                f"raster's ({says})."
+                f"'{silent.path}' does not state its vertical datum; its heights are taken to be in the other raster's "
+                f"({ours or theirs})."
             )
             return None
-        return self._best_operation(source, target, names[0], names[1])
+        return self._best_operation(source, target, ours, theirs)
 
     def _best_operation(self, source: CRS, target: CRS, from_name: str, to_name: str) -> Transformer:
         west, south, east, north = Transformer.from_crs(self._target_flat, 4326, always_xy=True).transform_bounds(
@@ -282,42 +268,41 @@ class HeightWarper:
         )
         group, missing = vertical_operations(source, target, (west, south, east, north))
         if not group.transformers:
-            grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ knows no way"
+            grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ has no transformation"
             raise ImageError(
-                f"Heights of '{self._source.path}' ({from_name}) cannot be turned into those of "
+                f"Heights of '{self._source.path}' ({from_name}) cannot be transformed into those of "
                 f"'{self._target.path}' ({to_name}): {grids}. Install it (package proj-data, or "
-                "'projsync --file NAME'), or bring both to one vertical datum first."
+                "'projsync --file NAME'), or transform both to one vertical datum first."
             )
         if not group.best_available:
             self.warnings.append(
-                f"Heights go from {from_name} to {to_name} by a less accurate way "
-                f"({group.transformers[0].description}), as a PROJ grid is missing: {', '.join(missing)}."
+                f"Heights are transformed from {from_name} to {to_name} less accurately than possible "
+                f"({group.transformers[0].description}), because a PROJ grid is missing: {', '.join(missing)}."
             )
         return group.transformers[0]
 
-    def _vertical_at(self, cells: Grid, height: float) -> Tuple[float, np.ndarray]:
-        """Scale and offset of heights at every cell, from a coarse mesh: datums differ smoothly."""
+    def _vertical_at(self, vertical: Transformer, cells: Grid, height: float) -> Tuple[float, FloatArray]:
+        """Scale and offset (rows, columns) of heights, from a coarse lattice: datums differ smoothly."""
         columns, rows = cells.size
         u, v = np.linspace(0.5, columns - 0.5, 9), np.linspace(0.5, rows - 0.5, 9)
         x, y = self._to_source.transform(*(a.ravel() for a in cells.places(*np.meshgrid(u, v))))
-        low = np.asarray(self.vertical.transform(x, y, np.full(81, height))[2])
-        high = np.asarray(self.vertical.transform(x, y, np.full(81, height + 100.0))[2])
+        low, high = (np.asarray(vertical.transform(x, y, np.full(81, h))[2]) for h in (height, height + 100.0))
         scale = (high - low) / 100.0
         if not np.isfinite(low).all():
             raise ImageError(
-                f"Heights of '{self._source.path}' cannot be brought to the vertical datum of "
+                f"Heights of '{self._source.path}' cannot be transformed to the vertical datum of "
                 f"'{self._target.path}' everywhere: a PROJ grid does not cover the place."
             )
-        return float(np.mean(scale)), _spread_mesh((low - scale * height).reshape(9, 9), columns, rows)
+        return float(np.mean(scale)), upsample_grid((low - scale * height).reshape(9, 9), (rows, columns))
 
 
-def aligned_heights(warper: HeightWarper, cells: Grid, alignment: Alignment) -> np.ndarray:
+def aligned_heights(warper: HeightWarper, cells: Grid, alignment: Alignment) -> FloatImage:
     """The DSM, moved by an alignment, on cells of the reference's grid."""
     return warper.read(_before(cells, alignment)) + np.float32(alignment.dz)
 
 
-def aligned_along(warper: HeightWarper, cells: Grid, alignment: Alignment) -> np.ndarray:
-    """The same along one row of cells in any direction: (columns,)."""
+def aligned_along(warper: HeightWarper, cells: Grid, alignment: Alignment) -> FloatImage:
+    """The DSM, moved by an alignment, along one row of cells in any direction: (columns,)."""
     return warper.along(_before(cells, alignment)) + np.float32(alignment.dz)
 
 
@@ -325,11 +310,6 @@ def _before(cells: Grid, alignment: Alignment) -> Grid:
     """A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy)."""
     per_unit = metres_per_unit(cells)
     return cells.moved(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
-
-
-def _spread_mesh(mesh: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """(n, n) values at evenly spaced cells, bilinearly at all (rows, columns) cells."""
-    return upsample_grid(mesh, (rows, columns))
 
 
 def _in_memory(driver: gdal.Driver, grid: Grid, bands: int, crs: CRS) -> gdal.Dataset:

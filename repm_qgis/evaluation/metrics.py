@@ -18,11 +18,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Sequence, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from ..arrays import Floats, IntArray
+
 NMAD_FACTOR = 1.4826
+THRESHOLDS_M = (1.0, 2.5, 5.0)
+
+
+def nmad(values: Floats) -> float:
+    """The normalised median absolute deviation of finite values; inf where there are none."""
+    return NMAD_FACTOR * float(np.median(np.abs(values - np.median(values)))) if values.size else math.inf
 
 
 @dataclass(frozen=True)
@@ -46,9 +54,7 @@ class HeightMetrics:
         return 100.0 * self.cells / self.reference_cells if self.reference_cells else 0.0
 
 
-def height_metrics(
-    error: np.ndarray, reference_cells: int, thresholds: Sequence[float] = (1.0, 2.5, 5.0)
-) -> HeightMetrics:
+def height_metrics(error: Floats, reference_cells: int, thresholds: Sequence[float] = THRESHOLDS_M) -> HeightMetrics:
     """Metrics of an array of errors (any shape, m, NaN where there is none) against ``reference_cells`` cells.
 
     Raises ValueError where there are more errors than reference cells.
@@ -71,18 +77,23 @@ class ErrorCollector:
     ) -> None:
         self._thresholds = tuple(float(t) for t in thresholds)
         self._keep, self._bin, self._half = keep, bin_m, int(round(range_m / bin_m))
-        self._blocks: list[np.ndarray] = []
-        self._counts = None if keep > 0 else np.zeros(2 * self._half, np.int64)
+        self._blocks: List[Floats] = []
+        self._counts: Optional[IntArray] = None if keep > 0 else np.zeros(2 * self._half, np.int64)
         self._n = self._reference = 0
         self._squares = self._absolutes = 0.0
         self._within = np.zeros(len(self._thresholds), np.int64)
+
+    @classmethod
+    def of_part(cls, thresholds: Sequence[float]) -> ErrorCollector:
+        """For one class of many: it keeps no errors, and its medians are good to 5 mm."""
+        return cls(thresholds, keep=0, bin_m=0.005, range_m=200.0)
 
     @property
     def exact(self) -> bool:
         """Whether medians come from all errors, not from a histogram."""
         return self._counts is None
 
-    def add(self, error: np.ndarray, reference_cells: int) -> None:
+    def add(self, error: Floats, reference_cells: int) -> None:
         """Errors of a block (NaN = none) and how many cells the reference has there."""
         values = np.asarray(error).ravel()
         values = values[np.isfinite(values)]
@@ -97,55 +108,41 @@ class ErrorCollector:
         if self._counts is None:
             self._blocks.append(values)
             if self._n > self._keep:
-                self._to_histogram()
+                self._counts = np.zeros(2 * self._half, np.int64)
+                while self._blocks:
+                    self._count(self._blocks.pop(), self._counts)
         else:
-            self._count(values)
+            self._count(values, self._counts)
 
     def metrics(self) -> HeightMetrics:
         shares = 100.0 * self._within / self._reference if self._reference else np.zeros(len(self._thresholds))
-        bias, me, nmad = self._medians() if self._n else (math.nan,) * 3
+        bias, me, spread = self._medians() if self._n else (math.nan,) * 3
         n = self._n or math.nan
-        return HeightMetrics(
-            self._n,
-            self._reference,
-            math.sqrt(self._squares / n) if self._n else math.nan,
-            me,
-            self._absolutes / n,
-            nmad,
-            bias,
-            tuple(zip(self._thresholds, map(float, shares))),
-        )
+        rmse = math.sqrt(self._squares / n) if self._n else math.nan
+        completeness = tuple(zip(self._thresholds, map(float, shares)))
+        return HeightMetrics(self._n, self._reference, rmse, me, self._absolutes / n, spread, bias, completeness)
 
     def _medians(self) -> Tuple[float, float, float]:
+        """Bias, ME and NMAD."""
         if self._counts is None:
             values = np.concatenate(self._blocks)
             self._blocks = [values]
-            bias = float(np.median(values))
-            return bias, float(np.median(np.abs(values))), NMAD_FACTOR * float(np.median(np.abs(values - bias)))
+            return float(np.median(values)), float(np.median(np.abs(values))), nmad(values)
         filled = np.flatnonzero(self._counts)
         middles, counts = (filled - self._half + 0.5) * self._bin, self._counts[filled]
         bias = _weighted_median(middles, counts, self._bin)
-        return (
-            bias,
-            _weighted_median(np.abs(middles), counts, self._bin),
-            NMAD_FACTOR * _weighted_median(np.abs(middles - bias), counts, self._bin),
-        )
+        spread = NMAD_FACTOR * _weighted_median(np.abs(middles - bias), counts, self._bin)
+        return bias, _weighted_median(np.abs(middles), counts, self._bin), spread
 
-    def _to_histogram(self) -> None:
-        self._counts = np.zeros(2 * self._half, np.int64)
-        while self._blocks:
-            self._count(self._blocks.pop())
-
-    def _count(self, values: np.ndarray) -> None:
-        if values.size == 0:
-            return
-        bins = np.clip(np.floor(values / self._bin), -self._half, self._half - 1).astype(np.int64) + self._half
-        low = int(bins.min())
-        found = np.bincount(bins - low)
-        self._counts[low : low + found.size] += found
+    def _count(self, values: Floats, counts: IntArray) -> None:
+        if values.size:
+            bins = np.clip(np.floor(values / self._bin), -self._half, self._half - 1).astype(np.int64) + self._half
+            low = int(bins.min())
+            found = np.bincount(bins - low)
+            counts[low : low + found.size] += found
 
 
-def _weighted_median(middles: np.ndarray, counts: np.ndarray, width: float) -> float:
+def _weighted_median(middles: Floats, counts: IntArray, width: float) -> float:
     """Median of a histogram; values are taken as evenly spread inside their bin."""
     order = np.argsort(middles, kind="stable")
     total = np.cumsum(counts[order])

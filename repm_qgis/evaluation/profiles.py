@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Optional, Tuple
+from typing import List, Optional
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
-from osgeo import gdal, ogr
+from osgeo import gdal, ogr, osr
 
-from ..arrays import FloatArray
+from ..arrays import Bounds, FloatArray, FloatImage
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
 from .coregistration import Alignment
-from .grids import Bounds, Grid, HeightWarper, aligned_along, metres_per_unit
+from .grids import Grid, HeightWarper, aligned_along, metres_per_unit
 
 _MOST_LINES = 8
 _MOST_SAMPLES = 2000
@@ -37,8 +36,8 @@ class Profile:
 
     name: str
     distance: FloatArray
-    dsm: NDArray[np.float32]
-    reference: NDArray[np.float32]
+    dsm: FloatImage
+    reference: FloatImage
 
 
 def through_the_middle(common: Bounds) -> List[ProfileLine]:
@@ -85,20 +84,17 @@ def cut(line: ProfileLine, dsm: HeightWarper, reference: HeightWarper, grid: Gri
     per_unit = np.array(metres_per_unit(grid))
     lengths = np.hypot(*(np.diff(line.corners, axis=0) * per_unit).T)
     spacing = max(abs(grid.transform[1]) * per_unit[0], lengths.sum() / _MOST_SAMPLES)
-    parts: Tuple[List, List, List] = ([], [], [])
-    start = 0.0
+    distances, ours, theirs, start = [np.empty(0)], [np.empty(0, np.float32)], [np.empty(0, np.float32)], 0.0
     for a, b, length in zip(line.corners, line.corners[1:], lengths):
         count = math.ceil(length / spacing)
-        for first in range(0, count, _AT_ONCE):  # short pieces: a long slanting line's rectangle is the whole raster
+        for first in range(0, count, _AT_ONCE):  # the rectangle around a long slanting line is the whole raster
             last = min(first + _AT_ONCE, count)
             along = _row_of_cells(grid, a + (b - a) * first / count, a + (b - a) * last / count, last - first)
-            parts[0].append(start + (np.arange(first, last) + 0.5) * length / count)
-            parts[1].append(aligned_along(dsm, along, alignment))
-            parts[2].append(reference.along(along))
+            distances.append(start + (np.arange(first, last) + 0.5) * length / count)
+            ours.append(aligned_along(dsm, along, alignment))
+            theirs.append(reference.along(along))
         start += length
-    if not parts[0]:
-        return Profile(line.name, np.empty(0), np.empty(0, np.float32), np.empty(0, np.float32))
-    return Profile(line.name, *(np.concatenate(part) for part in parts))
+    return Profile(line.name, np.concatenate(distances), np.concatenate(ours), np.concatenate(theirs))
 
 
 def _row_of_cells(grid: Grid, a: FloatArray, b: FloatArray, count: int) -> Grid:
@@ -106,9 +102,7 @@ def _row_of_cells(grid: Grid, a: FloatArray, b: FloatArray, count: int) -> Grid:
     step = (b - a) / count
     across = np.array([step[1], -step[0]])
     corner = a - across / 2
-    return Grid(
-        grid.path, (count, 1), (corner[0], step[0], across[0], corner[1], step[1], across[1]), grid.wkt, grid.has_nodata
-    )
+    return Grid(grid.path, (count, 1), (corner[0], step[0], across[0], corner[1], step[1], across[1]), grid.wkt)
 
 
 def _name_of(feature: ogr.Feature, number: int) -> str:
@@ -117,14 +111,15 @@ def _name_of(feature: ogr.Feature, number: int) -> str:
     return text[:60] or f"line {number}"
 
 
-def _corners(geometry: Optional[ogr.Geometry], crs: Optional[object], reference: Grid) -> FloatArray:
-    """(N, 2) of a line (of several parts the first) in the reference's CRS; empty for what is no line."""
+def _corners(geometry: Optional[ogr.Geometry], crs: Optional[osr.SpatialReference], reference: Grid) -> FloatArray:
+    """(N, 2) of a line (the first of several parts) in the reference's CRS; empty for other geometries."""
     if geometry is not None and ogr.GT_Flatten(geometry.GetGeometryType()) == ogr.wkbMultiLineString:
         geometry = geometry.GetGeometryRef(0)
     if geometry is None or ogr.GT_Flatten(geometry.GetGeometryType()) != ogr.wkbLineString:
         return np.empty((0, 2))
-    points = np.array([point[:2] for point in geometry.GetPoints()[:_MOST_VERTICES]], dtype=np.float64).reshape(-1, 2)
+    points = np.array([point[:2] for point in geometry.GetPoints()[:_MOST_VERTICES]], np.float64).reshape(-1, 2)
     if crs is not None:
         to_reference = pyproj.Transformer.from_crs(crs.ExportToWkt(), flat_crs(reference.crs), always_xy=True)
         points = np.column_stack(to_reference.transform(points[:, 0], points[:, 1]))
-    return points[np.isfinite(points).all(axis=1)]
+    known: FloatArray = points[np.isfinite(points).all(axis=1)]
+    return known

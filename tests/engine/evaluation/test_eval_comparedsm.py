@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,10 @@ from pyproj import Transformer
 from pyproj.transformer import TransformerGroup
 
 from repm_qgis.errors import Cancelled, EmptyResultError, ImageError, OverlapError
+from repm_qgis.evaluation.comparison import compare as compare_rasters
 from repm_qgis.evaluation.grids import Grid, metres_per_unit
+from repm_qgis.evaluation.parameters import EVALUATION
+from repm_qgis.evaluation.profiles import read_lines
 from repm_qgis.progress import Silent
 from repm_qgis.stages import run_stage
 
@@ -303,17 +307,18 @@ def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["dsm.tif"]
 
 
-def test_blocks_do_not_show(make_raster, tmp_path, monkeypatch, terrain):
-    from repm_qgis.evaluation import comparison
-
+def test_blocks_do_not_show(make_raster, terrain):
     a = make_raster("dsm.tif", terrain(150, 170, 0.3, 0.4), origin=(ORIGIN[0] - 3.2, ORIGIN[1] + 2.7))
     b = make_raster("ref.tif", terrain(150, 170))
-    whole = compare(a, b, error=str(tmp_path / "one.tif"))
-    monkeypatch.setattr(comparison._Blocks, "_side", lambda self: 40)
-    parts = compare(a, b, error=str(tmp_path / "many.tif"))
-    one, many = gdal.Open(str(tmp_path / "one.tif")).ReadAsArray(), gdal.Open(str(tmp_path / "many.tif")).ReadAsArray()
-    assert np.array_equal(one == -9999, many == -9999) and np.abs(one - many).max() < 1e-3
-    assert parts["rmse"] == pytest.approx(whole["rmse"], abs=1e-5)
+    small = replace(EVALUATION, comparison=replace(EVALUATION.comparison, block_cells=64))
+    whole, parts = (
+        compare_rasters(gdal.Open(a), gdal.Open(b), "none", (1.0,), Silent(), parameters=parameters)
+        for parameters in (EVALUATION, small)
+    )
+    one, many = whole.thumbnails["error"], parts.thumbnails["error"]
+    assert one.shape == (150, 170)
+    assert np.array_equal(np.isnan(one), np.isnan(many)) and np.nanmax(np.abs(one - many)) < 1e-3
+    assert parts.metrics.rmse == pytest.approx(whole.metrics.rmse, abs=1e-5)
 
 
 def test_errors_by_class_equal_an_independent_count(make_raster, terrain):
@@ -390,9 +395,6 @@ def line_layer(path, crs, **lines):
 
 def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp_path):
     """A bent line in longitude and latitude: heights are the surface's own there, at distances from the start."""
-    from repm_qgis.evaluation.comparison import compare as compare_rasters
-    from repm_qgis.evaluation.profiles import read_lines
-
     corners = [(10.0, -20.0), (70.0, -60.0), (90.0, -15.0)]  # m from the origin
     to_degrees = Transformer.from_crs("EPSG:32631", 4326, always_xy=True)
     path = line_layer(

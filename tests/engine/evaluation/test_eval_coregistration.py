@@ -28,7 +28,7 @@ def test_known_shift_of_smooth_terrain(dx, dy, dz, noise, terrain):
     rng = np.random.default_rng(2)
     reference = terrain(320, 360).astype(np.float32)
     dsm = (terrain(320, 360, dx, dy) + dz + rng.normal(0, noise, reference.shape)).astype(np.float32)
-    found = c.align_3d([(dsm, reference)], (CELL, CELL))
+    found = c.align("3d", [(dsm, reference)], (CELL, CELL))
     # what must be added is the opposite of what was done
     assert found.dx == pytest.approx(-dx, abs=0.05 * CELL)
     assert found.dy == pytest.approx(-dy, abs=0.05 * CELL)
@@ -53,7 +53,7 @@ def test_known_shift_of_a_city(shared_data, columns, rows, dz, noise):
     wrong = rng.random(dsm.shape) < 0.05
     dsm[wrong] += rng.uniform(-15, 15, wrong.sum()).astype(np.float32)
     dsm[100:200, 50:200] = np.nan
-    found = c.align_3d([(dsm.astype(np.float32), truth)], (CELL, CELL))
+    found = c.align("3d", [(dsm.astype(np.float32), truth)], (CELL, CELL))
     assert found.dx == pytest.approx(-columns * CELL, abs=0.05 * CELL)
     assert found.dy == pytest.approx(rows * CELL, abs=0.05 * CELL)
     assert found.dz == pytest.approx(-dz, abs=0.02)
@@ -63,7 +63,7 @@ def test_known_shift_of_a_city(shared_data, columns, rows, dz, noise):
 def test_patches_share_one_shift(terrain):
     reference, dsm = terrain(900, 400), terrain(900, 400, 1.3, -0.85)
     patches = [(dsm[r : r + 200].astype(np.float32), reference[r : r + 200].astype(np.float32)) for r in (0, 350, 700)]
-    found = c.align_3d(patches, (CELL, CELL))
+    found = c.align("3d", patches, (CELL, CELL))
     assert (found.dx, found.dy) == pytest.approx((-1.3, 0.85), abs=0.05 * CELL)
 
 
@@ -72,7 +72,18 @@ def test_vertical_is_the_median(terrain):
     dsm = reference + 2
     dsm[:20] += 50
     dsm[-5:] = np.nan
-    assert c.align_vertical([(dsm, reference)]).dz == pytest.approx(-2, abs=1e-4)
+    assert c.align("vertical", [(dsm, reference)], (CELL, CELL)).dz == pytest.approx(-2, abs=1e-4)
+
+
+def test_whole_cells_are_found_and_applied(terrain):
+    """The alignment of the benchmarks: a shift that is no whole number of cells goes to the nearest one."""
+    reference = terrain(120, 130).astype(np.float32)
+    dsm = terrain(120, 130, 2.9 * CELL, -1.1 * CELL).astype(np.float32) + 4
+    found = c.align("cells", [(dsm, reference)], (CELL, CELL))
+    assert (found.dx, found.dy) == (-3 * CELL, CELL) and found.dz == pytest.approx(-4, abs=0.3)
+    applied = found.applied(dsm, (CELL, CELL))
+    assert np.array_equal(applied[:-1, :-3], dsm[1:, 3:] + np.float32(found.dz))
+    assert np.isnan(applied[-1]).all() and np.isnan(applied[:, -3:]).all()
 
 
 def test_moved_is_cubic_and_never_invents():
@@ -93,16 +104,16 @@ def test_ground_without_relief_is_refused(reference):
     rng = np.random.default_rng(0)
     dsm = (reference + rng.normal(0, 0.3, reference.shape)).astype(np.float32)
     with pytest.raises(EmptyResultError, match="too little relief.*ALIGN to vertical"):
-        c.align_3d([(dsm, reference.astype(np.float32))], (CELL, CELL))
+        c.align("3d", [(dsm, reference.astype(np.float32))], (CELL, CELL))
 
 
 def test_too_few_cells_are_refused():
     z = np.full((50, 50), np.nan, np.float32)
     z[0, :9] = 1
     for align in (
-        lambda: c.align_vertical([(z, z)]),
-        lambda: c.align_3d([(z, z)], (1, 1)),
-        lambda: c.align_vertical([]),
+        lambda: c.align("vertical", [(z, z)], (1, 1)),
+        lambda: c.align("3d", [(z, z)], (1, 1)),
+        lambda: c.align("vertical", [], (1, 1)),
     ):
         with pytest.raises(EmptyResultError, match="Only (9|0) cells"):
             align()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.evaluation.coregistration import align_3d
+from repm_qgis.evaluation.coregistration import align
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.sampling import sample
@@ -60,7 +60,7 @@ def gridded(path, cell):
 
 def measured(dsm, truth, cell):
     error = (dsm - truth)[np.isfinite(dsm) & np.isfinite(truth)]
-    shift = align_3d([(dsm.astype(np.float32), truth.astype(np.float32))], (cell, cell), lambda: None)
+    shift = align("3d", [(dsm.astype(np.float32), truth.astype(np.float32))], (cell, cell))
     return (
         1.4826 * np.median(np.abs(error - np.median(error))),
         np.hypot(shift.dx, shift.dy) / cell,

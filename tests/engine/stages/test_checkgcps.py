@@ -238,7 +238,7 @@ def test_a_dsm_that_does_not_say_its_datum_is_taken_as_ellipsoidal_aloud(urban, 
     silent = changed(urban.truth, tmp_path / "silent.tif", metadata=False)
     said = told()
     assert run_stage("checkgcps", {"gcps": exact, "dsm": silent}, said)["dsm_max"] < 0.001
-    assert len(said.warnings) == 1 and "does not say its vertical datum" in said.warnings[0]
+    assert len(said.warnings) == 1 and "does not state its vertical datum" in said.warnings[0]
 
 
 def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_path, told):

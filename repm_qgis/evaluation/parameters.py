@@ -1,0 +1,74 @@
+"""All numbers that comparisons with references choose.
+
+"Chosen" means that no experiment is recorded. What only concerns pages and pictures stays in their modules.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Tuple
+
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class CoregistrationParameters(Parameters):
+    """How a DSM is laid onto a reference (Nuth and Kääb 2011, The Cryosphere 5). Lengths are cells of the reference.
+
+    Chosen, unless a source is given; tests/engine/evaluation shows that known shifts are found within 0.05 cells.
+    """
+
+    least_cells: int = 100  # with both heights: fewer are refused
+    search: int = 32  # reach of the search by whole cells, coarse to fine
+    coarsest: int = 24  # cells that a side keeps at the coarsest level
+    fine_search: int = 2  # reach at each finer level
+    differences: int = 200_000  # that one NMAD of the search is taken from, about
+    least_share: float = 0.2  # of the cells that a shift must leave in common
+    whole_search: int = 8  # reach of the alignment by whole cells, which benchmarks use
+    iterations: int = 15  # Gauss-Newton steps, at most
+    most_step: float = 1.0  # of one of them, along an axis
+    converged: float = 0.002  # a step as small as this is the last
+    most_drift: float = 3.0  # from the search's result: beyond, the steps ran away and are dropped
+    tukey: float = 4.685  # of the biweight, in standard deviations: 95 % efficiency (Holland and Welsch 1977)
+    reweightings: int = 4
+    independent: float = 25.0  # neighbouring cells that err alike, and count as one
+    most_uncertain: float = 0.5  # standard deviation of the shift: beyond, the relief is too little
+    cap_nmad: float = 3.0  # differences are truncated here in the last search, in NMADs ...
+    least_cap_m: float = 0.05  # ... and not below
+    first_step: float = 0.32  # of the last search, which halves it ...
+    last_step: float = 0.009  # ... down to this
+
+
+@dataclass(frozen=True)
+class ComparisonParameters(Parameters):
+    """How errors are sampled and divided. All values are chosen."""
+
+    slope_edges_deg: Tuple[float, ...] = (0.0, 5.0, 15.0, 30.0, 45.0, 90.0)  # classes of the reference's slope
+    sample_cells: int = 2_000_000  # the alignment uses all cells up to here, and beyond ...
+    patches: int = 5  # ... so many patches along a side of the overlap ...
+    patch_cells: int = 320  # ... of this side
+    block_cells: int = 1024  # side of a block that is compared at once, at most
+    source_cells: int = 2048  # side of the DSM's part that a block needs, about
+
+
+@dataclass(frozen=True)
+class GcpParameters(Parameters):
+    """When control points and datums are called wrong. All values are chosen."""
+
+    wrong_px: float = 1.5  # least residual of a wrong control point: a shift explains less than an adjustment does
+    wrong_times: float = 4.0  # how many NMADs of all points' residuals it must have, too
+    geoid_m: float = 10.0  # a median error from here on is usually a geoid ...
+    geoid_times: float = 5.0  # ... where it is more than so many NMADs
+
+
+@dataclass(frozen=True)
+class EvaluationParameters(Parameters):
+    """The choices of all comparisons."""
+
+    coregistration: CoregistrationParameters = field(default_factory=CoregistrationParameters)
+    comparison: ComparisonParameters = field(default_factory=ComparisonParameters)
+    gcps: GcpParameters = field(default_factory=GcpParameters)
+
+
+EVALUATION = EvaluationParameters()
+COREGISTRATION, GCPS = EVALUATION.coregistration, EVALUATION.gcps
