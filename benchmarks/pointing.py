@@ -651,7 +651,7 @@ from repm_qgis.sfm import keypoints
 
 def main():
     if {detector!r} != "opencv":
-        keypoints.best_detector = lambda: keypoints.ColmapSift("cpu")
+        keypoints.best_detector = lambda parameters: keypoints.ColmapSift("cpu")
     scene = replace(Scene.load({scene!r}), refinement="polynomial")
     wall, before = time.perf_counter(), os.times()
     found = pointed(scene)

@@ -31,7 +31,8 @@ from ..progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import grown, refined_view
 from .adjustment import Adjustment, Track, with_shifts
-from .sharpening import clusters
+from .parameters import POINTING
+from .tie_alignment import clusters
 
 Indices = NDArray[np.intp]
 
@@ -89,7 +90,7 @@ def adjust_colmap(scene: Scene, tracks: Sequence[Track], progress: Progress) -> 
     start = with_shifts(views, tracks, altitude, {view.name: np.zeros(2) for view in views}, "")
     xy = projected_from_geodetic(scene.crs, start.ground)
     found = []
-    parts = clusters(xy, np.arange(len(tracks)), _tile_side(scene))
+    parts = clusters(xy, np.arange(len(tracks)), _tile_side(scene), POINTING.alignment.gap)
     for number, members in enumerate(parts):
         progress.check_cancelled()
         progress.step(number / len(parts), "COLMAP's bundle adjustment")

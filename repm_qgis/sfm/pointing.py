@@ -19,7 +19,7 @@ from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect
 from .keypoints import with_best_detector
 from .row_residuals import row_residuals
-from .sharpening import sharpen
+from .tie_alignment import align_ties
 from .tie_points import PairMatches, find_ties
 
 LEAST_TIES = 20
@@ -61,7 +61,7 @@ def point_views(
     matches, detector = with_best_detector(
         lambda best: find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, best), progress
     )
-    tracks = sharpen(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95), workers)
+    tracks = align_ties(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95), workers)
     if len(tracks) < LEAST_TIES:
         raise EmptyResultError(
             f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
@@ -110,7 +110,7 @@ def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict
     key = (match.first, match.second)
     return PairFigures(
         pair=key,
-        candidates=len(match.rows_px),
+        candidates=len(match.first_px),
         count=len(after[key]),
         before_px=_median(before[key]),
         after_px=_median(np.abs(after[key])),

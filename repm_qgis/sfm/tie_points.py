@@ -1,29 +1,24 @@
-"""Tie points: the same ground points found in several images, in original-image pixels.
+"""Tie points: the same ground points found in several images, in original pixels.
 
-SIFT (Lowe 2004) on a few patches spread over the scene, where its texture is best: the pinhole cameras say which rows
-and columns a match may have, so only few candidates compete and repetitive roofs do little harm.
+SIFT (Lowe 2004) on a few patches spread over the scene, where its texture is best. The pinhole cameras limit the
+vertical parallax and the disparity of a match: only few candidates compete, and repetitive roofs do little harm.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from osgeo import ogr
 
-from ..arrays import FloatArray
+from ..arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
 from ..errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
-from ..geometry.footprints import box
-from ..geometry.frames import geodetic_from_projected
 from ..geometry.refinement import apply_homography
-from ..geometry.tiles import enclosing
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import opened_masked, read
+from ..imagery.raster import opened_masked
 from ..imagery.warping import warp
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
@@ -31,56 +26,32 @@ from ..scene import Scene, View
 from ..stereo.pairing import ground_points, grown, rectify_over, refined_view
 from ..stereo.rectification import RectifiedPair
 from .keypoints import CPU_DETECTOR, Detector
+from .parameters import POINTING, PointingParameters, TieParameters
+from .tie_patches import ranked_patches, texture_of
 
-Bounds = Tuple[float, float, float, float]
+Indices = NDArray[np.intp]
 Pair = Tuple[str, str]
-
-_REDUCTION = 2.0  # SIFT on half-size images: a sixth of the time, ties enough
-_SMALL_PX, _SMALL_PATCH_PX = 500, 300  # images of a scene, of a patch below this side need all their pixels for ties
-_FEATURES_PER_MPX = 2500
-_FEATURES = (600, 4000)  # of a scene that is one patch, at least and at most
-_LEAST_FEATURES = 300  # of each of several patches, which share those of a scene
-_SPARE_FEATURES = 3  # times as many to choose an even spread from
-_BUCKETS = 12  # a side of a patch, for an even spread of features
-_WHOLE_PX = 1600  # a scene up to this side is one patch
-_CELLS = 5  # a side of a larger scene, at most; each cell gives one patch at a time
-_LEAST_CELLS = 3
-_CELL_PATCHES = 3  # patches a side of a cell, at least: ties of a ninth of a scene are enough
-_PATCH_PX = (300, 500)  # a side of a patch: a sixth of the scene, within these
-_PLACES = 6  # a side of a cell, at most, that are looked at for the best patch
-_MARGIN_PX = 24
-_TOLERANCE_PX = 64.0  # vendor RPCs are off by up to tens of px, each view in its own way
-_NEAR_PX = 8.0  # of a patch's row difference, once that is known
-_CLOSE_PX = 2.5  # of a patch's trend of row differences, at last
-_LIKELY_PX = 6.0  # of the scene's row difference: trends over the images are smaller
-_NEIGHBOURS, _SUPPORT = 10, 3
-_KD_TREE, _ALL = 4, -1  # FLANN's single tree, which finds the nearest ones exactly where it may look at all
-_STEP_PX, _SLOPE = 6.0, 0.4  # of disparity between neighbours: a house, and a share of their distance
-_RATIO = 0.85
-_MIN_TIES = 12
-_ENOUGH_TIES = 100  # with fewer, more patches are searched
-_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class PairMatches:
-    """Matches of two views: (N, 2) original pixels in each, and the (N,) row differences before any correction."""
+    """Matches of two views: (N, 2) original pixels in each, and (N,) vertical parallax before any correction, px."""
 
     first: str
     second: str
     first_px: FloatArray
     second_px: FloatArray
-    rows_px: FloatArray
+    vertical_parallax_px: FloatArray
 
 
 @dataclass(frozen=True)
 class _Features:
-    """A view over a patch: its refined camera, SIFT keypoints (N, 2) in refined pixels, descriptors (N, 128)."""
+    """A view over a patch: its refined camera, keypoints (N, 2) in refined pixels, their descriptors (N, 128)."""
 
     view: View
     camera: RefinedPinhole
     points: FloatArray
-    descriptors: NDArray[np.float32]
+    descriptors: FloatImage
 
 
 @dataclass(frozen=True)
@@ -94,6 +65,7 @@ class _PatchTask:
     detector: Detector
     small_px: int
     features: int
+    parameters: TieParameters
 
 
 def find_ties(
@@ -103,124 +75,33 @@ def find_ties(
     progress: Progress,
     workers: int = 0,
     detector: Detector = CPU_DETECTOR,
+    parameters: PointingParameters = POINTING,
 ) -> List[PairMatches]:
     """Match pairs of views on patches spread over the scene; more patches where the first give too few.
 
-    ``workers`` 0 means one a core. Raises DetectorError where the detector's device fails, and EmptyResultError with
-    the counts where a pair gives fewer than a dozen trustworthy ties.
+    ``workers`` 0 means one for each core. Raises DetectorError where the detector's device fails, EmptyResultError with
+    the counts where a pair has too few ties.
     """
-    wanted = tuple((first, second) for first, second in pairs)
-    names = {name for pair in wanted for name in pair}
+    patches, ties = parameters.patches, parameters.ties
+    names = {name for pair in pairs for name in pair}
     used = {name: stretch for name, stretch in stretches.items() if name in names}
-    cells = _ranked_patches(scene, used, progress)
-    parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in wanted}
-    lean, small_px = scene.lean(), _SMALL_PX if len(cells) == 1 else _SMALL_PATCH_PX
-    for number in range(_ROUNDS):
-        tasks = [
-            _PatchTask(
-                lean, cell[number], wanted, used, detector, small_px, max(_LEAST_FEATURES, _FEATURES[1] // len(cells))
-            )
-            for cell in cells
-            if number < len(cell)
-        ]
+    cells = ranked_patches(scene, lambda place: texture_of(scene, used, place, patches), progress, patches)
+    lean, small_px = scene.lean(), ties.small_px if len(cells) == 1 else ties.small_patch_px
+    features = max(ties.least_patch_features, ties.most_features // len(cells))
+    parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in pairs}
+    for number in range(patches.most_rounds):
+        places = [cell[number] for cell in cells if number < len(cell)]
+        tasks = [_PatchTask(lean, place, tuple(pairs), used, detector, small_px, features, ties) for place in places]
         if not tasks:
             break
         part = Part(progress, 1 - 0.5**number, 1 - 0.5 ** (number + 1), "tie points")
         for found in run_tasks(_match_patch, tasks, detector.workers(workers), part, lambda _: "patch"):
             for pair, matches in found.items():
                 parts[pair].append(matches)
-        if all(len(_agreeing(*pair, found)[0]) >= _ENOUGH_TIES for pair, found in parts.items()):
+        kept = [consistent_matches(*pair, found, ties) for pair, found in parts.items()]
+        if all(len(matches.first_px) >= patches.enough_ties for matches in kept):
             break
-    return [_consistent(first, second, found) for (first, second), found in parts.items()]
-
-
-def covered_by_ties(scene: Scene) -> bool:
-    """Whether a scene is so small that all of it is searched for ties."""
-    return _side(scene) <= _WHOLE_PX * scene.gsd_m
-
-
-def _side(scene: Scene) -> float:
-    """The scene's longer side, m."""
-    xmin, ymin, xmax, ymax = enclosing([tile.bounds for tile in scene.tiles])
-    return max(xmax - xmin, ymax - ymin)
-
-
-def _patch_side(scene: Scene) -> float:
-    """A patch's side, m: nine patches search a quarter of a small scene, which gives ties enough."""
-    return float(np.clip(_side(scene) / 6, *(px * scene.gsd_m for px in _PATCH_PX)))
-
-
-def _ranked_patches(scene: Scene, stretches: Dict[str, Stretch], progress: Progress) -> List[List[Bounds]]:
-    """For each cell of the scene, ground rectangles to search, the most promising first."""
-    bounds = np.array([tile.bounds for tile in scene.tiles])
-    low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
-    if covered_by_ties(scene):
-        return [[(*map(float, low), *map(float, high))]]
-    area = ogr.CreateGeometryFromWkt(scene.area)
-    side = _patch_side(scene)
-    cells = np.clip(np.ceil((high - low) / (_CELL_PATCHES * side)), _LEAST_CELLS, _CELLS)
-    cells = np.maximum(np.minimum(cells, np.ceil((high - low) / side)), 1).astype(int)
-    step = (high - low) / cells
-    result = []
-    for i, j in np.ndindex(*cells):
-        progress.check_cancelled()
-        corner = low + step * (i, j)
-        places = [place for place in _places(corner, step, side) if _mostly_within(place, area)]
-        if len(places) > 1:
-            places.sort(key=lambda place: -_texture(scene, stretches, place))
-        if places:
-            result.append(places)
-    return result
-
-
-def _places(corner: FloatArray, step: FloatArray, side: float) -> List[Bounds]:
-    """Squares of a side (or less) evenly over a cell, its middle first."""
-
-    def starts(low: float, length: float) -> List[float]:
-        if length <= side:
-            return [low]
-        count = min(math.ceil(length / side), _PLACES)
-        return list(np.linspace(low, low + length - side, count))
-
-    width, height = min(side, step[0]), min(side, step[1])
-    places = [
-        (float(x), float(y), float(x + width), float(y + height))
-        for x in starts(corner[0], step[0])
-        for y in starts(corner[1], step[1])
-    ]
-    middle = corner + step / 2
-    return sorted(places, key=lambda p: math.hypot((p[0] + p[2]) / 2 - middle[0], (p[1] + p[3]) / 2 - middle[1]))
-
-
-def _mostly_within(place: Bounds, area: ogr.Geometry) -> bool:
-    shape = box(place)
-    shared = shape.Intersection(area)
-    return shared is not None and shared.GetArea() > 0.3 * shape.GetArea()
-
-
-def _texture(scene: Scene, stretches: Dict[str, Stretch], place: Bounds) -> float:
-    """How much there is to hold on to around a place's middle, in the view that shows the least: clouds and water.
-
-    A view that does not show it counts as half as good as the others.
-    """
-    middle = np.array([[(place[0] + place[2]) / 2, (place[1] + place[3]) / 2]])
-    ground = np.append(geodetic_from_projected(scene.crs, middle)[0], sum(scene.altitudes) / 2)
-    values, missed = [], 0
-    for name, stretch in stretches.items():
-        view = scene.view(name)
-        side = int(0.5 * (place[2] - place[0]) / view.gsd_m)
-        corner = np.round(view.project(ground) - side / 2)
-        low = np.maximum(corner, 0)
-        size = np.minimum(corner + side, view.size) - low
-        if not np.isfinite(corner).all() or (size < side / 2).any():
-            missed += 1
-            continue
-        window = tuple(int(v) for v in (*low, *size))
-        with opened_masked(view.image, view.mask) as dataset:
-            pixels = read(dataset, window, view.band, (window[2] // 2, window[3] // 2))
-        grey = np.nan_to_num(stretch.apply(pixels), nan=0.0)
-        values.append(float(np.quantile(np.sqrt(np.maximum(cv2.cornerMinEigenVal(grey, 5), 0)), 0.9)))
-    return 0.0 if len(values) < 2 else min(values) * 0.5**missed
+    return [_checked(*pair, found, ties) for pair, found in parts.items()]
 
 
 def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
@@ -234,7 +115,7 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
     result = {}
     for first, second in task.pairs:
         if first in features and second in features:
-            matches = _match(task.scene, features[first], features[second], task.bounds)
+            matches = _match(task, features[first], features[second])
             if matches is not None:
                 result[first, second] = matches
     return result
@@ -243,11 +124,12 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
 def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Features]:
     """Keypoints and descriptors of a view over a patch; None where it shows too little."""
     scene = task.scene
-    camera = refined_view(scene, view, grown(task.bounds, _MARGIN_PX * scene.gsd_m), scene.altitudes)
+    parameters = task.parameters
+    camera = refined_view(scene, view, grown(task.bounds, parameters.margin_px * scene.gsd_m), scene.altitudes)
     if camera is None:
         return None
-    # All views at one sampling distance: most keypoints are of the smallest size there is, and must meet their like.
-    factor = (_REDUCTION if min(camera.size) >= task.small_px else 1.0) * coarsest_m / view.gsd_m
+    # All views have one sampling distance here: most keypoints have the smallest scale, and match at equal scales only.
+    factor = (parameters.reduction if min(camera.size) >= task.small_px else 1.0) * coarsest_m / view.gsd_m
     size = (max(1, int(camera.size[0] / factor)), max(1, int(camera.size[1] / factor)))
 
     def to_original(points: FloatArray) -> FloatArray:
@@ -256,89 +138,93 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     with opened_masked(view.image, view.mask) as dataset:
         pixels = task.stretches[view.name].apply(warp(dataset, view.band, to_original, size))
     missing = ~np.isfinite(pixels)
-    grey = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
-    mask = cv2.erode((~missing).astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
-    usual = int(np.clip(_FEATURES_PER_MPX * camera.size[0] * camera.size[1] / 1e6, *_FEATURES))
-    most = min(usual, task.features)
-    found = task.detector.detect(
-        grey, mask, _SPARE_FEATURES * most, lambda points, strength: _even(points, strength, size, most)
-    )
-    if len(found.points) < 8:
+    grey: ByteImage = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
+    kernel = np.ones((2 * parameters.border_px + 1,) * 2, np.uint8)
+    mask = np.asarray(cv2.erode((~missing).astype(np.uint8), kernel, borderValue=(0,)))
+    usual = parameters.features_per_mpx * camera.size[0] * camera.size[1] / 1e6
+    most = min(int(np.clip(usual, parameters.least_features, parameters.most_features)), task.features)
+
+    def choose(points: FloatArray, strength: FloatArray) -> Indices:
+        return evenly_spread(points, strength, size, most, parameters.buckets)
+
+    found = task.detector.detect(grey, mask, parameters.spare_features * most, choose)
+    if len(found.points) < parameters.least_keypoints:
         return None
     return _Features(view, camera, (found.points + 0.5) * factor - 0.5, found.descriptors)
 
 
-def _even(points: FloatArray, strength: FloatArray, size: Tuple[int, int], most: int) -> NDArray[np.intp]:
+def evenly_spread(points: FloatArray, strength: FloatArray, size: Size, most: int, buckets: int) -> Indices:
     """Indices of at most so many points: the strongest of every bucket first, then the second of each, and so on."""
     if len(points) <= most:
         return np.arange(len(points))
-    place = np.clip((points / size * _BUCKETS).astype(int), 0, _BUCKETS - 1)
-    bucket = place[:, 1] * _BUCKETS + place[:, 0]
+    place = np.clip((points / size * buckets).astype(int), 0, buckets - 1)
+    bucket = place[:, 1] * buckets + place[:, 0]
     order = np.lexsort((-strength, bucket))
     ordered = bucket[order]
-    starts = np.searchsorted(ordered, ordered, side="left")
-    rank = np.arange(len(order)) - starts
+    rank = np.arange(len(order)) - np.searchsorted(ordered, ordered, side="left")
     return np.sort(order[np.lexsort((-strength[order], rank))[:most]])
 
 
-def _match(scene: Scene, first: _Features, second: _Features, bounds: Bounds) -> Optional[PairMatches]:
+def _match(task: _PatchTask, first: _Features, second: _Features) -> Optional[PairMatches]:
     """Matches of two views over a patch, in original pixels; None where there are none.
 
-    A first pass allows for the RPCs' errors; where its matches agree on a row difference, a second one searches near
-    it, where fewer candidates compete.
+    The first search allows for the errors of the RPCs. Where its matches agree on a vertical parallax, a second search
+    near that value, and a third along its trend over the patch, have fewer candidates that compete.
     """
-    pair = rectify_over(scene, first.camera, second.camera, bounds, scene.altitudes)
+    scene, parameters = task.scene, task.parameters
+    pair = rectify_over(scene, first.camera, second.camera, task.bounds, scene.altitudes)
     a = apply_homography(pair.h_first, first.points)
     b = apply_homography(pair.h_second, second.points)
-    low, high = disparity_range(pair, first.view, second.view, ground_points(scene, bounds, scene.altitudes))
+    low, high = disparity_range(pair, first.view, second.view, ground_points(scene, task.bounds, scene.altitudes))
     difference = (a[:, None] - b[None, :]).astype(np.float32)
+    across = difference[..., 1]
     distance = np.sqrt(np.maximum(2.0 - 2.0 * (first.descriptors @ second.descriptors.T), 0.0))
-    distance[(difference[..., 0] < low - _TOLERANCE_PX) | (difference[..., 0] > high + _TOLERANCE_PX)] = np.inf
-    index = _guided_matches(distance, np.abs(difference[..., 1]) <= _TOLERANCE_PX)
-    rows = a[index[:, 0], 1] - b[index[:, 1], 1]
-    if len(rows) >= _MIN_TIES:
-        middle = _mode(rows, 2.0)
-        if (np.abs(rows - middle) < 2.0).sum() >= max(_MIN_TIES, 0.15 * len(rows)):
-            index = _guided_matches(distance, np.abs(difference[..., 1] - np.float32(middle)) <= _NEAR_PX)
-            index = _closer(distance, difference, a, index)
-    index = index[_supported(a[index[:, 0]], (a[index[:, 0]] - b[index[:, 1]])[:, 0])]
+    tolerance = parameters.tolerance_px
+    distance[(difference[..., 0] < low - tolerance) | (difference[..., 0] > high + tolerance)] = np.inf
+    index = _guided_matches(distance, np.abs(across) <= tolerance, parameters)
+    parallax = a[index[:, 0], 1] - b[index[:, 1], 1]
+    if len(parallax) >= parameters.least_ties:
+        mode = _mode(parallax, parameters.patch_mode_px)
+        near = (np.abs(parallax - mode) < parameters.patch_mode_px).sum()
+        if near >= max(parameters.least_ties, parameters.patch_mode_share * len(parallax)):
+            index = _guided_matches(distance, np.abs(across - np.float32(mode)) <= parameters.near_px, parameters)
+            index = _along_trend(distance, across, a, index, parameters)
+    index = index[supported(a[index[:, 0]], (a[index[:, 0]] - b[index[:, 1]])[:, 0], parameters)]
     if not len(index):
         return None
     i, j = index[:, 0], index[:, 1]
-    return PairMatches(
-        first.view.name,
-        second.view.name,
-        first.camera.to_original.original_from_refined(first.points[i]),
-        second.camera.to_original.original_from_refined(second.points[j]),
-        a[i, 1] - b[j, 1],
-    )
+    first_px = first.camera.to_original.original_from_refined(first.points[i])
+    second_px = second.camera.to_original.original_from_refined(second.points[j])
+    return PairMatches(first.view.name, second.view.name, first_px, second_px, a[i, 1] - b[j, 1])
 
 
-def _closer(
-    distance: NDArray[np.float32], difference: NDArray[np.float32], a: FloatArray, index: NDArray[np.intp]
-) -> NDArray[np.intp]:
-    """Matches searched once more, within a band as wide as what is left around the trend of the rows found."""
-    rows = difference[index[:, 0], index[:, 1], 1].astype(np.float64)
-    trend = _row_trend(a[index[:, 0]], rows, a)
-    if (np.abs(rows - trend[index[:, 0]]) < _CLOSE_PX).sum() < _MIN_TIES:
+def _along_trend(
+    distance: FloatImage, across: FloatImage, a: FloatArray, index: Indices, parameters: TieParameters
+) -> Indices:
+    """Matches of a further search in a narrow band around the trend of the vertical parallax found so far."""
+    parallax = across[index[:, 0], index[:, 1]].astype(np.float64)
+    trend = parallax_trend(a[index[:, 0]], parallax, parameters, a)
+    if (np.abs(parallax - trend[index[:, 0]]) < parameters.close_px).sum() < parameters.least_ties:
         return index
-    return _guided_matches(distance, np.abs(difference[..., 1] - trend[:, None].astype(np.float32)) <= _CLOSE_PX)
+    possible = np.abs(across - trend[:, None].astype(np.float32)) <= parameters.close_px
+    return _guided_matches(distance, possible, parameters)
 
 
-def _supported(points: FloatArray, disparity: FloatArray) -> NDArray[np.bool_]:
-    """(N,) which matches lie at a height that neighbours share: a roof taken for the next one's mostly does not.
+def supported(points: FloatArray, disparity: FloatArray, parameters: TieParameters) -> Mask:
+    """(N,) whether enough of the nearest matches have nearly the same disparity, apart from slopes and houses.
 
-    Of the ten nearest matches, three must have the disparity, but for what a slope and a house may make between.
+    A roof that is matched with the next one has a disparity that its neighbours mostly do not have.
     """
-    if len(points) <= _NEIGHBOURS:
+    from scipy.spatial import cKDTree
+
+    if len(points) <= parameters.neighbours:
         return np.ones(len(points), dtype=bool)
     places = points.astype(np.float32)
-    nearest, squares = cv2.flann_Index(places, {"algorithm": _KD_TREE}).knnSearch(
-        places, _NEIGHBOURS + 1, params={"checks": _ALL}
-    )
-    away = np.sqrt(squares)
+    away, nearest = cKDTree(places).query(places, parameters.neighbours + 1)
     step = np.abs(disparity[nearest] - disparity[:, None])
-    return (step <= _STEP_PX + _SLOPE * away).sum(axis=1) - 1 >= _SUPPORT
+    close = step <= parameters.support_step_px + parameters.support_slope * away
+    enough: Mask = close.sum(axis=1) - 1 >= parameters.supporters
+    return enough
 
 
 def disparity_range(pair: RectifiedPair, first: View, second: View, ground: FloatArray) -> Tuple[float, float]:
@@ -347,10 +233,10 @@ def disparity_range(pair: RectifiedPair, first: View, second: View, ground: Floa
     return float(np.nanmin(difference[:, 0])), float(np.nanmax(difference[:, 0]))
 
 
-def _guided_matches(distance: NDArray[np.float32], possible: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _guided_matches(distance: FloatImage, possible: Mask, parameters: TieParameters) -> Indices:
     """(N, 2) indices of mutual best matches that pass the ratio test among geometrically possible candidates.
 
-    ``distance`` (A, B) of descriptors, infinite where a match is out of the question.
+    ``distance`` (A, B) of descriptors, infinite where a match is impossible.
     """
     distance = np.where(possible, distance, np.float32(np.inf))
     best = distance.argmin(axis=1)
@@ -360,36 +246,39 @@ def _guided_matches(distance: NDArray[np.float32], possible: NDArray[np.bool_]) 
     second = distance.min(axis=1)
     distance[first, best] = nearest
     mutual = distance.argmin(axis=0)[best] == first
-    good = mutual & np.isfinite(nearest) & (nearest < _RATIO * second) & (nearest < 0.8)
+    good = mutual & np.isfinite(nearest) & (nearest < parameters.ratio * second) & (nearest < parameters.most_distance)
     return np.column_stack([first[good], best[good]])
 
 
-def _agreeing(first: str, second: str, parts: Sequence[PairMatches]) -> Tuple[FloatArray, FloatArray, FloatArray]:
-    """First pixels, second pixels, row differences of all patches' matches that agree, to 1.5 px, on a trend.
+def consistent_matches(first: str, second: str, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:
+    """All patches' matches of a pair whose vertical parallax follows one trend: gross errors are removed.
 
-    A trend is a plane over the first image: that is what shifts and affine errors of two views make. Each patch may
-    differ from it a little.
+    The trend is a plane over the first image, which is what shifts and affine errors of two views make. The median of a
+    patch may differ from it a little.
     """
     if not parts:
-        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
-    a, b, rows = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("first_px", "second_px", "rows_px")
+        return PairMatches(first, second, np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+    a, b, parallax = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("first_px", "second_px", "vertical_parallax_px")
     )
-    patch = np.repeat(np.arange(len(parts)), [len(part.rows_px) for part in parts])
-    off = rows - _row_trend(a, rows)
-    kept = np.zeros(len(rows), dtype=bool)
+    patch = np.repeat(np.arange(len(parts)), [len(part.first_px) for part in parts])
+    off = parallax - parallax_trend(a, parallax, parameters)
+    kept = np.zeros(len(parallax), dtype=bool)
     for number in range(len(parts)):
-        near = (patch == number) & (np.abs(off) < 2.5)
-        if near.sum() >= 4:
-            kept |= near & (np.abs(off - np.median(off[near])) < 1.5)
-    return a[kept], b[kept], rows[kept]
+        near = (patch == number) & (np.abs(off) < parameters.patch_reach_px)
+        if near.sum() >= parameters.least_patch_matches:
+            kept |= near & (np.abs(off - np.median(off[near])) < parameters.agree_px)
+    return PairMatches(first, second, a[kept], b[kept], parallax[kept])
 
 
-def _row_trend(pixels: FloatArray, rows: FloatArray, at: Optional[FloatArray] = None) -> FloatArray:
-    """(N,) the row difference that most matches agree on, a constant or a plane, at their pixels or at other ones."""
+def parallax_trend(
+    pixels: FloatArray, parallax: FloatArray, parameters: TieParameters, at: Optional[FloatArray] = None
+) -> FloatArray:
+    """(N,) the vertical parallax that most matches follow, a constant or a plane, at their pixels or at other ones."""
     at = pixels if at is None else at
-    mode = _mode(rows)
-    if (np.abs(rows - mode) < _LIKELY_PX).sum() < 40:
+    mode = _mode(parallax, parameters.mode_px)
+    if (np.abs(parallax - mode) < parameters.likely_px).sum() < parameters.trend_matches:
         return np.full(len(at), mode)
     middle, extent = pixels.mean(axis=0), np.maximum(np.ptp(pixels, axis=0), 1.0)
 
@@ -398,30 +287,32 @@ def _row_trend(pixels: FloatArray, rows: FloatArray, at: Optional[FloatArray] = 
 
     own = design(pixels)
     plane = np.array([mode, 0.0, 0.0])
-    for reach in (_LIKELY_PX, 4.0, 3.0, 2.0, 2.0):
-        # Tukey's weights, ever stricter: what lies beyond the reach counts for nothing.
-        weight = np.maximum(1.0 - ((rows - own @ plane) / reach) ** 2, 0.0)
-        plane, *_ = np.linalg.lstsq(own * weight[:, None], rows * weight, rcond=1e-6)
-    if (np.abs(rows - own @ plane) < 1.5).sum() < (np.abs(rows - mode) < 1.5).sum():
+    for reach in parameters.trend_reach_px:
+        # Tukey's weights, which become stricter: what lies beyond the reach does not count.
+        weight = np.maximum(1.0 - ((parallax - own @ plane) / reach) ** 2, 0.0)
+        plane, *_ = np.linalg.lstsq(own * weight[:, None], parallax * weight, rcond=1e-6)
+    near = parameters.agree_px
+    if (np.abs(parallax - own @ plane) < near).sum() < (np.abs(parallax - mode) < near).sum():
         plane = np.array([mode, 0.0, 0.0])
-    return design(at) @ plane
+    trend: FloatArray = design(at) @ plane
+    return trend
 
 
-def _consistent(first: str, second: str, parts: Sequence[PairMatches]) -> PairMatches:
-    """All patches' matches of a pair that agree: gross errors do not survive, slow trends do."""
-    agreed = _agreeing(first, second, parts)
-    if len(agreed[0]) < _MIN_TIES:
+def _checked(first: str, second: str, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:
+    """The consistent matches of a pair; raises EmptyResultError where they are too few."""
+    found = consistent_matches(first, second, parts, parameters)
+    if len(found.first_px) < parameters.least_ties:
+        candidates = sum(len(part.first_px) for part in parts)
         raise EmptyResultError(
-            f"{first} and {second} have only {len(agreed[0])} tie points that agree, of "
-            f"{sum(len(part.rows_px) for part in parts)} candidates on {counted(len(parts), 'patch')} (needed: "
-            f"{_MIN_TIES}). Do they show the same place, in focus and without clouds? Another EXTENT with more "
-            "texture, or another pair, may do."
+            f"{first} and {second} have only {len(found.first_px)} consistent tie points, of {candidates} candidates "
+            f"in {counted(len(parts), 'place')} (needed: {parameters.least_ties}). Do they show the same place, in "
+            "focus and without clouds? Choose another EXTENT with more texture, or another pair."
         )
-    return PairMatches(first, second, *agreed)
+    return found
 
 
-def _mode(values: FloatArray, width: float = 1.0) -> float:
-    """The centre of the fullest interval of a width: robust where more than half are wrong."""
+def _mode(values: FloatArray, width: float) -> float:
+    """The median of the fullest interval of a width: robust where more than half of the values are wrong."""
     ordered = np.sort(values)
     ends = np.searchsorted(ordered, ordered + width, side="right")
     start = int(np.argmax(ends - np.arange(len(ordered))))

@@ -28,7 +28,7 @@ from ..sfm.ground_control import points_file, read_gcps
 from ..sfm.pair_selection import choose_pairs
 from ..sfm.pointing import LEAST_TIES, point_views
 from ..sfm.row_residuals import worst_rows
-from ..sfm.tie_points import covered_by_ties
+from ..sfm.tie_patches import covered_by_ties
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 from .refine import refined_tiles, with_surface

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -87,14 +88,18 @@ def test_an_empty_image_has_no_keypoints():
 
 
 def test_the_device_is_asked_in_a_process_of_its_own():
-    assert keypoints._answers("cpu")
-    assert not keypoints._answers("no such device")
+    assert keypoints.answers("cpu")
+    assert not keypoints.answers("no such device")
 
 
-def test_a_device_that_counts_pixels_otherwise_does_not_pass(monkeypatch):
-    assert keypoints.self_test("cpu")
-    monkeypatch.setattr(keypoints, "_COLMAP_CORNER", 0.0)
-    assert not keypoints.self_test("cpu")
+def test_a_device_that_counts_pixels_otherwise_does_not_pass():
+    class FromCorner(ColmapSift):
+        def detect(self, *arguments):
+            found = super().detect(*arguments)
+            return replace(found, points=found.points + 0.5)
+
+    assert keypoints.self_test(ColmapSift("cpu"))
+    assert not keypoints.self_test(FromCorner("cpu"))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +108,7 @@ def test_a_device_that_counts_pixels_otherwise_does_not_pass(monkeypatch):
 )
 def test_the_gpu_is_taken_where_one_answers(monkeypatch, usable, answers, expected):
     monkeypatch.setattr(environment, "cuda", lambda: {"usable": usable})
-    monkeypatch.setattr(keypoints, "_answers", lambda device: answers)
+    monkeypatch.setattr(keypoints, "answers", lambda device, parameters: answers)
     assert keypoints.best_detector() == expected
 
 
@@ -132,7 +137,7 @@ def test_a_build_without_cuda_is_an_error_of_the_detector(grey):
 
 @pytest.mark.parametrize("failure", (DetectorError("device lost"), EmptyResultError("no ties on 3 patches")))
 def test_a_gpu_that_fails_is_told_once_and_the_cpu_goes_on(monkeypatch, told, failure):
-    monkeypatch.setattr(keypoints, "best_detector", lambda: ColmapSift("cuda"))
+    monkeypatch.setattr(keypoints, "best_detector", lambda parameters: ColmapSift("cuda"))
     asked, said = [], told()
 
     def work(detector):
@@ -147,7 +152,7 @@ def test_a_gpu_that_fails_is_told_once_and_the_cpu_goes_on(monkeypatch, told, fa
 
 
 def test_errors_on_the_cpu_are_not_tried_again(monkeypatch, told):
-    monkeypatch.setattr(keypoints, "best_detector", lambda: CPU_DETECTOR)
+    monkeypatch.setattr(keypoints, "best_detector", lambda parameters: CPU_DETECTOR)
     said, asked = told(), []
 
     def work(detector):
@@ -163,7 +168,7 @@ def test_the_detector_is_recorded_and_colmaps_gives_ties_as_good(monkeypatch, sc
     """The way of the GPU, with COLMAP's detector on the CPU in its place."""
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     pairs = choose_pairs(scene)
-    monkeypatch.setattr(keypoints, "best_detector", lambda: ColmapSift("cpu"))
+    monkeypatch.setattr(keypoints, "best_detector", lambda parameters: ColmapSift("cpu"))
     found = point_views(scene, pairs, stretches, "shift", (), Silent())
     assert found.figures.detector == "SIFT of COLMAP, on the CPU"
     assert found.figures.count > 60 and found.figures.after_px < 0.1
@@ -172,7 +177,7 @@ def test_the_detector_is_recorded_and_colmaps_gives_ties_as_good(monkeypatch, sc
 def test_a_gpu_that_breaks_while_it_works(monkeypatch, scene, told):
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     names = tuple(view.name for view in scene.views[:2])
-    monkeypatch.setattr(keypoints, "best_detector", lambda: BrokenGpu("cuda"))
+    monkeypatch.setattr(keypoints, "best_detector", lambda parameters: BrokenGpu("cuda"))
     said = told()
     matches, detector = keypoints.with_best_detector(
         lambda best: find_ties(scene, [names], stretches, Silent(), 1, best), said

@@ -14,10 +14,18 @@ from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.scene import Scene
-from repm_qgis.sfm import tie_points
 from repm_qgis.sfm.adjustment import adjust, tracks_from
-from repm_qgis.sfm.sharpening import clusters, sharpen
-from repm_qgis.sfm.tie_points import PairMatches, find_ties
+from repm_qgis.sfm.parameters import POINTING
+from repm_qgis.sfm.tie_alignment import align_ties, clusters
+from repm_qgis.sfm.tie_patches import ranked_patches, texture_of
+from repm_qgis.sfm.tie_points import (
+    PairMatches,
+    consistent_matches,
+    evenly_spread,
+    find_ties,
+    parallax_trend,
+    supported,
+)
 from repm_qgis.stages import run_stage
 from repm_qgis.stereo.pairing import rectified_pair
 
@@ -125,10 +133,10 @@ def test_too_few_ties_are_an_error_with_the_counts(found, told, tmp_path, write_
     assert all(name in str(caught.value) for name in names) and "needed: 12" in str(caught.value)
 
 
-def test_sharpening_brings_ties_to_a_tenth_of_a_pixel(found, told):
+def test_alignment_brings_ties_to_a_tenth_of_a_pixel(found, told):
     truth, scene, matches, stretches = found
     names = [view.name for view in scene.views]
-    tracks = sharpen(scene, tracks_from(matches), stretches, told())
+    tracks = align_ties(scene, tracks_from(matches), stretches, told())
     for first, second in ((names[0], names[1]), (names[0], names[2])):
         # Tracks that begin with the pair's first view were aligned with it.
         own = [t for t in tracks if first in t.pixels and second in t.pixels]
@@ -153,7 +161,7 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     lost = Scene(**{**vars(scene), "views": wrong})
     names = [view.name for view in wrong]
     pairs = [(names[0], names[1]), (names[1], names[2]), (names[0], names[2])]
-    tracks = sharpen(lost, tracks_from(find_ties(lost, pairs, stretches, told())), stretches, told())
+    tracks = align_ties(lost, tracks_from(find_ties(lost, pairs, stretches, told())), stretches, told())
     pointing = adjust(wrong, tracks, sum(scene.altitudes) / 2).pointing
     right = [view.with_pointing(pointing[view.name]) for view in wrong]
     ground = truth.true_views[1].localise(np.random.default_rng(5).uniform(50, 350, (200, 2)), sum(scene.altitudes) / 2)
@@ -166,17 +174,16 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
         assert np.abs(rows).max() < 0.1
 
 
-def in_cells(scene, monkeypatch, whole=150, patch=130):
-    """Make the search treat the small scene like a large one."""
-    monkeypatch.setattr(tie_points, "_WHOLE_PX", whole)
-    monkeypatch.setattr(tie_points, "_PATCH_PX", (patch, patch))
-    return Scene(**vars(scene))
+# With these the small scene is searched like a large one.
+IN_CELLS = dataclasses.replace(
+    POINTING, patches=dataclasses.replace(POINTING.patches, whole_px=150, least_px=130, most_px=130)
+)
 
 
-def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(found, told, monkeypatch):
+def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(found, told):
     truth, scene, _, stretches = found
-    large, pair = in_cells(scene, monkeypatch), tuple(view.name for view in scene.views[:2])
-    one, two = (find_ties(large, [pair], stretches, told(), workers)[0] for workers in (1, 2))
+    pair = tuple(view.name for view in scene.views[:2])
+    one, two = (find_ties(scene, [pair], stretches, told(), workers, parameters=IN_CELLS)[0] for workers in (1, 2))
     np.testing.assert_array_equal(one.first_px, two.first_px)
     np.testing.assert_array_equal(one.second_px, two.second_px)
     distance = epipolar(truth, one)
@@ -184,7 +191,7 @@ def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(
     assert (np.ptp(one.first_px, axis=0) > 250).all()
 
 
-def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, told, tmp_path, write_image, monkeypatch):
+def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, told, tmp_path, write_image):
     """Water everywhere but around one place: its patch leads its cell's list, and the ties come from there."""
     truth, scene, _, _ = found
     if truth is not urban:
@@ -201,29 +208,33 @@ def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, tol
         pixels[water] = np.rint(200 + numbers.normal(0, 4, pixels.shape))[water].astype(np.uint16)
         image = write_image(tmp_path / f"{view.name}.tif", pixels, view.rpc)
         views.append(view.__class__(**{**vars(view), "image": image}))
-    wet = in_cells(Scene(**{**vars(scene), "views": views}), monkeypatch)
+    wet = dataclasses.replace(scene, views=views)
     stretches = {view.name: view_stretch(view.image, view.band) for view in views}
-    cells = tie_points._ranked_patches(wet, stretches, told())
+
+    def texture(place):
+        return texture_of(wet, stretches, place, IN_CELLS.patches)
+
+    cells = ranked_patches(wet, texture, told(), IN_CELLS.patches)
     size = np.array([(np.array(cell[0][2:]) - cell[0][:2]).max() for cell in cells])
     assert len(cells) > 4 and (size <= 130 * scene.gsd_m + 1).all()
-    best = max((tie_points._texture(wet, stretches, cell[0]), cell) for cell in cells)[1]
+    best = max((texture(cell[0]), cell) for cell in cells)[1]
     assert best[0][0] - 40 < land[0] < best[0][2] + 40 and best[0][1] - 40 < land[1] < best[0][3] + 40
-    ties = find_ties(wet, [(views[0].name, views[1].name)], stretches, told())[0]
+    ties = find_ties(wet, [(views[0].name, views[1].name)], stretches, told(), parameters=IN_CELLS)[0]
     assert len(ties.first_px) >= 12
     off = np.linalg.norm(ties.first_px - truth.true_views[0].project(ground), axis=1)
     assert np.quantile(off, 0.9) < 110
 
 
 @pytest.mark.parametrize("side", (2000, 4000))
-def test_of_a_small_scene_a_quarter_is_searched(found, told, monkeypatch, side):
+def test_of_a_small_scene_a_quarter_is_searched(found, told, side):
     """Nine patches, none of which overlap, and less where the scene is larger."""
-    _, scene, _, stretches = found
+    scene = found[1]
     x, y = scene.tiles[0].bounds[:2]
     end = side * scene.gsd_m
     area = f"POLYGON (({x} {y}, {x + end} {y}, {x + end} {y + end}, {x} {y + end}, {x} {y}))"
     tile = dataclasses.replace(scene.tiles[0], bounds=(x, y, x + end, y + end))
-    monkeypatch.setattr(tie_points, "_texture", lambda *_: 1.0)
-    cells = tie_points._ranked_patches(Scene(**{**vars(scene), "tiles": [tile], "area": area}), stretches, told())
+    small = dataclasses.replace(scene, tiles=[tile], area=area)
+    cells = ranked_patches(small, lambda place: 1.0, told(), POINTING.patches)
     first = np.array([cell[0] for cell in cells])
     share = ((first[:, 2] - first[:, 0]) * (first[:, 3] - first[:, 1])).sum() / end**2
     assert len(cells) == 9 and share == pytest.approx(0.25 if side == 2000 else 9 * (500 / 4000) ** 2)
@@ -232,10 +243,10 @@ def test_of_a_small_scene_a_quarter_is_searched(found, told, monkeypatch, side):
 
 
 @pytest.mark.parametrize("shape", ("square", "slanted"))
-def test_a_scene_of_40000_px_is_searched_all_over_and_little_of_it(found, told, monkeypatch, shape):
+def test_a_scene_of_40000_px_is_searched_all_over_and_little_of_it(found, told, shape):
     """Geometry alone: texture is drawn by lot. Every part of the overlap has a patch not far away, and all patches of
     a round are 1 % of it."""
-    truth, scene, _, stretches = found
+    scene = found[1]
     side, gsd = 40000, scene.gsd_m
     x, y = scene.tiles[0].bounds[:2]
     tiles = [
@@ -249,8 +260,12 @@ def test_a_scene_of_40000_px_is_searched_all_over_and_little_of_it(found, told, 
     ring = ", ".join(f"{x + u * side * gsd} {y + v * side * gsd}" for u, v in (*corners, corners[0]))
     large = Scene(**{**vars(scene), "tiles": tiles, "area": f"POLYGON (({ring}))"})
     asked, numbers = [], np.random.default_rng(7)
-    monkeypatch.setattr(tie_points, "_texture", lambda *_: asked.append(1) or float(numbers.uniform()))
-    cells = tie_points._ranked_patches(large, stretches, told())
+
+    def drawn(place):
+        asked.append(place)
+        return float(numbers.uniform())
+
+    cells = ranked_patches(large, drawn, told(), POINTING.patches)
     assert len(cells) == 25 if shape == "square" else 15 <= len(cells) < 25
     assert len(asked) <= 25 * 36
     first = np.array([cell[0] for cell in cells])
@@ -276,9 +291,9 @@ def test_matches_that_no_neighbour_shares_are_dropped():
     wrong = np.zeros(600, dtype=bool)
     wrong[::10] = True
     disparity[wrong] += numbers.choice((-36.0, 36.0, 48.0), wrong.sum())
-    kept = tie_points._supported(points, disparity)
+    kept = supported(points, disparity, POINTING.ties)
     assert kept[~wrong].mean() > 0.98 and kept[wrong].mean() < 0.1
-    assert tie_points._supported(points[:8], disparity[:8]).all()
+    assert supported(points[:8], disparity[:8], POINTING.ties).all()
 
 
 def test_a_trend_is_known_between_and_beside_its_matches():
@@ -286,9 +301,9 @@ def test_a_trend_is_known_between_and_beside_its_matches():
     pixels, elsewhere = numbers.uniform(0, 800, (200, 2)), numbers.uniform(-50, 850, (50, 2))
     rows = 3.0 + pixels @ [0.004, -0.003] + numbers.normal(0, 0.3, 200)
     np.testing.assert_allclose(
-        tie_points._row_trend(pixels, rows, elsewhere), 3.0 + elsewhere @ [0.004, -0.003], atol=0.25
+        parallax_trend(pixels, rows, POINTING.ties, elsewhere), 3.0 + elsewhere @ [0.004, -0.003], atol=0.25
     )
-    few = tie_points._row_trend(pixels[:20], rows[:20], elsewhere)
+    few = parallax_trend(pixels[:20], rows[:20], POINTING.ties, elsewhere)
     assert few.shape == (50,) and np.ptp(few) == 0
 
 
@@ -296,11 +311,11 @@ def test_features_are_spread_evenly():
     numbers = np.random.default_rng(1)
     points = np.concatenate([numbers.uniform(0, 40, (2000, 2)), numbers.uniform(0, 480, (800, 2))])
     strength = np.concatenate([numbers.uniform(5, 6, 2000), numbers.uniform(0, 1, 800)])
-    chosen = tie_points._even(points, strength, (480, 480), 500)
+    chosen = evenly_spread(points, strength, (480, 480), 500, 12)
     assert len(chosen) == len(set(chosen)) == 500
     corner = (points[chosen] < 40).all(axis=1).sum()
     assert corner < 20  # of 2000 stronger ones
-    np.testing.assert_array_equal(tie_points._even(points, strength, (480, 480), 4000), np.arange(2800))
+    np.testing.assert_array_equal(evenly_spread(points, strength, (480, 480), 4000, 12), np.arange(2800))
 
 
 @pytest.mark.parametrize("slope", (0.0, 0.006))
@@ -312,9 +327,9 @@ def test_rows_follow_a_trend_whatever_else_is_there(slope):
     rows = true + numbers.normal(0, 0.4, 600)
     rows[::2] = numbers.uniform(-64, 64, 300)
     part = PairMatches("a", "b", pixels, pixels, rows)
-    np.testing.assert_allclose(tie_points._row_trend(pixels, rows), true, atol=0.3)
-    kept = tie_points._agreeing("a", "b", [part])
-    good = np.isin(rows, kept[2])
+    np.testing.assert_allclose(parallax_trend(pixels, rows, POINTING.ties), true, atol=0.3)
+    kept = consistent_matches("a", "b", [part], POINTING.ties)
+    good = np.isin(rows, kept.vertical_parallax_px)
     assert good[1::2].mean() > 0.97 and good[::2].mean() < 0.06
 
 
@@ -322,7 +337,7 @@ def test_clusters_hold_every_point_once_and_are_no_larger_than_asked():
     numbers = np.random.default_rng(0)
     islands = [numbers.uniform(0, 300, (50, 2)) + corner for corner in ((0, 0), (2000, 100), (900, 3000))]
     xy = np.concatenate([*islands, numbers.uniform(5000, 7000, (200, 2))])
-    found = clusters(xy, np.arange(len(xy)), 400.0)
+    found = clusters(xy, np.arange(len(xy)), 400.0, 0.1)
     assert sorted(np.concatenate(found)) == list(range(len(xy)))
     assert all((np.ptp(xy[part], axis=0) <= 400).all() for part in found)
     for number in range(3):  # what lies together stays together

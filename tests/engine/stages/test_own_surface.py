@@ -13,8 +13,7 @@ from repm_qgis.imagery.sampling import sample
 from repm_qgis.matching import sgm
 from repm_qgis.matching.coarse_surface import coarse_surface
 from repm_qgis.scene import Scene
-from repm_qgis.sfm import tie_points
-from repm_qgis.stages import run_stage
+from repm_qgis.stages import reconstruct, run_stage
 
 
 def true_heights(scene, x, y):
@@ -58,8 +57,7 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
 def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(
     mountains, mountains_run, told, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(tie_points, "_WHOLE_PX", 100)
-    monkeypatch.setattr(tie_points, "_PATCH_PX", (150, 150))
+    monkeypatch.setattr(reconstruct, "covered_by_ties", lambda scene: False)
     fitted = run_stage("epmfit", {"images": mountains.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     made = run_stage(
         "reconstruct", {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1}, told()
