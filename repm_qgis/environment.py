@@ -39,7 +39,7 @@ PACKAGES = (
     Package("osgeo", "GDAL", "python3-gdal", "reading and writing rasters and vectors"),
     Package("pyproj", "pyproj", "python3-pyproj", "map projections and datums"),
     Package("jinja2", "Jinja2", "python3-jinja2", "reports"),
-    Package("scipy", "scipy", "python3-scipy", "simulated scenes"),
+    Package("scipy", "scipy", "python3-scipy", "tie points, simulated scenes"),
     Package("cv2", "opencv-python-headless", "", "keypoints, semi-global matching, resampling"),
     Package("pycolmap", "pycolmap", "", "tie points, bundle adjustment, matching on CUDA"),
     Package("laspy", "laspy", "", "point clouds (LAS)"),
