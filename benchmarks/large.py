@@ -23,6 +23,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.dsm import CACHE, Scene, simulated, zy3  # noqa: E402
 from benchmarks.runner import Cost, Failed, measured, repm, say, scores  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
+from repm_qgis.evaluation.metrics import nmad  # noqa: E402
 from repm_qgis.imagery.raster import created, opened  # noqa: E402
 from repm_qgis.imagery.warping import sample_array  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
@@ -451,8 +452,7 @@ def off_the_hills(dsm: str) -> float:
     heights[heights < -9000] = np.nan
     x, y = (g[0] + g[1] * (np.arange(0, size[0], 3) + 0.5), g[3] + g[5] * (np.arange(0, size[1], 3) + 0.5))
     error = heights - rolling(*np.meshgrid(x, y))
-    error = error[np.isfinite(error)]
-    return float(1.4826 * np.median(np.abs(error - np.median(error))))
+    return nmad(error[np.isfinite(error)])
 
 
 PARTS: Dict[str, Tuple[str, Callable[[], List[str]]]] = {

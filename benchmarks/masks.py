@@ -7,7 +7,6 @@ The DSMs have the truth's grid, moved by the best whole-cell shift.
 
 from __future__ import annotations
 
-import math
 import sys
 import tempfile
 import time
@@ -24,25 +23,12 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.matching import SHARED, Case, changed  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
 from benchmarks.water_and_clouds import CLOUD, LAND, WATER, make_pair  # noqa: E402
+from repm_qgis.evaluation.coregistration import align  # noqa: E402
 from repm_qgis.matching.reliability import without_unsupported  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
 
 _BANK_M, _CLEAR_M = 2.0, 3.0
-_MOST_CELLS = 6
-
-
-def shift_of(case: Case, dsm: np.ndarray) -> Tuple[int, int, float]:
-    """Rows, columns and metres that bring a DSM nearest to the truth."""
-    best, shift = math.inf, (0, 0, 0.0)
-    for dr in range(-_MOST_CELLS, _MOST_CELLS + 1):
-        for dc in range(-_MOST_CELLS, _MOST_CELLS + 1):
-            error = np.roll(dsm, (dr, dc), (0, 1)) - case.truth
-            middle = float(np.nanmedian(error))
-            spread = float(np.nanmedian(np.abs(error - middle)))
-            if spread < best:
-                best, shift = spread, (dr, dc, middle)
-    return shift
 
 
 def within(mask: np.ndarray, cells: float) -> np.ndarray:
@@ -64,8 +50,8 @@ def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     for step in (lambda matched, *_: matched, timed):
         with changed({"pair_backend.without_unsupported": step}):
             dsms.append(case.dsm_of(case.matched()))
-    dr, dc, up = shift_of(case, dsms[0]) if case.align else (0, 0, 0.0)
-    errors = [np.roll(dsm, (dr, dc), (0, 1)) - case.truth - up for dsm in dsms]
+    alignment = align("cells" if case.align else "none", [(dsms[0], case.truth)], (1.0, 1.0))
+    errors = [alignment.applied(dsm, (1.0, 1.0)) - case.truth for dsm in dsms]
     return [("matched", errors[0], 0.0), ("supported", errors[1], seconds[0])]
 
 

@@ -7,7 +7,6 @@ height difference where the scene has a truth (pointing without ground control l
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import tempfile
@@ -26,6 +25,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.dsm import fusion  # noqa: E402
 from repm_qgis.dsm.aggregation import aggregate  # noqa: E402
+from repm_qgis.evaluation.scoring import score  # noqa: E402
 from repm_qgis.geometry.cell_grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
@@ -87,30 +87,8 @@ class Case:
         start = time.process_time()
         found = self.matched()
         seconds = time.process_time() - start
-        dsm = self.dsm_of(found)
-        error = self._aligned(dsm) if self.align else dsm - self.truth
-        known = error[np.isfinite(error)]
-        cells = np.isfinite(self.truth).sum()
-        size = np.abs(known)
-        return [
-            seconds,
-            100 * known.size / cells,
-            float(np.median(size)),
-            float(size.mean()),
-            float(np.sqrt((known**2).mean())),
-            100 * float((size < 1).sum()) / cells,
-            100 * float((size < 2.5).sum()) / cells,
-        ]
-
-    def _aligned(self, dsm: np.ndarray) -> np.ndarray:
-        best, error = math.inf, dsm - self.truth
-        for dr in range(-4, 5):
-            for dc in range(-4, 5):
-                moved = np.roll(dsm, (dr, dc), (0, 1)) - self.truth
-                spread = np.nanmedian(np.abs(moved - np.nanmedian(moved)))
-                if spread < best:
-                    best, error = spread, moved - np.nanmedian(moved)
-        return error
+        m = score(self.dsm_of(found), self.truth, "cells" if self.align else "none", thresholds=(1.0, 2.5)).metrics
+        return [seconds, m.valid, m.me, m.mae, m.rmse, *(share for _, share in m.completeness)]
 
 
 @contextmanager

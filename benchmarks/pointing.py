@@ -29,6 +29,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import hard_scenes  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.errors import RepmError  # noqa: E402
+from repm_qgis.evaluation.metrics import NMAD_FACTOR, nmad  # noqa: E402
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice  # noqa: E402
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs  # noqa: E402
 from repm_qgis.imagery.acquisition import apart_text, moment, time_of_name  # noqa: E402
@@ -281,7 +282,7 @@ def truth_urban() -> List[str]:
                     abs(pair.before_px),
                     pair.after_px,
                     float(np.median(error)),
-                    float(1.4826 * np.median(np.abs(error - np.median(error)))),
+                    nmad(error),
                     said,
                 ]
             )
@@ -338,7 +339,7 @@ def tie_information(case: Case, tracks: Sequence[Track], ground: np.ndarray, kin
         sizes.append(np.linalg.norm(misfit) / np.sqrt(len(J) - 3))
         parts.append(free @ design)
     design = np.concatenate(parts)
-    return design.T @ design / (1.4826 * float(np.median(sizes))) ** 2
+    return design.T @ design / (NMAD_FACTOR * float(np.median(sizes))) ** 2
 
 
 def expected_px(case: Case, ties: np.ndarray, gcps: Sequence[Gcp], noise: float, kind: str) -> float:
@@ -510,7 +511,7 @@ def triplet() -> List[str]:
                     " and ".join(two),
                     float(np.nanmedian(error)),
                     worst,
-                    float(1.4826 * np.nanmedian(np.abs(error - np.nanmedian(error)))),
+                    nmad(error[np.isfinite(error)]),
                 ]
             )
     return [

@@ -1,14 +1,15 @@
-"""The part of a report that says what the images' geometry is worth: pairs, ties, pointing, ground control."""
+"""The part of a report on the quality of the images' geometry: pairs, tie points, pointing, ground control."""
 
 from __future__ import annotations
 
 import os
 from functools import lru_cache
-from typing import Any, List, Optional, Sequence
+from typing import Any, List, Sequence
 
 import numpy as np
 from osgeo import ogr
 
+from ..arrays import FloatArray
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import apart_text
@@ -26,7 +27,7 @@ _MOST_TILES = 60
 
 
 def add_geometry(report: Report, scene: Scene) -> None:
-    """Pairs, tie points before and after, pointing, and what the absolute position rests on."""
+    """Pairs, tie points before and after, pointing, and how well the absolute position is known."""
     _pairs(report, scene)
     if scene.pointing is not None:
         _ties(report, scene, scene.pointing)
@@ -35,27 +36,22 @@ def add_geometry(report: Report, scene: Scene) -> None:
 
 
 def _pairs(report: Report, scene: Scene) -> None:
-    report.section("Pairs")
     rows = []
     for pair in scene.pairs:
         metres = _metres_per_px(scene, pair)
         overlap = overlap_percent(scene, pair.first, pair.second)
         figures = f"{pair.base_to_height:.2f}", f"{overlap:.0f}", *fixed(metres, MATCHING_PX * metres, decimals=2)
-        times = apart_text(pair.days), _sun_text(pair.sun_deg)
+        times = apart_text(pair.days), "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.1f}°"
         rows.append([pair.first, pair.second, f"{pair.angle_deg:.1f}°", *figures, *times])
-    report.table(
+    report.section("Pairs").table(
         "first | second | convergence | B/H | overlap, % | m of height per px | expected accuracy, m | taken apart | "
         "angle between suns",
         rows,
-        "Overlap is of the smaller footprint at the middle altitude. The expected accuracy of single "
-        f"heights is that of matching good to {MATCHING_PX:g} px; a narrow pair (B/H below 0.1) tells heights "
-        "poorly, a wide one (above 0.9) matches poorly; images far apart in time or under another sun have "
-        "changed, and match with gaps.",
+        "The overlap is a share of the smaller footprint, at the middle altitude. The expected accuracy is that of "
+        f"single heights where matching is accurate to {MATCHING_PX:g} px. A narrow pair (B/H below 0.1) measures "
+        "heights poorly, and a wide one (above 0.9) is hard to match. Images that were taken at very different times "
+        "or under another sun have changed, and their matches have gaps.",
     )
-
-
-def _sun_text(degrees: Optional[float]) -> str:
-    return "unknown" if degrees is None else f"{degrees:.1f}°"
 
 
 def overlap_percent(scene: Scene, first: str, second: str) -> float:
@@ -71,19 +67,14 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
 
 
 def _metres_per_px(scene: Scene, pair: ViewPair) -> float:
-    """Metres of height a px of parallax: as matched, else from the angle."""
-    known = [
-        record.metres_per_px
-        for tile in scene.tiles
-        for record in tile.heights
-        if record.pair == (pair.first, pair.second)
-    ]
+    """Metres of height per px of parallax: as matched, or else from the convergence angle."""
+    records = [record for tile in scene.tiles for record in tile.heights]
+    known = [record.metres_per_px for record in records if record.pair == (pair.first, pair.second)]
     return float(np.median(known)) if known else scene.gsd_m / pair.base_to_height
 
 
 def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
-    report.section("Tie points")
-    report.facts(
+    report.section("Tie points").facts(
         [
             ("Tie points", ties.count),
             ("Median residual", f"{ties.before_px:.2f} px before, {ties.after_px:.2f} px after the correction"),
@@ -98,63 +89,57 @@ def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
     report.table(
         "first | second | candidates | ties | before, px | after, px | spread, px",
         rows,
-        "'Rows' are by how much a pair's pixels miss each other across the parallax: with the vendors' RPCs "
-        "(median), and corrected (median of the absolute values; their spread as NMAD).",
+        "The vertical parallax of each pair, which is the distance between its pixels across the direction of the "
+        "parallax: before, with the vendors' RPCs (median), and after the correction (median of the absolute values, "
+        "and their spread as NMAD).",
     )
     tiles = [list(entry) for entry in ties.ties_by_tile.items()]
     if len(tiles) > 1:
         report.table(
             "tile | tie points around it",
             tiles,
-            "Within the tile, or within a fifth of the scene where that is more.",
+            "Ties are counted within the tile, or within a fifth of the scene where that is more.",
             most=_MOST_TILES,
         )
     if ties.ties_by_part:
-        report.table(
-            list(ties.ties_by_part),
-            [list(ties.ties_by_part.values())],
-            "Tie points by ninths of the area, north up.",
-        )
+        counts = list(ties.ties_by_part.values())
+        report.table(list(ties.ties_by_part), [counts], "Tie points in each ninth of the area.")
     _curves(report, scene)
 
 
 def _curves(report: Report, scene: Scene) -> None:
-    """How many ties are how good, and where rows still differ; nothing where the ties' layer is gone."""
+    """How large the ties' residuals are, and where vertical parallax remains; nothing without the ties' layer."""
     found = _read_ties(scene.tie_points)
     if not len(found):
         return
     share = np.linspace(0, 100, len(found))
     limit = float(np.percentile(found[:, :2], 98))
+    series = {"vendors' RPCs": (np.sort(found[:, 0]), share), "corrected": (np.sort(found[:, 1]), share)}
+    labels, limits = ("residual of a tie point (px)", "tie points with less (%)"), (0.0, max(limit, 0.1))
     report.svg(
-        charts.curves(
-            {"vendors' RPCs": (np.sort(found[:, 0]), share), "corrected": (np.sort(found[:, 1]), share)},
-            "residual of a tie point (px)",
-            "tie points with less (%)",
-            xlim=(0.0, max(limit, 0.1)),
-            ylim=(0.0, 100.0),
-        ),
-        "Tie points' residuals: root mean square distance between measured and projected pixels.",
+        charts.curves(series, *labels, xlim=limits, ylim=(0.0, 100.0)),
+        "Tie points' residuals: the root mean square distance between measured and projected pixels.",
     )
     row, azimuth = found[:, 2], np.radians(found[:, 3])
     vectors = np.column_stack([row * np.sin(azimuth), -row * np.cos(azimuth)])
     report.svg(
-        charts.arrows(found[:, 4:] * (1, -1), vectors, "Rows left", "px"),
-        "What is left of the rows' differences, at the tie points on the ground, north up (the layer of tie "
-        "points has them too, in its field 'row'). Arrows in all directions are noise; arrows that agree over "
-        "a part of the scene are a trend that POINTING=affine may take out.",
+        charts.arrows(found[:, 4:] * (1, -1), vectors, "Vertical parallax after the correction", "px"),
+        "The vertical parallax that remains, at the tie points on the ground, north up (the layer of tie points has it "
+        "in its field 'row'). Arrows in all directions are noise. Arrows that agree over a part of the scene are a "
+        "trend, which POINTING=affine may remove.",
     )
 
 
-def _read_ties(path: str) -> np.ndarray:
-    """(N, 6) residuals before and after, row, its azimuth, x, y of the ties' layer; empty where it cannot be read."""
+def _read_ties(path: str) -> FloatArray:
+    """(N, 6) of the ties' layer: residual before and after, vertical parallax, its azimuth, x, y; empty without it."""
     try:
         return _ties_of(path, os.stat(path).st_mtime_ns)
     except OSError:
         return np.empty((0, 6))
 
 
-@lru_cache(maxsize=1)  # of one run, two pages show them
-def _ties_of(path: str, changed_ns: int) -> np.ndarray:
+@lru_cache(maxsize=1)  # two pages of one run show them
+def _ties_of(path: str, changed_ns: int) -> FloatArray:
     with quiet():
         try:
             source = ogr.Open(path)
@@ -175,9 +160,8 @@ def _ties_of(path: str, changed_ns: int) -> np.ndarray:
 
 
 def _pointing(report: Report, ties: PointingFigures) -> None:
-    report.section("Pointing")
-    said = {"shift": "one shift an image", "affine": "an affine correction an image"}
-    report.facts([("Correction", said.get(ties.model, ties.model)), ("Why", ties.reason)])
+    models = {"shift": "one shift per image", "affine": "an affine correction per image"}
+    report.section("Pointing").facts([("Correction", models.get(ties.model, ties.model)), ("Why", ties.reason)])
     report.table(
         "view | column shift, px | row shift, px",
         [[name, *fixed(*shift, decimals=2, sign="+")] for name, shift in ties.shifts_px.items()],
@@ -186,35 +170,34 @@ def _pointing(report: Report, ties: PointingFigures) -> None:
 
 
 def _absolute(report: Report, ties: PointingFigures) -> None:
-    """Ground control, or how uncertain things are without it."""
+    """Ground control, or how uncertain the heights are without it."""
     report.section("Absolute position")
     if ties.height_uncertainty_m is not None:
         report.paragraph(
-            "Without control points the corrections sum to zero: the position and height of the whole "
-            "stay where the vendors put them. By how much their RPCs disagree across the parallax, the "
-            f"absolute height is uncertain by {ties.height_uncertainty_m:.1f} m (two "
-            "standard deviations; relative heights are not affected). Ground control points (GCPS), or "
-            "an alignment with a reference, take that out."
+            "Without control points the corrections sum to zero, so the position and height of the whole stay as the "
+            "vendors' RPCs have them. The vertical parallax shows how well these agree. From it, the absolute height "
+            f"is uncertain by {ties.height_uncertainty_m:.1f} m (two standard deviations; relative heights are not "
+            "affected). Ground control points (GCPS), or an alignment with a reference, remove this error."
         )
     points, rejected = ties.gcps, ties.rejected_gcps
     if rejected:
         report.warning(
-            f"{counted(len(rejected), 'control point')} contradicted all others and took no part: "
+            f"{counted(len(rejected), 'control point')} contradicted all others and took no part in the adjustment: "
             f"{', '.join(rejected)}.",
-            "check coordinates, the heights' datum, and the measured pixels.",
+            "check their coordinates, the datum of their heights, and the measured pixels.",
         )
     if not points:
         return
     if ties.control_noise_px is not None:
         report.paragraph(
-            f"The control points fit to {ties.control_noise_px:.2f} px in each direction (standard "
-            "deviation, estimated from their own residuals), and have the weight of that."
+            f"The control points fit to {ties.control_noise_px:.2f} px in each direction (standard deviation, "
+            "estimated from their own residuals), and have the weight that belongs to it."
         )
     report.table(
         "points | count | component | ME, m | RMSE, m | Max, m",
         _summary(points),
-        "From the true place to where the corrected images put it. Control points were fitted; only check "
-        "points tell how good the result is.",
+        "Errors are the place found by the corrected images minus the true place. Control points were used in the "
+        "adjustment; only check points show how good the result is.",
     )
     rows = []
     for point in points:

@@ -1,20 +1,22 @@
-"""What each stage's HTML report says; the page itself is made by :mod:`repm_qgis.evaluation.report`."""
+"""The content of each stage's HTML report; :mod:`repm_qgis.evaluation.report` makes the page."""
 
 from __future__ import annotations
 
 import os
 import platform
-from typing import Any, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
 
 from .. import __version__
+from ..arrays import FloatArray, FloatImage
 from ..environment import PACKAGES, version_of
 from ..geometry.footprints import footprint
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.raster import opened
 from ..progress import counted
+from ..records import FusionFacts
 from ..scene import Scene, View
 from ..sfm.pair_selection import sun_over
 from . import charts, pictures
@@ -60,9 +62,9 @@ def fit_report(scene: Scene) -> Report:
     _inputs(report, scene)
     report.section("Equivalent error")
     report.paragraph(
-        "How far the pinhole camera's pixel of a ground point lies from the RPC's, over a grid of 13 x 13 "
-        "pixels and 7 altitudes of each tile, before any refinement. 'Predicted' is the paper's bound "
-        "|x (Z - Zmean) / Zmean| at the tile's corner."
+        "The equivalent error is the distance between the pinhole camera's pixel of a ground point and the RPC's, over "
+        "a grid of 13 x 13 pixels and 7 altitudes of each tile, before any refinement. 'Predicted' is the paper's "
+        "bound |x (Z - Zmean) / Zmean| at the tile's corner."
     )
     rows, errors = [], []
     for tile in scene.tiles:
@@ -98,27 +100,15 @@ def reconstruct_report(scene: Scene) -> Report:
     return report
 
 
-def errormap_report(scene: Scene, view: View, path: str, facts: Mapping[str, float]) -> Report:
-    """An error map's picture and figures."""
-    report = Report("Equivalent error on the ground", f"{view.name} at {facts['altitude']:.0f} m above the ellipsoid")
-    report.facts(
-        [
-            ("Refinement", scene.refinement or "none yet: the images as they are"),
-            ("RMSE", f"{facts['rmse']:.3g} px"),
-            ("Max", f"{facts['max_error']:.3g} px"),
-        ]
-    )
+def errormap_report(scene: Scene, view: View, path: str, rmse: float, max_error: float, altitude: float) -> Report:
+    """An error map's picture and figures (px; the altitude in m above the ellipsoid)."""
+    report = Report("Equivalent error on the ground", f"{view.name} at {altitude:.0f} m above the ellipsoid")
+    refinement = scene.refinement or "none yet: the images as they are"
+    report.facts([("Refinement", refinement), ("RMSE", f"{rmse:.3g} px"), ("Max", f"{max_error:.3g} px")])
     values, _ = pictures.preview(path, 900)
-    high = max(facts["max_error"], 1e-6)
-    report.png(
-        pictures.png_bytes(pictures.colour_map(values, 0.0, high, "viridis")),
-        f"Magnitude of the equivalent error of {view.name}, north up.",
-    )
-    report.svg(charts.colour_bar(pictures.RAMPS["viridis"], 0.0, high, "px"))
-    report.svg(
-        charts.histogram(values[np.isfinite(values)], "px", "Magnitude of the equivalent error"), "Distribution."
-    )
-    return report
+    caption = f"Magnitude of the equivalent error of {view.name}, north up."
+    _map(report, values, (0.0, max(max_error, 1e-6)), caption, "px")
+    return report.svg(charts.histogram(values, "px", "Magnitude of the equivalent error"), "Distribution.")
 
 
 def pipeline_report(
@@ -126,84 +116,75 @@ def pipeline_report(
 ) -> Report:
     """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
     report = Report("Surface model from satellite images", os.path.basename(str(products["output"])))
-    _surface(report, products)
-    _warnings(report, scene, _thin(products))
+    facts = FusionFacts.from_mapping(products)
+    _surface(report, products["output"], products["vertical_datum"], facts)
+    _warnings(report, scene, facts)
     _inputs(report, scene)
     _errors(report, scene)
     _reconstruction(report, scene)
-    _confidence(report, products)
-    report.section("Files")
-    report.table(
+    _confidence(report, products.get("confidence"))
+    report.section("Files").table(
         "product | file",
         [[title, str(products[name])] for name, title in _PRODUCTS if products.get(name)],
-        "To measure the DSM, compare it with a reference: 'Compare a DSM with a reference' (repm:comparedsm).",
+        "To measure the DSM's accuracy, compare it with a reference: 'Compare a DSM with a reference' "
+        "(repm:comparedsm).",
     )
     if command:
-        report.section("Repeat this run")
-        report.command(command)
+        report.section("Repeat this run").command(command)
     _history(report, scene, seconds)
     return report
 
 
-def _surface(report: Report, products: Mapping[str, Any]) -> None:
-    values, cell = pictures.preview(products["output"], 800)
-    low, high = pictures.spread(values)
+def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
+    values, cell = pictures.preview(path, 800)
     report.png(
         pictures.png_bytes(pictures.shaded_relief(values, cell)),
         "The DSM, shaded from the north-west, north up. White: no height was matched there.",
     )
-    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, f"m above the {products['vertical_datum']}"))
-    known = values[np.isfinite(values)]
+    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], *pictures.spread(values), f"m above the {datum}"))
     report.facts(
         [
-            ("Cell size", f"{products['resolution']:g} m"),
-            ("Cells with a height", f"{products['valid']} of {products['cells']} ({products['valid_percent']:.1f} %)"),
-            ("Heights", f"{known.min():.1f} to {known.max():.1f} m above the {products['vertical_datum']}"),
-            ("CRS", products["crs"]),
+            ("Cell size", f"{facts.resolution:g} m"),
+            ("Cells with a height", f"{facts.valid} of {facts.cells} ({facts.valid_percent:.1f} %)"),
+            ("Heights", f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"),
+            ("CRS", facts.crs),
         ]
     )
 
 
-def _thin(products: Mapping[str, Any]) -> List[str]:
-    if products["valid_percent"] >= 20:
-        return []
-    return [
-        f"Only {products['valid_percent']:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, "
-        "and so do images from too different directions or dates: see 'Height maps' below for the pairs that "
-        "matched badly."
-    ]
+def _map(report: Report, values: FloatImage, limits: Tuple[float, float], caption: str, unit: str = "") -> None:
+    """A coloured picture and its key."""
+    report.png(pictures.png_bytes(pictures.colour_map(values, *limits)), caption)
+    report.svg(charts.colour_bar(pictures.RAMPS["viridis"], *limits, unit))
 
 
-def _warnings(report: Report, scene: Scene, more: Tuple[str, ...] | List[str] = ()) -> None:
-    """Everything the stages warned of, first thing on the page."""
-    said = [text for entry in scene.history for text in entry.warnings]
-    for text in dict.fromkeys([*more, *said]):
+def _warnings(report: Report, scene: Scene, facts: Optional[FusionFacts] = None) -> None:
+    """Everything that the stages warned of, at the top of the page."""
+    if facts is not None and facts.valid_percent < 20:
+        report.warning(
+            f"Only {facts.valid_percent:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, and so "
+            "do images whose directions or dates differ too much: 'Height maps' below shows which pairs matched badly."
+        )
+    for text in dict.fromkeys(text for entry in scene.history for text in entry.warnings):
         report.warning(text)
 
 
 def _inputs(report: Report, scene: Scene) -> None:
     """Images, area and a map of the footprints."""
-    report.section("Images")
-    report.table(
+    rows = []
+    for v in scene.views:
+        heights = "{:.0f} to {:.0f}".format(*v.rpc.height_range)
+        rows.append([v.name, v.image, f"{v.width} x {v.height}", f"{v.gsd_m:.3f}", heights, *_taken(scene, v)])
+    report.section("Images").table(
         "view | file | size, px | GSD, m | RPC heights, m | taken (UTC) | sun's azimuth, elevation",
-        [
-            [
-                v.name,
-                v.image,
-                f"{v.width} x {v.height}",
-                f"{v.gsd_m:.3f}",
-                "{:.0f} to {:.0f}".format(*v.rpc.height_range),
-                *_taken(scene, v),
-            ]
-            for v in scene.views
-        ],
-        "The time is that of the product's files or name; the sun is computed from it for the scene's middle.",
+        rows,
+        "The time is from the product's files or name; the sun's direction is computed from it for the scene's middle.",
     )
     middle = sum(scene.altitudes) / 2
     outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}
     report.svg(
         charts.footprints(outlines, _outline(scene.area)),
-        f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is worked on.",
+        f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is processed.",
     )
     report.facts(
         [
@@ -222,25 +203,20 @@ def _taken(scene: Scene, view: View) -> List[str]:
     return [f"{view.time:%Y-%m-%d %H:%M:%S}", "{:.1f}°, {:.1f}°".format(*sun)]
 
 
-def _outline(wkt: str) -> np.ndarray:
-    """(N, 2) vertices of a polygon's outer ring; of several polygons the largest's."""
-    geometry = ogr.CreateGeometryFromWkt(wkt)
-    parts = (
-        [geometry]
-        if geometry.GetGeometryName() == "POLYGON"
-        else [geometry.GetGeometryRef(i) for i in range(geometry.GetGeometryCount())]
-    )
+def _outline(wkt: str) -> FloatArray:
+    """(N, 2) vertices of a polygon's outer ring, or of the largest of several polygons."""
+    polygons = ogr.ForceToMultiPolygon(ogr.CreateGeometryFromWkt(wkt))
+    parts = [polygons.GetGeometryRef(i) for i in range(polygons.GetGeometryCount())]
     largest = max(parts, key=lambda part: part.GetArea())
-    return np.array(largest.GetGeometryRef(0).GetPoints())[:, :2]
+    return np.array(largest.GetGeometryRef(0).GetPoints(), dtype=np.float64)[:, :2]
 
 
 def _errors(report: Report, scene: Scene) -> None:
     """The equivalent error before and after refinement, tile by tile."""
-    report.section("Equivalent error")
-    report.paragraph(
-        "What the pinhole cameras cost, as the distance between their pixel and the RPC's of the same "
-        f"ground point: fitted, and after refinement ({scene.refinement}). Heights are computed with the "
-        "RPCs, so none of it reaches the DSM; below about 0.3 px it does not disturb matching either."
+    report.section("Equivalent error").paragraph(
+        "The equivalent error is the distance between a pinhole camera's pixel and the RPC's of the same ground point, "
+        f"before and after refinement ({scene.refinement}). Heights are computed with the RPCs, so it does not reach "
+        "the DSM, and below about 0.3 px it does not disturb matching either."
     )
     rows = []
     for tile in scene.tiles:
@@ -259,7 +235,6 @@ def _reconstruction(report: Report, scene: Scene) -> None:
 
 
 def _height_maps(report: Report, scene: Scene) -> None:
-    report.section("Height maps")
     rows = []
     for tile in scene.tiles:
         for record in tile.heights:
@@ -267,12 +242,11 @@ def _height_maps(report: Report, scene: Scene) -> None:
             figures = f"{record.metres_per_px:.2f}", f"{record.vertical_parallax_px:.3f}"
             rows.append([tile.id, *record.pair, size, matched, *figures])
     headers = "tile | first | second | size, px | matched, % | m of height per px | vertical parallax, px"
-    report.table(headers, rows, where=_TILES_LAYER)
+    report.section("Height maps").table(headers, rows, where=_TILES_LAYER)
 
 
-def _confidence(report: Report, products: Mapping[str, Any]) -> None:
-    """Where the heights rest on what."""
-    path = products.get("confidence")
+def _confidence(report: Report, path: Optional[str]) -> None:
+    """How reliable the heights are, and where."""
     if not path:
         return
     with opened(path) as dataset:
@@ -283,50 +257,42 @@ def _confidence(report: Report, products: Mapping[str, Any]) -> None:
         known = values[np.isfinite(values)]
         if not known.size or float(known.max() - known.min()) < 1e-6:
             continue  # the same everywhere: with two images there is one height map
-        low, high = pictures.spread(values)
-        report.png(pictures.png_bytes(pictures.colour_map(values, low, high)), title[:1].upper() + title[1:] + ".")
-        report.svg(charts.colour_bar(pictures.RAMPS["viridis"], low, high))
+        _map(report, values, pictures.spread(values), title[:1].upper() + title[1:] + ".")
 
 
 def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> None:
-    """Time, options and versions of everything that led here."""
-    report.section("What was done")
+    """Time, options and versions of all stages so far."""
     computed = {entry.stage: entry for entry in scene.history}
-    names = list(seconds) if seconds else list(computed)
-    rows = []
-    for name in names:
+    rows: List[Sequence[Any]] = []
+    for name in seconds or computed:
         entry = computed.get(name)
         now = [f"{seconds[name]:.1f}"] if seconds else []
-        rows.append([name, *now, f"{entry.seconds:.1f}" if entry else "–", entry.fingerprint if entry else "–"])
-    report.table(
-        ["stage", *(["this run, s"] if seconds else []), "when computed, s", "fingerprint"],
+        rows.append([name, *now, f"{entry.seconds:.1f}" if entry else None, entry.fingerprint if entry else None])
+    report.section("What was done").table(
+        f"stage{' | this run, s' if seconds else ''} | when computed, s | fingerprint",
         rows,
-        "A stage that was reused takes no time in this run. Equal fingerprint, equal result.",
+        "A stage that was reused takes no time in this run. Stages with equal fingerprints have equal results.",
     )
     _options(report, scene)
     report.table("software | version", _versions())
 
 
 def _options(report: Report, scene: Scene) -> None:
-    """One table of all stages' options; a value that several stages share is told once."""
-    told: Dict[Tuple[str, str], List[str]] = {}
+    """One table of all stages' options; a value that several stages share has one row."""
+    found: Dict[Tuple[str, str], List[str]] = {}
     for entry in scene.history:
         for name, value in entry.options.items():
             if value not in (None, "", []) and name not in _WHERE_IT_RUNS:
                 text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-                told.setdefault((name, text), []).append(entry.stage)
+                found.setdefault((name, text), []).append(entry.stage)
     report.table(
         "option | value | stage",
-        [[name, text, ", ".join(stages)] for (name, text), stages in told.items()],
-        "What is not listed was left to the defaults.",
+        [[name, text, ", ".join(stages)] for (name, text), stages in found.items()],
+        "All other options had their default values.",
     )
 
 
 def _versions() -> List[List[str]]:
     wanted = ("numpy", "GDAL", "pyproj", "scipy", "opencv-python-headless", "pycolmap")
-    found = [
-        [package.distribution, version_of(package) or "not installed"]
-        for package in PACKAGES
-        if package.distribution in wanted
-    ]
+    found = [[p.distribution, version_of(p) or "not installed"] for p in PACKAGES if p.distribution in wanted]
     return [["REPM", __version__], ["Python", platform.python_version()], *found]

@@ -1,7 +1,7 @@
-"""Map styles beside the products: ``dsm.tif`` gets ``dsm.qml``, which QGIS finds by itself when it opens the file.
+"""Map styles as sidecar files of products: QGIS opens ``dsm.tif`` with ``dsm.qml`` beside it.
 
-The templates lie in ``resources/styles``; what depends on the data (the range, and the colours spread over it) is
-filled in here. Each is valid for QGIS 3.22 and later.
+The templates lie in ``resources/styles``; this module fills in what depends on the data (the range, and the colours
+spread over it). Each is valid for QGIS 3.22 and later.
 
 | kind | what | range |
 |---|---|---|
@@ -22,16 +22,17 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Dict, Optional, Tuple, Union
+from typing import Optional, Tuple
 
 import numpy as np
 
-from ..errors import OptionError, WorkspaceError
+from ..arrays import FloatImage
+from ..errors import OptionError
 from ..imagery.raster import opened
 from ..workspace import write_text
 from .pictures import RAMPS, preview, rgb, spread
+from .templates import RESOURCES
 
-STYLES = Path(__file__).resolve().parents[2] / "resources" / "styles"
 _RAMP_OF = {
     "dsm": "elevation",
     "error": "viridis",
@@ -41,36 +42,27 @@ _RAMP_OF = {
     "ept": "elevation",
     "mesh": "elevation",
 }
-KINDS = ("dsm", "hillshade", "error", "dsm_error", "confidence", "ortho", "tiles", "tie_points", "gcps", "ept", "mesh")
 _SAMPLE_PX = 1200
 
 
-def write_style(kind: str, path: Union[str, os.PathLike], limits: Optional[Tuple[float, float]] = None) -> str:
-    """Write the style of a raster or vector file beside it; gives the path of the ``.qml``.
+def write_style(kind: str, path: str | os.PathLike[str], limits: Optional[Tuple[float, float]] = None) -> str:
+    """Write the style of a raster or vector file as its sidecar; returns the path of the ``.qml``.
 
-    ``limits`` set a raster's range by hand, so that maps that belong together can be compared by their colours; of
-    ``gcps`` the second one is the error in metres that an arrow of 10 mm shows.
-
-    A cloud (``ept``) and a ``mesh`` need them: see :func:`height_limits`.
+    ``limits`` set a raster's range, so that maps that belong together have the same colours; a cloud (``ept``) and a
+    ``mesh`` need them (see :func:`height_limits`). For ``gcps`` the second limit is the error in metres that an arrow
+    of 10 mm shows.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read, WorkspaceError where the
     style cannot be written.
     """
-    if kind not in KINDS:
-        raise OptionError("kind", kind, f"must be one of {', '.join(KINDS)}")
-    template = STYLES / f"{kind}.qml"
-    try:
-        text = template.read_text(encoding="utf-8")
-    except OSError as error:
-        raise WorkspaceError(
-            f"The style '{template}' cannot be read ({error.strerror or error}): install the plugin again."
-        ) from error
+    templates = {template.stem: template for template in (RESOURCES / "styles").glob("*.qml")}
+    if kind not in templates:
+        raise OptionError("kind", kind, f"must be one of {', '.join(sorted(templates))}")
+    text = templates[kind].read_text(encoding="utf-8")
     if kind in _RAMP_OF:
-        if limits and kind in ("ept", "mesh"):
-            values, band = np.empty(0), 1
-        else:
-            values, band = _shown(kind, path)
-        text = _filled(text, kind, *(limits or _value_range(kind, values))).replace("@band@", str(band))
+        values, band = (np.empty(0, np.float32), 1) if limits and kind in ("ept", "mesh") else _shown(kind, path)
+        low, high = limits or _value_range(kind, values)
+        text = _filled(text, _RAMP_OF[kind], low, high).replace("@band@", str(band))
     if kind == "gcps":
         length = limits[1] if limits else 1.0
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
@@ -82,11 +74,11 @@ def height_limits(dsm: str) -> Tuple[float, float]:
     return _value_range("dsm", _shown("dsm", dsm)[0])
 
 
-def _shown(kind: str, path: Union[str, os.PathLike]) -> Tuple[np.ndarray, int]:
+def _shown(kind: str, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]:
     """Values of the band that a style shows, and its number.
 
-    Of a confidence that is the number of height maps that agree; where it is the same everywhere (two images make one
-    height map) it tells nothing, and the matching score of band 3 takes its place.
+    Of a confidence that is the number of height maps that agree. It is the same everywhere where two images make one
+    height map; the matching score of band 3 is shown instead then.
     """
     values = preview(path, _SAMPLE_PX)[0]
     known = values[np.isfinite(values)]
@@ -98,38 +90,32 @@ def _shown(kind: str, path: Union[str, os.PathLike]) -> Tuple[np.ndarray, int]:
     return values, 1
 
 
-def _value_range(kind: str, values: np.ndarray) -> Tuple[float, float]:
+def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
     low, high = spread(values)
     if kind == "dsm_error":
         limit = max(abs(low), abs(high))
         return -limit, limit
-    if kind == "error":
-        return 0.0, high if high > 0 else 1.0
-    return low, high
+    return (0.0, high if high > 0 else 1.0) if kind == "error" else (low, high)
 
 
-def _filled(template: str, kind: str, low: float, high: float) -> str:
-    colours = RAMPS[_RAMP_OF[kind]]
+def _filled(template: str, ramp: str, low: float, high: float) -> str:
+    """A raster's template with the range, and the ramp's colours spread over it."""
+    colours = [",".join(map(str, rgb(colour))) + ",255" for colour in RAMPS[ramp]]
     decimals = int(np.clip(2 - math.floor(math.log10(high - low)), 0, 8))
-    places: Dict[str, str] = {
+    shares = [i / (len(colours) - 1) for i in range(len(colours))]
+    heights = [low + (high - low) * i / (len(colours) - 1) for i in range(len(colours))]
+    places = {
         "@min@": f"{low:.10g}",
         "@max@": f"{high:.10g}",
         "@precision@": str(decimals),
-        "@first@": _colour(colours[0]),
-        "@last@": _colour(colours[-1]),
-        "@stops@": ":".join(f"{i / (len(colours) - 1):.6g};{_colour(c)}" for i, c in enumerate(colours[1:-1], start=1)),
+        "@first@": colours[0],
+        "@last@": colours[-1],
+        "@stops@": ":".join(f"{share:.6g};{colour}" for share, colour in list(zip(shares, colours))[1:-1]),
         "@items@": "\n".join(
-            _item(low + (high - low) * i / (len(colours) - 1), c, decimals) for i, c in enumerate(colours)
+            f'          <item value="{value:.10g}" color="{colour}" alpha="255" label="{value + 0.0:.{decimals}f}"/>'
+            for value, colour in zip(heights, RAMPS[ramp])
         ),
     }
     for place, value in places.items():
         template = template.replace(place, value)
     return template
-
-
-def _item(value: float, colour: str, decimals: int) -> str:
-    return f'          <item value="{value:.10g}" color="{colour}" alpha="255" label="{value + 0.0:.{decimals}f}"/>'
-
-
-def _colour(hexadecimal: str) -> str:
-    return ",".join(map(str, rgb(hexadecimal))) + ",255"

@@ -81,7 +81,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     write_style("error", options.output, (0.0, max(tile.views[view.name].error.max for tile in tiles)))
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
-        errormap_report(scene, view, options.output, facts).write(options.report)
+        errormap_report(scene, view, options.output, rmse, worst, altitude).write(options.report)
     progress.info(
         f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px "
         f"({scene.refinement or 'uncorrected'})."
