@@ -1,8 +1,8 @@
 """Point clouds as Entwine Point Tiles (EPT), which every QGIS shows; LAS and LAZ need one that is built with PDAL.
 
-An octree over a cube around the cloud. A node keeps one point of each of its 128 x 128 x 128 voxels and hands the rest
-to its eight children; a node with few points left keeps them all. So every point is in exactly one node, and the upper
-nodes are an even sample of everything below.
+An octree over a cube around the cloud. A node keeps one point of each of its 128 x 128 x 128 voxels and passes the rest
+to its eight children; a node with few points keeps them all. So every point is in exactly one node, and the upper nodes
+are an even sample of everything below.
 
 The cube's side is a power of two of the cloud's own steps (millimetres), and all is done on whole numbers: no point is
 rounded again, and the same cloud gives the same files.
@@ -23,20 +23,22 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from ..arrays import IntArray
-from ..errors import EmptyResultError, MissingPackageError, WorkspaceError
+from ..arrays import FloatArray, IntArray
+from ..errors import EmptyResultError, WorkspaceError
 from ..progress import Progress, Silent
 from ..workspace import whole_folder
+from .parameters import FUSION, EptParameters
+from .point_cloud import required_laspy
 
+Points = NDArray[Any]
+"""Records of the type ``_RECORD``."""
+Codes = NDArray[np.uint64]
+"""Morton codes."""
 Node = Tuple[int, int]
 """Depth, and the Morton code of the node's place among all of that depth."""
 
-SPAN = 128  # voxels a side of a node
-_SPAN_BITS = 7
+_SPAN_BITS = 7  # 128 voxels a side of a node
 _CODE_BITS = 21  # a side, of a Morton code of 63 bits: 14 levels of nodes
-_LEAF = 1 << 16  # points that a node keeps without thinning: files of some 300 kB, as Entwine's own
-_UNIT = 1 << 21  # points that are sorted in memory at once, with all below some node: about 200 MB
-_CHUNK = 1 << 20
 _RECORD = np.dtype([("xyz", "<i4", 3), ("intensity", "<u2")])
 _ENTRIES = ("ept.json", "ept.qml", "ept-data", "ept-hierarchy")
 _DIMENSIONS = ("X", "Y", "Z", "Intensity")
@@ -49,10 +51,10 @@ class _Cube:
     corner: IntArray
     bits: int
     scale: float
-    offset: NDArray[np.float64]
+    offset: FloatArray
 
     @classmethod
-    def around(cls, low: IntArray, high: IntArray, scale: float, offset: NDArray[np.float64]) -> _Cube:
+    def around(cls, low: IntArray, high: IntArray, scale: float, offset: FloatArray) -> _Cube:
         bits = max(int((high - low).max()).bit_length(), _SPAN_BITS)
         return cls((low + high + 1 - (1 << bits)) // 2, bits, scale, offset)
 
@@ -62,18 +64,18 @@ class _Cube:
 
     @property
     def deepest(self) -> int:
-        """The depth at which a voxel is the smallest there is: nodes of that depth keep what comes."""
+        """The depth at which a voxel is one step wide: nodes of that depth keep all points."""
         return self.code_bits - _SPAN_BITS
 
-    def codes(self, xyz: NDArray[np.int32], bits: int) -> NDArray[np.uint64]:
+    def codes(self, xyz: NDArray[np.int32], bits: int) -> Codes:
         """(N,) Morton codes of (N, 3) points, with the first ``bits`` bits of each coordinate."""
         codes = np.zeros(len(xyz), dtype=np.uint64)
         for axis in range(3):
             place = (xyz[:, axis] - self.corner[axis]) >> (self.bits - bits)
-            codes |= _apart(place.astype(np.uint64)) << np.uint64(axis)
+            codes |= _spread_bits(place.astype(np.uint64)) << np.uint64(axis)
         return codes
 
-    def metres(self, steps: Sequence[int]) -> List[float]:
+    def metres(self, steps: IntArray) -> List[float]:
         """Coordinates of a place that is given in steps, free of the noise of binary fractions."""
         return [round(float(offset) + int(step) * self.scale, 9) for step, offset in zip(steps, self.offset)]
 
@@ -85,22 +87,18 @@ class _Cube:
 
 @dataclass
 class _Statistics:
-    """What the schema tells of each dimension."""
+    """The statistics of each dimension that the schema states."""
 
-    low: NDArray[np.float64] = field(default_factory=lambda: np.full(4, np.inf))
-    high: NDArray[np.float64] = field(default_factory=lambda: np.full(4, -np.inf))
-    total: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
-    squares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
+    low: FloatArray = field(default_factory=lambda: np.full(4, np.inf))
+    high: FloatArray = field(default_factory=lambda: np.full(4, -np.inf))
+    total: FloatArray = field(default_factory=lambda: np.zeros(4))
+    squares: FloatArray = field(default_factory=lambda: np.zeros(4))
     count: int = 0
 
-    def add(self, points: NDArray, cube: _Cube) -> None:
-        """Sums are taken from the cube's corner: of whole coordinates they would lose the small differences."""
-        for axis in range(4):
-            values = (
-                points["intensity"].astype(np.float64)
-                if axis == 3
-                else (points["xyz"][:, axis] - cube.corner[axis]) * cube.scale
-            )
+    def add(self, points: Points, cube: _Cube) -> None:
+        """Sums are relative to the cube's corner: sums of whole coordinates would lose small differences."""
+        columns = [(points["xyz"][:, axis] - cube.corner[axis]) * cube.scale for axis in range(3)]
+        for axis, values in enumerate((*columns, points["intensity"].astype(np.float64))):
             self.low[axis], self.high[axis] = min(self.low[axis], values.min()), max(self.high[axis], values.max())
             self.total[axis] += values.sum()
             self.squares[axis] += (values * values).sum()
@@ -110,37 +108,42 @@ class _Statistics:
         corner = [*cube.metres(cube.corner), 0.0]
         mean = self.total / self.count
         variance = np.maximum(self.squares / self.count - mean * mean, 0.0)
-        dimensions = []
+        dimensions: List[Dict[str, Any]] = []
         for axis, name in enumerate(_DIMENSIONS):
-            kind: Dict[str, Any] = (
-                {"type": "unsigned", "size": 2}
-                if name == "Intensity"
-                else {"type": "signed", "size": 4, "scale": cube.scale, "offset": float(cube.offset[axis])}
-            )
-            dimensions.append(
-                {
-                    "name": name,
-                    **kind,
-                    "count": self.count,
-                    "minimum": round(corner[axis] + self.low[axis], 6),
-                    "maximum": round(corner[axis] + self.high[axis], 6),
-                    "mean": round(corner[axis] + mean[axis], 6),
-                    "stddev": round(float(np.sqrt(variance[axis])), 6),
-                    "variance": round(float(variance[axis]), 6),
-                }
-            )
+            entry: Dict[str, Any] = {"name": name, "type": "unsigned", "size": 2}
+            if name != "Intensity":
+                entry.update({"type": "signed", "size": 4, "scale": cube.scale, "offset": float(cube.offset[axis])})
+            ends = {"minimum": self.low[axis], "maximum": self.high[axis], "mean": mean[axis]}
+            entry["count"] = self.count
+            entry.update({key: round(corner[axis] + value, 6) for key, value in ends.items()})
+            entry.update(stddev=round(float(np.sqrt(variance[axis])), 6), variance=round(float(variance[axis]), 6))
+            dimensions.append(entry)
         return dimensions
 
 
-def write_ept(cloud: str, folder: str, crs: str, progress: Optional[Progress] = None) -> Dict[str, Any]:
-    """Write the points of a LAS or LAZ file as EPT: a folder with ``ept.json``, whole or not at all.
+@dataclass(frozen=True)
+class EptFacts:
+    """A written EPT; ``height_range`` has 2 to 98 % of an even sample of the points, m."""
+
+    points: int
+    nodes: int
+    height_range: Tuple[float, float]
+
+
+def write_ept(
+    cloud: str,
+    folder: str,
+    crs: str,
+    progress: Optional[Progress] = None,
+    parameters: EptParameters = FUSION.ept,
+) -> EptFacts:
+    """Write the points of a LAS or LAZ file as EPT: a folder with ``ept.json``, completely or not at all.
 
     ``cloud`` has one scale for all axes, as :func:`~.point_cloud.created_cloud` writes; ``crs`` may be compound. Memory
-    does not grow with the cloud. Gives ``points``, ``nodes`` and ``height_range`` (2..98 % of an even sample, metres).
-    An older EPT of that name gives way; a folder of something else raises WorkspaceError, as one that cannot be
-    written. MissingPackageError without laspy, EmptyResultError for a cloud without points.
+    does not grow with the cloud. An older EPT of that name is replaced. Raises WorkspaceError for a folder that cannot
+    be written or has other files, MissingPackageError without laspy, EmptyResultError for a cloud without points.
     """
-    laspy = _laspy()
+    laspy = required_laspy("EPT")
     progress = progress or Silent()
     require_ept_place(folder)
     with laspy.open(cloud) as reader:
@@ -151,41 +154,29 @@ def write_ept(cloud: str, folder: str, crs: str, progress: Optional[Progress] = 
             np.rint((np.asarray(end) - header.offsets) / header.scales).astype(np.int64)
             for end in (header.mins, header.maxs)
         ]
-        cube = _Cube.around(*ends, float(header.scales[0]), np.asarray(header.offsets, dtype=np.float64))
+        cube = _Cube.around(ends[0], ends[1], float(header.scales[0]), np.asarray(header.offsets, dtype=np.float64))
         with whole_folder(folder) as whole:
-            tree = _Tree(cube, whole, progress)
-            tree.spill(_chunks(reader), header.point_count)
+            tree = _Tree(cube, whole, progress, parameters)
+            tree.partition(_chunks(reader, parameters.chunk), header.point_count)
             tree.build()
-            facts = tree.describe(crs, ends)
-    return facts
-
-
-def _laspy() -> Any:
-    try:
-        import laspy
-    except ImportError as error:
-        raise MissingPackageError(
-            "Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
-            "folder, or leave EPT empty."
-        ) from error
-    return laspy
+            return tree.describe(crs, ends)
 
 
 def require_ept_place(path: str) -> None:
-    """See that nothing else is lost with a folder that an EPT replaces; raises WorkspaceError."""
+    """Check that a folder that an EPT replaces holds nothing else; raises WorkspaceError."""
     folder = Path(path)
     others = [folder.name] if folder.is_file() else []
     if folder.is_dir():
         others = sorted({path.name for path in folder.iterdir()} - set(_ENTRIES))
     if others:
         raise WorkspaceError(
-            f"The folder '{folder}' holds '{others[0]}', which is of no EPT and would be lost: choose "
+            f"The folder '{folder}' holds '{others[0]}', which does not belong to an EPT and would be lost: choose "
             "a new or empty folder for EPT."
         )
 
 
-def _chunks(reader: Any) -> Iterator[NDArray]:
-    for points in reader.chunk_iterator(_CHUNK):
+def _chunks(reader: Any, count: int) -> Iterator[Points]:
+    for points in reader.chunk_iterator(count):
         records = np.empty(len(points), _RECORD)
         for axis, name in enumerate("XYZ"):
             records["xyz"][:, axis] = points[name]
@@ -194,42 +185,40 @@ def _chunks(reader: Any) -> Iterator[NDArray]:
 
 
 class _Tree:
-    """The octree while it is written: points are parted into files first, then each part is finished by itself.
+    """The octree while it is written: points are divided into files first, then each part is completed on its own.
 
-    A part is all below one node and fits memory. Voxels of the nodes above it are as large as the part, or smaller,
-    down to seven levels below the root: so a part chooses its share of the upper nodes by itself, too.
+    A part is all below one node and fits into memory. Voxels of the nodes above it are as large as the part, or
+    smaller, down to seven levels below the root: so each part chooses its share of the upper nodes on its own, too.
     """
 
-    def __init__(self, cube: _Cube, folder: Path, progress: Progress) -> None:
-        self._cube, self._folder, self._progress = cube, folder, progress
-        self._spilled = folder / "spill"
+    def __init__(self, cube: _Cube, folder: Path, progress: Progress, parameters: EptParameters) -> None:
+        self._cube, self._folder, self._progress, self._p = cube, folder, progress, parameters
+        self._parts_folder = folder / "parts"
         self._parts: Dict[Node, int] = {}
         self._upper: Dict[Node, int] = {}
         self._hierarchy: Dict[str, int] = {}
         self._statistics = _Statistics()
         self._sample = np.empty(0)
-        for place in (self._spilled, folder / "ept-data", folder / "ept-hierarchy"):
+        for place in (self._parts_folder, folder / "ept-data", folder / "ept-hierarchy"):
             place.mkdir()
 
-    def spill(self, chunks: Iterable[NDArray], count: int) -> None:
-        """Part the points by the node they lie in, until no part is too large."""
-        limit = min(_SPAN_BITS, self._cube.deepest)
+    def partition(self, chunks: Iterable[Points], count: int) -> None:
+        """Divide the points by the node they lie in, until no part is too large."""
+        limit, batch = min(_SPAN_BITS, self._cube.deepest), self._p.batch
         depth = 0
-        while depth < limit and count > (_UNIT << (2 * depth)) // 4:  # a surface: four children of eight have points
+        while depth < limit and count > (batch << (2 * depth)) // 4:  # a surface: four children of eight have points
             depth += 1
-        if count <= _UNIT:
-            depth = 0
-        self._part(chunks, depth)
-        large = [node for node, points in self._parts.items() if points > _UNIT and node[0] < limit]
+        self._divide(chunks, depth if count > batch else 0)
+        large = [node for node, points in self._parts.items() if points > batch and node[0] < limit]
         while large:
             node = large.pop()
             path = self._path("part", node)
             del self._parts[node]
-            new = self._part(_read_chunks(path), node[0] + 1)
+            new = self._divide(_read_chunks(path, self._p.chunk), node[0] + 1)
             path.unlink()
-            large += [child for child in new if self._parts[child] > _UNIT and child[0] < limit]
+            large += [child for child in new if self._parts[child] > batch and child[0] < limit]
 
-    def _part(self, chunks: Iterable[NDArray], depth: int) -> List[Node]:
+    def _divide(self, chunks: Iterable[Points], depth: int) -> List[Node]:
         found = set()
         for records in chunks:
             self._progress.check_cancelled()
@@ -244,7 +233,7 @@ class _Tree:
 
     def build(self) -> None:
         """Write all nodes: part by part, small neighbours together, and the nodes above them last."""
-        for node, parts in _units(self._parts, (0, 0)):
+        for node, parts in _batches(self._parts, (0, 0), self._p.batch):
             self._progress.check_cancelled()
             paths = [self._path("part", part) for part in parts]
             self._finish(node[0], np.concatenate([np.fromfile(path, _RECORD) for path in paths]))
@@ -254,15 +243,15 @@ class _Tree:
             path = self._path("upper", node)
             self._write(node[0], np.fromfile(path, _RECORD))
             path.unlink()
-        self._spilled.rmdir()
+        self._parts_folder.rmdir()
 
-    def _finish(self, depth: int, points: NDArray) -> None:
+    def _finish(self, depth: int, points: Points) -> None:
         cube = self._cube
         codes = cube.codes(points["xyz"], cube.code_bits)
         order = np.argsort(codes, kind="stable")
         points, codes = points[order], codes[order]
         self._statistics.add(points, cube)
-        depths = _depths(codes, depth, cube)
+        depths = _depths(codes, depth, cube, self._p.leaf)
         for level in range(int(depths.max()) + 1):
             here = depths == level
             places = codes[here] >> np.uint64(3 * (cube.code_bits - level))
@@ -273,16 +262,16 @@ class _Tree:
                     _append(self._path("upper", (level, code)), part)
                     self._upper[level, code] = self._upper.get((level, code), 0) + len(part)
 
-    def _write(self, depth: int, points: NDArray) -> None:
+    def _write(self, depth: int, points: Points) -> None:
         name = self._cube.name(points["xyz"][0], depth)
         _write_node(str(self._folder / "ept-data" / f"{name}.laz"), points, self._cube)
         self._hierarchy[name] = len(points)
         if depth == 0:
             self._sample = points["xyz"][:, 2] * self._cube.scale + self._cube.offset[2]
 
-    def describe(self, crs: str, ends: Sequence[IntArray]) -> Dict[str, Any]:
+    def describe(self, crs: str, ends: Sequence[IntArray]) -> EptFacts:
         """Write the hierarchy and ``ept.json``, the last file."""
-        cube = self._cube
+        cube, points = self._cube, self._statistics.count
         counts = dict(sorted(self._hierarchy.items(), key=lambda item: tuple(map(int, item[0].split("-")))))
         _write_json(self._folder / "ept-hierarchy" / "0-0-0-0.json", counts)
         _write_json(
@@ -291,8 +280,8 @@ class _Tree:
                 "version": "1.0.0",
                 "dataType": "laszip",
                 "hierarchyType": "json",
-                "span": SPAN,
-                "points": self._statistics.count,
+                "span": 1 << _SPAN_BITS,
+                "points": points,
                 "bounds": cube.metres(cube.corner) + cube.metres(cube.corner + (1 << cube.bits)),
                 "boundsConforming": cube.metres(ends[0]) + cube.metres(ends[1]),
                 "schema": self._statistics.schema(cube),
@@ -300,25 +289,25 @@ class _Tree:
             },
         )
         low, high = np.percentile(self._sample, (2, 98))
-        return {"points": self._statistics.count, "nodes": len(counts), "height_range": (float(low), float(high))}
+        return EptFacts(points, len(counts), (float(low), float(high)))
 
     def _path(self, kind: str, node: Node) -> Path:
-        return self._spilled / f"{kind}-{node[0]}-{node[1]}"
+        return self._parts_folder / f"{kind}-{node[0]}-{node[1]}"
 
 
-def _units(parts: Dict[Node, int], node: Node) -> Iterator[Tuple[Node, List[Node]]]:
-    """The largest nodes whose parts fit memory together, in the order of their codes."""
-    if sum(parts.values()) <= _UNIT or node in parts:
+def _batches(parts: Dict[Node, int], node: Node, most: int) -> Iterator[Tuple[Node, List[Node]]]:
+    """The largest nodes whose parts together have at most so many points, in the order of their codes."""
+    if sum(parts.values()) <= most or node in parts:
         yield node, sorted(parts)
         return
     for child in range(8):
         below = (node[0] + 1, (node[1] << 3) + child)
         inside = {part: count for part, count in parts.items() if part[1] >> 3 * (part[0] - below[0]) == below[1]}
         if inside:
-            yield from _units(inside, below)
+            yield from _batches(inside, below, most)
 
 
-def _depths(codes: NDArray[np.uint64], first: int, cube: _Cube) -> NDArray[np.uint8]:
+def _depths(codes: Codes, first: int, cube: _Cube, leaf: int) -> NDArray[np.uint8]:
     """The depth of the node that keeps each point, of sorted codes of all points below a node of depth ``first``.
 
     Of each voxel the point in the middle of its Morton order is kept: the first would be one from its corner.
@@ -332,7 +321,7 @@ def _depths(codes: NDArray[np.uint64], first: int, cube: _Cube) -> NDArray[np.ui
         taken[(starts[:-1] + starts[1:]) // 2] = True
         if depth >= first:
             sizes = np.diff(_starts(here >> np.uint64(3 * (cube.code_bits - depth))))
-            taken |= np.repeat(sizes <= _LEAF, sizes)
+            taken |= np.repeat(sizes <= leaf, sizes)
         depths[rest[taken]] = depth
         rest = rest[~taken]
         if not rest.size:
@@ -340,12 +329,12 @@ def _depths(codes: NDArray[np.uint64], first: int, cube: _Cube) -> NDArray[np.ui
     return depths
 
 
-def _starts(values: NDArray) -> IntArray:
+def _starts(values: Codes) -> IntArray:
     """Where runs of equal values begin, and the end of the last."""
     return np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1, [len(values)]])
 
 
-def _runs(values: NDArray, points: NDArray) -> Iterator[Tuple[int, NDArray]]:
+def _runs(values: Codes, points: Points) -> Iterator[Tuple[int, Points]]:
     """Points by the value they have in common; values are sorted."""
     if len(values):
         starts = _starts(values)
@@ -353,8 +342,8 @@ def _runs(values: NDArray, points: NDArray) -> Iterator[Tuple[int, NDArray]]:
             yield int(values[begin]), points[begin:end]
 
 
-def _apart(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Two empty bits before each of the last 21 bits."""
+def _spread_bits(bits: Codes) -> Codes:
+    """Two zero bits before each of the last 21 bits."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),
@@ -366,23 +355,20 @@ def _apart(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return bits
 
 
-def _append(path: Path, points: NDArray) -> None:
+def _append(path: Path, points: Points) -> None:
     with open(path, "ab") as stream:
         stream.write(points.tobytes())
 
 
-def _read_chunks(path: Path) -> Iterator[NDArray]:
+def _read_chunks(path: Path, count: int) -> Iterator[Points]:
     with open(path, "rb") as stream:
-        while True:
-            points = np.fromfile(stream, _RECORD, _CHUNK)
-            if not len(points):
-                return
+        while len(points := np.fromfile(stream, _RECORD, count)):
             yield points
 
 
-def _write_node(path: str, points: NDArray, cube: _Cube) -> None:
+def _write_node(path: str, points: Points, cube: _Cube) -> None:
     """LAS 1.2, point format 3: QGIS 3.22 reads no other in an EPT."""
-    laspy = _laspy()
+    laspy = required_laspy("EPT")
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales, header.offsets = np.full(3, cube.scale), cube.offset
     header.creation_date = None  # the same cloud gives the same bytes tomorrow

@@ -1,8 +1,8 @@
-"""How wrong a fused height is likely to be: what the confidence raster tells in metres.
+"""The likely error of a fused height: what the confidence raster states in metres.
 
-Two things are known of a cell: what matching leaves at its correlation and base-to-height ratio, and how far the maps
-that agree there differ. Both were held against true surfaces (docs/method.md#confidence): the 68 % quantile of errors
-in px of disparity falls linearly with the correlation, and the spread adds to it as another error does.
+Two facts of a cell are known: the error that matching leaves at its correlation and base-to-height ratio, and the
+spread of the maps that agree there. Both were compared with true surfaces (docs/method.md#confidence): the 68 %
+quantile of errors in px of disparity falls linearly with the correlation, and the spread adds as an independent error.
 """
 
 from __future__ import annotations
@@ -11,25 +11,25 @@ from typing import Sequence
 
 import numpy as np
 
-from ..arrays import Floats
-from .aggregation import Aggregate
-
-_AT_BEST_PX, _PER_SCORE_PX = 0.15, 0.85  # px of disparity at a correlation of 1, and more for each 1 less
-_BACKGROUND_PX = 1.5  # of heights taken from the background of an occlusion
+from ..arrays import FloatImage
+from .aggregation import FusedCells
+from .parameters import FUSION, ExpectedErrorParameters
 
 
-def expected_error(fused: Aggregate, metres_per_px: Sequence[float]) -> Floats:
+def expected_error(
+    fused: FusedCells, metres_per_px: Sequence[float], parameters: ExpectedErrorParameters = FUSION.error
+) -> FloatImage:
     """(H, W) metres within which about two thirds of such heights are right; NaN where there is no height.
 
-    ``metres_per_px`` of all the tile's height maps. Pointing errors that all cells share are not in it: the report
-    tells them.
+    ``metres_per_px`` of all the tile's height maps. Pointing errors, which all cells share, are not included: the
+    report states them.
     """
     metres = np.asarray(metres_per_px, dtype=np.float64)
-    together = len(metres) ** 0.5 / np.sqrt((metres**-2.0).sum())  # of one map, where they count by their variances
+    typical = len(metres) ** 0.5 / np.sqrt((metres**-2.0).sum())  # of one map, where they count by their variances
     count = np.maximum(fused.count, 1)
-    score = np.clip(np.nan_to_num(fused.score), 0.0, 1.0)
-    # Pairs share images, and with them errors: three maps are worth two.
-    matching = (_AT_BEST_PX + _PER_SCORE_PX * (1.0 - score)) * together / np.sqrt((1.0 + count) / 2.0)
+    loss = parameters.per_score_px * (1.0 - np.clip(np.nan_to_num(fused.score), 0.0, 1.0))
+    # Pairs share images and so share errors: three maps count as two.
+    matching = (parameters.at_best_px + loss) * typical / np.sqrt((1.0 + count) / 2.0)
     error = np.hypot(matching, np.nan_to_num(fused.spread))
-    error = np.where(fused.filled, _BACKGROUND_PX * together, error)
+    error = np.where(fused.filled, parameters.background_px * typical, error)
     return np.where(np.isfinite(fused.height), error, np.nan).astype(np.float32)

@@ -6,34 +6,30 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Bounds, FloatArray, Window
+from ..arrays import Bounds, FloatArray, FloatImage, Floats, Mask, Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.gridding import grid_points, surface_step
 from ..geometry.interpolation import on_lattice
 from ..matching.backends import height_source
-from ..matching.occlusions import STEP_PX
 from ..records import HeightMapRecord
 from ..scene import Scene, View
 from ..stereo.height_maps import HeightMap, HeightSource
-from .aggregation import REACH_CELLS, Aggregate, Layer, aggregate, lonely
-from .hidden import hidden_ground
+from .aggregation import FusedCells, HeightLayer, aggregate
+from .occluded import occluded_ground
 from .ortho import orthophoto
-from .outliers import without_lone_points
-
-_COVERED = 0.5  # of a cell
-_PART_CELLS = 512  # a side that are fused at once
-MARGIN_CELLS = 8
-"""Fused beyond the tile's cells: neighbours count in the outlier filter, and tiles are blended over that width."""
+from .outliers import radius_outliers, remove_isolated_points
+from .parameters import FUSION, FusionParameters
 
 
 @dataclass(frozen=True)
 class FuseTask:
     """All a worker needs to fuse one tile.
 
-    ``scene`` without its tiles, ``bounds`` the tile's, ``window`` the tile's own cells of the whole ``grid``.
+    ``scene`` without its tiles; ``bounds`` are the tile's, ``window`` has the tile's cells in the whole ``grid``.
+    ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. ``ortho_views`` are
+    those of the orthophoto, the most vertical first; ``cloud`` says whether points are wanted.
     """
 
     scene: Scene
@@ -42,38 +38,38 @@ class FuseTask:
     grid: CellGrid
     window: Window
     crs: str
-    method: str
-    fill: str
-    radius: float
-    ortho_views: Tuple[View, ...]
-    cloud: bool
+    method: str = "median"
+    fill: str = "occlusions"
+    radius: float = 0.0
+    ortho_views: Tuple[View, ...] = ()
+    cloud: bool = False
+    parameters: FusionParameters = FUSION
 
 
 @dataclass(frozen=True)
 class FusedTile:
     """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted.
 
-    ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin, as far as the
-    whole grid reaches. ``own`` tells which of the window's cells belong to the
-    tile; None stands for all.
+    ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
+    within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.
     """
 
-    fused: Aggregate
-    ortho: Optional[NDArray[np.float32]]
+    fused: FusedCells
+    ortho: Optional[FloatImage]
     points: Optional[FloatArray]
     removed: int
     needed: int
-    wide: FloatArray
-    own: Optional[NDArray[np.bool_]] = None
+    wide: Floats
+    own: Optional[Mask] = None
 
 
 @dataclass(frozen=True)
 class StoredTile:
-    """A fused tile on disk, and what must be known of it before the DSM can be laid out.
+    """A fused tile on disk, and the facts that the layout of the DSM needs.
 
-    ``metres_per_px`` of its height maps. ``valid`` counts the cells with a height, ``filled`` those of them that have
-    the background's, ``cells`` the tile's own; ``columns`` and ``rows`` are the first and last
-    of the window that have a height, None where none has.
+    ``valid`` counts the cells with a height, ``filled`` those of them that have the background's, ``cells`` the tile's
+    own. ``known`` is the part of the window that holds all heights, None where there are none; ``metres_per_px`` is
+    that of each height map.
     """
 
     path: str
@@ -82,31 +78,25 @@ class StoredTile:
     cells: int
     removed: int
     needed: int
-    columns: Optional[Tuple[int, int]]
-    rows: Optional[Tuple[int, int]]
+    known: Optional[Window]
     metres_per_px: Tuple[float, ...]
 
     def load(self) -> FusedTile:
         """The tile's cells again, in the precision that products have."""
         with np.load(self.path, allow_pickle=False) as kept:
             part = {name: kept[name] for name in kept.files}
-        return FusedTile(
-            Aggregate(*(part[field.name] for field in fields(Aggregate))),
-            part.get("ortho"),
-            part.get("points"),
-            self.removed,
-            self.needed,
-            self.wide(),
-            part.get("own"),
-        )
+        fused = FusedCells(*(part[field.name] for field in fields(FusedCells)))
+        ortho, points, own = (part.get(name) for name in ("ortho", "points", "own"))
+        return FusedTile(fused, ortho, points, self.removed, self.needed, self.wide(), own)
 
-    def wide(self) -> FloatArray:
-        """The heights with the margin; read from the file as they are looked at."""
-        return np.load(wide_file(self.path), mmap_mode="r", allow_pickle=False)
+    def wide(self) -> Floats:
+        """The heights with the margin; they are read from the file only where they are used."""
+        heights: Floats = np.load(wide_file(self.path), mmap_mode="r", allow_pickle=False)
+        return heights
 
 
 def wide_file(path: str) -> str:
-    """The file beside a stored tile's that holds its heights with the margin."""
+    """The file that holds a stored tile's heights with the margin."""
     return path + ".wide.npy"
 
 
@@ -115,104 +105,106 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     task, path = work
     tile = fuse_tile(task)
     fused, known = tile.fused, np.isfinite(tile.fused.height)
-    parts = {
-        "height": fused.height.astype(np.float32),
-        "count": fused.count,
-        "filled": fused.filled,
-        "spread": fused.spread.astype(np.float32),
-        "score": fused.score.astype(np.float32),
-    }
+    parts: Dict[str, Any] = {"count": fused.count, "filled": fused.filled}
+    parts.update({name: getattr(fused, name).astype(np.float32) for name in ("height", "spread", "score")})
     parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
     np.savez(path, **parts)
     np.save(wide_file(path), tile.wide.astype(np.float32))
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
-    cells = known.size if tile.own is None else int(tile.own.sum())
+    ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
     return StoredTile(
         path,
-        int(known.sum()),
-        int(fused.filled.sum()),
-        cells,
-        tile.removed,
-        tile.needed,
-        *((int(n[0]), int(n[-1])) if n.size else None for n in (columns, rows)),
-        tuple(record.metres_per_px for record in task.records),
+        valid=int(known.sum()),
+        filled=int(fused.filled.sum()),
+        cells=known.size if tile.own is None else int(tile.own.sum()),
+        removed=tile.removed,
+        needed=tile.needed,
+        known=Window.spanning(*map(int, ends)) if ends else None,
+        metres_per_px=tuple(record.metres_per_px for record in task.records),
     )
 
 
 def fuse_tile(task: FuseTask) -> FusedTile:
-    """Grid each height map, aggregate, remove lonely cells, cut to the tile's own cells."""
-    wide = task.window.grown(MARGIN_CELLS, task.grid.size)
+    """Grid each height map, aggregate, remove outliers, and cut the result to the tile's own cells."""
+    wide = task.window.grown(task.parameters.feather_cells, task.grid.size)
     grid = task.grid.part(wide)
     sources = [height_source(task.scene, task.bounds, record, task.crs) for record in task.records]
-    fused = _aggregated(task, grid, sources)
+    fused = _fuse_blocks(task, grid, sources)
     if task.fill == "none":
-        fused = _without(fused, fused.filled)
+        fused = fused.without(fused.filled)
     removed, needed = 0, 0
     if task.radius > 0:
-        alone, needed = lonely(fused.height, grid.cell, task.radius)
-        removed = int(alone.sum())
-        fused = _without(fused, alone)
-    ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs) if task.ortho_views else None
-    own = task.window.inside(wide)
-    cut = Aggregate(*(getattr(fused, field.name)[own] for field in fields(fused)))
-    ortho = None if ortho is None else ortho[own]
-    belonging = _belonging(task)
-    if belonging is not None:
-        cut = _without(cut, ~belonging)
-        ortho = None if ortho is None else np.where(belonging, ortho, np.float32(np.nan))
-    points = _agreeing(task.grid.part(task.window), cut.height, sources, task.records) if task.cloud else None
-    return FusedTile(cut, ortho, points, removed, needed, fused.height, belonging)
+        outliers, needed = radius_outliers(fused.height, grid.cell, task.radius, task.parameters.outliers)
+        removed = int(outliers.sum())
+        fused = fused.without(outliers)
+    ortho = None
+    if task.ortho_views:
+        ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs, task.parameters.orthophoto)
+    inner = task.window.inside(wide)
+    cut = FusedCells(*(getattr(fused, field.name)[inner] for field in fields(fused)))
+    ortho = None if ortho is None else ortho[inner]
+    own = _own_cells(task)
+    if own is not None:
+        cut = cut.without(~own)
+        ortho = None if ortho is None else np.where(own, ortho, np.float32(np.nan))
+    points = _agreeing_points(task, cut.height, sources) if task.cloud else None
+    return FusedTile(cut, ortho, points, removed, needed, fused.height, own)
 
 
-def _aggregated(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> Aggregate:
-    """The fused cells of a grid, in parts of bounded memory that overlap by what neighbours are asked for."""
-    whole: Dict[str, NDArray[Any]] = {}
+def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> FusedCells:
+    """The fused cells of a grid, in blocks that bound the memory and overlap by the reach of the aggregation."""
+    whole: Dict[str, Any] = {}
     everything = Window(0, 0, *grid.size)
-    for own, wide in overlapping_blocks(grid.size, _PART_CELLS, REACH_CELLS):
+    parameters = task.parameters
+    for own, wide in overlapping_blocks(grid.size, parameters.block_cells, parameters.aggregation.reach_cells):
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers = [
-            _layer(part, source.within(bounds), record, task.scene.gsd_m)
+            _gridded(part, source.within(bounds), record.metres_per_px, task.scene.gsd_m, parameters)
             for source, record in zip(sources, task.records)
         ]
-        fused = aggregate(layers, task.method)
+        fused = aggregate(layers, task.method, parameters)
         for field in fields(fused):
             values = getattr(fused, field.name)
             target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
             target[own.inside(everything)] = values[own.inside(wide)]
-    return Aggregate(**whole)
+    return FusedCells(**whole)
 
 
-def _layer(grid: CellGrid, heights: HeightMap, record: HeightMapRecord, spacing: float) -> Layer:
-    """A height map on the cells: what was matched, and the background where an occlusion hides it, each by itself.
+def _gridded(
+    grid: CellGrid, heights: HeightMap, metres_per_px: float, spacing: float, parameters: FusionParameters
+) -> HeightLayer:
+    """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.
 
-    Cells that the background covers by more than what was matched, and lies below, have the background alone.
+    Cells of which the background covers more than what was matched, and lies below, have the background alone.
     """
     filled = np.flatnonzero(heights.filled)
-    matched = without_lone_points(np.where(heights.filled, np.nan, heights.height), record.metres_per_px)
-    height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing)
-    known = np.where(heights.filled, heights.height, matched)
-    hidden = hidden_ground(replace(heights, height=known), STEP_PX * record.metres_per_px)
-    x, y, z = (
-        np.concatenate([part.ravel()[filled], more])
-        for part, more in zip((heights.x, heights.y, heights.height), hidden)
+    matched = remove_isolated_points(
+        np.where(heights.filled, np.nan, heights.height), metres_per_px, parameters.isolated
     )
-    half = _COVERED * (grid.cell / spacing) ** 2
+    height, score, covered = grid_points(
+        grid, heights.x, heights.y, matched, heights.score, spacing, parameters.gridding
+    )
+    known = np.where(heights.filled, heights.height, matched)
+    occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
+    maps = (heights.x, heights.y, heights.height)
+    x, y, z = (np.concatenate([part.ravel()[filled], more]) for part, more in zip(maps, occluded))
+    half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
-        return Layer(height, score, np.full(grid.shape, np.nan), record.metres_per_px, covered < half)
-    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing)
-    # A roof's last pixels reach into cells that are mostly hidden ground.
+        return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, covered < half)
+    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing, parameters.gridding)
+    # A roof's last pixels reach into cells that are mostly occluded ground.
     with np.errstate(invalid="ignore"):
-        brushed = (behind > covered) & (height - background > surface_step(grid.cell))
-    height[brushed] = np.nan
-    score[brushed] = np.nan
-    return Layer(height, score, background, record.metres_per_px, covered < half, behind < half)
+        mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, parameters.gridding))
+    height[mostly_behind] = np.nan
+    score[mostly_behind] = np.nan
+    return HeightLayer(height, score, background, metres_per_px, covered < half, behind < half)
 
 
-def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
+def _own_cells(task: FuseTask) -> Optional[Mask]:
     """Which cells of the window lie in the tile: in another CRS than the scene's, tiles are turned and windows overlap.
 
-    None in the scene's CRS, where they do not. The map between two CRSs is smooth: it is evaluated on a lattice.
+    None in the scene's CRS, where they do not overlap.
     """
     grid = task.grid.part(task.window)
     if task.crs == task.scene.crs or not all(grid.shape):
@@ -223,26 +215,16 @@ def _belonging(task: FuseTask) -> Optional[NDArray[np.bool_]]:
 
     xy = on_lattice(*grid.centres(), to_scene)
     # A millimetre more, so that no cell falls between two tiles.
-    x0, y0, x1, y1 = np.array(task.bounds) + [-1e-3, -1e-3, 1e-3, 1e-3]
-    return (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
+    x0, y0, x1, y1 = Bounds(*task.bounds).grown(1e-3)
+    own: Mask = (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
+    return own
 
 
-def _without(fused: Aggregate, cells: NDArray[np.bool_]) -> Aggregate:
-    return Aggregate(
-        np.where(cells, np.nan, fused.height),
-        np.where(cells, 0, fused.count).astype(np.uint8),
-        np.where(cells, np.nan, fused.spread),
-        np.where(cells, np.nan, fused.score),
-        fused.filled & ~cells,
-    )
-
-
-def _agreeing(
-    grid: CellGrid, height: FloatArray, sources: Sequence[HeightSource], records: Sequence[HeightMapRecord]
-) -> FloatArray:
+def _agreeing_points(task: FuseTask, height: Floats, sources: Sequence[HeightSource]) -> FloatArray:
     """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
+    grid = task.grid.part(task.window)
     parts: List[FloatArray] = []
-    for source, record in zip(sources, records):
+    for source, record in zip(sources, task.records):
         heights = source.within()
         known = np.isfinite(heights.height) & ~heights.filled
         x, y, z, s = heights.x[known], heights.y[known], heights.height[known], heights.score[known]

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterator, Optional, Tuple
+from typing import Any, Iterator, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
+from ..arrays import FloatArray, FloatImage, IntArray, Window
 from ..errors import EmptyResultError, OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery.raster import opened, read
 from ..progress import Progress, Silent
 from ..workspace import whole_file
+from .parameters import FUSION, FusionParameters
 
-_BLOCK_CELLS = 1 << 18
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
 # Corners of the square between four cells, as (row, column): triangles counter-clockwise, seen from above.
 _A, _B, _C, _D = (0, 0), (0, 1), (1, 0), (1, 1)
@@ -25,25 +26,35 @@ _TRIANGLES = np.array([[_A, _C, _D], [_A, _D, _B], [_A, _C, _B], [_B, _C, _D]])
 
 
 @dataclass(frozen=True)
+class MeshFacts:
+    """A written mesh; it has every ``step``-th row and column of the DSM."""
+
+    vertices: int
+    faces: int
+    step: int
+
+
+@dataclass(frozen=True)
 class _Lattice:
-    """Every ``step``-th cell of a DSM."""
+    """Every ``step``-th cell of a DSM, of which ``block_cells`` are read at once."""
 
     dataset: gdal.Dataset
     step: int
+    block_cells: int
     progress: Progress
 
-    def rows(self) -> Iterator[Tuple[int, NDArray[np.float32]]]:
+    def rows(self) -> Iterator[Tuple[int, FloatImage]]:
         """Blocks of rows with the number of their first; memory does not grow with the DSM."""
         width, height = self.dataset.RasterXSize, self.dataset.RasterYSize
-        lines = max(_BLOCK_CELLS // width // self.step, 1) * self.step
+        lines = max(self.block_cells // width // self.step, 1) * self.step
         for row in range(0, height, lines):
             self.progress.check_cancelled()
-            block = read(self.dataset, (0, row, width, min(lines, height - row)))
+            block = read(self.dataset, Window(0, row, width, min(lines, height - row)))
             yield row // self.step, block[:: self.step, :: self.step]
 
-    def squares(self) -> Iterator[Tuple[NDArray[np.float32], NDArray[np.int64]]]:
+    def squares(self) -> Iterator[Tuple[FloatImage, IntArray]]:
         """Heights and numbers of vertices, each block with the last row of the one before."""
-        above: Optional[Tuple[NDArray, NDArray]] = None
+        above: Optional[Tuple[FloatImage, IntArray]] = None
         count = 0
         for _, block in self.rows():
             known = np.isfinite(block)
@@ -53,29 +64,30 @@ class _Lattice:
             above = block[-1:], numbers[-1:]
             yield pair
 
-    def places(self, first: int, block: NDArray[np.float32]) -> NDArray[np.float64]:
+    def places(self, first: int, block: FloatImage) -> FloatArray:
         """(N, 3) x, y, height at the centres of the cells that have one."""
         row, column = np.nonzero(np.isfinite(block))
         x0, cell_x, _, y0, _, cell_y = self.dataset.GetGeoTransform()
-        return np.column_stack(
-            [
-                x0 + (column * self.step + 0.5) * cell_x,
-                y0 + ((row + first) * self.step + 0.5) * cell_y,
-                block[row, column],
-            ]
-        )
+        x, y = x0 + (column * self.step + 0.5) * cell_x, y0 + ((row + first) * self.step + 0.5) * cell_y
+        return np.column_stack([x, y, block[row, column]])
 
     def vertices(self) -> int:
         return sum(int(np.isfinite(block).sum()) for _, block in self.rows())
 
 
-def write_mesh(dsm: str, path: str, max_vertices: int = 0, progress: Optional[Progress] = None) -> Dict[str, Any]:
-    """Write a DSM's surface as a binary PLY, whole or not at all; gives ``vertices``, ``faces`` and ``step``.
+def write_mesh(
+    dsm: str,
+    path: str,
+    max_vertices: int = 0,
+    progress: Optional[Progress] = None,
+    parameters: FusionParameters = FUSION,
+) -> MeshFacts:
+    """Write a DSM's surface as a binary PLY, completely or not at all.
 
-    Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where more than
-    ``max_vertices`` (0: no limit) would come, only those of every second, third, ... row and column. Triangles join
-    three neighbours that have a height, and so leave holes open; of a square's two diagonals the flatter one is taken,
-    which keeps edges of roofs straight.
+    Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where these are more than
+    ``max_vertices`` (0: no limit), only every second, third, ... row and column is used. Triangles join three
+    neighbours that have a height, so holes stay open; of a square's two diagonals the flatter one is taken, which keeps
+    edges of roofs straight.
 
     Raises OptionError for another extension, EmptyResultError for a DSM without heights, WorkspaceError where the file
     cannot be written.
@@ -84,22 +96,23 @@ def write_mesh(dsm: str, path: str, max_vertices: int = 0, progress: Optional[Pr
         raise OptionError("MESH", path, "must end with .ply")
     progress = progress or Silent()
     with opened(dsm) as dataset:
-        lattice, vertices = _thinned(dataset, max_vertices, progress)
+        lattice, vertices = _thinned(dataset, max_vertices, parameters.mesh_block_cells, progress)
         if not vertices:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
         faces = sum(len(_cells(heights)[0]) for heights, _ in lattice.squares())
         with whole_file(path) as temporary:
             _write(temporary, lattice, vertices, faces)
-    return {"vertices": vertices, "faces": faces, "step": lattice.step}
+    return MeshFacts(vertices, faces, lattice.step)
 
 
-def _thinned(dataset: gdal.Dataset, max_vertices: int, progress: Progress) -> Tuple[_Lattice, int]:
+def _thinned(dataset: gdal.Dataset, max_vertices: int, block_cells: int, progress: Progress) -> Tuple[_Lattice, int]:
     """The finest lattice that stays within the limit, and its vertices."""
     limit = min(max_vertices or np.inf, np.iinfo(np.int32).max)  # PLY's indices
-    lattice = _Lattice(dataset, 1, progress)
+    lattice = _Lattice(dataset, 1, block_cells, progress)
     vertices = lattice.vertices()
     while vertices > limit:
-        lattice = _Lattice(dataset, max(math.isqrt(int(vertices // limit)) * lattice.step, lattice.step + 1), progress)
+        step = max(math.isqrt(int(vertices // limit)) * lattice.step, lattice.step + 1)
+        lattice = replace(lattice, step=step)
         vertices = lattice.vertices()
     return lattice, vertices
 
@@ -131,7 +144,7 @@ def _header(dataset: gdal.Dataset, vertices: int, faces: int) -> bytes:
     return "\n".join(lines).encode("utf-8")
 
 
-def _cells(heights: NDArray[np.float32]) -> Tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _cells(heights: FloatImage) -> Tuple[IntArray, ...]:
     """Row, column and kind (of ``_TRIANGLES``) of all triangles between the rows of a block."""
     a, b, c, d = heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]
     has = [np.isfinite(corner) for corner in (a, b, c, d)]
@@ -143,7 +156,7 @@ def _cells(heights: NDArray[np.float32]) -> Tuple[NDArray[np.int64], NDArray[np.
     return np.nonzero(np.stack([falling | three[1], falling | three[2], rising | three[3], rising | three[0]], axis=-1))
 
 
-def _faces(heights: NDArray[np.float32], numbers: NDArray[np.int64]) -> NDArray:
+def _faces(heights: FloatImage, numbers: IntArray) -> NDArray[Any]:
     row, column, kind = _cells(heights)
     corners = _TRIANGLES[kind]
     faces = np.empty(len(kind), _FACE)

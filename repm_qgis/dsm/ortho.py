@@ -1,4 +1,4 @@
-"""A true orthophoto: each cell takes the brightness of a view that really sees it."""
+"""A true orthophoto: each cell takes the intensity of a view that really sees it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from functools import partial
 from typing import List, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, FloatImage, Floats, Mask
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
@@ -17,48 +16,53 @@ from ..geometry.interpolation import on_lattice
 from ..imagery.raster import opened_masked
 from ..imagery.warping import sample_source
 from ..scene import Scene, View
-
-_NODES = 9
-_CLEARANCE_M = 1.0
+from .parameters import FUSION, OrthophotoParameters
 
 
 def nadir_first(scene: Scene) -> List[View]:
-    """The views, steepest first."""
+    """The views, the most vertical one first."""
     centre = np.array([scene.frame.lon, scene.frame.lat])
     altitude = sum(scene.altitudes) / 2
     return sorted(scene.views, key=lambda view: float(np.linalg.norm(ray_slope(view, centre, altitude))))
 
 
-def orthophoto(views: Sequence[View], grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.float32]:
-    """Brightness of each cell from the first of ``views`` not blocked there; NaN where all are, or without height."""
+def orthophoto(
+    views: Sequence[View],
+    grid: CellGrid,
+    height: Floats,
+    crs: str,
+    parameters: OrthophotoParameters = FUSION.orthophoto,
+) -> FloatImage:
+    """Intensity of each cell from the first of ``views`` that sees it; NaN where none does, or without a height."""
     result = np.full(grid.shape, np.nan, dtype=np.float32)
     if not np.isfinite(height).any():
         return result
     for view in views:
-        wanted = np.isnan(result) & np.isfinite(height)
-        if not wanted.any():
+        open_cells = np.isnan(result) & np.isfinite(height)
+        if not open_cells.any():
             break
-        seen = wanted & ~_blocked(view, grid, height, crs)
+        seen = open_cells & ~_blocked(view, grid, height, crs, parameters.clearance_m)
         with opened_masked(view.image, view.mask) as dataset:
-            values = sample_source(dataset, view.band, _pixels(view, grid, height, crs), "bilinear")
+            pixels = _pixels(view, grid, height, crs, parameters.nodes)
+            values = sample_source(dataset, view.band, pixels, "bilinear")
         result = np.where(seen, values, result)
     return result
 
 
-def _pixels(view: View, grid: CellGrid, height: FloatArray, crs: str) -> FloatArray:
-    """(H, W, 2) pixels of the cells: exact on a coarse grid at two heights, linear between."""
+def _pixels(view: View, grid: CellGrid, height: Floats, crs: str, nodes: int) -> FloatArray:
+    """(H, W, 2) pixels of the cells: exact on a lattice at two heights, linear between."""
     low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
 
-    def seen(xy: FloatArray, altitude: float) -> FloatArray:
+    def project(xy: FloatArray, altitude: float) -> FloatArray:
         lon_lat = geodetic_from_projected(crs, xy)
         return view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1))
 
-    at_low, at_high = (on_lattice(*grid.centres(), partial(seen, altitude=z), (_NODES, _NODES)) for z in (low, high))
-    share = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
+    at_low, at_high = (on_lattice(*grid.centres(), partial(project, altitude=z), (nodes, nodes)) for z in (low, high))
+    share: FloatArray = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
     return at_low + share * (at_high - at_low)
 
 
-def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArray[np.bool_]:
+def _blocked(view: View, grid: CellGrid, height: Floats, crs: str, clearance_m: float) -> Mask:
     """Cells whose ray to the satellite meets a higher part of the surface on its way up."""
     xs, ys = grid.centres()
     centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
@@ -71,7 +75,7 @@ def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArra
         return blocked
     rows, columns = grid.shape
     for step in range(1, min(reach, max(rows, columns)) + 1):
-        # One cell farther toward the satellite, the ray is cell / steepness metres higher.
+        # One cell nearer to the satellite, the ray is cell / steepness metres higher.
         dc = int(round(step * slope[0] / steepness))
         dr = -int(round(step * slope[1] / steepness))
         rise = math.hypot(dr, dc) * grid.cell / steepness
@@ -79,8 +83,7 @@ def _blocked(view: View, grid: CellGrid, height: FloatArray, crs: str) -> NDArra
         c0, c1 = max(0, -dc), min(columns, columns - dc)
         if r0 >= r1 or c0 >= c1:
             break
+        ray = height[r0:r1, c0:c1] + rise + clearance_m
         with np.errstate(invalid="ignore"):
-            blocked[r0:r1, c0:c1] |= (
-                height[r0 + dr : r1 + dr, c0 + dc : c1 + dc] > height[r0:r1, c0:c1] + rise + _CLEARANCE_M
-            )
+            blocked[r0:r1, c0:c1] |= height[r0 + dr : r1 + dr, c0 + dc : c1 + dc] > ray
     return blocked

@@ -1,33 +1,68 @@
-"""Points of a height map that stand alone, dropped before they are gridded (paper, "DSMs aggregation")."""
+"""Outliers removed: isolated points of a height map, and cells with few neighbours (paper, "DSMs aggregation")."""
 
 from __future__ import annotations
 
+import math
+from typing import Tuple
+
 import numpy as np
 
-from ..arrays import Floats
-
-_TOLERANCE_PX = 2.0  # of disparity: steeper steps between neighbours are walls, and walls have pixels beside them
-_NEEDED = 2  # of the eight neighbours
+from ..arrays import Floats, Mask
+from .parameters import FUSION, IsolatedPointParameters, OutlierParameters
 
 
-def without_lone_points(height: Floats, metres_per_px: float) -> Floats:
-    """The (H, W) heights, NaN where fewer than two of the eight neighbours mean the same surface.
+def remove_isolated_points(
+    height: Floats, metres_per_px: float, parameters: IsolatedPointParameters = FUSION.isolated
+) -> Floats:
+    """The (H, W) heights, NaN where too few of the eight neighbours mean the same surface.
 
-    Matching leaves none, as it drops small islands by disparity: this is for height maps of other origin or that
-    something has damaged, and for what a cell of few points could not outvote.
+    Matching leaves none, because it removes speckles by disparity. This is for height maps of other origin and damaged
+    ones, and for cells with so few points that the others do not outvote an isolated one.
     """
     known = np.isfinite(height)
     level = float(height[known].mean()) if known.any() else 0.0
     z = np.pad((height - level).astype(np.float32), 1, constant_values=np.nan)
-    company = np.zeros(height.shape, np.uint8)
+    count = np.zeros(height.shape, np.uint8)
     rows, columns = height.shape
-    tolerance = np.float32(_TOLERANCE_PX * metres_per_px)
+    tolerance = np.float32(parameters.tolerance_px * metres_per_px)
     centre = z[1:-1, 1:-1]
     with np.errstate(invalid="ignore"):
         for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):  # each pair of neighbours once
             near = np.abs(z[1 + down : 1 + down + rows, 1 + right : 1 + right + columns] - centre) <= tolerance
-            company += near
-            to = np.s_[down:, max(right, 0) : columns + min(right, 0)]
-            source = near[: rows - down, max(-right, 0) : columns - max(right, 0)]
-            company[to] += source
-    return np.where(company >= _NEEDED, height, np.nan)
+            count += near
+            count[down:, max(right, 0) : columns + min(right, 0)] += near[
+                : rows - down, max(-right, 0) : columns - max(right, 0)
+            ]
+    return np.where(count >= parameters.neighbours, height, np.nan)
+
+
+def automatic_radius(cell: float, spacing: float = 0.0, parameters: OutlierParameters = FUSION.outliers) -> float:
+    """The radius of the outlier filter in metres where the user gives none.
+
+    The density of a grid is known: one point a cell, or one in ``spacing`` metres where points are sparser than cells.
+    """
+    return max(parameters.radius_cells * max(cell, spacing), parameters.radius_m)
+
+
+def radius_outliers(
+    height: Floats, cell: float, radius: float, parameters: OutlierParameters = FUSION.outliers
+) -> Tuple[Mask, int]:
+    """Cells with too few neighbours within ``radius`` metres, and the number of neighbours that a cell needs.
+
+    Neighbours count on a disc of that radius where they differ by no more than the radius in height: in a ball, a
+    steep slope would have fewer neighbours than level ground. A cell needs a share of what half the cells have.
+    """
+    reach = max(1, int(radius / cell))
+    rows, columns = height.shape
+    neighbours = np.zeros(height.shape, dtype=np.uint16)
+    padded = np.pad(height, reach, constant_values=np.nan)
+    for dr in range(-reach, reach + 1):
+        for dc in range(-reach, reach + 1):
+            if (dr or dc) and math.hypot(dr, dc) * cell <= radius + 1e-9:
+                other = padded[reach + dr : reach + dr + rows, reach + dc : reach + dc + columns]
+                with np.errstate(invalid="ignore"):
+                    neighbours += np.abs(other - height) <= radius
+    known = np.isfinite(height)
+    usual = float(np.median(neighbours[known])) if known.any() else 0.0
+    needed = max(parameters.neighbours, int(round(parameters.share * usual)))
+    return known & (neighbours < needed), needed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Iterator, Sequence
+from typing import Any, Iterator, Sequence
 
 import numpy as np
 import pyproj
@@ -15,19 +15,27 @@ from ..errors import MissingPackageError, OptionError, WorkspaceError
 from ..workspace import temporary_name
 
 
-class PointCloudWriter:
-    """Takes points in parts; :func:`created_cloud` opens and closes it."""
+def required_laspy(option: str) -> Any:
+    """The package laspy; raises MissingPackageError with the option that needs it."""
+    try:
+        import laspy
+    except ImportError as error:
+        message = "Point clouds need the Python package 'laspy': run scripts/setup in the plugin's folder, or leave"
+        raise MissingPackageError(f"{message} {option} empty.") from error
+    return laspy
 
-    def __init__(self, writer: object, header: object) -> None:
+
+class PointCloudWriter:
+    """Writes points in parts; :func:`created_cloud` opens and closes it."""
+
+    def __init__(self, writer: Any, header: Any) -> None:
         self._writer, self._header, self.count = writer, header, 0
 
     def write(self, x: FloatArray, y: FloatArray, height: FloatArray, score: FloatArray) -> None:
         """(N,) coordinates in the cloud's CRS, heights in metres, and scores 0..1, which become intensities."""
-        import laspy
-
         if not len(x):
             return
-        points = laspy.ScaleAwarePointRecord.zeros(len(x), header=self._header)
+        points = required_laspy("CLOUD").ScaleAwarePointRecord.zeros(len(x), header=self._header)
         points.x, points.y, points.z = x, y, height
         points.intensity = np.clip(np.nan_to_num(score) * 65535, 0, 65535).astype(np.uint16)
         self._writer.write_points(points)
@@ -36,20 +44,14 @@ class PointCloudWriter:
 
 @contextmanager
 def created_cloud(path: str, crs: str, origin: Sequence[float]) -> Iterator[PointCloudWriter]:
-    """A LAS 1.4 (or LAZ, by extension) file to fill in parts: it takes its name only when the block ends well.
+    """A LAS 1.4 (or LAZ, by extension) file to fill in parts: it gets its name only if the block ends without error.
 
     Coordinates are stored to the millimetre, relative to ``origin`` (x, y, height). Raises OptionError for another
     extension, MissingPackageError without laspy, WorkspaceError where the file cannot be written.
     """
     if Path(path).suffix.lower() not in (".las", ".laz"):
         raise OptionError("CLOUD", path, "must end with .laz or .las")
-    try:
-        import laspy
-    except ImportError as error:
-        raise MissingPackageError(
-            "Point clouds need the Python package 'laspy': run scripts/setup in the plugin's "
-            "folder, or leave CLOUD empty."
-        ) from error
+    laspy = required_laspy("CLOUD")
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.array([0.001, 0.001, 0.001])
     header.offsets = np.floor(np.asarray(origin, dtype=np.float64))
@@ -60,7 +62,7 @@ def created_cloud(path: str, crs: str, origin: Sequence[float]) -> Iterator[Poin
             yield PointCloudWriter(writer, header)
         os.replace(temporary, path)
     except OSError as error:
-        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
+        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another folder.") from error
     finally:
         if os.path.exists(temporary):
             os.unlink(temporary)

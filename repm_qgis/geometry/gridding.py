@@ -7,20 +7,15 @@ from dataclasses import dataclass
 from typing import Iterator, Tuple, Union
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Floats, IntArray, Mask
 from .cell_grid import CellGrid
-
-_SURFACE_M_PER_CELL = 3.0  # points of one cell farther apart belong to two surfaces: roof, wall, ground
-_MIXED = 0.3  # spread within a cell, as a share of that step, from which on it is looked at
-_BRUSHED = 0.02  # of a whole point: less is no evidence of another surface
-_LEAST_WEIGHT = 0.15  # of a whole point: below that a cell is only brushed by its neighbours' points
+from .parameters import GRIDDING, GriddingParameters
 
 
-def surface_step(cell: float) -> float:
-    """Metres of height that part the surfaces of one cell."""
-    return _SURFACE_M_PER_CELL * max(cell, 0.33)
+def surface_step(cell: float, parameters: GriddingParameters) -> float:
+    """The difference in height, m, between points of a cell that belong to two surfaces."""
+    return parameters.surface_step * max(cell, parameters.surface_step_cell_m)
 
 
 def grid_points(
@@ -28,17 +23,18 @@ def grid_points(
     x: FloatArray,
     y: FloatArray,
     height: FloatArray,
-    score: NDArray[np.floating],
+    score: Floats,
     spacing: float = math.inf,
+    parameters: GriddingParameters = GRIDDING,
 ) -> Tuple[FloatArray, FloatArray, FloatArray]:
     """Heights of cells from points, their mean matching score, NaN where no point is, and how many points they hold.
 
-    A point stands for a square of ``spacing`` metres (the distance between neighbouring points; at most a cell) and
-    gives to each cell what of the square lies in it, so that neither combs nor shifts arise. Where a cell has points
-    of several surfaces (a roof and the ground before it), those of the surface that covers most of it make its
+    A point represents a square of ``spacing`` metres (the distance between neighbouring points; at most a cell), and
+    each cell gets the part of the square that lies in it, so that there are no comb patterns and no shifts. Where a
+    cell has points of several surfaces (a roof and the ground before it), the surface that covers most of it gives the
     height: means between surfaces would smear every edge, and the topmost would make every roof too wide.
     """
-    footprint = min(spacing / grid.cell, 1.0)
+    footprint, step = min(spacing / grid.cell, 1.0), surface_step(grid.cell, parameters)
     points = _placed(grid, x, y, height, score)
     padded = (grid.shape[0] + 2) * (grid.shape[1] + 2)
     sums = np.zeros((4, padded))
@@ -50,10 +46,11 @@ def grid_points(
     weights = sums[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         heights, scores = sums[1] / weights, sums[3] / weights
-        mixed = sums[2] / weights - heights**2 > (_MIXED * surface_step(grid.cell)) ** 2
+        mixed = sums[2] / weights - heights**2 > (parameters.mixed * step) ** 2
     if mixed.any():
-        _largest_surfaces(grid, points, footprint, mixed, heights, scores)
-    empty = weights < _LEAST_WEIGHT
+        parts = _splats_into(mixed, grid, points, footprint, parameters.surface_weight)
+        _largest_surfaces(*parts, step, heights, scores)
+    empty = weights < parameters.cell_weight
     heights[empty] = np.nan
     scores[empty] = np.nan
     inner = np.s_[1:-1, 1:-1]
@@ -67,10 +64,10 @@ def grid_points(
 
 @dataclass(frozen=True)
 class _Points:
-    """Points on the grid, (N,) each: ``cell`` number, in the grid with a rim of one cell, of the one before, and how
-    far ``right`` and ``below`` of that one's centre (0..1); ``height`` above ``offset``, ``score``."""
+    """Points on the grid, (N,) each: the number of the ``cell`` to the upper left, in the grid with a rim of one cell,
+    and how far ``right`` and ``below`` its centre the point lies (0..1); ``height`` above ``offset``, ``score``."""
 
-    cell: NDArray[np.int64]
+    cell: IntArray
     right: FloatArray
     below: FloatArray
     height: FloatArray
@@ -78,7 +75,7 @@ class _Points:
     offset: float
 
 
-def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, score: NDArray[np.floating]) -> _Points:
+def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, score: Floats) -> _Points:
     known = np.flatnonzero(np.isfinite(height))
     column = (x.ravel()[known] - (grid.west - 0.5 * grid.cell)) / grid.cell
     row = ((grid.north + 0.5 * grid.cell) - y.ravel()[known]) / grid.cell
@@ -87,7 +84,7 @@ def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, sc
         known, column, row = known[inside], column[inside], row[inside]
     left, top = column.astype(np.int64), row.astype(np.int64)
     z = height.ravel()[known].astype(np.float64)
-    # Squares of heights are summed: from the middle they lose nothing.
+    # Squares of heights are summed: relative to the mean they keep their precision.
     offset = float(z.mean()) if z.size else 0.0
     return _Points(
         top * (grid.shape[1] + 2) + left,
@@ -101,8 +98,8 @@ def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, sc
 
 def _splats(
     grid: CellGrid, points: _Points, footprint: float
-) -> Iterator[Tuple[NDArray[np.int64], FloatArray, Union[slice, NDArray[np.int64]]]]:
-    """For each of the four neighbours: cell numbers, weights, and which points they belong to."""
+) -> Iterator[Tuple[IntArray, FloatArray, Union[slice, IntArray]]]:
+    """For each of the four nearest cells: cell numbers, weights, and which points they belong to."""
     across, down = (_shares(near, footprint) for near in (points.right, points.below))
     for rows, vertical in zip((0, grid.shape[1] + 2), down):
         for columns, horizontal in zip((0, 1), across):
@@ -115,30 +112,42 @@ def _splats(
 
 
 def _shares(after: FloatArray, footprint: float) -> Tuple[FloatArray, FloatArray]:
-    """What of a side of length ``footprint`` lies in the cell before and in the one after.
+    """How much of a side of length ``footprint`` lies in the first cell, and how much in the second.
 
-    ``after`` (0..1) is how far its middle lies beyond the middle of the cell before.
+    ``after`` (0..1) is the distance of its middle from the middle of the first cell.
     """
-    share = after if footprint == 1.0 else np.clip((after - (1 - footprint) / 2) / footprint, 0, 1)
+    share: FloatArray = after if footprint == 1.0 else np.clip((after - (1 - footprint) / 2) / footprint, 0, 1)
     return 1 - share, share
 
 
-def _largest_surfaces(
-    grid: CellGrid, points: _Points, footprint: float, mixed: NDArray[np.bool_], heights: FloatArray, scores: FloatArray
-) -> None:
-    """Set the mixed cells' heights and scores to those of the surface with most weight, the upper where two tie.
-
-    A surface is all points of the cell within a step in height: the wall between two would join them if it were
-    all points that lie close to the next.
-    """
+def _splats_into(
+    mixed: Mask, grid: CellGrid, points: _Points, footprint: float, least_weight: float
+) -> Tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """(N,) cells, weights, heights and scores of all that points give to mixed cells, a point up to four times."""
     parts = []
     for cells, weight, chosen in _splats(grid, points, footprint):
-        taken = np.flatnonzero(mixed[cells] & (weight > _BRUSHED))
+        taken = np.flatnonzero(mixed[cells] & (weight > least_weight))
         parts.append((cells[taken], weight[taken], points.height[chosen][taken], points.score[chosen][taken]))
-    cell, weight, z, score = (np.concatenate(values) for values in zip(*parts))
+    cell, weights, heights, scores = (np.concatenate(values) for values in zip(*parts))
+    return cell, weights, heights, scores
+
+
+def _largest_surfaces(
+    cell: IntArray,
+    weight: FloatArray,
+    z: FloatArray,
+    score: FloatArray,
+    step: float,
+    heights: FloatArray,
+    scores: FloatArray,
+) -> None:
+    """Set the mixed cells' heights and scores to those of the surface with most weight, the upper where two have it.
+
+    A surface is all points of the cell within a step in height. (Chains of points that lie close to each other would
+    be joined by the wall between two surfaces.)
+    """
     if not cell.size:
         return
-    step = surface_step(grid.cell)
     # One number that sorts by cell, then height, with more than a step between the heights of two cells.
     place = cell * (4.0 * step + float(np.ptp(z))) + (z - z.min())
     order = np.argsort(place, kind="stable")

@@ -18,7 +18,8 @@ def bilinear(grid: Floats, columns: Floats, rows: Floats) -> Floats:
     beside, below = min(1, width - 1), width * min(1, height - 1)
     upper = flat[index] * (1 - right) + flat[index + beside] * right
     lower = flat[index + below] * (1 - right) + flat[index + below + beside] * right
-    return upper * (1 - down) + lower * down
+    result: Floats = upper * (1 - down) + lower * down
+    return result
 
 
 def upsample_grid(grid: Floats, shape: Tuple[int, int]) -> Floats:
@@ -36,7 +37,8 @@ def interpolate_grid(grid: Floats, rows: Floats, columns: Floats) -> Floats:
     fi, fj = ((rows - i).astype(dtype).reshape(-1, 1, *extra), (columns - j).astype(dtype).reshape(1, -1, *extra))
     # Rows first: they are few, and the wide passes that follow run along memory.
     tall = grid[i] * (1 - fi) + grid[i + 1] * fi
-    return tall[:, j] * (1 - fj) + tall[:, j + 1] * fj
+    wide: Floats = tall[:, j] * (1 - fj) + tall[:, j + 1] * fj
+    return wide
 
 
 def interpolate_steps(nodes: Floats, shape: Tuple[int, int], step: int) -> Floats:
@@ -44,7 +46,7 @@ def interpolate_steps(nodes: Floats, shape: Tuple[int, int], step: int) -> Float
     share = np.arange(step, dtype=nodes.dtype) / nodes.dtype.type(step)
     down = nodes[:-1, None, :] + np.diff(nodes, axis=0)[:, None, :] * share[None, :, None]
     down = down.reshape(-1, nodes.shape[1])[: shape[0]]
-    across = down[:, :-1, None] + np.diff(down, axis=1)[:, :, None] * share
+    across: Floats = down[:, :-1, None] + np.diff(down, axis=1)[:, :, None] * share
     return across.reshape(shape[0], -1)[:, : shape[1]]
 
 

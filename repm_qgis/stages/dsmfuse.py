@@ -8,14 +8,15 @@ import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
-from ..dsm.aggregation import automatic_radius
+from ..arrays import Window
 from ..dsm.ept import require_ept_place, write_ept
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.mesh import write_mesh
 from ..dsm.ortho import nadir_first
-from ..dsm.products import Layout, cloud_of, write_products
+from ..dsm.outliers import automatic_radius
+from ..dsm.products import DsmLayout, cloud_of, write_products
 from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
@@ -42,7 +43,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:
         require_ept_place(options.ept)
-    layout = Layout.of(scene, tiles, crs, options.resolution or _round_cell(2.0 * scene.gsd_m))
+    layout = DsmLayout.of(scene, tiles, crs, datum, options.resolution or _round_cell(2.0 * scene.gsd_m))
     radius = (
         automatic_radius(layout.grid.cell, scene.gsd_m) if options.outlier_radius is None else options.outlier_radius
     )
@@ -57,12 +58,12 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     folder = temporary_name(str(scene.path.with_name("fusion")))
     try:
         ensure_folder(folder)
-        facts, needed = _fused(options, scene, tiles, layout, datum, folder, Part(progress, 0.0, share))
+        facts, needed = _fused(options, scene, tiles, layout, folder, Part(progress, 0.0, share))
         cloud = cloud_of(options, folder) if facts.points else None
         shown = _write_for_display(options, cloud, datum.file_crs(crs), progress)
         for index, pair in enumerate(pairs):
             ends = [share + (1 - share) * i / len(pairs) for i in (index, index + 1)]
-            _one_pair(options, pair, scene, tiles, layout, datum, folder, Part(progress, *ends))
+            _one_pair(options, pair, scene, tiles, layout, folder, Part(progress, *ends))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     _log(facts, radius, needed, options, progress)
@@ -84,8 +85,7 @@ def _fused(
     options: DsmFuseOptions,
     scene: Scene,
     tiles: List[Tile],
-    layout: Layout,
-    datum: HeightDatum,
+    layout: DsmLayout,
     folder: str,
     progress: Progress,
 ) -> Tuple[FusionFacts, List[int]]:
@@ -93,17 +93,17 @@ def _fused(
     views = tuple(nadir_first(scene)) if options.ortho else ()
     tasks = [
         FuseTask(
-            scene.lean(),
-            tile.bounds,
-            tile.heights,
-            layout.grid,
-            window,
-            layout.crs,
-            options.method,
-            options.fill,
-            options.outlier_radius,
-            views,
-            bool(options.cloud or options.ept),
+            scene=scene.lean(),
+            bounds=tile.bounds,
+            records=tile.heights,
+            grid=layout.grid,
+            window=window,
+            crs=layout.crs,
+            method=options.method,
+            fill=options.fill,
+            radius=options.outlier_radius,
+            ortho_views=views,
+            cloud=bool(options.cloud or options.ept),
         )
         for tile, window in zip(tiles, layout.windows)
     ]
@@ -114,7 +114,7 @@ def _fused(
         progress,
         lambda work: f"fusing {work[0].records[0].tile}",
     )
-    facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, datum, stored, folder)
+    facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, stored, folder)
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
         if path:
             write_style(kind, path)
@@ -131,8 +131,7 @@ def _one_pair(
     pair: Tuple[str, str],
     scene: Scene,
     tiles: List[Tile],
-    layout: Layout,
-    datum: HeightDatum,
+    layout: DsmLayout,
     folder: str,
     progress: Progress,
 ) -> None:
@@ -160,8 +159,7 @@ def _one_pair(
             alone,
             scene,
             [tile for tile, _ in own],
-            replace(layout, windows=[window for _, window in own]),
-            datum,
+            replace(layout, windows=tuple(window for _, window in own)),
             folder,
             progress,
         )
@@ -175,7 +173,7 @@ def _workers(
     options: DsmFuseOptions,
     scene: Scene,
     tiles: List[Tile],
-    windows: List[Tuple[int, int, int, int]],
+    windows: Sequence[Window],
     progress: Progress,
 ) -> int:
     """How many workers the memory allows, by the tile that takes most."""
@@ -199,17 +197,17 @@ def _write_for_display(options: DsmFuseOptions, cloud: Optional[str], crs: str, 
     """What is made of the finished cloud and DSM, in the DSM's colours."""
     made: Dict[str, Any] = {"ept": None, "mesh": None}
     if options.ept and cloud:
-        facts = write_ept(cloud, options.ept, crs, progress)
+        tree = write_ept(cloud, options.ept, crs, progress)
         write_style("ept", f"{options.ept}/ept.json", height_limits(options.output))
-        progress.info(f"EPT of {facts['points']} points in {facts['nodes']} nodes.")
+        progress.info(f"EPT of {tree.points} points in {tree.nodes} nodes.")
         made["ept"] = options.ept
     elif options.ept:
         progress.warn("No matched point lies on the DSM: the EPT is not written.")
     if options.mesh:
-        facts = write_mesh(options.output, options.mesh, options.mesh_vertices, progress)
+        mesh = write_mesh(options.output, options.mesh, options.mesh_vertices, progress)
         write_style("mesh", options.mesh, height_limits(options.output))
-        thinned = f", one of {facts['step']} rows and columns (MESH_VERTICES)" if facts["step"] > 1 else ""
-        progress.info(f"Mesh of {facts['vertices']} vertices and {facts['faces']} triangles{thinned}.")
+        thinned = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
+        progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{thinned}.")
         made["mesh"] = options.mesh
     return made
 

@@ -9,7 +9,7 @@ from typing import Any, Dict, Optional
 
 import numpy as np
 
-from ..dsm.own_surface import lon_lat_bounds, own_surface
+from ..dsm.terrain_feedback import lon_lat_bounds, surface_of_heights
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
 from ..geometry.equivalent_error import TILE_GRID, RefinedPinhole, refine_pinhole, virtual_grid
@@ -101,7 +101,7 @@ def _source(scene: Scene, options: RefineOptions) -> str:
     if options.dem:
         return options.dem
     if any(tile.heights for tile in scene.tiles):
-        return own_surface(scene, _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif"))
+        return surface_of_heights(scene, _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif"))
     raise OptionError(
         "MODEL",
         options.model,

@@ -28,7 +28,8 @@ class HeightMap:
     """Ground points of a height map: ``x``, ``y`` in a projected CRS, ``height``, ``score``; all (H, W), NaN = none.
 
     ``filled`` says which heights were taken from the background of an occlusion. ``ray`` is how far x and y move along
-    a pixel's line of sight, m for each m of height; ``lean`` how far column and row move up a vertical, px for each m.
+    a pixel's line of sight, m for each m of height; ``relief_displacement`` how far column and row move along a
+    vertical, px for each m.
     """
 
     x: FloatArray
@@ -37,7 +38,7 @@ class HeightMap:
     score: FloatImage
     filled: Mask
     ray: Tuple[float, float] = (0.0, 0.0)
-    lean: Tuple[float, float] = (0.0, 0.0)
+    relief_displacement: Tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

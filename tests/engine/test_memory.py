@@ -47,12 +47,12 @@ FUSING = (
     BEGIN
     + """
 from repm_qgis.dsm.fusion import FuseTask, fuse_to_disk
-from repm_qgis.dsm.products import Layout
+from repm_qgis.dsm.products import DsmLayout
+from repm_qgis.geometry.vertical import HeightDatum
 records = tuple(tile.heights[:1] * int(extra))
-layout = Layout.of(scene, [tile], scene.crs, side)
+layout = DsmLayout.of(scene, [tile], scene.crs, HeightDatum.of(""), side)
 grid, windows = layout.grid, layout.windows
-fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, "median", "occlusions", 1.5, (),
-                       False), out + ".npz"))
+fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, radius=1.5), out + ".npz"))
 end([record.pixels for record in records], grid.shape[0] * grid.shape[1])
 """
 )

@@ -43,7 +43,7 @@ def ept(request, tmp_path):
         facts = module.write_ept(str(tmp_path / "c.laz"), str(tmp_path / "e"), crs_of(request.param))
     finally:
         module._LEAF = kept
-    assert facts["nodes"] > 10
+    assert facts.nodes > 10
     return tmp_path / "e", np.column_stack([x, y, z])
 
 
@@ -107,7 +107,7 @@ def test_a_mesh_opens_with_its_triangles_and_heights(plugin, tmp_path, vertical)
     assert layer.isValid() and layer.crs().isValid() and "UTM zone 31N" in layer.crs().description()
     assert vertical or layer.crs().authid() == UTM
     provider = layer.dataProvider()
-    assert (provider.vertexCount(), provider.faceCount()) == (facts["vertices"], facts["faces"])
+    assert (provider.vertexCount(), provider.faceCount()) == (facts.vertices, facts.faces)
     read = QgsMesh()
     provider.populateMesh(read)
     known = np.isfinite(heights)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from repm_qgis.dsm.aggregation import Layer, aggregate, automatic_radius, lonely
+from repm_qgis.dsm.aggregation import HeightLayer, aggregate
+from repm_qgis.dsm.outliers import automatic_radius, radius_outliers
 
 NUMBERS = np.random.default_rng(8)
 SHAPE = (60, 80)
@@ -15,7 +16,7 @@ SHAPE = (60, 80)
 def layers(stack, scores=0.9, background=np.nan, metres=1.0):
     metres = np.broadcast_to(metres, len(stack))
     return [
-        Layer(height, np.broadcast_to(scores, SHAPE), np.broadcast_to(background, SHAPE), float(m))
+        HeightLayer(height, np.broadcast_to(scores, SHAPE), np.broadcast_to(background, SHAPE), float(m))
         for height, m in zip(stack, metres)
     ]
 
@@ -81,8 +82,8 @@ def test_one_in_ten_grossly_wrong_changes_little(count):
     errors = []
     for stack in (clean, dirty):
         score = np.full(truth.shape, 0.9)
-        found = aggregate([Layer(h, score, np.full(truth.shape, np.nan), 1.0) for h in stack], "mean")
-        height = np.where(lonely(found.height, 1.0, automatic_radius(1.0))[0], np.nan, found.height)
+        found = aggregate([HeightLayer(h, score, np.full(truth.shape, np.nan), 1.0) for h in stack], "mean")
+        height = np.where(radius_outliers(found.height, 1.0, automatic_radius(1.0))[0], np.nan, found.height)
         assert np.isfinite(height).mean() > 0.97
         errors.append(float(np.sqrt(np.nanmean((height - truth) ** 2))))
     # What is gone from a cell's mean leaves more noise there: with two maps, a fifth of the cells have one only.
@@ -109,7 +110,7 @@ def test_a_low_height_of_a_bad_match_does_not_win():
     truth, stack = edge()
     score = NUMBERS.uniform(0.8, 1.0, (3,) + SHAPE)
     score[2][:, 40:42] = 0.3
-    found = aggregate([Layer(h, s, np.full(SHAPE, np.nan), 1.0) for h, s in zip(stack, score)], "mean")
+    found = aggregate([HeightLayer(h, s, np.full(SHAPE, np.nan), 1.0) for h, s in zip(stack, score)], "mean")
     assert (found.height[:, 40:42] > 119).all() and np.abs(found.height[:, 43:] - 100).max() < 0.3
 
 
@@ -132,7 +133,7 @@ def test_backgrounds_count_where_others_confirm_them(right, expected):
     stack[1:, 20:40, 50:53], background[1:, 20:40, 50:53] = np.nan, 100.0
     stack[0, 20:40, 50:53] = 120.0
     stack[2, :, :25], background[2, :, :25] = np.nan, 120.0 if right else 90.0
-    found = aggregate([Layer(h, np.full(SHAPE, 0.9), b, 1.0) for h, b in zip(stack, background)], "mean")
+    found = aggregate([HeightLayer(h, np.full(SHAPE, 0.9), b, 1.0) for h, b in zip(stack, background)], "mean")
     np.testing.assert_allclose(found.height[20:40, 50:53], expected, atol=0.3)
     assert found.filled[20:40, 50:53].all() == right
 
@@ -160,7 +161,7 @@ def test_lonely_cells_are_those_a_tree_finds(cell, radius):
     """Neighbours count within a radius on the ground and the same radius in height."""
     height = NUMBERS.uniform(0, 8, (60, 70))
     height[NUMBERS.uniform(size=height.shape) < 0.3] = np.nan
-    found, needed = lonely(height, cell, radius)
+    found, needed = radius_outliers(height, cell, radius)
     rows, cols = np.nonzero(np.isfinite(height))
     places, z = np.column_stack([rows, cols]) * cell, height[rows, cols]
     counts = np.array(
@@ -180,7 +181,7 @@ def test_islands_go_and_surfaces_stay():
     height[5:45, 5:25] = 100 + np.arange(20) * 0.8  # a steep slope
     height[20, 40], height[30:32, 35:37] = 120.0, 90.0
     height[10, 10] = 160.0
-    found, needed = lonely(height, 1.0, automatic_radius(1.0))
+    found, needed = radius_outliers(height, 1.0, automatic_radius(1.0))
     # A disc of three cells holds 28; of a slope of 0.8, heights within 3 m are all of them.
     assert needed == 6
     assert found[20, 40] and found[30:32, 35:37].all() and found[10, 10]
@@ -191,8 +192,8 @@ def test_sparse_points_are_asked_for_less():
     """Where a third of the cells has a height, a cell needs a third of the neighbours."""
     dense = np.full((80, 80), 100.0)
     sparse = np.where(NUMBERS.uniform(size=dense.shape) < 0.33, dense, np.nan)
-    assert lonely(dense, 1.0, 3.0)[1] == 6 and lonely(sparse, 1.0, 3.0)[1] == 2
-    assert not lonely(dense, 1.0, 3.0)[0].any() and lonely(sparse, 1.0, 3.0)[0].sum() < 10
+    assert radius_outliers(dense, 1.0, 3.0)[1] == 6 and radius_outliers(sparse, 1.0, 3.0)[1] == 2
+    assert not radius_outliers(dense, 1.0, 3.0)[0].any() and radius_outliers(sparse, 1.0, 3.0)[0].sum() < 10
 
 
 def test_the_automatic_radius():
@@ -204,10 +205,10 @@ def test_a_map_that_brushes_a_cell_does_not_count_where_another_covers_it():
     """A roof's last pixels reach into cells of the street: 120 m over a fifth of the cell against 100 m over all."""
     roof, street = np.full(SHAPE, 120.0), np.full(SHAPE, 100.0)
     brushed, whole, nothing = np.ones(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool), np.full(SHAPE, np.nan)
-    high = Layer(roof, np.full(SHAPE, 0.9), nothing, 1.0, brushed)
+    high = HeightLayer(roof, np.full(SHAPE, 0.9), nothing, 1.0, brushed)
     for low in (
-        Layer(street, np.full(SHAPE, 0.9), nothing, 1.0, whole),
-        Layer(nothing, nothing, street, 1.0, whole, whole),
+        HeightLayer(street, np.full(SHAPE, 0.9), nothing, 1.0, whole),
+        HeightLayer(nothing, nothing, street, 1.0, whole, whole),
     ):
         found = aggregate([high, low], "mean")
         np.testing.assert_allclose(found.height, 100.0)
@@ -223,7 +224,7 @@ def test_a_background_does_not_outvote_a_match_that_another_background_confirms(
     stack[2, :, :25], background[2, :, :25] = np.nan, 120.0  # confirmed by the other two
     stack[1:][(slice(None),) + place] = np.nan
     stack[0][place], background[1][place], background[2][place] = 120.0, 120.0, 100.0
-    found = aggregate([Layer(h, np.full(SHAPE, 0.9), b, 1.0) for h, b in zip(stack, background)], "mean")
+    found = aggregate([HeightLayer(h, np.full(SHAPE, 0.9), b, 1.0) for h, b in zip(stack, background)], "mean")
     np.testing.assert_allclose(found.height[place], 120.0, atol=0.3)
     assert not found.filled[place].any()
 
@@ -240,5 +241,5 @@ def test_the_finer_pair_decides_on_steps_that_others_cannot_see(step, expected):
     stack[2][place] = np.nan
     stack[1][place] = background[2][place] = 100.0 + step
     metres = (2.0, 5.0, 5.0)
-    found = aggregate([Layer(h, np.full(SHAPE, 0.9), b, m) for h, b, m in zip(stack, background, metres)], "mean")
+    found = aggregate([HeightLayer(h, np.full(SHAPE, 0.9), b, m) for h, b, m in zip(stack, background, metres)], "mean")
     np.testing.assert_allclose(found.height[place], expected, atol=0.3)

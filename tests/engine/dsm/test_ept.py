@@ -6,15 +6,17 @@ import hashlib
 import json
 import os
 import pathlib
+from dataclasses import replace
 
 import laspy
 import numpy as np
 import pytest
 
-from repm_qgis.dsm import ept
 from repm_qgis.dsm.ept import write_ept
+from repm_qgis.dsm.parameters import EptParameters
 from repm_qgis.dsm.point_cloud import created_cloud
 from repm_qgis.errors import Cancelled, EmptyResultError, WorkspaceError
+from repm_qgis.progress import Silent
 
 CRS = "EPSG:32631"
 ORIGIN = (654321.7, 4812345.2, 0.0)
@@ -100,8 +102,8 @@ def test_a_small_cloud_is_one_node(tmp_path):
     facts = write_ept(cloud, str(tmp_path / "ept"), CRS)
     about, hierarchy, nodes = check(tmp_path / "ept", cloud)
     assert hierarchy == {"0-0-0-0": 5000}
-    assert (facts["points"], facts["nodes"]) == (5000, 1)
-    np.testing.assert_allclose(facts["height_range"], np.percentile(points[:, 2], (2, 98)), atol=0.001)
+    assert (facts.points, facts.nodes) == (5000, 1)
+    np.testing.assert_allclose(facts.height_range, np.percentile(points[:, 2], (2, 98)), atol=0.001)
     root = nodes["0-0-0-0"]
     with laspy.open(str(tmp_path / "ept" / "ept-data" / "0-0-0-0.laz")) as reader:
         header = reader.header
@@ -123,21 +125,15 @@ def large(tmp_path_factory):
     return cloud_of(folder / "c.laz", np.vstack([points, dense]), np.hstack([score, more]))
 
 
-@pytest.fixture
-def small_parts(monkeypatch):
-    """Out of core with few points: parts of 20000, leaves of 4000."""
-    monkeypatch.setattr(ept, "_UNIT", 20000)
-    monkeypatch.setattr(ept, "_LEAF", 4000)
-    monkeypatch.setattr(ept, "_CHUNK", 30000)
+SMALL = EptParameters(leaf=4000, batch=20000, chunk=30000)  # out of core with few points
 
 
-def test_each_point_is_in_one_node_however_the_work_is_parted(tmp_path, large, small_parts, monkeypatch):
-    write_ept(large, str(tmp_path / "parts"), CRS)
+def test_each_point_is_in_one_node_however_the_work_is_parted(tmp_path, large):
+    write_ept(large, str(tmp_path / "parts"), CRS, parameters=SMALL)
     _, hierarchy, nodes = check(tmp_path / "parts", large)
     depths = [int(name.split("-")[0]) for name in hierarchy]
     assert len(hierarchy) > 50 and max(depths) >= 4
-    monkeypatch.setattr(ept, "_UNIT", 1 << 21)
-    write_ept(large, str(tmp_path / "whole"), CRS)
+    write_ept(large, str(tmp_path / "whole"), CRS, parameters=replace(SMALL, batch=1 << 21))
     assert read(tmp_path / "whole")[1] == hierarchy
     for name, points in nodes.items():  # the same nodes, too
         np.testing.assert_array_equal(
@@ -145,8 +141,8 @@ def test_each_point_is_in_one_node_however_the_work_is_parted(tmp_path, large, s
         )
 
 
-def test_a_node_with_children_has_one_point_a_voxel(tmp_path, large, small_parts):
-    write_ept(large, str(tmp_path / "e"), CRS)
+def test_a_node_with_children_has_one_point_a_voxel(tmp_path, large):
+    write_ept(large, str(tmp_path / "e"), CRS, parameters=SMALL)
     about, hierarchy, nodes = check(tmp_path / "e", large)
     offset = np.array([dimension["offset"] for dimension in about["schema"][:3]])
     corner, opposite = (np.rint((np.array(about["bounds"][i : i + 3]) - offset) / 0.001).astype(int) for i in (0, 3))
@@ -162,22 +158,20 @@ def test_a_node_with_children_has_one_point_a_voxel(tmp_path, large, small_parts
         assert len(np.unique(place, axis=0)) == len(place), name
 
 
-def test_the_same_cloud_gives_the_same_bytes(tmp_path, large, small_parts):
+def test_the_same_cloud_gives_the_same_bytes(tmp_path, large):
     for name in "ab":
-        write_ept(large, str(tmp_path / name), CRS)
+        write_ept(large, str(tmp_path / name), CRS, parameters=SMALL)
     assert digest(tmp_path / "a") == digest(tmp_path / "b")
 
 
-def test_points_on_one_spot_and_a_single_point(tmp_path, monkeypatch):
-    monkeypatch.setattr(ept, "_LEAF", 10)
-    monkeypatch.setattr(ept, "_UNIT", 20)
+def test_points_on_one_spot_and_a_single_point(tmp_path):
     for name, points in (
         ("one", np.array([[*ORIGIN]])),
         ("spot", np.tile([[*ORIGIN]], (100, 1))),
         ("far", np.vstack([np.tile([[*ORIGIN]], (50, 1)), [[ORIGIN[0] + 90000, ORIGIN[1], 9000.0]]])),
     ):
         cloud = cloud_of(tmp_path / f"{name}.laz", points, np.ones(len(points)))
-        write_ept(cloud, str(tmp_path / name), CRS)
+        write_ept(cloud, str(tmp_path / name), CRS, parameters=EptParameters(leaf=10, batch=20))
         check(tmp_path / name, cloud)
 
 
@@ -212,14 +206,24 @@ def test_an_older_ept_gives_way_and_another_folder_does_not(tmp_path):
             write_ept(cloud, str(place), CRS)
 
 
-def test_half_an_ept_never_stays(tmp_path, large, small_parts, told, monkeypatch):
+class FullDisk(Silent):
+    """The disk is full when the work asks for the third time whether it is cancelled."""
+
+    asked = 0
+
+    def check_cancelled(self):
+        self.asked += 1
+        if self.asked == 3:
+            raise OSError(28, "No space left on device")
+
+
+def test_half_an_ept_never_stays(tmp_path, large, told):
     for cancel_at in (2, 12, 20):
         with pytest.raises(Cancelled):
-            write_ept(large, str(tmp_path / "e"), CRS, told(cancel_at=cancel_at))
+            write_ept(large, str(tmp_path / "e"), CRS, told(cancel_at=cancel_at), SMALL)
         assert os.listdir(tmp_path) == []
-    monkeypatch.setattr(ept, "_write_json", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(WorkspaceError, match="No space left"):
-        write_ept(large, str(tmp_path / "e"), CRS)
+        write_ept(large, str(tmp_path / "e"), CRS, FullDisk(), SMALL)
     assert os.listdir(tmp_path) == []
 
 

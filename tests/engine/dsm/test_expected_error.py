@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.dsm.aggregation import Aggregate
+from repm_qgis.dsm.aggregation import FusedCells
 from repm_qgis.dsm.expected_error import expected_error
 from repm_qgis.stages import run_stage
 
@@ -19,7 +19,7 @@ def cells(**changes):
         "score": np.array([[1.0, 0.5, np.nan]]),
         "filled": np.zeros((1, 3), bool),
     }
-    return Aggregate(**{**parts, **changes})
+    return FusedCells(**{**parts, **changes})
 
 
 def test_a_worse_correlation_or_base_means_a_greater_error():

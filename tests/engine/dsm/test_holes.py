@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from repm_qgis.dsm.holes import REACH_CELLS, fill_holes
+from repm_qgis.dsm.holes import fill_holes
+from repm_qgis.dsm.parameters import FUSION
 
 
 def surface(shape=(120, 140)):
@@ -35,7 +36,7 @@ def test_what_lies_beyond_the_border_stays_empty():
 
 def test_holes_too_wide_stay_partly_empty():
     """A band 135 cells wide: its middle has heights within reach on both sides, the rest on one side only."""
-    holed = np.full((150, 3 * REACH_CELLS), 50.0)
+    holed = np.full((150, 3 * FUSION.holes.reach_cells), 50.0)
     holed[5:140, 5:-5] = np.nan
     found, filled = fill_holes(holed)
     assert filled[70:75, 110:190].all() and np.isnan(found[20, 110:190]).all()

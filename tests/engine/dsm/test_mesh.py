@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from repm_qgis.dsm import mesh
 from repm_qgis.dsm.mesh import write_mesh
+from repm_qgis.dsm.parameters import FusionParameters
 from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
 from repm_qgis.imagery.raster import write
 
@@ -48,7 +48,7 @@ def test_a_full_surface_is_covered_once(tmp_path):
     path = str(tmp_path / "m.ply")
     facts = write_mesh(dsm_of(tmp_path / "d.tif", heights), path)
     head, vertices, faces = read_ply(path)
-    assert facts == {"vertices": 40 * 61, "faces": 2 * 39 * 60, "step": 1}
+    assert (facts.vertices, facts.faces, facts.step) == (40 * 61, 2 * 39 * 60, 1)
     assert "comment crs: PROJCS" in head and "comment heights: metres above the WGS 84 ellipsoid" in head
     rows, columns = np.mgrid[0:40, 0:61]
     np.testing.assert_array_equal(
@@ -104,8 +104,8 @@ def test_the_limit_thins_evenly_and_keeps_true_heights(tmp_path):
     for limit in (20000, 5000, 1000, 10):
         facts = write_mesh(dsm, str(tmp_path / "m.ply"), limit)
         _, vertices, faces = read_ply(tmp_path / "m.ply")
-        assert len(vertices) == facts["vertices"] <= limit
-        step = facts["step"]
+        assert len(vertices) == facts.vertices <= limit
+        step = facts.step
         part = heights[::step, ::step]
         finer = heights[:: step - 1, :: step - 1] if step > 1 else None
         assert finer is None or np.isfinite(finer).sum() > limit or limit == 10
@@ -114,16 +114,15 @@ def test_the_limit_thins_evenly_and_keeps_true_heights(tmp_path):
 
 
 @pytest.mark.parametrize("cells", (1, 300, 3000))
-def test_blocks_of_rows_join(tmp_path, monkeypatch, cells):
+def test_blocks_of_rows_join(tmp_path, cells):
     heights = np.random.default_rng(2).uniform(0, 9, (50, 70))
     heights[np.random.default_rng(3).uniform(size=heights.shape) < 0.2] = np.nan
     heights[20:23] = np.nan
     dsm = dsm_of(tmp_path / "d.tif", heights)
     for limit in (0, 1000):
         write_mesh(dsm, str(tmp_path / "whole.ply"), limit)
-        with monkeypatch.context() as patch:
-            patch.setattr(mesh, "_BLOCK_CELLS", cells)
-            write_mesh(dsm, str(tmp_path / "blocks.ply"), limit)
+        small = FusionParameters(mesh_block_cells=cells)
+        write_mesh(dsm, str(tmp_path / "blocks.ply"), limit, parameters=small)
         assert (tmp_path / "whole.ply").read_bytes() == (tmp_path / "blocks.ply").read_bytes()
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from repm_qgis.arrays import Window
-from repm_qgis.dsm.fusion import MARGIN_CELLS, StoredTile, wide_file
-from repm_qgis.dsm.seams import blended
+from repm_qgis.dsm.feathering import feathered
+from repm_qgis.dsm.fusion import StoredTile, wide_file
+from repm_qgis.dsm.parameters import FUSION
 
+MARGIN = FUSION.feather_cells
 SHAPE = (60, 100)
 WINDOWS = [Window(0, 0, 40, 30), Window(40, 0, 60, 30), Window(0, 30, 40, 30), Window(40, 30, 60, 30)]
 OFFSETS = (0.0, 0.4, -0.3, 0.2)
@@ -25,21 +27,21 @@ def stored(folder, offsets, spoil=None):
         whole = surface() + offset
         if spoil:
             spoil(number, whole)
-        r0, c0 = max(row - MARGIN_CELLS, 0), max(col - MARGIN_CELLS, 0)
-        wide = whole[r0 : row + height + MARGIN_CELLS, c0 : col + width + MARGIN_CELLS]
+        r0, c0 = max(row - MARGIN, 0), max(col - MARGIN, 0)
+        wide = whole[r0 : row + height + MARGIN, c0 : col + width + MARGIN]
         path = str(folder / f"{number}.npz")
         np.save(wide_file(path), wide.astype(np.float32))
-        tiles.append(StoredTile(path, 0, 0, 0, 0, 6, None, None, (1.0,)))
+        tiles.append(StoredTile(path, 0, 0, 0, 0, 6, None, (1.0,)))
         own.append(whole[row : row + height, col : col + width])
     result = np.full(SHAPE, np.nan)
     for index, (col, row, width, height) in enumerate(WINDOWS):
-        result[row : row + height, col : col + width] = blended(own[index], index, WINDOWS, tiles, SHAPE, 1.0)
+        result[row : row + height, col : col + width] = feathered(own[index], index, WINDOWS, tiles, SHAPE[::-1], 1.0)
     return result
 
 
 def test_an_offset_is_spread_over_the_margins(tmp_path):
     error = stored(tmp_path, OFFSETS) - surface()
-    largest = 0.7 / (2 * MARGIN_CELLS) * 1.5
+    largest = 0.7 / (2 * MARGIN) * 1.5
     for axis in (0, 1):
         assert np.abs(np.diff(error, axis=axis)).max() < largest < 0.4
     np.testing.assert_allclose(error[:20, :30], 0.0, atol=1e-4)

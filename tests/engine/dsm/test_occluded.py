@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.dsm.hidden import hidden_ground
+from repm_qgis.dsm.occluded import occluded_ground
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -49,9 +49,9 @@ def is_hidden(x, y, column_lean, row_lean):
 
 
 @pytest.mark.parametrize("lean", ((0.5, 0.0), (-0.5, 0.0), (0.0, 0.4), (0.3, -0.01), (-0.45, 0.08), (0.3, 0.3)))
-def test_hidden_ground_is_where_the_view_does_not_see(lean):
+def test_occluded_ground_is_where_the_view_does_not_see(lean):
     heights = view(*lean)
-    x, y, z = hidden_ground(heights, 3.0)
+    x, y, z = occluded_ground(heights, 3.0)
     np.testing.assert_allclose(z, GROUND)
     cells = np.stack(np.meshgrid(np.arange(100) + 0.5, np.arange(100) + 0.5), axis=-1)
     truth = is_hidden(cells[..., 0], cells[..., 1], *lean)
@@ -63,8 +63,8 @@ def test_hidden_ground_is_where_the_view_does_not_see(lean):
 
 
 @pytest.mark.parametrize("lean, rise", ((0.4, 0.2), (0.4, -0.15), (-0.4, 0.1)))
-def test_hidden_ground_goes_on_as_the_ground_before_it_slopes(lean, rise):
-    x, _, z = hidden_ground(view(lean, 0.0, rise), 3.0)
+def test_occluded_ground_goes_on_as_the_ground_before_it_slopes(lean, rise):
+    x, _, z = occluded_ground(view(lean, 0.0, rise), 3.0)
     assert len(z) > 100
     assert np.abs(z - (GROUND + rise * x)).max() < 0.35  # what a pixel more or less of the strip makes
 
@@ -74,11 +74,9 @@ def test_no_step_hides_nothing():
     level = np.full(heights.height.shape, GROUND)
     slope = GROUND + np.arange(level.shape[1]) * 1.5 + np.zeros((level.shape[0], 1))
     for height in (level, slope, np.full(level.shape, np.nan)):
-        points = hidden_ground(
-            HeightMap(heights.x, heights.y, height, heights.score, heights.filled, heights.ray, heights.lean), 3.0
-        )
+        points = occluded_ground(replace(heights, height=height), 3.0)
         assert all(part.size == 0 for part in points)
-    assert hidden_ground(view(0.0, 0.0), 3.0)[2].size == 0
+    assert occluded_ground(view(0.0, 0.0), 3.0)[2].size == 0
 
 
 def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, capsys):

@@ -1,0 +1,105 @@
+"""The numbers that fusion chooses; docs/method.md says more about each subject."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..geometry.parameters import GriddingParameters
+from ..matching.occlusions import STEP_PX
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class IsolatedPointParameters(Parameters):
+    """Isolated points of a height map (paper, "DSMs aggregation", which gives no numbers); both values are chosen."""
+
+    tolerance_px: float = 2.0  # of disparity: neighbours farther apart belong to different surfaces
+    neighbours: int = 2  # of eight that a point needs; the points of a wall have so many
+
+
+@dataclass(frozen=True)
+class OutlierParameters(Parameters):
+    """Radius outlier removal on cells; the paper gives no numbers. All values are chosen for grids of known density."""
+
+    radius_cells: float = 3.0  # default radius: the disc has 28 neighbours on a whole surface
+    radius_m: float = 1.5  # and not less
+    share: float = 0.2  # of the neighbours that half the cells have: the corner of a roof has a quarter
+    neighbours: int = 2  # and not less
+
+
+@dataclass(frozen=True)
+class AggregationParameters(Parameters):
+    """One height from several maps (docs/method.md, "Fusion"); found on truth scenes (`make bench-views`)."""
+
+    sigma_px: float = 0.2  # errors of matching, px of disparity (`make bench-subpixel`: 0.12 narrow, 0.25 wide)
+    tolerance: float = 2.5  # sigmas: heights this close mean the same surface
+    weight_power: float = (
+        0.5  # weights are metres_per_px ** -0.5: between equal ones and those of disparity noise alone
+    )
+    neighbours: int = 3  # of eight, of the same map, that a height in conflict must agree with
+    neighbour_tolerance: float = 1.9  # times the tolerance, for neighbours: surfaces slope
+    agreed_cells: int = 500  # fewer do not show how scores are distributed
+    rank_single: float = 0.03  # least rank of a lower group's score among the agreed cells', against one map
+    rank_outvoted: float = 0.05  # against two maps or more
+    rank_unsupported: float = 0.1  # where no agreed cell nearby has its height
+    confirmed: float = 0.45  # of backgrounds, where two maps were matched: else gaps are failures, not occlusions
+    background_directions: int = 2  # of eight in which the agreed surface has a background's height
+    reach_cells: int = 12  # how far away the agreed surface is looked for
+
+
+@dataclass(frozen=True)
+class HoleParameters(Parameters):
+    """Interpolation of holes; both values are chosen."""
+
+    reach_cells: int = 100  # heights farther away do not count
+    widest_gap: int = 4  # of 16 directions in a row without a height; with more a cell lies beyond the border
+
+
+@dataclass(frozen=True)
+class ExpectedErrorParameters(Parameters):
+    """Errors in px of disparity (docs/method.md, "Confidence"; `make bench-confidence`)."""
+
+    at_best_px: float = 0.15  # at a correlation of 1
+    per_score_px: float = 0.85  # more for each 1 of correlation less
+    background_px: float = 1.5  # of the background of an occlusion
+
+
+@dataclass(frozen=True)
+class OrthophotoParameters(Parameters):
+    """The orthophoto; both values are chosen."""
+
+    nodes: int = 9  # a side of the lattice on which views are projected exactly
+    clearance_m: float = 1.0  # by which a surface must stand above a line of sight to block it
+
+
+@dataclass(frozen=True)
+class EptParameters(Parameters):
+    """Sizes of Entwine Point Tiles, in points."""
+
+    leaf: int = 1 << 16  # a node with so many keeps all: files of about 300 kB, as Entwine writes
+    batch: int = 1 << 21  # sorted in memory at once: about 200 MB
+    chunk: int = 1 << 20  # read at once
+
+
+@dataclass(frozen=True)
+class FusionParameters(Parameters):
+    """From height maps to a DSM and its products."""
+
+    isolated: IsolatedPointParameters = IsolatedPointParameters()
+    gridding: GriddingParameters = GriddingParameters()
+    aggregation: AggregationParameters = AggregationParameters()
+    outliers: OutlierParameters = OutlierParameters()
+    holes: HoleParameters = HoleParameters()
+    error: ExpectedErrorParameters = ExpectedErrorParameters()
+    orthophoto: OrthophotoParameters = OrthophotoParameters()
+    ept: EptParameters = EptParameters()
+    step_px: float = STEP_PX  # of disparity: higher steps hide ground; as in matching, where occlusions are filled
+    covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen
+    feather_cells: int = 8  # over which tiles change into each other on both sides of a seam; chosen
+    block_cells: int = 512  # side of what is fused at once; bounds the memory
+    hole_block_cells: int = 1024  # side of what holes are filled in at once; bounds the memory
+    mesh_block_cells: int = 1 << 18  # of the mesh that are read at once; bounds the memory
+    terrain_margin_m: float = 300.0  # by which the terrain feedback's surface extends beyond the tiles; chosen
+
+
+FUSION = FusionParameters()
