@@ -59,8 +59,8 @@ class ErrorsByClass:
         """(rows, columns) class at each cell's centre, NaN where there is none."""
         columns, rows = cells.size
         u, v = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
-        x, y = self._to_classes.transform(*cells.places(u, v))
-        column, row = self._grid.cells(np.asarray(x), np.asarray(y))
+        x, y = self._to_classes.transform(*cells.to_ground(u, v))
+        column, row = self._grid.to_cells(np.asarray(x), np.asarray(y))
         width, height = self._grid.size
         with np.errstate(invalid="ignore"):
             inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)

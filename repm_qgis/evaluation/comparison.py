@@ -15,11 +15,11 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..progress import Part, Progress
 from .classes import ErrorsByClass
-from .coregistration import Alignment, Patch, align, shrunk
+from .coregistration import Alignment, Patch, align, block_means
 from .grids import Grid, HeightWarper, aligned_heights, metres_per_unit, overlap, read_heights
 from .metrics import ErrorCollector, HeightMetrics
 from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters
-from .profiles import Profile, ProfileLine, cut, through_the_middle
+from .profiles import Profile, ProfileLine, middle_lines, sample_profile
 
 HISTOGRAM_BIN_M = 0.001
 _HISTOGRAM_HALF = 200_000  # bins on each side of zero
@@ -94,7 +94,7 @@ def compare(
         exact=work.total.exact,
         by_slope=[(f"{low:g}–{high:g}°", collector.metrics()) for low, high, collector in work.by_slope],
         by_class=by_class.metrics() if by_class is not None else [],
-        profiles=[cut(line, warper, along, grid, alignment) for line in lines or through_the_middle(common)],
+        profiles=[sample_profile(line, warper, along, grid, alignment) for line in lines or middle_lines(common)],
         histogram=work.histogram,
         thumbnails=work.thumbnails,
         thumbnail_factor=work.factor,
@@ -180,7 +180,7 @@ class _Blocks:
     def _draw(self, window: Window, **parts: FloatImage) -> None:
         row, column = window.row // self.factor, window.col // self.factor
         for name, values in parts.items():
-            small = shrunk(values, self.factor)
+            small = block_means(values, self.factor)
             self.thumbnails[name][row : row + small.shape[0], column : column + small.shape[1]] = small
 
 
@@ -214,7 +214,7 @@ def _patches(
 def _sample_windows(grid: Grid, common: Bounds, parameters: ComparisonParameters) -> List[Window]:
     """The overlap in one window, or where that is large, patches at full resolution spread evenly over it."""
     x, y = common[::2] * 2, np.repeat(common[1::2], 2)
-    column, row = grid.cells(np.array(x), y)
+    column, row = grid.to_cells(np.array(x), y)
     whole = Window.spanning(
         max(0, math.floor(column.min())),
         max(0, math.floor(row.min())),

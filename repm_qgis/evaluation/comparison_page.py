@@ -201,14 +201,14 @@ def _cumulative(found: Comparison) -> Tuple[FloatArray, FloatArray]:
 
 def _pictures(page: Report, found: Comparison) -> None:
     error = found.thumbnails["error"]
-    limit = max(abs(v) for v in pictures.spread(error))
+    limit = max(abs(v) for v in pictures.percentile_range(error))
     page.section("Pictures").png(
         pictures.png_bytes(pictures.colour_map(error, -limit, limit, "diverging")),
         "DSM − reference. Red: the DSM is higher. Blue: it is lower. White: equal. Transparent: no error is known.",
     )
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))
     cell = abs(found.cell_m[0]) * found.thumbnail_factor
-    low, high = pictures.spread(found.thumbnails["reference"])
+    low, high = pictures.percentile_range(found.thumbnails["reference"])
     for name, text in (("dsm", "The DSM, aligned, on the reference's grid"), ("reference", "The reference")):
         picture = pictures.png_bytes(pictures.shaded_relief(found.thumbnails[name], cell, low, high))
         page.png(picture, f"{text}. Heights {low:.1f} to {high:.1f} m, with the same colours in both pictures.")

@@ -47,7 +47,7 @@ class Alignment:
 
     def applied(self, dsm: Floats, cell: Tuple[float, float]) -> FloatImage:
         """A DSM with cells of this width and height (m), moved; NaN where nothing is moved to."""
-        return moved(dsm, self.dx / cell[0], -self.dy / cell[1]) + np.float32(self.dz)
+        return shifted(dsm, self.dx / cell[0], -self.dy / cell[1]) + np.float32(self.dz)
 
 
 def align(
@@ -84,15 +84,15 @@ def align(
     return Alignment(method, east, north, up, nmad(before), nmad(after), after.size)
 
 
-def moved(array: Floats, columns: float, rows: float) -> Floats:
+def shifted(array: Floats, columns: float, rows: float) -> Floats:
     """The surface displaced by a number of cells to the right and down, same shape, NaN where nothing came from.
 
     Cubic (Catmull-Rom) between cells; a cell is NaN where one of the cells with a weight in it is.
     """
-    return _moved_along(_moved_along(array, columns, 1), rows, 0)
+    return _shifted_along(_shifted_along(array, columns, 1), rows, 0)
 
 
-def _moved_along(array: Floats, by: float, axis: int) -> Floats:
+def _shifted_along(array: Floats, by: float, axis: int) -> Floats:
     whole = math.floor(by + 1e-9)
     t = by - whole
     if t < 1e-6:
@@ -120,7 +120,7 @@ def _rolled(array: Floats, by: int, axis: int) -> Floats:
     return result
 
 
-def shrunk(array: Floats, factor: int) -> FloatImage:
+def block_means(array: Floats, factor: int) -> FloatImage:
     """Means of blocks of factor x factor cells; NaN where fewer than half of a block's cells have a value."""
     if factor <= 1:
         return np.asarray(array, np.float32)
@@ -144,7 +144,7 @@ def _coarse_search(patches: Sequence[Patch], parameters: CoregistrationParameter
     around = max(1, math.ceil(reach / factor))
     while factor >= 1:
         check()
-        level = [(shrunk(dsm, factor), shrunk(reference, factor)) for dsm, reference in patches]
+        level = [(block_means(dsm, factor), block_means(reference, factor)) for dsm, reference in patches]
         centre = np.round(best / factor).astype(int)
         best = _best_whole(level, centre, around, parameters) * factor
         around, factor = parameters.fine_search, factor // 2
@@ -188,7 +188,7 @@ def _nuth_kaab(
     shift = start
     for _ in range(parameters.iterations):
         check()
-        difference = [moved(dsm, *shift) - reference for dsm, reference in patches]
+        difference = [shifted(dsm, *shift) - reference for dsm, reference in patches]
         good = [np.isfinite(d) & np.isfinite(gx) & np.isfinite(gy) for d, (gx, gy) in zip(difference, gradients)]
         e = np.concatenate([d[ok] for d, ok in zip(difference, good)]).astype(float)
         _require_cells(e, parameters)
@@ -288,7 +288,7 @@ def _convolved(array: FloatImage, axis: int) -> FloatImage:
 
 def _known_differences(patches: Sequence[Patch], shift: FloatArray) -> Floats:
     """DSM less reference in all cells where both have a height, with the DSM displaced right and down."""
-    parts = [moved(dsm, float(shift[0]), float(shift[1])) - reference for dsm, reference in patches]
+    parts = [shifted(dsm, float(shift[0]), float(shift[1])) - reference for dsm, reference in patches]
     return np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else np.empty(0)
 
 

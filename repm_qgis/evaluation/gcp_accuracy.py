@@ -34,7 +34,7 @@ _METRES_PER_DEGREE = 111320.0
 
 
 @dataclass(frozen=True)
-class Errors:
+class ErrorSummary:
     """Of ``count`` points, metres: median of the absolute errors, root mean square, and largest absolute error."""
 
     count: int
@@ -43,7 +43,7 @@ class Errors:
     max: float
 
     @classmethod
-    def of(cls, values: FloatArray) -> "Errors":
+    def of(cls, values: FloatArray) -> "ErrorSummary":
         """Of signed errors of any shape; NaN are left out, and no value at all gives NaN."""
         size = np.abs(values[np.isfinite(values)])
         if not size.size:
@@ -73,11 +73,11 @@ class GcpAccuracy:
         """(N,) which points of a role ("": all) count: those found wrong do not."""
         return np.array([gcp.id not in self.wrong and role in ("", gcp.role) for gcp in self.gcps])
 
-    def summary(self, column: str, component: str, role: str = "") -> Errors:
-        return Errors.of(self.errors[column][self.rows(role), COMPONENTS.index(component)])
+    def summary(self, column: str, component: str, role: str = "") -> ErrorSummary:
+        return ErrorSummary.of(self.errors[column][self.rows(role), COMPONENTS.index(component)])
 
 
-def locate(found: GcpAccuracy, views: Sequence[View], parameters: GcpParameters = GCPS) -> None:
+def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpParameters = GCPS) -> None:
     """Add where the images put the points: vendors' RPCs, RPCs with a shift per view, and the views' own pointing.
 
     The shifts are the control points' mean residuals. No point confirms itself: a control point is located with the
@@ -200,7 +200,7 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
 def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> List[str]:
     """Warnings of points that have no height, outside the DSM and inside."""
     x, y = Transformer.from_crs("EPSG:4326", flat_crs(grid.crs), always_xy=True).transform(*places.T)
-    column, row = grid.cells(np.asarray(x), np.asarray(y))
+    column, row = grid.to_cells(np.asarray(x), np.asarray(y))
     inside = (column >= 0) & (row >= 0) & (column <= grid.size[0]) & (row <= grid.size[1])
     warnings = []
     for which, why in ((none & ~inside, "outside the DSM"), (none & inside, "where the DSM has no height")):

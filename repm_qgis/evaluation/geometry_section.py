@@ -19,7 +19,7 @@ from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
 from ..sfm.advice import MATCHING_PX
 from . import charts
-from .gcp_accuracy import Errors
+from .gcp_accuracy import ErrorSummary
 from .report import Report, fixed
 
 _MOST_TIES = 200000
@@ -211,7 +211,7 @@ def _summary(points: Sequence[GcpFigures]) -> List[List[Any]]:
     for role in ("control", "check"):
         mine = [point for point in points if point.role == role and not point.rejected]
         for name, title in (("east_m", "east"), ("north_m", "north"), ("up_m", "height")):
-            errors = Errors.of(np.array([getattr(point, name) for point in mine]))
+            errors = ErrorSummary.of(np.array([getattr(point, name) for point in mine]))
             if errors.count:
                 rows.append([role, errors.count, title, *fixed(errors.me, errors.rmse, errors.max)])
     return rows

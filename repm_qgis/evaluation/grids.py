@@ -63,27 +63,29 @@ class Grid:
 
     @property
     def bounds(self) -> Bounds:
-        x, y = self.places(np.array([0, self.size[0], 0, self.size[0]]), np.array([0, 0, self.size[1], self.size[1]]))
+        x, y = self.to_ground(
+            np.array([0, self.size[0], 0, self.size[0]]), np.array([0, 0, self.size[1], self.size[1]])
+        )
         return Bounds(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
-    def places(self, column: Any, row: Any) -> Tuple[Any, Any]:
+    def to_ground(self, column: Any, row: Any) -> Tuple[Any, Any]:
         """Ground x, y of places (numbers or arrays): (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
         a, b, c, d, e, f = self.transform
         return a + b * column + c * row, d + e * column + f * row
 
-    def cells(self, x: Any, y: Any) -> Tuple[Any, Any]:
-        """The inverse of :meth:`places`."""
+    def to_cells(self, x: Any, y: Any) -> Tuple[Any, Any]:
+        """The inverse of :meth:`to_ground`."""
         a, b, c, d, e, f = self.transform
         determinant = b * f - c * e
         return ((x - a) * f - (y - d) * c) / determinant, ((y - d) * b - (x - a) * e) / determinant
 
     def window(self, window: Window) -> Grid:
         """The grid of a part of this raster."""
-        x, y = self.places(float(window.col), float(window.row))
+        x, y = self.to_ground(float(window.col), float(window.row))
         _, b, c, _, e, f = self.transform
         return replace(self, size=(window.width, window.height), transform=(x, b, c, y, e, f))
 
-    def moved(self, x: float, y: float) -> Grid:
+    def shifted(self, x: float, y: float) -> Grid:
         """The same cells, moved by x, y in units of the CRS."""
         a, b, c, d, e, f = self.transform
         return replace(self, transform=(a + x, b, c, d + y, e, f))
@@ -170,7 +172,7 @@ class HeightWarper:
         x, y = self._to_source.transform(
             [middle[0], middle[0] + b, middle[0] + c], [middle[1], middle[1] + e, middle[1] + f]
         )
-        column, row = self._source.cells(np.asarray(x), np.asarray(y))
+        column, row = self._source.to_cells(np.asarray(x), np.asarray(y))
         ratio = max(np.hypot(column[i] - column[0], row[i] - row[0]) for i in (1, 2))
         return float(ratio) if np.isfinite(ratio) and ratio > 0 else 1.0
 
@@ -207,8 +209,8 @@ class HeightWarper:
         window = self._source_window(cells)
         if window is None:
             return np.full(columns, np.nan, np.float32)
-        x, y = self._to_source.transform(*cells.places(np.arange(columns) + 0.5, np.full(columns, 0.5)))
-        column, row = self._source.window(window).cells(np.asarray(x), np.asarray(y))
+        x, y = self._to_source.transform(*cells.to_ground(np.arange(columns) + 0.5, np.full(columns, 0.5)))
+        column, row = self._source.window(window).to_cells(np.asarray(x), np.asarray(y))
         heights = sample(read_heights(self.dataset, window), column - 0.5, row - 0.5)
         if self.vertical is not None and np.isfinite(heights).any():
             scale, offset = self._vertical_at(self.vertical, cells, float(np.nanmean(heights)))
@@ -219,8 +221,8 @@ class HeightWarper:
         columns, rows = cells.size
         t = np.linspace(0, 1, 21)
         u, v = (a.ravel() for a in np.meshgrid(t * columns, t * rows))
-        x, y = self._to_source.transform(*cells.places(u, v))
-        column, row = self._source.cells(np.asarray(x), np.asarray(y))
+        x, y = self._to_source.transform(*cells.to_ground(u, v))
+        column, row = self._source.to_cells(np.asarray(x), np.asarray(y))
         good = np.isfinite(column) & np.isfinite(row)
         if not good.any():
             return None
@@ -285,7 +287,7 @@ class HeightWarper:
         """Scale and offset (rows, columns) of heights, from a coarse lattice: datums differ smoothly."""
         columns, rows = cells.size
         u, v = np.linspace(0.5, columns - 0.5, 9), np.linspace(0.5, rows - 0.5, 9)
-        x, y = self._to_source.transform(*(a.ravel() for a in cells.places(*np.meshgrid(u, v))))
+        x, y = self._to_source.transform(*(a.ravel() for a in cells.to_ground(*np.meshgrid(u, v))))
         low, high = (np.asarray(vertical.transform(x, y, np.full(81, h))[2]) for h in (height, height + 100.0))
         scale = (high - low) / 100.0
         if not np.isfinite(low).all():
@@ -309,7 +311,7 @@ def aligned_along(warper: HeightWarper, cells: Grid, alignment: Alignment) -> Fl
 def _before(cells: Grid, alignment: Alignment) -> Grid:
     """A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy)."""
     per_unit = metres_per_unit(cells)
-    return cells.moved(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
+    return cells.shifted(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
 
 
 def _in_memory(driver: gdal.Driver, grid: Grid, bands: int, crs: CRS) -> gdal.Dataset:

@@ -46,7 +46,7 @@ def ramp_table(ramp: str, count: int = 256) -> ByteImage:
     return np.column_stack([np.interp(at, steps, band) for band in anchors.T]).round().astype(np.uint8)
 
 
-def spread(values: Floats, low: float = 2.0, high: float = 98.0) -> Tuple[float, float]:
+def percentile_range(values: Floats, low: float = 2.0, high: float = 98.0) -> Tuple[float, float]:
     """The low and high percentile of the finite values; (0, 1) where there are none, never an empty range."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
@@ -66,7 +66,7 @@ def colour_map(array: Floats, low: float, high: float, ramp: str = "viridis") ->
     return out
 
 
-def slopes(heights: FloatImage, cell: float) -> Tuple[FloatImage, FloatImage]:
+def gradients(heights: FloatImage, cell: float) -> Tuple[FloatImage, FloatImage]:
     """How much a surface rises to the east and to the north, m per m (rows, columns), NaN where a height is missing.
 
     Horn's 3 x 3 gradient; where a neighbour is missing the cell's own height stands in for it, so that shading goes
@@ -89,7 +89,7 @@ def slopes(heights: FloatImage, cell: float) -> Tuple[FloatImage, FloatImage]:
 def hillshade(
     east: FloatImage, north: FloatImage, azimuth: float = 315.0, altitude: float = 45.0, exaggeration: float = 1.0
 ) -> FloatImage:
-    """The light on a surface with these :func:`slopes`, 0..1; azimuth clockwise from north, degrees."""
+    """The light on a surface with these :func:`gradients`, 0..1; azimuth clockwise from north, degrees."""
     azimuth, altitude = np.radians(azimuth), np.radians(altitude)
     along = east * np.float32(exaggeration * np.sin(azimuth)) + north * np.float32(exaggeration * np.cos(azimuth))
     steep = np.sqrt(1 + np.float32(exaggeration**2) * (east**2 + north**2))
@@ -100,16 +100,16 @@ def hillshade(
 def shaded_relief(heights: Floats, cell: float, low: Optional[float] = None, high: Optional[float] = None) -> ByteImage:
     """Elevation colours under two lights, (rows, columns, 4), transparent where there is no height.
 
-    ``cell`` in metres; the colours' range is by default the heights' :func:`spread`. Flat terrain is raised until its
-    slopes can be seen (at most 5 times).
+    ``cell`` in metres; the colours' range is by default the heights' :func:`percentile_range`. Flat terrain is
+    exaggerated until its slopes can be seen (at most 5 times).
     """
     z = np.asarray(heights, np.float32)
     slope = np.abs(np.diff(z, axis=1)) / cell
     steep = float(np.nanpercentile(slope, 75)) if np.isfinite(slope).any() else 1.0
     exaggeration = float(np.clip(0.25 / max(steep, 1e-6), 1.0, 5.0))
     if low is None or high is None:
-        low, high = spread(z.astype(np.float64))
-    rise = slopes(z, cell)
+        low, high = percentile_range(z.astype(np.float64))
+    rise = gradients(z, cell)
     light = 0.7 * hillshade(*rise, 315, 45, exaggeration) + 0.3 * hillshade(*rise, 270, 60, exaggeration)
     out = colour_map(z, low, high, "elevation")
     # Flat ground (light about 0.76) keeps its colour; slopes to the sun brighten towards white, away darken.

@@ -40,7 +40,7 @@ class Profile:
     reference: FloatImage
 
 
-def through_the_middle(common: Bounds) -> List[ProfileLine]:
+def middle_lines(common: Bounds) -> List[ProfileLine]:
     """West to east and south to north through the middle of what both rasters cover."""
     x0, y0, x1, y1 = common
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
@@ -79,7 +79,9 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
     return lines
 
 
-def cut(line: ProfileLine, dsm: HeightWarper, reference: HeightWarper, grid: Grid, alignment: Alignment) -> Profile:
+def sample_profile(
+    line: ProfileLine, dsm: HeightWarper, reference: HeightWarper, grid: Grid, alignment: Alignment
+) -> Profile:
     """Both surfaces along a line, at the spacing of the reference's cells (wider on lines of over 2000 of them)."""
     per_unit = np.array(metres_per_unit(grid))
     lengths = np.hypot(*(np.diff(line.corners, axis=0) * per_unit).T)

@@ -35,10 +35,11 @@ def score(
     ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`, ``cell`` the width and height of a cell
     in metres. Raises EmptyResultError where the surfaces cannot be aligned.
     """
-    return error_after(align(method, [(dsm, reference)], cell, parameters=parameters), dsm, reference, cell, thresholds)
+    alignment = align(method, [(dsm, reference)], cell, parameters=parameters)
+    return score_aligned(alignment, dsm, reference, cell, thresholds)
 
 
-def error_after(
+def score_aligned(
     alignment: Alignment,
     dsm: Floats,
     reference: Floats,

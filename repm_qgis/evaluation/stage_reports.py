@@ -141,7 +141,8 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
         pictures.png_bytes(pictures.shaded_relief(values, cell)),
         "The DSM, shaded from the north-west, north up. White: no height was matched there.",
     )
-    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], *pictures.spread(values), f"m above the {datum}"))
+    limits = pictures.percentile_range(values)
+    report.svg(charts.colour_bar(pictures.RAMPS["elevation"], *limits, f"m above the {datum}"))
     report.facts(
         [
             ("Cell size", f"{facts.resolution:g} m"),
@@ -257,7 +258,7 @@ def _confidence(report: Report, path: Optional[str]) -> None:
         known = values[np.isfinite(values)]
         if not known.size or float(known.max() - known.min()) < 1e-6:
             continue  # the same everywhere: with two images there is one height map
-        _map(report, values, pictures.spread(values), title[:1].upper() + title[1:] + ".")
+        _map(report, values, pictures.percentile_range(values), title[:1].upper() + title[1:] + ".")
 
 
 def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> None:

@@ -30,7 +30,7 @@ from ..arrays import FloatImage
 from ..errors import OptionError
 from ..imagery.raster import opened
 from ..workspace import write_text
-from .pictures import RAMPS, preview, rgb, spread
+from .pictures import RAMPS, percentile_range, preview, rgb
 from .templates import RESOURCES
 
 _RAMP_OF = {
@@ -91,7 +91,7 @@ def _shown(kind: str, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]:
 
 
 def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
-    low, high = spread(values)
+    low, high = percentile_range(values)
     if kind == "dsm_error":
         limit = max(abs(low), abs(high))
         return -limit, limit

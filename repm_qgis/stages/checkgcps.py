@@ -8,7 +8,7 @@ import numpy as np
 from osgeo import ogr
 
 from ..errors import EmptyResultError
-from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, locate, measure_dsm
+from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
 from ..evaluation.gcp_page import gcp_page
 from ..evaluation.styles import write_style
 from ..geometry.frames import projected_from_geodetic, utm_crs
@@ -34,7 +34,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     found = GcpAccuracy(read_gcps(options.gcps, scene.views if scene else None, options.gcp_datum))
     if scene is not None:
         progress.step(0.1, "points in the images")
-        _locate(scene, found, options)
+        _measure_images(scene, found, options)
     progress.check_cancelled()
     if options.dsm:
         progress.step(0.4, "points on the DSM")
@@ -63,9 +63,9 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     return result
 
 
-def _locate(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
+def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
     if any(gcp.pixels for gcp in found.gcps):
-        locate(found, scene.views)
+        measure_images(found, scene.views)
         if "compensated" not in found.errors:
             found.warnings.append(
                 f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role "

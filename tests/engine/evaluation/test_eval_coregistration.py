@@ -86,17 +86,17 @@ def test_whole_cells_are_found_and_applied(terrain):
     assert np.isnan(applied[-1]).all() and np.isnan(applied[:, -3:]).all()
 
 
-def test_moved_is_cubic_and_never_invents():
+def test_a_shift_is_cubic_and_never_invents():
     y, x = np.mgrid[:40, :50].astype(np.float32)
     plane = 2 * x + 3 * y
-    got = c.moved(plane, 1.25, -2.5)
+    got = c.shifted(plane, 1.25, -2.5)
     inside = np.isfinite(got)
     assert inside.sum() > 1400
     assert np.abs(got - (plane - 2 * 1.25 + 3 * 2.5))[inside].max() < 1e-4
     plane[20, 20] = np.nan
-    hole = ~np.isfinite(c.moved(plane, 1.25, -2.5))
+    hole = ~np.isfinite(c.shifted(plane, 1.25, -2.5))
     assert hole[16:20, 20:24].all() and not hole[16:20, 26:40].any()
-    assert np.array_equal(c.moved(plane, 3, 0)[:, 3:], plane[:, :-3], equal_nan=True)
+    assert np.array_equal(c.shifted(plane, 3, 0)[:, 3:], plane[:, :-3], equal_nan=True)
 
 
 @pytest.mark.parametrize("reference", [np.full((150, 150), 5.0), np.mgrid[:150, :150][1] * 0.1])
@@ -122,6 +122,6 @@ def test_too_few_cells_are_refused():
 def test_shrunk_takes_means_of_what_is_there():
     z = np.arange(16, dtype=np.float32).reshape(4, 4)
     z[0, 0] = z[2, 2] = z[2, 3] = z[3, 2] = np.nan
-    got = c.shrunk(z, 2)
+    got = c.block_means(z, 2)
     assert got[0, 0] == pytest.approx((1 + 4 + 5) / 3) and got[0, 1] == pytest.approx((2 + 3 + 6 + 7) / 4)
     assert np.isnan(got[1, 1])

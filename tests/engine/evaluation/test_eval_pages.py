@@ -200,7 +200,7 @@ def test_hillshade_is_gdals(terrain):
     want = (
         gdal.DEMProcessing("", memory, "hillshade", format="MEM", azimuth=300, altitude=40).ReadAsArray().astype(float)
     )
-    got = 1 + 254 * pictures.hillshade(*pictures.slopes(z, 0.5), 300, 40)
+    got = 1 + 254 * pictures.hillshade(*pictures.gradients(z, 0.5), 300, 40)
     assert np.abs(got - want)[1:-1, 1:-1].max() < 1.0
 
 

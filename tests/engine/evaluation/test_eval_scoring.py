@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.evaluation.scoring import error_after, score, score_files
+from repm_qgis.evaluation.scoring import score, score_aligned, score_files
 from repm_qgis.progress import Silent
 from repm_qgis.stages import run_stage
 
@@ -34,5 +34,5 @@ def test_whole_cells_leave_out_what_they_uncover():
     assert (found.alignment.dx, found.alignment.dy) == (3, 2) and found.alignment.dz == pytest.approx(-5, abs=1e-5)
     assert found.metrics.reference_cells == found.metrics.cells == 58 * 67
     assert found.metrics.rmse < 1e-4 and np.isfinite(found.error).sum() == 58 * 67
-    other = error_after(found.alignment, dsm + 1, reference)
+    other = score_aligned(found.alignment, dsm + 1, reference)
     assert other.metrics.bias == pytest.approx(1, abs=1e-4)

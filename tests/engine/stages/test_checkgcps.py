@@ -12,7 +12,7 @@ import pytest
 from osgeo import gdal, ogr, osr
 
 from repm_qgis.errors import EmptyResultError, ImageError, InputTableError, OptionError, SceneError
-from repm_qgis.evaluation.gcp_accuracy import Errors, wrong_control
+from repm_qgis.evaluation.gcp_accuracy import ErrorSummary, wrong_control
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -373,9 +373,9 @@ def test_without_control_points_there_is_no_compensation_and_that_is_said(urban,
 
 
 def test_errors_are_the_papers():
-    errors = Errors.of(np.array([1.0, -2.0, 2.0, np.nan, -5.0]))
+    errors = ErrorSummary.of(np.array([1.0, -2.0, 2.0, np.nan, -5.0]))
     assert (errors.count, errors.me, errors.max) == (4, 2.0, 5.0) and errors.rmse == pytest.approx(np.sqrt(34 / 4))
-    assert Errors.of(np.array([np.nan])).count == 0
+    assert ErrorSummary.of(np.array([np.nan])).count == 0
 
 
 def test_few_points_accuse_nobody():
