@@ -17,7 +17,7 @@ from ..imagery.raster import quiet
 from ..progress import counted
 from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
-from ..sfm.advice import MATCHING_PX
+from ..sfm.parameters import POINTING
 from . import charts
 from .gcp_accuracy import ErrorSummary
 from .report import Report, fixed
@@ -40,7 +40,8 @@ def _pairs(report: Report, scene: Scene) -> None:
     for pair in scene.pairs:
         metres = _metres_per_px(scene, pair)
         overlap = overlap_percent(scene, pair.first, pair.second)
-        figures = f"{pair.base_to_height:.2f}", f"{overlap:.0f}", *fixed(metres, MATCHING_PX * metres, decimals=2)
+        accuracy = fixed(metres, POINTING.advice.matching_px * metres, decimals=2)
+        figures = f"{pair.base_to_height:.2f}", f"{overlap:.0f}", *accuracy
         times = apart_text(pair.days), "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.1f}°"
         rows.append([pair.first, pair.second, f"{pair.angle_deg:.1f}°", *figures, *times])
     report.section("Pairs").table(
@@ -48,7 +49,7 @@ def _pairs(report: Report, scene: Scene) -> None:
         "angle between suns",
         rows,
         "The overlap is a share of the smaller footprint, at the middle altitude. The expected accuracy is that of "
-        f"single heights where matching is accurate to {MATCHING_PX:g} px. A narrow pair (B/H below 0.1) measures "
+        f"single heights where matching is accurate to {POINTING.advice.matching_px:g} px. A narrow pair (B/H below 0.1) measures "
         "heights poorly, and a wide one (above 0.9) is hard to match. Images that were taken at very different times "
         "or under another sun have changed, and their matches have gaps.",
     )

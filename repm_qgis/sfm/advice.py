@@ -1,98 +1,87 @@
-"""What the pairs and ties of a scene mean for its heights, and what to do about it, in sentences."""
+"""What the pairs and ties of a scene mean for its heights, and what the analyst can do about it, in sentences."""
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, Sequence
+from typing import Dict, List, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import ogr
 
-from ..arrays import FloatArray
-from ..geometry.footprints import bounds_of
-from ..geometry.footprints import box as rectangle
+from ..arrays import Bounds, FloatArray
+from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import apart_text
 from ..progress import counted
 from ..records import PointingFigures, ViewPair
 from ..scene import Scene
+from .graph import components
 from .pair_selection import days_off_season, sun_over
-from .parameters import POINTING
+from .parameters import POINTING, AdviceParameters, PointingParameters
 
-MATCHING_PX = 0.25
-"""What dense matching is good for, px: the expected height accuracy of a pair is so many pixels of its parallax."""
-
-_SUN_DEG = 10.0  # 40 minutes of a day, or four weeks in spring and autumn
-_SEASON_DAYS, _OLD_DAYS = 60.0, 365.0
-_BUILDING_M = 10.0
 _MOST_NAMED = 6
 _PARTS = (("north-west", "north", "north-east"), ("west", "middle", "east"), ("south-west", "south", "south-east"))
-_FEW_TIES = 5  # in a tile's neighbourhood
-_LEAST_PART = 0.1  # of a ninth of the area's bounds: less of it is a corner
-_CELLS = 5  # a side of the scene: ties are looked for in a patch of each
-_UNCERTAIN_M, _UNCERTAIN_GSD = 5.0, 10.0  # two standard deviations
 
 
-def ties_by_tile(scene: Scene, xy: FloatArray) -> Dict[str, int]:
-    """How many ties (N, 2) lie around each tile: within it, or within a fifth of the scene where that is more.
+def ties_by_tile(scene: Scene, xy: FloatArray, parameters: AdviceParameters = POINTING.advice) -> Dict[str, int]:
+    """The number of ties (N, 2) in each tile, or in a fifth of the scene around its middle where that is larger.
 
-    Ties come from patches spread over a large scene, so that a small tile may well have none of its own.
+    Ties of a large scene lie in patches, so that a small tile may have none of its own.
     """
     bounds = np.array([tile.bounds for tile in scene.tiles])
-    least = (bounds[:, 2:].max(axis=0) - bounds[:, :2].min(axis=0)) / _CELLS
+    least = (bounds[:, 2:].max(axis=0) - bounds[:, :2].min(axis=0)) / parameters.cells
     result = {}
-    for tile, box in zip(scene.tiles, bounds):
-        middle, reach = (box[:2] + box[2:]) / 2, np.maximum(box[2:] - box[:2], least) / 2
+    for tile, own in zip(scene.tiles, bounds):
+        middle, reach = (own[:2] + own[2:]) / 2, np.maximum(own[2:] - own[:2], least) / 2
         result[tile.id] = int((np.abs(xy - middle) <= reach).all(axis=1).sum())
     return result
 
 
-def ties_by_part(scene: Scene, xy: FloatArray) -> Dict[str, int]:
-    """How many ties (N, 2) lie in the north-west, north ... of the area, by ninths of its bounds that it fills."""
+def ties_by_part(scene: Scene, xy: FloatArray, parameters: AdviceParameters = POINTING.advice) -> Dict[str, int]:
+    """The number of ties (N, 2) in the north-west, north ... of the area: in each ninth of its bounds that it fills."""
     area = ogr.CreateGeometryFromWkt(scene.area)
     xmin, ymin, xmax, ymax = bounds_of(area)
     x, y = np.linspace(xmin, xmax, 4), np.linspace(ymax, ymin, 4)
     result = {}
-    for row, names in enumerate(_PARTS):
-        for column, name in enumerate(names):
-            part = rectangle((x[column], y[row + 1], x[column + 1], y[row]))
-            if area.Intersection(part).GetArea() >= _LEAST_PART * part.GetArea():
-                inside = _within(xy, (x[column], y[row + 1]), (x[column + 1], y[row]))
-                result[name] = int(inside.sum())
+    for row, column in np.ndindex(3, 3):
+        ninth = Bounds(x[column], y[row + 1], x[column + 1], y[row])
+        part = box(ninth)
+        if area.Intersection(part).GetArea() >= parameters.least_part * part.GetArea():
+            inside = ((xy >= ninth[:2]) & (xy <= ninth[2:])).all(axis=1)
+            result[_PARTS[row][column]] = int(inside.sum())
     return result
 
 
-def _within(xy: FloatArray, low: Sequence[float], high: Sequence[float]) -> NDArray[np.bool_]:
-    return ((xy >= low) & (xy <= high)).all(axis=1)
-
-
-def advice(scene: Scene, pairs: Sequence[ViewPair], figures: PointingFigures) -> List[str]:
+def advice(
+    scene: Scene, pairs: Sequence[ViewPair], figures: PointingFigures, parameters: PointingParameters = POINTING
+) -> List[str]:
     """Warnings, each with what the analyst can do."""
-    said = [text for pair in pairs for text in _geometry(pair, scene.gsd_m)]
-    said += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs) + _dates(pairs)
-    said += _thin(scene, figures.ties_by_tile, figures.ties_by_part)
+    limits = parameters.advice
+    texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, parameters)]
+    texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, limits)
+    texts += _dates(pairs, limits) + _thin(scene, figures, limits)
     uncertain = figures.height_uncertainty_m or 0.0
-    if uncertain > max(_UNCERTAIN_M, _UNCERTAIN_GSD * scene.gsd_m):
-        said.append(
-            f"The vendors' RPCs disagree so much that the absolute height is uncertain by some {uncertain:.1f} "
-            "m: give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
-            "reference', ALIGN=3d)."
+    if uncertain > max(limits.uncertain_m, limits.uncertain_gsd * scene.gsd_m):
+        texts.append(
+            f"The vendors' RPCs disagree so much that the absolute height is uncertain by some {uncertain:.1f} m: give "
+            "ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a reference', "
+            "ALIGN=3d)."
         )
-    return said
+    return texts
 
 
-def _geometry(pair: ViewPair, gsd_m: float) -> List[str]:
+def _geometry(pair: ViewPair, gsd_m: float, parameters: PointingParameters) -> List[str]:
     """A pair that is too narrow or too wide."""
-    looks = f"(B/H {pair.base_to_height:.2f}, {pair.angle_deg:.1f} degrees)"
-    if pair.base_to_height < POINTING.pairs.narrow:
+    names = f"{pair.first} and {pair.second}"
+    angles = f"(B/H {pair.base_to_height:.2f}, {pair.angle_deg:.1f} degrees)"
+    if pair.base_to_height < parameters.pairs.narrow:
+        accuracy = parameters.advice.matching_px * gsd_m / pair.base_to_height
         return [
-            f"{pair.first} and {pair.second} look from nearly one direction {looks}: heights of this pair are good "
-            f"to some {MATCHING_PX * gsd_m / pair.base_to_height:.1f} m only; add an image from farther away, or "
-            "leave one of the two out."
+            f"{names} look from nearly one direction {angles}: heights of this pair are good to some {accuracy:.1f} m "
+            "only; add an image from farther away, or leave one of the two out."
         ]
-    if pair.base_to_height > POINTING.pairs.wide:
+    if pair.base_to_height > parameters.pairs.wide:
         return [
-            f"{pair.first} and {pair.second} look from very different directions {looks}: walls and trees will not "
-            "match; add an image from between."
+            f"{names} look from very different directions {angles}: walls and trees will not match; add an image from "
+            "between."
         ]
     return []
 
@@ -101,90 +90,71 @@ def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Views that no pair uses."""
     used = {name for pair in pairs for name in (pair.first, pair.second)}
     names = [view.name for view in scene.views if view.name not in used]
-    return (
-        [
-            f"{_listed(names)}: not used, for no other image that sees the same ground looks from a direction at least "
-            "3 degrees away; leave it out, or add an image from farther away."
-        ]
-        if names
-        else []
+    text = (
+        f"{_listed(names)}: not used, because no other image of the same ground looks from a direction at least 3 "
+        "degrees away; leave it out, or add an image from farther away."
     )
+    return [text] if names else []
 
 
 def _groups(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Groups of views that no pair connects."""
-    groups = [{view.name} for view in scene.views]
-    for pair in pairs:
-        joined = [group for group in groups if group & {pair.first, pair.second}]
-        groups = [group for group in groups if group not in joined] + [set().union(*joined)]
+    groups = components([view.name for view in scene.views], [(pair.first, pair.second) for pair in pairs])
     names = [", ".join(sorted(group)) for group in groups if len(group) > 1]
-    return (
-        [
-            f"The images fall into {len(names)} groups that no pair connects ({_listed(names, '; ')}): their heights "
-            "may differ by metres; add an image that overlaps both, give ground control points (GCPS), or work on each "
-            "group by itself."
-        ]
-        if len(names) > 1
-        else []
+    text = (
+        f"The images form {len(names)} groups that no pair connects ({_listed(names, '; ')}): their heights may differ "
+        "by metres; add an image that overlaps both, give ground control points (GCPS), or process each group by "
+        "itself."
     )
+    return [text] if len(names) > 1 else []
 
 
 def _at_night(scene: Scene) -> List[str]:
     """Times at which no satellite takes pictures."""
-    names = [
-        f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)"
-        for view in scene.views
-        if view.time is not None and sun_over(scene, view)[1] <= 0
-    ]
-    return (
-        [
-            f"{_listed(names)}: the sun had set at the time that the product's files tell, so that only its date was "
-            "used; check the files beside the image."
-        ]
-        if names
-        else []
+    names = []
+    for view in scene.views:
+        sun = sun_over(scene, view)
+        if sun is not None and sun[1] <= 0:
+            names.append(f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)")
+    text = (
+        f"{_listed(names)}: the sun had set at the time in the product's files, so that only its date was used; check "
+        "the sidecar files of the image."
     )
+    return [text] if names else []
 
 
-def _suns(pairs: Sequence[ViewPair]) -> List[str]:
-    """Pairs whose shadows lie elsewhere."""
+def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
+    """Pairs whose shadows differ."""
+    high = parameters.building_m
     named = [
-        f"{pair.first} and {pair.second} ({apart_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: "
-        f"the shadow of a {_BUILDING_M:.0f} m building ends {_BUILDING_M * pair.shadow:.0f} m elsewhere)"
+        f"{pair.first} and {pair.second} ({apart_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: the "
+        f"shadow of a {high:.0f} m building ends {high * (pair.shadow or 0.0):.0f} m elsewhere)"
         for pair in pairs
-        if _other_sun(pair)
+        if _other_sun(pair, parameters)
     ]
-    return (
-        [
-            f"The sun stood differently over {_listed(named)}: shadows' edges match as if they were ground, and ground "
-            "in shadow does not match; take images of one pass or of alike suns, or leave the odd one out."
-        ]
-        if named
-        else []
+    text = (
+        f"The sun stood differently over {_listed(named)}: edges of shadows match as if they were ground, and ground "
+        "in shadow does not match; take images of one pass or with similar suns, or leave one image out."
     )
+    return [text] if named else []
 
 
-def _other_sun(pair: ViewPair) -> bool:
-    return pair.sun_deg is not None and pair.sun_deg > _SUN_DEG
+def _other_sun(pair: ViewPair, parameters: AdviceParameters) -> bool:
+    return pair.sun_deg is not None and pair.sun_deg > parameters.sun_deg
 
 
-def _dates(pairs: Sequence[ViewPair]) -> List[str]:
-    """Pairs of other seasons or years; those of other suns have been named already."""
-    named = [
-        f"{pair.first} and {pair.second} ({apart_text(pair.days)})"
-        for pair in pairs
-        if pair.days is not None
-        and not _other_sun(pair)
-        and (days_off_season(pair.days) > _SEASON_DAYS or pair.days > _OLD_DAYS)
-    ]
-    return (
-        [
-            f"Seasons or years lie between {_listed(named)}: fields, leaves, snow and building sites have changed, and "
-            "leave gaps or wrong heights; take images of one pass, or leave the odd one out."
-        ]
-        if named
-        else []
+def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
+    """Pairs of different seasons or years, except those with different suns, which are named already."""
+    named = []
+    for pair in pairs:
+        if pair.days is not None and not _other_sun(pair, parameters):
+            if days_off_season(pair.days) > parameters.season_days or pair.days > parameters.old_days:
+                named.append(f"{pair.first} and {pair.second} ({apart_text(pair.days)})")
+    text = (
+        f"Seasons or years lie between {_listed(named)}: fields, leaves, snow and building sites have changed, and "
+        "cause gaps or wrong heights; take images of one pass, or leave one image out."
     )
+    return [text] if named else []
 
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:
@@ -192,25 +162,26 @@ def _listed(names: Sequence[str], between: str = ", ") -> str:
     return between.join(names[:_MOST_NAMED]) + more
 
 
-def _thin(scene: Scene, tiles: Mapping[str, int], parts: Mapping[str, int]) -> List[str]:
+def _thin(scene: Scene, figures: PointingFigures, parameters: AdviceParameters) -> List[str]:
     """Where the area has hardly any tie."""
-    total = sum(parts.values())
+    tiles, parts = figures.ties_by_tile, figures.ties_by_part
     # With few ties in all, every part has few; then none is worse than the others.
-    bare = [name for name, count in parts.items() if count < min(_FEW_TIES, 0.25 * total / len(parts))]
-    few = [name for name, count in tiles.items() if count < _FEW_TIES] if len(tiles) > 1 else []
+    limit = min(parameters.few_ties, parameters.few_share * sum(parts.values()) / max(len(parts), 1))
+    bare = [name for name, count in parts.items() if count < limit]
+    few = [name for name, count in tiles.items() if count < parameters.few_ties] if len(tiles) > 1 else []
     if not few and not bare:
         return []
-    where = _listed([*bare, *dict.fromkeys(_part_of(scene, tile) for tile in few if _part_of(scene, tile) not in bare)])
+    where = _listed(list(dict.fromkeys([*bare, *(_part_of(scene, tile) for tile in few)])))
     names = f" ({counted(len(few), 'tile')} of {len(tiles)}: {_listed(few)})" if few else ""
     return [
-        f"Hardly any tie point in the {where} of the overlap{names}: water, cloud or shadow, or the images differ "
-        "there, and the pointing comes from the rest of the scene; look at the arrows of the tie points around it "
-        "(their field 'row') and at its rows in 'Height maps', or leave it out with EXTENT."
+        f"Hardly any tie point in the {where} of the overlap{names}: there is water, cloud or shadow, or the images "
+        "differ, and the pointing comes from the rest of the scene; check the arrows of the tie points around it "
+        "(their field 'row') and its vertical parallax in 'Height maps', or leave it out with EXTENT."
     ]
 
 
 def _part_of(scene: Scene, tile_id: str) -> str:
-    """The ninth of the area that a tile's middle lies in."""
+    """The ninth of the area in which a tile's middle lies."""
     xmin, ymin, xmax, ymax = bounds_of(ogr.CreateGeometryFromWkt(scene.area))
     x0, y0, x1, y1 = next(tile.bounds for tile in scene.tiles if tile.id == tile_id)
     column = int(np.clip(3 * ((x0 + x1) / 2 - xmin) / (xmax - xmin), 0, 2))

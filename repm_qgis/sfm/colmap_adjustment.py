@@ -1,14 +1,14 @@
 """The paper's Adapted COLMAP: known poses, triangulated ties, and a bundle adjustment of principal points only.
 
-Ties are grouped into patches no larger than the scene's tiles. Each patch gets fresh equivalent pinhole cameras in a
-frame of its own, centred and scaled to about one, as satellites are some thousand times farther away than a patch is
-wide. The cameras are turned towards their images' middles, because COLMAP needs principal points inside. COLMAP moves
-the principal points; what they move by goes through M's Jacobian to the original image, where each view gets one shift
-for the whole image: the patches' mean, weighted by their ties.
+Ties are grouped into patches no larger than the scene's tiles. Each patch gets its own equivalent pinhole cameras, in a
+frame with its origin and unit at the patch: satellites are some thousand times farther away than a patch is wide. The
+cameras are rotated towards the middles of their images, because COLMAP needs principal points inside. COLMAP moves the
+principal points. The Jacobian of M brings these moves into the original images, where each view gets one shift: the
+mean of its patches, weighted by their ties.
 
-The gauge. A move of all ground points looks the same as a shift of all principal points. COLMAP is given one ground
-point that stays; afterwards the part of the shifts that a move of the ground explains is taken out again, so that no
-view is the truth and the vendors' mean stays put, as in ``adjustment``.
+A move of all ground points looks the same as a shift of all principal points (the gauge). COLMAP is given one ground
+point that stays; afterwards the part of the shifts that a move of the ground explains is removed, so that no view is
+assumed to be right and the mean correction is zero, as in ``adjustment``.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..altitudes import ALTITUDES
-from ..arrays import FloatArray
+from ..altitudes import ALTITUDES, AltitudeParameters
+from ..arrays import Bounds, FloatArray, Size
 from ..errors import EmptyResultError, MissingPackageError
 from ..exports.model import ExportView
 from ..geometry.equivalent_error import RefinedPinhole
@@ -30,29 +29,19 @@ from ..geometry.refinement import apply_homography
 from ..progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import grown, refined_view
-from .adjustment import Adjustment, Track, with_shifts
-from .parameters import POINTING
+from .adjustment import Adjustment, Track, track_pixels, with_shifts
+from .parameters import POINTING, ColmapAdjustmentParameters, PointingParameters
 from .tie_alignment import clusters
-
-Indices = NDArray[np.intp]
-
-_LEAST_TIES = 8  # of a patch
-_FIRST_SCALE_PX = 1.0  # of the Cauchy loss, before the residuals are known
-_CAUCHY = 2.385  # standard deviations: 95 % efficient where residuals are Gaussian
-_WRONG = 4.685  # standard deviations from which on a tie is left out
-_LEAST_SIGMA_PX = 0.03
-_MARGIN_PX = 24
-_PASSES = 3
 
 
 @dataclass(frozen=True)
 class _PatchView:
-    """A view over a patch: the camera for COLMAP (patch frame), and the homography to its pixels from refined ones."""
+    """A view over a patch: the camera for COLMAP (patch frame), and the homography from refined pixels to its own."""
 
     view: View
     refined: RefinedPinhole
     camera: PinholeCamera
-    size: Tuple[int, int]
+    size: Size
     turned_from_refined: FloatArray
 
     def measured(self, original_px: FloatArray) -> FloatArray:
@@ -60,17 +49,17 @@ class _PatchView:
         return apply_homography(self.turned_from_refined, self.refined.to_original.refined_from_original(original_px))
 
     def original_shift(self, shift: FloatArray, at: FloatArray) -> FloatArray:
-        """(2,) what a shift of the camera's image is in the original, around original pixels ``at`` (N, 2)."""
+        """(2,) a shift of the camera's image as a shift of the original, near original pixels ``at`` (N, 2)."""
         here = self.measured(at.mean(axis=0)[None])[0]
         back = np.linalg.inv(self.turned_from_refined)
         steps = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
         ends = self.refined.to_original.original_from_refined(apply_homography(back, here + steps))
-        return np.column_stack([ends[0] - ends[1], ends[2] - ends[3]]) @ shift
+        return np.asarray(np.column_stack([ends[0] - ends[1], ends[2] - ends[3]]) @ shift)
 
 
 @dataclass(frozen=True)
 class _PatchShifts:
-    """What a patch says: (v, 2) shifts of some views in original px, free of any move of the ground; its ties."""
+    """A patch's (v, 2) shifts of some views, original px, moves of the ground removed; and the number of its ties."""
 
     views: List[int]
     shifts: FloatArray
@@ -78,11 +67,16 @@ class _PatchShifts:
     ties: int
 
 
-def adjust_colmap(scene: Scene, tracks: Sequence[Track], progress: Progress) -> Adjustment:
-    """One shift a view from COLMAP's adjustment of principal points.
+def adjust_colmap(
+    scene: Scene,
+    tracks: Sequence[Track],
+    progress: Progress,
+    parameters: PointingParameters = POINTING,
+    altitudes: AltitudeParameters = ALTITUDES,
+) -> Adjustment:
+    """One shift for each view, from COLMAP's adjustment of principal points; the present pointing is not used.
 
-    The scene's views are taken with their vendors' RPCs; their present pointing is not used. Raises
-    MissingPackageError where pycolmap is not installed, EmptyResultError where no patch has enough ties.
+    Raises MissingPackageError where pycolmap is not installed, EmptyResultError where no patch has enough ties.
     """
     pycolmap = _pycolmap()
     views = [view.with_pointing(np.eye(2, 3)) for view in scene.views]
@@ -90,27 +84,23 @@ def adjust_colmap(scene: Scene, tracks: Sequence[Track], progress: Progress) -> 
     start = with_shifts(views, tracks, altitude, {view.name: np.zeros(2) for view in views}, "")
     xy = projected_from_geodetic(scene.crs, start.ground)
     found = []
-    parts = clusters(xy, np.arange(len(tracks)), _tile_side(scene), POINTING.alignment.gap)
+    parts = clusters(xy, np.arange(len(tracks)), _tile_side(scene), parameters.alignment.gap)
     for number, members in enumerate(parts):
         progress.check_cancelled()
         progress.step(number / len(parts), "COLMAP's bundle adjustment")
-        patch = _adjust_patch(pycolmap, scene, views, [tracks[k] for k in members], start.ground[members], xy[members])
-        if patch is not None:
-            found.append(patch)
+        shown = _Patch(scene, views, [tracks[k] for k in members], start.ground[members], xy[members])
+        shifts = _adjust_patch(pycolmap, shown, parameters.colmap, altitudes.patch_m)
+        if shifts is not None:
+            found.append(shifts)
     if not found:
         raise EmptyResultError(
-            f"No patch of the scene has {_LEAST_TIES} tie points for COLMAP's adjustment: choose "
+            f"No patch of the scene has {parameters.colmap.least_ties} tie points for COLMAP's adjustment: choose "
             "ADJUSTMENT rpc, or an EXTENT with more texture."
         )
-    shifts = _joined(found, len(views))
+    joined = dict(zip((view.name for view in views), _joined(found, len(views), parameters.colmap.least_rank)))
     ties = sum(patch.ties for patch in found)
-    return with_shifts(
-        views,
-        tracks,
-        altitude,
-        {view.name: shift for view, shift in zip(views, shifts)},
-        f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches",
-    )
+    reason = f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches"
+    return with_shifts(views, tracks, altitude, joined, reason)
 
 
 def _pycolmap() -> Any:
@@ -125,45 +115,59 @@ def _pycolmap() -> Any:
 
 
 def _tile_side(scene: Scene) -> float:
-    """The largest side of a tile, m: up to there one camera a view is good enough."""
+    """The largest side of a tile, m: over a patch of this size one camera for each view is good enough."""
     return max(max(t.bounds[2] - t.bounds[0], t.bounds[3] - t.bounds[1]) for t in scene.tiles)
 
 
+@dataclass(frozen=True)
+class _Patch:
+    """Some tracks of a scene with their ground points: (N, 3) longitude, latitude, height, and (N, 2) in its CRS."""
+
+    scene: Scene
+    views: Sequence[View]
+    tracks: Sequence[Track]
+    ground: FloatArray
+    xy: FloatArray
+
+
 def _adjust_patch(
-    pycolmap: Any, scene: Scene, views: Sequence[View], tracks: Sequence[Track], ground: FloatArray, xy: FloatArray
+    pycolmap: Any, patch: _Patch, parameters: ColmapAdjustmentParameters, headroom_m: float
 ) -> Optional[_PatchShifts]:
-    """The shifts that a patch's ties ask for; None where they are too few."""
-    if len(tracks) < _LEAST_TIES:
+    """The shifts that fit a patch's ties; None where these are too few."""
+    if len(patch.tracks) < parameters.least_ties:
         return None
-    seen, origin, scale = _patch_views(scene, views, ground, xy)
-    measured, numbers = _measured(seen, tracks)
+    seen, origin, scale = _patch_views(patch, parameters, headroom_m)
+    measured, numbers = _measured(seen, patch.tracks)
     usable = [k for k, pixels in enumerate(measured) if len(pixels) >= 2]
-    if len(usable) < _LEAST_TIES:
+    if len(usable) < parameters.least_ties:
         return None
-    places = (scene.frame.from_geodetic(ground) - origin) / scale
-    model = _Model(pycolmap, seen, [measured[k] for k in usable], places[usable])
+    places = (patch.scene.frame.from_geodetic(patch.ground) - origin) / scale
+    model = _Model(pycolmap, seen, [measured[k] for k in usable], places[usable], parameters)
     moved = model.solve()
     indices = [k for k in sorted(seen) if k in moved]
     if len(indices) < 2:
         return None
     shifts = np.array([seen[i].original_shift(moved[i], numbers[i]) for i in indices])
-    projector = _observable([views[i] for i in indices], ground.mean(axis=0))
+    projector = _observable([patch.views[i] for i in indices], patch.ground.mean(axis=0))
     return _PatchShifts(indices, (projector @ shifts.ravel()).reshape(-1, 2), projector, model.kept)
 
 
 def _patch_views(
-    scene: Scene, views: Sequence[View], ground: FloatArray, xy: FloatArray
+    patch: _Patch, parameters: ColmapAdjustmentParameters, headroom_m: float
 ) -> Tuple[Dict[int, _PatchView], FloatArray, float]:
     """Cameras of all views that see a patch, by index, and the patch's frame: origin (m, scene frame) and unit."""
-    low, high = np.percentile(ground[:, 2], (1, 99)) + (-ALTITUDES.patch_m, ALTITUDES.patch_m)
-    bounds = grown((*map(float, xy.min(axis=0)), *map(float, xy.max(axis=0))), _MARGIN_PX * scene.gsd_m)
+    scene, ground, xy = patch.scene, patch.ground, patch.xy
+    ends = np.percentile(ground[:, 2], (parameters.tail_percent, 100.0 - parameters.tail_percent))
+    altitudes = float(ends[0] - headroom_m), float(ends[1] + headroom_m)
+    around = Bounds(*map(float, (*xy.min(axis=0), *xy.max(axis=0))))
+    bounds = grown(around, parameters.margin_px * scene.gsd_m)
     enu = scene.frame.from_geodetic(ground)
     origin = np.median(enu, axis=0)
     scale = max(float(np.ptp(xy, axis=0).max()) / 2, 1.0)
-    plain = replace(scene, views=list(views), tiles=[], history=[])
+    plain = replace(scene.lean(), views=tuple(patch.views))
     seen = {}
-    for index, view in enumerate(views):
-        refined = refined_view(plain, view, bounds, (float(low), float(high)))
+    for index, view in enumerate(patch.views):
+        refined = refined_view(plain, view, bounds, altitudes)
         if refined is None:
             continue
         turned = ExportView(
@@ -192,7 +196,7 @@ def _measured(
         own = [k for k, track in enumerate(tracks) if patch_view.view.name in track.pixels]
         if not own:
             continue
-        originals[index] = np.array([tracks[k].pixels[patch_view.view.name] for k in own])
+        originals[index] = track_pixels(tracks, patch_view.view.name, own)
         for k, pixel in zip(own, patch_view.measured(originals[index])):
             if np.isfinite(pixel).all():
                 result[k][index] = pixel
@@ -200,15 +204,21 @@ def _measured(
 
 
 class _Model:
-    """A patch as COLMAP has it: one camera a view, poses that stay, points triangulated from them."""
+    """A patch in COLMAP: one camera for each view, constant poses, and points triangulated from them."""
 
     def __init__(
-        self, pycolmap: Any, seen: Dict[int, _PatchView], measured: Sequence[Dict[int, FloatArray]], places: FloatArray
+        self,
+        pycolmap: Any,
+        seen: Dict[int, _PatchView],
+        measured: Sequence[Dict[int, FloatArray]],
+        places: FloatArray,
+        parameters: ColmapAdjustmentParameters,
     ) -> None:
+        self._parameters = parameters
         self._pycolmap, self._seen, self._measured = pycolmap, seen, measured
         self._points = np.array([self._triangulated(pixels, place) for pixels, place in zip(measured, places)])
         self._use = np.ones(len(measured), dtype=bool)
-        # COLMAP counts from the first pixel's corner.
+        # COLMAP counts pixels from the corner of the first one.
         self._centre = {i: view.camera.K[:2, 2] + 0.5 for i, view in seen.items()}
         self._start = {i: centre.copy() for i, centre in self._centre.items()}
 
@@ -218,12 +228,12 @@ class _Model:
 
     def solve(self) -> Dict[int, FloatArray]:
         """(2,) how far each view's principal point moves, px."""
-        scale = _FIRST_SCALE_PX
-        for _ in range(_PASSES):
+        parameters, scale = self._parameters, self._parameters.first_scale_px
+        for _ in range(parameters.passes):
             residual = self._adjusted(scale)
-            sigma = max(1.4826 * float(np.median(residual[self._use])), _LEAST_SIGMA_PX)
-            self._use = residual < _WRONG * sigma
-            scale = _CAUCHY * sigma
+            sigma = max(1.4826 * float(np.median(residual[self._use])), parameters.least_sigma_px)
+            self._use = residual < parameters.wrong * sigma
+            scale = parameters.cauchy * sigma
         return {
             i: self._centre[i] - self._start[i]
             for i in self._seen
@@ -231,7 +241,7 @@ class _Model:
         }
 
     def _triangulated(self, pixels: Dict[int, FloatArray], fallback: FloatArray) -> FloatArray:
-        """(3,) the point that known poses give; the RPCs' own where COLMAP finds none."""
+        """(3,) the point triangulated from known poses; that of the RPCs where COLMAP finds none."""
         cameras = [self._seen[i].camera for i in pixels]
         rays = np.array([np.linalg.solve(camera.K, [*pixel, 1.0]) for camera, pixel in zip(cameras, pixels.values())])
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -264,7 +274,7 @@ class _Model:
         options.print_summary = False
         options.ceres.loss_function_type = self._pycolmap.LossFunctionType.CAUCHY
         options.ceres.loss_function_scale = scale_px
-        options.ceres.solver_options.num_threads = 1  # sums in one order: the same result every time
+        options.ceres.solver_options.num_threads = 1  # sums in one order, for the same result every time
         options.ceres.solver_options.gradient_tolerance = 1e-10
         options.ceres.solver_options.function_tolerance = 1e-12
         return options
@@ -299,7 +309,7 @@ class _Model:
         return made
 
     def _anchor(self) -> int:
-        """The point that stays: seen by most views, and among those near the middle of the residuals."""
+        """The constant point: seen by most views, and with the median residual among these."""
         residual = np.where(self._use, self._residuals(), np.inf)
         views = np.array([len(pixels) for pixels in self._measured])
         most = np.flatnonzero(self._use & (views == views[self._use].max()))
@@ -315,23 +325,23 @@ class _Model:
                 moved = self._centre[i] - self._start[i]
                 square[own] += ((view.camera.project(self._points[own]) + moved - pixels) ** 2).sum(axis=1)
                 count[own] += 1
-        return np.sqrt(square / np.maximum(count, 1))
+        return np.asarray(np.sqrt(square / np.maximum(count, 1)))
 
 
 def _observable(views: Sequence[View], ground: FloatArray) -> FloatArray:
-    """(2v, 2v) projector of shifts onto what no move of the ground explains."""
+    """(2v, 2v) projector of shifts onto the part that no move of the ground explains."""
     frame = EnuFrame(*map(float, ground))
     base = [view.project(ground) for view in views]
     moved = frame.to_geodetic(np.eye(3))
     moves = np.concatenate([(view.project(moved) - start).T for view, start in zip(views, base)])
-    return np.eye(2 * len(views)) - moves @ np.linalg.pinv(moves)
+    return np.asarray(np.eye(2 * len(views)) - moves @ np.linalg.pinv(moves))
 
 
-def _joined(patches: Sequence[_PatchShifts], count: int) -> FloatArray:
-    """(views, 2) the smallest shifts that fit what all patches say, weighted by their ties."""
+def _joined(patches: Sequence[_PatchShifts], count: int, least_rank: float) -> FloatArray:
+    """(views, 2) the smallest shifts that fit those of all patches, weighted by their ties."""
     normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     for patch in patches:
         columns = np.concatenate([[2 * i, 2 * i + 1] for i in patch.views])
         normal[np.ix_(columns, columns)] += patch.ties * patch.projector
         right[columns] += patch.ties * patch.shifts.ravel()
-    return (np.linalg.pinv(normal, rcond=1e-3, hermitian=True) @ right).reshape(count, 2)
+    return np.asarray((np.linalg.pinv(normal, rcond=least_rank, hermitian=True) @ right).reshape(count, 2))

@@ -157,8 +157,7 @@ def _roots(descriptors: FloatImage) -> FloatImage:
 
 def _unit(descriptors: ByteImage) -> FloatImage:
     lengths = np.linalg.norm(descriptors.astype(np.float32), axis=1, keepdims=True)
-    unit: FloatImage = (descriptors / np.maximum(lengths, 1e-6)).astype(np.float32)
-    return unit
+    return np.asarray((descriptors / np.maximum(lengths, 1e-6)).astype(np.float32))
 
 
 CPU_DETECTOR = OpenCvSift()

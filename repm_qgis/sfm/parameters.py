@@ -225,6 +225,8 @@ class PointingParameters(Parameters):
     least_tracks: int = 20  # tie points after alignment; chosen
     usual_px: float = 2.0  # by which RPCs of one pass usually disagree in each direction; chosen
     good_px: float = 1.5  # a tie with a larger residual is a wrong match, and gives no altitude; chosen
+    around: float = 0.25  # of a tile's side: ties so far around it also give its altitudes; chosen
+    tail_percent: float = 0.5  # of these altitudes, at either end, that may be wrong; chosen
 
 
 POINTING = PointingParameters()

@@ -1,13 +1,14 @@
-"""Where the images really look: ties, sharpened, adjusted, with ground control if there is any."""
+"""Pointing of all views: tie points, their subpixel alignment, and the adjustment with or without ground control."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..altitudes import ALTITUDES, AltitudeParameters
+from ..arrays import Altitudes, Bounds, FloatArray
 from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
@@ -15,29 +16,37 @@ from ..progress import Part, Progress
 from ..records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..scene import Scene, View
 from .adjustment import Adjustment, Track, adjust, tracks_from
+from .advice import ties_by_part, ties_by_tile
 from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect
 from .keypoints import with_best_detector
-from .row_residuals import row_residuals
+from .parameters import POINTING, PointingParameters
 from .tie_alignment import align_ties
 from .tie_points import PairMatches, find_ties
-
-LEAST_TIES = 20
-_USUAL_PX = 2.0  # by which two vendor RPCs of one pass disagree, in each direction
+from .vertical_parallax import tracks_of_pair
 
 
 @dataclass(frozen=True)
 class Pointing:
-    """The scene's views as they really look, the adjustment, its tracks with their (N, 2) places in the scene's CRS.
-
-    ``figures`` is what reports say of them.
-    """
+    """The views with their pointing, the adjustment, and its tracks with their (N, 2) places in the scene's CRS."""
 
     views: List[View]
     tracks: List[Track]
     adjusted: Adjustment
     xy: FloatArray
     figures: PointingFigures
+
+    def altitudes(self, bounds: Bounds, parameters: PointingParameters = POINTING) -> Optional[Altitudes]:
+        """Between which heights the good ties in and around a rectangle lie; None where they are too few."""
+        xmin, ymin, xmax, ymax = bounds
+        reach = parameters.around * max(xmax - xmin, ymax - ymin)
+        low, high = np.array([xmin, ymin]) - reach, np.array([xmax, ymax]) + reach
+        near = ((self.xy > low) & (self.xy < high)).all(axis=1) & (self.adjusted.residual_px < parameters.good_px)
+        heights = self.adjusted.ground[near, 2]
+        if len(heights) < parameters.least_tracks:
+            return None
+        least, greatest = np.percentile(heights, (parameters.tail_percent, 100.0 - parameters.tail_percent))
+        return float(least), float(greatest)
 
 
 def point_views(
@@ -49,33 +58,35 @@ def point_views(
     progress: Progress,
     workers: int = 0,
     route: str = "rpc",
+    parameters: PointingParameters = POINTING,
+    altitudes: AltitudeParameters = ALTITUDES,
 ) -> Pointing:
-    """Find ties and adjust the views' pointing; the scene stays as it is.
+    """Find ties and adjust the views' pointing; the scene itself is not changed.
 
-    ``workers`` 0 means one a core. ``route`` is ``rpc`` (ours) or ``colmap`` (principal points only: ``model`` and
-    ``gcps`` are not used).
+    ``workers`` 0 means one for each core. ``route`` is ``rpc`` (ours) or ``colmap`` (principal points only: ``model``
+    and ``gcps`` are not used).
 
     Raises EmptyResultError with the counts where the ties are too few.
     """
     names = [(pair.first, pair.second) for pair in pairs]
+    part = Part(progress, 0.0, 0.7)
     matches, detector = with_best_detector(
-        lambda best: find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, best), progress
+        lambda best: find_ties(scene, names, stretches, part, workers, best, parameters), progress, parameters.keypoints
     )
-    tracks = align_ties(scene, tracks_from(matches), stretches, Part(progress, 0.7, 0.95), workers)
-    if len(tracks) < LEAST_TIES:
+    part = Part(progress, 0.7, 0.95)
+    tracks = align_ties(scene, tracks_from(matches), stretches, part, workers, parameters.alignment)
+    if len(tracks) < parameters.least_tracks:
         raise EmptyResultError(
-            f"Only {len(tracks)} tie points hold at full resolution (needed: {LEAST_TIES}): are the "
-            "images in focus, of one season, and free of clouds?"
+            f"Only {len(tracks)} tie points could be aligned at full resolution (needed: {parameters.least_tracks}): "
+            "are the images in focus, of one season, and free of clouds?"
         )
     if route == "colmap":
-        adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0))
+        adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0), parameters, altitudes)
     else:
-        adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps)
+        adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
     views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
-    before, after = (
-        {(pair.first, pair.second): _rows(seen, pair, tracks, adjusted.ground) for pair in pairs}
-        for seen in (scene.views, views)
-    )
+    before, after = (_parallax(seen, names, tracks, adjusted.ground) for seen in (scene.views, views))
+    xy = projected_from_geodetic(scene.crs, adjusted.ground)
     controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
     figures = PointingFigures(
         count=len(tracks),
@@ -89,24 +100,25 @@ def point_views(
         gcps=_gcp_figures(gcps, views, adjusted),
         rejected_gcps=tuple(adjusted.rejected) if gcps else (),
         control_noise_px=adjusted.control_noise_px if controlled else None,
-        height_uncertainty_m=None if controlled else _height_uncertainty(scene, pairs, before),
+        height_uncertainty_m=None if controlled else _height_uncertainty(scene, pairs, before, parameters.usual_px),
+        ties_by_tile=ties_by_tile(scene, xy, parameters.advice),
+        ties_by_part=ties_by_part(scene, xy, parameters.advice),
     )
     _log(figures, progress)
-    return Pointing(views, tracks, adjusted, projected_from_geodetic(scene.crs, adjusted.ground), figures)
+    return Pointing(views, tracks, adjusted, xy, figures)
 
 
-def _rows(views: Sequence[View], pair: ViewPair, tracks: Sequence[Track], ground: FloatArray) -> FloatArray:
-    """(N,) vertical parallax of a pair's tracks with the views' present pointing, px."""
-    shared = [k for k, t in enumerate(tracks) if pair.first in t.pixels and pair.second in t.pixels]
-    if not shared:
-        return np.zeros(0)
-    names = (pair.first, pair.second)
-    pixels = tuple(np.array([tracks[k].pixels[name] for k in shared]) for name in names)
-    first, second = (next(view for view in views if view.name == name) for name in names)
-    return row_residuals((first, second), pixels, ground[shared])[0]
+def _parallax(
+    views: Sequence[View], pairs: Sequence[Tuple[str, str]], tracks: Sequence[Track], ground: FloatArray
+) -> Dict[Tuple[str, str], FloatArray]:
+    """(N,) vertical parallax of each pair's tracks, px."""
+    of = {view.name: view for view in views}
+    return {(a, b): tracks_of_pair((of[a], of[b]), tracks, ground)[1] for a, b in pairs}
 
 
-def _pair_figures(match: PairMatches, before: Dict[Any, FloatArray], after: Dict[Any, FloatArray]) -> PairFigures:
+def _pair_figures(
+    match: PairMatches, before: Dict[Tuple[str, str], FloatArray], after: Dict[Tuple[str, str], FloatArray]
+) -> PairFigures:
     key = (match.first, match.second)
     return PairFigures(
         pair=key,
@@ -132,15 +144,17 @@ def _gcp_figures(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustmen
     )
 
 
-def _height_uncertainty(scene: Scene, pairs: Sequence[ViewPair], before: Dict[Any, FloatArray]) -> float:
+def _height_uncertainty(
+    scene: Scene, pairs: Sequence[ViewPair], before: Dict[Tuple[str, str], FloatArray], usual_px: float
+) -> float:
     """Two standard deviations of the absolute height, m.
 
-    Across the parallax the vendors' disagreement is seen; along it, where it passes for height, it is likely as large.
-    One or three pairs are few to tell a deviation from, so what is usual counts as one pair more. The pair with the
-    widest base tells the height best.
+    The vertical parallax shows how much the vendors' RPCs disagree; along the parallax, where an error looks like a
+    height, they probably disagree as much. A few pairs are too few to estimate a deviation, so the usual one counts as
+    one more pair. The pair with the widest base is the best one for heights.
     """
-    seen = [_median(rows) for rows in before.values() if len(rows)]
-    deviation = np.sqrt((_USUAL_PX**2 + sum(row**2 for row in seen)) / (1 + len(seen)))
+    seen = [_median(parallax) for parallax in before.values() if len(parallax)]
+    deviation = np.sqrt((usual_px**2 + sum(parallax**2 for parallax in seen)) / (1 + len(seen)))
     return float(2.0 * deviation * scene.gsd_m / max(pair.base_to_height for pair in pairs))
 
 
@@ -152,17 +166,16 @@ def _log(figures: PointingFigures, progress: Progress) -> None:
     )
     if figures.control_noise_px is not None:
         progress.info(
-            f"The control points fit to {figures.control_noise_px:.2f} px in each direction: that gives "
-            "them their weight beside the tie points."
+            f"The control points fit to {figures.control_noise_px:.2f} px in each direction, which gives them their "
+            "weight beside the tie points."
         )
     for identity in figures.rejected_gcps:
         progress.warn(
-            f"The control point {identity} contradicts all others and was left out: check its coordinates, "
-            "its height's datum, and its pixels."
+            f"The control point {identity} contradicts all others and was left out: check its coordinates, its "
+            "vertical datum, and its pixels."
         )
     if figures.height_uncertainty_m is not None:
         progress.info(
-            "Without ground control points the absolute height is as good as the vendors' RPCs: uncertain by "
-            f"{figures.height_uncertainty_m:.1f} m (two standard deviations); relative heights are not "
-            "affected."
+            "Without ground control points the absolute height is as uncertain as the vendors' RPCs: by "
+            f"{figures.height_uncertainty_m:.1f} m (two standard deviations); relative heights are not affected."
         )

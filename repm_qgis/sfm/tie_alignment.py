@@ -187,8 +187,7 @@ def _aligned(
 
 
 def _distance(a: FloatImage, b: FloatImage) -> FloatImage:
-    distance: FloatImage = np.hypot(*(a - b)[:, 0].T)
-    return distance
+    return np.asarray(np.hypot(*(a - b)[:, 0].T))
 
 
 def _evened(

@@ -223,8 +223,7 @@ def supported(points: FloatArray, disparity: FloatArray, parameters: TieParamete
     away, nearest = cKDTree(places).query(places, parameters.neighbours + 1)
     step = np.abs(disparity[nearest] - disparity[:, None])
     close = step <= parameters.support_step_px + parameters.support_slope * away
-    enough: Mask = close.sum(axis=1) - 1 >= parameters.supporters
-    return enough
+    return np.asarray(close.sum(axis=1) - 1 >= parameters.supporters)
 
 
 def disparity_range(pair: RectifiedPair, first: View, second: View, ground: FloatArray) -> Tuple[float, float]:
@@ -294,8 +293,7 @@ def parallax_trend(
     near = parameters.agree_px
     if (np.abs(parallax - own @ plane) < near).sum() < (np.abs(parallax - mode) < near).sum():
         plane = np.array([mode, 0.0, 0.0])
-    trend: FloatArray = design(at) @ plane
-    return trend
+    return np.asarray(design(at) @ plane)
 
 
 def _checked(first: str, second: str, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:

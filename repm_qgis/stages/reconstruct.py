@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Optional, Sequence
 
-import numpy as np
 from osgeo import ogr
 
 from ..altitudes import ALTITUDES
-from ..arrays import FloatArray
+from ..arrays import Altitudes, Bounds, FloatArray
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
@@ -23,12 +22,12 @@ from ..progress import Part, Progress, Recorder, counted
 from ..records import HeightMapRecord
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
-from ..sfm.advice import advice, ties_by_part, ties_by_tile
+from ..sfm.advice import advice
 from ..sfm.ground_control import points_file, read_gcps
 from ..sfm.pair_selection import choose_pairs
-from ..sfm.pointing import LEAST_TIES, point_views
-from ..sfm.row_residuals import worst_rows
+from ..sfm.pointing import point_views
 from ..sfm.tie_patches import covered_by_ties
+from ..sfm.vertical_parallax import largest_parallax
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 from .refine import refined_tiles, with_surface
@@ -116,57 +115,40 @@ def _pointed(scene: Scene, stretches: Dict[str, Stretch], options: ReconstructOp
     found = point_views(
         scene, scene.pairs, stretches, options.pointing, gcps, progress, options.workers, options.adjustment
     )
-    figures = replace(
-        found.figures, ties_by_tile=ties_by_tile(scene, found.xy), ties_by_part=ties_by_part(scene, found.xy)
-    )
-    scene = replace(scene, views=tuple(found.views), pointing=figures)
+    scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
-    for text in advice(scene, scene.pairs, figures):
+    for text in advice(scene, scene.pairs, found.figures):
         progress.warn(text)
-    return scene.with_tiles(
-        lambda tile: replace(tile, altitudes=_tile_altitudes(scene, tile, found.xy, found.adjusted))
-    )
+    return _narrowed(scene, found.altitudes)
+
+
+def _narrowed(scene: Scene, found: Callable[[Bounds], Optional[Altitudes]]) -> Scene:
+    """The scene with the altitudes that were found for each tile, and headroom; its own where none were found."""
+
+    def narrowed(tile: Tile) -> Tile:
+        ends = found(tile.bounds)
+        return replace(tile, altitudes=scene.altitudes if ends is None else ALTITUDES.around_ground(*ends))
+
+    return scene.with_tiles(narrowed)
 
 
 def _with_coarse_surface(
     scene: Scene, stretches: Dict[str, Stretch], backend: Backend, options: ReconstructOptions, progress: Progress
 ) -> Scene:
-    """Altitudes of the coarse surface, where tie points do not give every tile's or the refinement needs the surface."""
+    """The scene with altitudes of the coarse surface, where ties do not cover it or the refinement needs it."""
     if covered_by_ties(scene) and not options.own_surface:
         return scene
     names = [(pair.first, pair.second) for pair in scene.pairs]
     surface = coarse_surface(scene, names, stretches, pair_matcher(backend), options.workers, progress)
-
-    def narrowed(tile: Tile) -> Tile:
-        ends = surface.altitudes(tile.bounds)
-        return replace(tile, altitudes=scene.altitudes if ends is None else ALTITUDES.around_ground(*ends))
-
-    scene = scene.with_tiles(narrowed)
+    scene = _narrowed(scene, surface.altitudes)
     if not options.own_surface:
         return scene
     source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
     return refined_tiles(with_surface(scene, source, progress), progress)
 
 
-def _tile_altitudes(scene: Scene, tile: Tile, xy: np.ndarray, adjusted: Adjustment) -> Tuple[float, float]:
-    """The altitudes of the ties in and around a tile, with room for what they miss."""
-    xmin, ymin, xmax, ymax = tile.bounds
-    reach = 0.25 * max(xmax - xmin, ymax - ymin)
-    near = (
-        (xy[:, 0] > xmin - reach)
-        & (xy[:, 0] < xmax + reach)
-        & (xy[:, 1] > ymin - reach)
-        & (xy[:, 1] < ymax + reach)
-        & (adjusted.residual_px < 1.5)
-    )
-    heights = adjusted.ground[near, 2]
-    if len(heights) < LEAST_TIES:
-        return scene.altitudes
-    return ALTITUDES.around_ground(*np.percentile(heights, (0.5, 99.5)))
-
-
 def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: FloatArray) -> None:
-    rows, directions = worst_rows(scene.views, tracks, adjusted.ground)
+    rows, directions = largest_parallax(scene.views, tracks, adjusted.ground)
 
     def features() -> Any:
         for number, (track, (x, y)) in enumerate(zip(tracks, xy)):

@@ -73,6 +73,7 @@ def test_another_sun_tells_how_far_shadows_moved(scene):
     hours = replace(PAIR, days=0.125, sun_deg=40.0, shadow=1.0)
     assert "(3 h, 40 degrees" in only(advice(scene, all_three(hours), NO_TIES))
     many = [replace(other, second=f"b{k}") for k in range(9)]
+    scene = replace(scene, views=[*scene.views, *(replace(scene.views[2], name=pair.second) for pair in many)])
     assert "and 3 more:" in advice(scene, all_three(PAIR, *many), NO_TIES)[0]
 
 
@@ -89,7 +90,10 @@ def test_times_of_the_night_are_named(scene):
     second = replace(scene.views[1], acquired=midnight.isoformat())
     scene = replace(scene, views=(scene.views[0], second, scene.views[2]))
     text = only(advice(scene, all_three(PAIR), NO_TIES))
-    assert text.startswith(f"img_02 ({midnight:%Y-%m-%d %H:%M} UTC): the sun had set") and "check the files" in text
+    assert (
+        text.startswith(f"img_02 ({midnight:%Y-%m-%d %H:%M} UTC): the sun had set")
+        and "check the sidecar files" in text
+    )
 
 
 def test_unused_views_and_groups_without_a_pair_between_them(scene):
@@ -131,7 +135,7 @@ def test_a_corner_without_ties_is_told_by_compass_and_tile(scene):
     assert "in the north-west of the overlap (1 tile of 9: r000c000)" in text and "'row'" in text and "EXTENT" in text
     # One tile for all: the part alone tells.
     text = only(said(bare, {"r000c000": 480}))
-    assert "in the north-west of the overlap: water" in text
+    assert "in the north-west of the overlap: there is water" in text
     # A small tile of a large part.
     assert "in the south-east of the overlap (1 tile of 9: r002c002)" in only(said(parts, {**tiles, "r002c002": 0}))
 

@@ -16,7 +16,7 @@ from repm_qgis.sfm.advice import advice, ties_by_tile
 from repm_qgis.sfm.ground_control import Gcp, intersect, read_gcps
 from repm_qgis.sfm.pair_selection import choose_pairs
 from repm_qgis.sfm.pointing import point_views
-from repm_qgis.sfm.row_residuals import row_residuals, worst_rows
+from repm_qgis.sfm.vertical_parallax import largest_parallax, vertical_parallax
 from repm_qgis.stages import run_stage
 
 
@@ -139,7 +139,10 @@ def rows_left(scene, found, maps):
     pixels = [true.project(ground) for true in scene.true_views]
     pixels = [p + (p - 199.5) @ maps[view.name].T for p, view in zip(pixels, views)]
     return np.array(
-        [row_residuals((views[i], views[j]), (pixels[i], pixels[j]), ground)[0] for i, j in ((0, 1), (0, 2), (1, 2))]
+        [
+            vertical_parallax((views[i], views[j]), (pixels[i], pixels[j]), ground)[0]
+            for i, j in ((0, 1), (0, 2), (1, 2))
+        ]
     )
 
 
@@ -169,20 +172,20 @@ def test_few_ties_carry_no_affine_correction(urban):
     assert found.model == "shift" and "40 ties" in found.reason
 
 
-def test_row_residuals_are_what_no_height_and_no_place_explains(scene):
+def test_vertical_parallax_is_what_no_height_and_no_place_explains(scene):
     """Moving the ground point changes nothing; moving one image across its parallax changes all, by as much."""
     ground = places(scene, 50, 4)
     views = tuple(scene.true_views[:2])
     pixels = [view.project(ground) for view in views]
-    rows, azimuth = row_residuals(views, tuple(pixels), ground)
+    rows, azimuth = vertical_parallax(views, tuple(pixels), ground)
     assert np.abs(rows).max() < 1e-6
     away = ground + [2e-5, -1e-5, 6.0]
-    assert np.abs(row_residuals(views, tuple(pixels), away)[0]).max() < 0.01
+    assert np.abs(vertical_parallax(views, tuple(pixels), away)[0]).max() < 0.01
     # The parallax in the second image, and the direction across it.
     along = _parallax(views, ground)
     across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
     for direction, size in ((along, 0.0), (across, 1.0)):
-        moved_rows, _ = row_residuals(views, (pixels[0], pixels[1] + 0.5 * direction), ground)
+        moved_rows, _ = vertical_parallax(views, (pixels[0], pixels[1] + 0.5 * direction), ground)
         np.testing.assert_allclose(np.abs(moved_rows), 0.5 * size, atol=0.02)
     assert ((azimuth >= 0) & (azimuth < 360)).all()
 
@@ -202,7 +205,7 @@ def test_the_worst_pair_of_a_track_counts(urban):
     for track, direction in zip(tracks[:10], along):
         track.pixels["img_02"] += 2.0 * np.array([-direction[1], direction[0]])
     tracks.append(Track({"img_01": tracks[20].pixels["img_01"], "img_03": tracks[20].pixels["img_03"]}))
-    rows, azimuth = worst_rows(urban.true_views, tracks, np.vstack([ground, ground[20]]))
+    rows, azimuth = largest_parallax(urban.true_views, tracks, np.vstack([ground, ground[20]]))
     assert (np.abs(rows[:10]) > 1.9).all() and np.abs(rows[10:]).max() < 1e-3 and len(azimuth) == 31
 
 
