@@ -16,7 +16,6 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingParameterDefinition,
-    QgsProcessingParameterNumber,
     QgsProcessingUtils,
     QgsVectorLayer,
 )
@@ -25,7 +24,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from . import engine, settings, styles
 from .helptext import to_html
-from .values import destination, input_options, is_empty, raster_items
+from .values import checked_value, destination, input_options, is_empty, raster_items
 
 PLUGIN_FOLDER = engine.PLUGIN_FOLDER
 GROUPS = {
@@ -118,45 +117,38 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return []
 
     def checkParameterValues(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
+        """Files and layers as QGIS knows them are checked here, all values by the engine's options."""
         for definition in self.parameterDefinitions():
-            problem = ""
-            if definition.name() in ("RPCS", "MASKS", "GCPS", "PROFILES"):
-                problem = self._check_files(definition.name(), parameters.get(definition.name()), context)
-            elif definition.name() == "IMAGES":
-                problem = self._check_images(definition.name(), parameters.get(definition.name()), context)
-            elif definition.type() in ("enum", "number"):
-                problem = self._check_choice(definition, parameters.get(definition.name()))
-            elif definition.type() == "file":
-                problem = self._check_file(definition, parameters.get(definition.name()))
-            elif definition.type() in ("raster", "multilayer") and not is_empty(parameters.get(definition.name())):
-                problem = self._check_raster(definition.name(), parameters[definition.name()], context)
-            if not problem and definition.name() == "BACKEND":
-                problem = self._check_backend(definition, parameters.get(definition.name()))
+            problem = self._input_problem(definition, parameters.get(definition.name()), context)
             if problem:
                 return False, problem
-        low, high = (parameters.get(name) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
-        if not is_empty(low) and not is_empty(high):
-            low, high = (self.parameterAsDouble(parameters, name, context) for name in ("ALTITUDE_MIN", "ALTITUDE_MAX"))
-            if low >= high:
-                return False, self.tr("ALTITUDE_MIN ({low:g} m) must be below ALTITUDE_MAX ({high:g} m).").format(
-                    low=low, high=high
-                )
-        problem = self._check_adjustment(parameters)
-        return (False, problem) if problem else super().checkParameterValues(parameters, context)
+        from ..repm_qgis.errors import OptionError
+        from ..repm_qgis.stages import STAGES
 
-    def _check_adjustment(self, parameters: Mapping[str, Any]) -> str:
-        """COLMAP moves principal points: what else is asked of it would be passed over."""
-        if parameters.get("ADJUSTMENT") != "colmap":
-            return ""
-        if parameters.get("POINTING") == "affine":
-            return self.tr(
-                "POINTING is 'affine', but ADJUSTMENT 'colmap' moves principal points only: choose auto or "
-                "shift, or ADJUSTMENT 'rpc'."
-            )
-        if not is_empty(parameters.get("GCPS")):
-            return self.tr(
-                "ADJUSTMENT is 'colmap', which is relative and takes no GCPS: choose 'rpc', or leave GCPS empty."
-            )
+        given = {
+            definition.name().lower(): checked_value(self, definition, parameters, context)
+            for definition in self.parameterDefinitions()
+        }
+        try:
+            STAGES[self.ID].from_json(self.complete(given))
+        except OptionError as error:
+            return False, str(error)
+        return super().checkParameterValues(parameters, context)
+
+    def _input_problem(
+        self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
+    ) -> str:
+        name = definition.name()
+        if name in ("RPCS", "MASKS", "GCPS", "PROFILES"):
+            return self._check_files(name, value, context)
+        if name == "IMAGES":
+            return self._check_images(name, value, context)
+        if name == "BACKEND":
+            return self._check_backend(definition, value)
+        if definition.type() == "file":
+            return self._check_file(definition, value)
+        if definition.type() in ("raster", "multilayer") and not is_empty(value):
+            return self._check_raster(name, value, context)
         return ""
 
     def validateInputCrs(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> bool:
@@ -164,38 +156,11 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return True
 
     def _check_images(self, name: str, value: object, context: QgsProcessingContext) -> str:
-        items = raster_items(value, context)
-        for item in items:
+        for item in raster_items(value, context):
             if isinstance(item, QgsMapLayer) and item.providerType() != "gdal":
                 return self.tr(
                     "The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs."
                 ).format(layer=item.name(), name=name, provider=item.providerType())
-        if len(items) < 2:
-            return self.tr(
-                "{name} names {count} image(s): give at least two images of the same ground, one image has no heights."
-            ).format(name=name, count=len(items))
-        return ""
-
-    def _check_choice(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
-        """QGIS says only that such a value is incorrect; here is what would be right."""
-        if is_empty(value) or not isinstance(value, (str, int, float)):
-            return ""
-        if definition.type() == "enum":
-            if definition.usesStaticStrings() and str(value) not in definition.options():
-                return self.tr("{name} is '{value}': choose one of {options}.").format(
-                    name=definition.name(), value=value, options=", ".join(definition.options())
-                )
-            return ""
-        whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
-        try:
-            number = int(value) if whole else float(value)
-        except (ValueError, OverflowError):
-            kind = self.tr("a whole number") if whole else self.tr("a number")
-            return self.tr("{name} is '{value}': give {kind}.").format(name=definition.name(), value=value, kind=kind)
-        if not definition.minimum() <= number <= definition.maximum():
-            return self.tr("{name} is {value}: it must lie between {low:g} and {high:g}.").format(
-                name=definition.name(), value=value, low=definition.minimum(), high=definition.maximum()
-            )
         return ""
 
     def _check_backend(self, definition: QgsProcessingParameterDefinition, value: object) -> str:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
-
 from qgis.core import (
     QgsProcessing,
-    QgsProcessingContext,
     QgsProcessingOutputNumber,
     QgsProcessingParameterFile,
     QgsProcessingParameterVectorDestination,
@@ -14,7 +11,6 @@ from qgis.core import (
 
 from . import parameters
 from .base import RepmAlgorithm
-from .values import is_empty
 
 
 class CheckGcps(RepmAlgorithm):
@@ -70,10 +66,3 @@ class CheckGcps(RepmAlgorithm):
             for name, source in by.items()
             for figure in ("ME", "RMSE", "MAX")
         ]
-
-    def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
-        if is_empty(values.get("SCENE")) and is_empty(values.get("DSM")):
-            return False, self.tr(
-                "Neither SCENE nor DSM is given: there is nothing to check; give one of them, or both."
-            )
-        return super().checkParameterValues(values, context)

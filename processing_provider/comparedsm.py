@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Mapping
+from typing import Any
 
 from qgis.core import (
     QgsProcessing,
-    QgsProcessingContext,
     QgsProcessingOutputNumber,
     QgsProcessingParameterRasterDestination,
     QgsProcessingParameterString,
 )
 
+from ..repm_qgis.options import CompareDsmOptions
 from . import parameters
 from .base import RepmAlgorithm
 
 
-def thresholds(text: str) -> list[float]:
-    """Numbers between commas, semicolons or spaces; raises ValueError on anything else, or on none."""
-    values = [float(word) for word in re.split(r"[\s,;]+", text.strip()) if word]
-    if not values or not all(0 < value < 10000 for value in values):
-        raise ValueError(text)
-    return values
+def thresholds(text: str) -> Any:
+    """Numbers between commas, semicolons or spaces; anything else stays as it is, for the engine to refuse."""
+    try:
+        return [float(word) for word in re.split(r"[\s,;]+", text.strip()) if word]
+    except ValueError:
+        return text
 
 
 class CompareDsm(RepmAlgorithm):
@@ -41,23 +41,24 @@ class CompareDsm(RepmAlgorithm):
         return self.tr("Height errors of a DSM: map, statistics and completeness, after an optional alignment.")
 
     def parameters(self) -> list:
-        from ..repm_qgis.options import ALIGNMENTS
-
         return [
             parameters.Raster("DSM", self.tr("DSM to measure")),
             parameters.Raster("REFERENCE", self.tr("Reference DSM")),
             parameters.choice(
-                "ALIGN",
+                CompareDsmOptions,
+                "align",
                 self.tr("Alignment before the comparison"),
-                ALIGNMENTS,
-                "none",
                 self.tr(
                     "none: as they lie; vertical: a constant offset in height is taken off; 3d: a "
                     "shift in all three axes is taken off."
                 ),
             ),
             parameters.helped(
-                QgsProcessingParameterString("THRESHOLDS", self.tr("Thresholds of the completeness (m)"), "1; 2.5; 5"),
+                QgsProcessingParameterString(
+                    "THRESHOLDS",
+                    self.tr("Thresholds of the completeness (m)"),
+                    "; ".join(f"{height:g}" for height in CompareDsmOptions.option("thresholds").default),
+                ),
                 self.tr("The part of the reference's cells whose height is right to within each of these."),
             ),
             parameters.helped(
@@ -102,16 +103,6 @@ class CompareDsm(RepmAlgorithm):
                 ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),
             )
         ]
-
-    def checkParameterValues(self, values: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
-        text = self.parameterAsString(values, "THRESHOLDS", context)
-        try:
-            thresholds(text)
-        except ValueError:
-            return False, self.tr("THRESHOLDS is '{text}': give heights in metres such as '1; 2.5; 5'.").format(
-                text=text
-            )
-        return super().checkParameterValues(values, context)
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         return {**options, "thresholds": thresholds(options["thresholds"])}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from qgis.core import QgsProcessingOutputNumber, QgsProcessingParameterRasterDestination, QgsProcessingParameterString
 
+from ..repm_qgis.options import ErrorMapOptions
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -30,12 +31,10 @@ class ErrorMap(RepmAlgorithm):
                 QgsProcessingParameterString("VIEW", self.tr("View (empty: the first)"), "", optional=True),
                 self.tr("A view's name as in the scene's report: its image file's name without extension."),
             ),
-            parameters.real(
-                "ALTITUDE",
+            parameters.number(
+                ErrorMapOptions,
+                "altitude",
                 self.tr("Altitude (m, empty: the middle of the scene's range)"),
-                None,
-                -12000,
-                10000,
                 self.tr("Metres above the WGS 84 ellipsoid."),
             ),
             QgsProcessingParameterRasterDestination("OUTPUT", self.tr("Equivalent error")),

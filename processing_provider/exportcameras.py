@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from qgis.core import (
     QgsProcessingOutputNumber,
-    QgsProcessingParameterBoolean,
     QgsProcessingParameterFolderDestination,
     QgsProcessingParameterString,
 )
 
+from ..repm_qgis.options import ExportCamerasOptions
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -27,15 +27,12 @@ class ExportCameras(RepmAlgorithm):
         return self.tr("Refined images with their cameras as COLMAP, MVSNet, WHU-TLC or nerfstudio read them.")
 
     def parameters(self) -> list:
-        from ..repm_qgis.options import BIT_DEPTHS, CAMERA_FORMATS
-
         return [
             parameters.scene(self.tr("Refined scene")),
             parameters.choice(
-                "FORMAT",
+                ExportCamerasOptions,
+                "format",
                 self.tr("Format"),
-                CAMERA_FORMATS,
-                "colmap",
                 self.tr(
                     "colmap: PINHOLE cameras, binary and text; mvsnet: cam.txt and pair.txt; whutlc: WHU-TLC's pinhole "
                     "layout for SatMVS, with square pixels; nerfstudio: transforms.json."
@@ -46,8 +43,10 @@ class ExportCameras(RepmAlgorithm):
                 self.tr("A tile's name as in the TILES layer; each tile is a model of its own."),
             ),
             parameters.advanced(
-                parameters.helped(
-                    QgsProcessingParameterBoolean("CENTRE", self.tr("Turn the cameras towards their images"), True),
+                parameters.switch(
+                    ExportCamerasOptions,
+                    "centre",
+                    self.tr("Turn the cameras towards their images"),
                     self.tr(
                         "On: principal points lie in the images' middle and pixels are square, as COLMAP's "
                         "triangulation and software in single precision need it. Off: the refined images and "
@@ -57,10 +56,9 @@ class ExportCameras(RepmAlgorithm):
             ),
             parameters.advanced(
                 parameters.choice(
-                    "BITS",
+                    ExportCamerasOptions,
+                    "bits",
                     self.tr("Bits of a pixel"),
-                    BIT_DEPTHS,
-                    "8",
                     self.tr(
                         "8: PNG (JPEG for mvsnet), brightness stretched as for matching; 16: TIFF with the images' own "
                         "values, which fewer programs read."

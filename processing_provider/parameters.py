@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional, Sequence
+from typing import Any, Optional
 
 from qgis.core import (
     QgsProcessing,
@@ -24,6 +24,8 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
+from ..repm_qgis.options import DsmFuseOptions, EpmFitOptions, Number, Options, ReconstructOptions, RefineOptions
+
 SCENE_FILTER = "REPM scene (*.json)"
 HTML_FILTER = "HTML (*.html)"
 
@@ -44,31 +46,36 @@ def advanced(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParame
     return parameter
 
 
-def real(
-    name: str, label: str, default: Optional[float], low: float, high: float, text: str = ""
-) -> QgsProcessingParameterDefinition:
-    """A number; no default makes it optional."""
+def number(stage: type[Options], name: str, label: str, text: str = "") -> QgsProcessingParameterDefinition:
+    """A number with the default and the bounds of an option; no default makes it optional."""
+    option = stage.option(name)
+    limits: Number = option.metadata["check"]
+    kinds = QgsProcessingParameterNumber.Type
+    low = min(limits.low, 0) if limits.automatic else limits.low
     parameter = QgsProcessingParameterNumber(
-        name, label, QgsProcessingParameterNumber.Type.Double, default, default is None, low, high
+        name.upper(),
+        label,
+        kinds.Integer if limits.whole else kinds.Double,
+        option.default,
+        option.default is None,
+        low,
+        limits.high,
     )
-    parameter.setMetadata({"widget_wrapper": {"decimals": 3}})  # six, QGIS's own, are none that anybody sets here
+    if not limits.whole:
+        parameter.setMetadata({"widget_wrapper": {"decimals": 3}})  # QGIS's own six are more than anybody sets here
     return helped(parameter, text)
 
 
-def whole(name: str, label: str, default: int, low: int, high: int, text: str = "") -> QgsProcessingParameterDefinition:
-    return helped(
-        QgsProcessingParameterNumber(name, label, QgsProcessingParameterNumber.Type.Integer, default, False, low, high),
-        text,
-    )
+def choice(stage: type[Options], name: str, label: str, text: str = "") -> QgsProcessingParameterDefinition:
+    """A choice whose values are the words of an option themselves, so that commands and models stay readable."""
+    option = stage.option(name)
+    words, chosen = list(option.metadata["check"].choices), option.default
+    parameter = QgsProcessingParameterEnum(name.upper(), label, words, defaultValue=chosen, usesStaticStrings=True)
+    return helped(parameter, text)
 
 
-def choice(
-    name: str, label: str, options: Sequence[str], default: str, text: str = ""
-) -> QgsProcessingParameterDefinition:
-    """A choice whose values are the words themselves, so that commands and models stay readable."""
-    return helped(
-        QgsProcessingParameterEnum(name, label, list(options), defaultValue=default, usesStaticStrings=True), text
-    )
+def switch(stage: type[Options], name: str, label: str, text: str = "") -> QgsProcessingParameterDefinition:
+    return helped(QgsProcessingParameterBoolean(name.upper(), label, stage.option(name).default), text)
 
 
 class Images(QgsProcessingParameterMultipleLayers):
@@ -201,14 +208,11 @@ def vertical_datum() -> QgsProcessingParameterDefinition:
 
 
 def pointing() -> QgsProcessingParameterDefinition:
-    from ..repm_qgis.options import POINTINGS
-
     return advanced(
         choice(
-            "POINTING",
+            ReconstructOptions,
+            "pointing",
             tr("Correction of the images' pointing"),
-            POINTINGS,
-            "auto",
             tr(
                 "shift: one shift an image; affine: also stretched and turned; auto: affine where the "
                 "tie points show a trend and span the images well enough to carry it."
@@ -218,14 +222,11 @@ def pointing() -> QgsProcessingParameterDefinition:
 
 
 def adjustment() -> QgsProcessingParameterDefinition:
-    from ..repm_qgis.options import ADJUSTMENTS
-
     return advanced(
         choice(
-            "ADJUSTMENT",
+            ReconstructOptions,
+            "adjustment",
             tr("Adjustment of the pointing"),
-            ADJUSTMENTS,
-            "rpc",
             tr(
                 "rpc: against the original RPCs, exact, takes control points and affine corrections; "
                 "colmap: the paper's way, COLMAP moves the principal points of the pinhole cameras: "
@@ -265,30 +266,26 @@ def surface() -> QgsProcessingParameterDefinition:
 def altitudes() -> list[QgsProcessingParameterDefinition]:
     text = tr("Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.")
     return [
-        advanced(real("ALTITUDE_MIN", tr("Lowest altitude (m, empty: automatic)"), None, -12000, 10000, text)),
-        advanced(real("ALTITUDE_MAX", tr("Highest altitude (m, empty: automatic)"), None, -12000, 10000, text)),
+        advanced(number(EpmFitOptions, "altitude_min", tr("Lowest altitude (m, empty: automatic)"), text)),
+        advanced(number(EpmFitOptions, "altitude_max", tr("Highest altitude (m, empty: automatic)"), text)),
     ]
 
 
 def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
     return [
         advanced(
-            whole(
-                "TILE_SIZE",
+            number(
+                EpmFitOptions,
+                "tile_size",
                 tr("Tile size (px, 0: automatic)"),
-                0,
-                0,
-                20000,
                 tr("0 takes the largest tile that keeps the error under the budget, and fits memory."),
             )
         ),
         advanced(
-            real(
-                "ERROR_BUDGET",
+            number(
+                EpmFitOptions,
+                "error_budget",
                 tr("Error budget (px)"),
-                0.1,
-                0.001,
-                100,
                 tr("What the pinhole model may cost at most, as equivalent error in the image."),
             )
         ),
@@ -296,13 +293,10 @@ def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
 
 
 def model() -> QgsProcessingParameterDefinition:
-    from ..repm_qgis.options import MODELS
-
     return choice(
-        "MODEL",
+        RefineOptions,
+        "model",
         tr("Refinement model"),
-        MODELS,
-        "polynomial",
         tr(
             "none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures "
             "the curvature of the image; terrain: cures the parallax of altitude too, on a coarse surface."
@@ -311,12 +305,10 @@ def model() -> QgsProcessingParameterDefinition:
 
 
 def order() -> QgsProcessingParameterDefinition:
-    return whole(
-        "ORDER",
+    return number(
+        RefineOptions,
+        "order",
         tr("Order of the polynomial"),
-        2,
-        2,
-        5,
         tr(
             "2 is the paper's; 3 to 5 help only where the attitude of the satellite wobbles within a tile. "
             "Other models take no notice of it."
@@ -325,13 +317,10 @@ def order() -> QgsProcessingParameterDefinition:
 
 
 def kernel() -> QgsProcessingParameterDefinition:
-    from ..repm_qgis.options import KERNELS
-
     return choice(
-        "KERNEL",
+        RefineOptions,
+        "kernel",
         tr("Resampling of the refined images"),
-        KERNELS,
-        "bilinear",
         tr(
             "bilinear: the paper's, and the fastest; cubic: sharper; lanczos: sharpest, may ring at edges. "
             "The heights are matched on the original images and do not depend on it."
@@ -340,13 +329,10 @@ def kernel() -> QgsProcessingParameterDefinition:
 
 
 def backend() -> QgsProcessingParameterDefinition:
-    from ..repm_qgis.options import BACKENDS
-
     return choice(
-        "BACKEND",
+        ReconstructOptions,
+        "backend",
         tr("Dense matching"),
-        BACKENDS,
-        "auto",
         tr(
             "sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: colmap "
             "where a CUDA device answers, else sgm."
@@ -358,8 +344,10 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
     """What matters of the backend colmap."""
     return [
         advanced(
-            helped(
-                QgsProcessingParameterBoolean("GEOMETRIC", tr("COLMAP: geometric consistency"), True),
+            switch(
+                ReconstructOptions,
+                "geometric",
+                tr("COLMAP: geometric consistency"),
                 tr(
                     "On: depths must also agree with those of the other images, in a second pass of the "
                     "same length. Off: half the time, more outliers."
@@ -367,8 +355,10 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
             )
         ),
         advanced(
-            helped(
-                QgsProcessingParameterBoolean("COLMAP_FUSION", tr("COLMAP: only what its fusion keeps"), False),
+            switch(
+                ReconstructOptions,
+                "colmap_fusion",
+                tr("COLMAP: only what its fusion keeps"),
                 tr(
                     "On: COLMAP's own fusion of the depth maps decides which heights go on to the DSM: two "
                     "images must agree in place, depth and slope. Fewer heights, fewer outliers."
@@ -376,12 +366,10 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
             )
         ),
         advanced(
-            whole(
-                "WINDOW_RADIUS",
+            number(
+                ReconstructOptions,
+                "window_radius",
                 tr("COLMAP: radius of the window (px)"),
-                5,
-                1,
-                20,
                 tr(
                     "Smaller: sharper edges, more noise; larger: smoother, fills weak texture. The time "
                     "grows with its square."
@@ -389,12 +377,10 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
             )
         ),
         advanced(
-            real(
-                "GPU_MEMORY",
+            number(
+                ReconstructOptions,
+                "gpu_memory",
                 tr("COLMAP: memory of a GPU (GiB, 0: what is free)"),
-                0.0,
-                0.0,
-                1024.0,
                 tr("A tile that needs more is matched in parts."),
             )
         ),
@@ -402,12 +388,10 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
 
 
 def resolution() -> QgsProcessingParameterDefinition:
-    return real(
-        "RESOLUTION",
+    return number(
+        DsmFuseOptions,
+        "resolution",
         tr("DSM resolution (m, 0: twice the ground sampling distance)"),
-        0.0,
-        0.0,
-        1000.0,
         tr("Cell size in units of the CRS."),
     )
 
@@ -420,24 +404,20 @@ def crs() -> QgsProcessingParameterDefinition:
 
 
 def fusion() -> list[QgsProcessingParameterDefinition]:
-    from ..repm_qgis.options import FILLS, MAX_VERTICES, METHODS
-
     return [
         advanced(
             choice(
-                "METHOD",
+                DsmFuseOptions,
+                "method",
                 tr("Fusion of the pairs' heights"),
-                METHODS,
-                "mean",
                 tr("Of the heights that agree: mean has less noise, median is the paper's."),
             )
         ),
         advanced(
             choice(
-                "FILL",
+                DsmFuseOptions,
+                "fill",
                 tr("Fill"),
-                FILLS,
-                "occlusions",
                 tr(
                     "occlusions: cells that one image hides take the height of the ground behind; all: "
                     "remaining holes are interpolated too; both are marked in the confidence raster. none: "
@@ -446,22 +426,18 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
             )
         ),
         advanced(
-            real(
-                "OUTLIER_RADIUS",
+            number(
+                DsmFuseOptions,
+                "outlier_radius",
                 tr("Outlier radius (m, empty: automatic, 0: off)"),
-                None,
-                0.0,
-                1000.0,
                 tr("Points with too few neighbours within this distance are dropped."),
             )
         ),
         advanced(
-            whole(
-                "MESH_VERTICES",
+            number(
+                DsmFuseOptions,
+                "mesh_vertices",
                 tr("Most vertices of the mesh (0: one a cell)"),
-                500_000,
-                0,
-                MAX_VERTICES,
                 tr("Where the DSM has more cells, the mesh takes every second (third, ...) row and column."),
             )
         ),

@@ -9,6 +9,7 @@ from qgis.core import (
     QgsProcessingParameterFolderDestination,
 )
 
+from ..repm_qgis.options import SampleDataOptions
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -28,12 +29,12 @@ class SampleData(RepmAlgorithm):
         return self.tr("Simulated tri-stereo images with RPCs of a surface that is known, to try and to measure.")
 
     def parameters(self) -> list:
-        from ..repm_qgis.options import KINDS
-
         return [
-            parameters.choice("KIND", self.tr("Landscape"), KINDS, "urban"),
-            parameters.whole("SIZE", self.tr("Size of the images (px)"), 800, 128, 20000),
-            parameters.whole("SEED", self.tr("Seed"), 1, 0, 2**31 - 1, self.tr("The same seed makes the same files.")),
+            parameters.choice(SampleDataOptions, "kind", self.tr("Landscape")),
+            parameters.number(SampleDataOptions, "size", self.tr("Size of the images (px)")),
+            parameters.number(
+                SampleDataOptions, "seed", self.tr("Seed"), self.tr("The same seed makes the same files.")
+            ),
             QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder")),
         ]
 

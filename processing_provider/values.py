@@ -166,6 +166,49 @@ def input_options(
     return {name.lower(): value}
 
 
+def checked_value(
+    algorithm: QgsProcessingAlgorithm,
+    definition: QgsProcessingParameterDefinition,
+    parameters: Mapping[str, Any],
+    context: QgsProcessingContext,
+) -> Any:
+    """One parameter as the engine's checks take it: nothing is read or written, and a layer only counts as given."""
+    name, kind = definition.name(), definition.type()
+    given = parameters.get(name, definition.defaultValue())
+    if kind == "boolean":
+        return algorithm.parameterAsBool(parameters, name, context)
+    if kind == "multilayer":
+        rasters = definition.layerType() == QgsProcessing.SourceType.TypeRaster
+        return raster_paths(given, context) if rasters else file_paths(given, context)
+    if kind == "number":
+        return None if is_empty(given) else _number(algorithm, definition, parameters, context)
+    if kind in ("enum", "string"):
+        return given if isinstance(given, str) else algorithm.parameterAsString(parameters, name, context)
+    if kind in ("extent", "crs"):
+        return None
+    if definition.isDestination() and (not isinstance(given, str) or given == QgsProcessing.TEMPORARY_OUTPUT):
+        return None if definition.flags() & QgsProcessingParameterDefinition.Flag.FlagOptional else "-"
+    return None if is_empty(given) else str(given)
+
+
+def _number(
+    algorithm: QgsProcessingAlgorithm,
+    definition: QgsProcessingParameterDefinition,
+    parameters: Mapping[str, Any],
+    context: QgsProcessingContext,
+) -> Any:
+    """A number; what is none stays as it is, for the engine to refuse."""
+    given = parameters.get(definition.name(), definition.defaultValue())
+    if isinstance(given, QgsProperty):
+        given = algorithm.parameterAsDouble(parameters, definition.name(), context)
+    try:
+        number = float(given)
+    except (TypeError, ValueError):
+        return given
+    whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
+    return int(number) if whole and number.is_integer() else given if whole else number
+
+
 def destination(
     algorithm: QgsProcessingAlgorithm,
     definition: QgsProcessingParameterDefinition,

@@ -1,15 +1,16 @@
-"""One frozen, self-checking dataclass per stage: every knob, its default and its bounds in one place.
+"""The options of every stage: a frozen dataclass each, with every default and bound in one place.
 
 Names are the Processing parameters' names in lower case. Files and folders are strings; "" or None means "not
-wanted" for outputs and "not given" for inputs.
+wanted" for outputs and "not given" for inputs. A field states its bounds or choices; dialogs take them from here.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
-from typing import Any, Mapping, Optional, Tuple, TypeVar
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, Dict, List, Mapping, Optional, Tuple, Type, TypeVar
 
 from .errors import OptionError
 
@@ -19,7 +20,6 @@ BACKENDS = ("auto", "sgm", "colmap")
 POINTINGS = ("auto", "shift", "affine")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
-MAX_VERTICES = 2**31 - 1  # a PLY's indices
 FILLS = ("none", "occlusions", "all")
 ALIGNMENTS = ("none", "vertical", "3d")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
@@ -27,48 +27,128 @@ BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
 
 TERRAIN_TILE_PX = 1300
-"""Side of automatic tiles under MODEL=terrain: its error does not grow with the tile, only memory does."""
+"""Side of automatic tiles with the model terrain: its error does not grow with the tile, only the memory does."""
 
 Extent = Tuple[float, float, float, float]
 T = TypeVar("T", bound="Options")
 
 
-def _within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if not (isinstance(value, (int, float)) and math.isfinite(value) and low <= value <= high):
-        raise OptionError(name, value, f"must lie between {low:g} and {high:g}{' ' + unit if unit else ''}")
+@dataclass(frozen=True)
+class Choice:
+    """A value that must be one of these words."""
 
+    choices: Tuple[str, ...]
 
-def _whole(name: str, value: object, low: int, high: int, unit: str = "") -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise OptionError(name, value, f"must be a whole number from {low} to {high}{' ' + unit if unit else ''}")
-
-
-def _one_of(name: str, value: object, choices: Tuple[str, ...]) -> None:
-    if value not in choices:
-        raise OptionError(name, value, f"must be one of {', '.join(choices)}")
-
-
-def _given(name: str, value: object) -> None:
-    if not value or not isinstance(value, str):
-        raise OptionError(name, value, "must be the path of a file or folder")
+    def problem(self, value: object) -> str:
+        return "" if value in self.choices else f"must be one of {', '.join(self.choices)}"
 
 
 @dataclass(frozen=True)
-class Options:
-    """What all stages' options share: reading from and writing to JSON, strictly."""
+class Number:
+    """A number within bounds, whole or not; 0 too where it means that the program decides."""
+
+    low: float
+    high: float
+    unit: str = ""
+    whole: bool = False
+    automatic: bool = False
+
+    def problem(self, value: object) -> str:
+        if isinstance(value, int if self.whole else (int, float)) and not isinstance(value, bool):
+            if self.low <= value <= self.high or (self.automatic and value == 0):
+                return ""
+        kind = "a whole number" if self.whole else "a number"
+        unit = f" {self.unit}" if self.unit else ""
+        zero = ", or 0 for automatic" if self.automatic else ""
+        return f"must be {kind} between {self.low:.10g} and {self.high:.10g}{unit}{zero}"
+
+
+@dataclass(frozen=True)
+class Given:
+    """A file or folder that must be named."""
+
+    def problem(self, value: object) -> str:
+        return "" if value and isinstance(value, str) else "must be the path of a file or folder"
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Yes or no."""
+
+    def problem(self, value: object) -> str:
+        return "" if isinstance(value, bool) else "must be true or false"
+
+
+def choice(default: str, choices: Tuple[str, ...]) -> Any:
+    return field(default=default, metadata={"check": Choice(choices)})
+
+
+def number(default: Optional[float], low: float, high: float, unit: str = "", automatic: bool = False) -> Any:
+    return field(default=default, metadata={"check": Number(low, high, unit, False, automatic)})
+
+
+def whole(default: int, low: int, high: int, unit: str = "", automatic: bool = False) -> Any:
+    return field(default=default, metadata={"check": Number(low, high, unit, True, automatic)})
+
+
+def switch(default: bool) -> Any:
+    return field(default=default, metadata={"check": Switch()})
+
+
+def given() -> Any:
+    return field(metadata={"check": Given()})
+
+
+class _ByName(type):
+    """Classes whose fields are given by name only: a field added between others must not shift values."""
+
+    def __call__(cls, *positional: Any, **named: Any) -> Any:
+        if positional:
+            raise TypeError(f"{cls.__name__} takes its fields by name, and was given {len(positional)} without")
+        return super().__call__(**named)
+
+
+@dataclass(frozen=True)
+class Options(metaclass=_ByName):
+    """What all stages' options share: checks, and reading from and writing to JSON."""
+
+    def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            value, check = getattr(self, each.name), each.metadata.get("check")
+            problem = check.problem(value) if check and not (value is None and each.default is None) else ""
+            if problem:
+                raise OptionError(each.name.upper(), value, problem)
 
     @classmethod
-    def from_json(cls: type[T], values: Mapping[str, Any]) -> T:
-        """Build from a JSON object; an unknown name is an error, lists become tuples."""
-        known = {field.name for field in dataclasses.fields(cls)}
-        for name in values:
-            if name not in known:
-                raise OptionError(
-                    name, values[name], f"is not an option of this stage; known are {', '.join(sorted(known))}"
-                )
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+    def names(cls) -> List[str]:
+        """The names that JSON may have."""
+        return [each.name for each in dataclasses.fields(cls)]
 
-    def to_json(self) -> dict[str, Any]:
+    @classmethod
+    def option(cls, name: str) -> "dataclasses.Field[Any]":
+        """The declaration of one option: its default, and its check in ``metadata``."""
+        return next(each for each in dataclasses.fields(cls) if each.name == name)
+
+    @classmethod
+    def from_json(cls: Type[T], values: Mapping[str, Any]) -> T:
+        """Build from a JSON object; an unknown name is an error, lists become tuples. Raises OptionError."""
+        for name in values:
+            if name not in cls.names():
+                known = ", ".join(sorted(cls.names()))
+                raise OptionError(name, values[name], f"is not an option of this stage; known are {known}")
+        return cls._of({name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+
+    @classmethod
+    def _of(cls: Type[T], values: Mapping[str, Any], **set_here: Any) -> T:
+        """Build from those of the values that are fields of this class; raises OptionError where one is missing."""
+        fields = dataclasses.fields(cls)
+        mine = {**{each.name: values[each.name] for each in fields if each.name in values}, **set_here}
+        for each in fields:
+            if each.name not in mine and each.default is dataclasses.MISSING:
+                raise OptionError(each.name.upper(), None, "must be given")
+        return cls(**mine)
+
+    def to_json(self) -> Dict[str, Any]:
         return dataclasses.asdict(self)
 
 
@@ -86,16 +166,16 @@ class EpmFitOptions(Options):
     """
 
     images: Tuple[str, ...]
-    workspace: str
+    workspace: str = given()
     rpcs: Tuple[str, ...] = ()
     masks: Tuple[str, ...] = ()
     extent: Optional[Extent] = None
     extent_crs: str = "EPSG:4326"
     dem: Optional[str] = None
-    altitude_min: Optional[float] = None
-    altitude_max: Optional[float] = None
-    tile_size: int = 0
-    error_budget: float = 0.1
+    altitude_min: Optional[float] = number(None, -12000, 10000, "m")
+    altitude_max: Optional[float] = number(None, -12000, 10000, "m")
+    tile_size: int = whole(0, 256, 20000, "px", automatic=True)
+    error_budget: float = number(0.1, 0.001, 100, "px")
     crs: Optional[str] = None
     tiles: Optional[str] = None
     report: Optional[str] = None
@@ -111,27 +191,17 @@ class EpmFitOptions(Options):
             if isinstance(files, str) or not all(isinstance(i, str) for i in files):
                 raise OptionError(name, files, f"must be a list of {kind}")
             if files and len(files) != len(self.images):
-                raise OptionError(
-                    name,
-                    list(files),
-                    f"must be empty, or name {len(self.images)} files: one for each of IMAGES, in their order",
-                )
-        _given("WORKSPACE", self.workspace)
+                count = f"{len(self.images)} files: one for each of IMAGES, in their order"
+                raise OptionError(name, list(files), f"must be empty, or name {count}")
         if self.extent is not None:
             if len(self.extent) != 4 or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in self.extent):
                 raise OptionError("EXTENT", self.extent, "must be four finite numbers: xmin, ymin, xmax, ymax")
             if self.extent[0] >= self.extent[2] or self.extent[1] >= self.extent[3]:
                 raise OptionError("EXTENT", self.extent, "must have xmin < xmax and ymin < ymax")
-        for name in ("altitude_min", "altitude_max"):
-            if getattr(self, name) is not None:
-                _within(name.upper(), getattr(self, name), -12000, 10000, "m")
+        super().__post_init__()
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
-            raise OptionError(
-                "ALTITUDE_MIN", self.altitude_min, f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)"
-            )
-        if self.tile_size != 0:
-            _within("TILE_SIZE", self.tile_size, 256, 20000, "px, or be 0 for automatic")
-        _within("ERROR_BUDGET", self.error_budget, 0.001, 100, "px")
+            limit = f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)"
+            raise OptionError("ALTITUDE_MIN", self.altitude_min, limit)
 
 
 @dataclass(frozen=True)
@@ -142,17 +212,11 @@ class ErrorMapOptions(Options):
     scene's range.
     """
 
-    scene: str
-    output: str
+    scene: str = given()
+    output: str = given()
     view: str = ""
-    altitude: Optional[float] = None
+    altitude: Optional[float] = number(None, -12000, 10000, "m")
     report: Optional[str] = None
-
-    def __post_init__(self) -> None:
-        _given("SCENE", self.scene)
-        _given("OUTPUT", self.output)
-        if self.altitude is not None:
-            _within("ALTITUDE", self.altitude, -12000, 10000, "m")
 
 
 @dataclass(frozen=True)
@@ -163,21 +227,14 @@ class RefineOptions(Options):
     polynomial's, ``kernel`` resamples the refined images.
     """
 
-    scene: str
-    output_scene: str
-    model: str = "polynomial"
+    scene: str = given()
+    output_scene: str = given()
+    model: str = choice("polynomial", MODELS)
     dem: Optional[str] = None
-    order: int = 2
-    kernel: str = "bilinear"
-    write_images: bool = True
+    order: int = whole(2, 2, 5)
+    kernel: str = choice("bilinear", KERNELS)
+    write_images: bool = switch(True)
     report: Optional[str] = None
-
-    def __post_init__(self) -> None:
-        _given("SCENE", self.scene)
-        _given("OUTPUT_SCENE", self.output_scene)
-        _one_of("MODEL", self.model, MODELS)
-        _within("ORDER", self.order, 2, 5)
-        _one_of("KERNEL", self.kernel, KERNELS)
 
 
 @dataclass(frozen=True)
@@ -189,20 +246,16 @@ class ExportCamerasOptions(Options):
     camera towards its image's middle, as COLMAP's triangulation and software in single precision need it.
     """
 
-    scene: str
-    folder: str
-    format: str = "colmap"
+    scene: str = given()
+    folder: str = given()
+    format: str = choice("colmap", CAMERA_FORMATS)
     tile: str = ""
-    bits: str = "8"
-    kernel: str = "bilinear"
-    centre: bool = True
+    bits: str = choice("8", BIT_DEPTHS)
+    kernel: str = choice("bilinear", KERNELS)
+    centre: bool = switch(True)
 
     def __post_init__(self) -> None:
-        _given("SCENE", self.scene)
-        _given("FOLDER", self.folder)
-        _one_of("FORMAT", self.format, CAMERA_FORMATS)
-        _one_of("BITS", self.bits, BIT_DEPTHS)
-        _one_of("KERNEL", self.kernel, KERNELS)
+        super().__post_init__()
         if self.format == "whutlc" and self.bits != "8":
             raise OptionError("BITS", self.bits, "must be 8 for whutlc: its readers take nothing else")
 
@@ -221,44 +274,36 @@ class ReconstructOptions(Options):
     ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
     """
 
-    scene: str
-    output_scene: str
-    backend: str = "auto"
+    scene: str = given()
+    output_scene: str = given()
+    backend: str = choice("auto", BACKENDS)
     gcps: Optional[str] = None
     gcp_datum: str = ""
-    pointing: str = "auto"
+    pointing: str = choice("auto", POINTINGS)
     tie_points: Optional[str] = None
     heights: Optional[str] = None
-    workers: int = 0
-    adjustment: str = "rpc"
-    memory: int = 0
-    geometric: bool = True
-    colmap_fusion: bool = False
-    window_radius: int = 5
-    gpu_memory: float = 0.0
-    own_surface: bool = False
+    workers: int = whole(0, 0, 1024)
+    adjustment: str = choice("rpc", ADJUSTMENTS)
+    memory: int = whole(0, 0, 1 << 24, "MiB")
+    geometric: bool = switch(True)
+    colmap_fusion: bool = switch(False)
+    window_radius: int = whole(5, 1, 20, "px")
+    gpu_memory: float = number(0.0, 0, 1024, "GiB")
+    own_surface: bool = switch(False)
 
     def __post_init__(self) -> None:
-        _given("SCENE", self.scene)
-        _given("OUTPUT_SCENE", self.output_scene)
-        _one_of("BACKEND", self.backend, BACKENDS)
-        _whole("WINDOW_RADIUS", self.window_radius, 1, 20, "px")
-        _within("GPU_MEMORY", self.gpu_memory, 0, 1024, "GiB")
-        _one_of("POINTING", self.pointing, POINTINGS)
-        _one_of("ADJUSTMENT", self.adjustment, ADJUSTMENTS)
+        super().__post_init__()
         if self.adjustment == "colmap" and self.pointing == "affine":
             raise OptionError(
                 "POINTING",
                 self.pointing,
-                "must be auto or shift where ADJUSTMENT is colmap, which "
-                "moves principal points only; choose rpc for affine corrections",
+                "must be auto or shift where ADJUSTMENT is colmap, which moves principal points only; choose rpc for "
+                "affine corrections",
             )
         if self.adjustment == "colmap" and self.gcps:
             raise OptionError(
                 "ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is relative"
             )
-        _within("WORKERS", self.workers, 0, 1024)
-        _within("MEMORY", self.memory, 0, 1 << 24, "MiB")
 
 
 @dataclass(frozen=True)
@@ -274,126 +319,91 @@ class DsmFuseOptions(Options):
     the mesh, 0 = one a cell. ``memory`` as in ``ReconstructOptions``.
     """
 
-    scene: str
-    output: str
-    resolution: float = 0.0
+    scene: str = given()
+    output: str = given()
+    resolution: float = number(0.0, 0.01, 1000, "m", automatic=True)
     crs: Optional[str] = None
-    method: str = "mean"
-    fill: str = "occlusions"
-    outlier_radius: Optional[float] = None
+    method: str = choice("mean", METHODS)
+    fill: str = choice("occlusions", FILLS)
+    outlier_radius: Optional[float] = number(None, 0, 1000, "m")
     confidence: Optional[str] = None
     ortho: Optional[str] = None
     cloud: Optional[str] = None
-    workers: int = 0
+    workers: int = whole(0, 0, 1024)
     vertical_datum: str = ""
-    memory: int = 0
+    memory: int = whole(0, 0, 1 << 24, "MiB")
     ept: Optional[str] = None
     mesh: Optional[str] = None
-    mesh_vertices: int = 500_000
+    mesh_vertices: int = whole(500_000, 0, 2**31 - 1)  # a PLY's indices
     view_heights: Optional[str] = None
 
     def __post_init__(self) -> None:
-        _given("SCENE", self.scene)
-        _given("OUTPUT", self.output)
-        if self.resolution != 0:
-            _within("RESOLUTION", self.resolution, 0.01, 1000, "m, or be 0 for automatic")
-        _one_of("METHOD", self.method, METHODS)
-        _one_of("FILL", self.fill, FILLS)
-        if self.outlier_radius is not None:
-            _within("OUTLIER_RADIUS", self.outlier_radius, 0, 1000, "m")
+        super().__post_init__()
         if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
         if self.mesh and not self.mesh.lower().endswith(".ply"):
             raise OptionError("MESH", self.mesh, "must end with .ply")
-        _within("MESH_VERTICES", self.mesh_vertices, 0, MAX_VERTICES)
-        _within("WORKERS", self.workers, 0, 1024)
-        _within("MEMORY", self.memory, 0, 1 << 24, "MiB")
 
 
 @dataclass(frozen=True)
 class PipelineOptions(Options):
-    """From images to a DSM: all stages in one workspace."""
+    """From images to a DSM: the options of all stages, each of which takes the scene that the one before wrote.
 
-    images: Tuple[str, ...]
-    workspace: str
-    output: str
-    rpcs: Tuple[str, ...] = ()
-    masks: Tuple[str, ...] = ()
-    extent: Optional[Extent] = None
-    extent_crs: str = "EPSG:4326"
-    dem: Optional[str] = None
-    altitude_min: Optional[float] = None
-    altitude_max: Optional[float] = None
-    tile_size: int = 0
-    error_budget: float = 0.1
-    model: str = "polynomial"
-    order: int = 2
-    backend: str = "auto"
-    gcps: Optional[str] = None
-    gcp_datum: str = ""
-    pointing: str = "auto"
-    adjustment: str = "rpc"
-    resolution: float = 0.0
-    crs: Optional[str] = None
-    method: str = "mean"
-    fill: str = "occlusions"
-    outlier_radius: Optional[float] = None
-    confidence: Optional[str] = None
-    ortho: Optional[str] = None
-    cloud: Optional[str] = None
-    tiles: Optional[str] = None
-    tie_points: Optional[str] = None
+    JSON has them all in one object, without those that the pipeline sets itself. ``report`` is the whole run's page,
+    ``command`` the command line that it shows.
+    """
+
+    fit: EpmFitOptions
+    refine: RefineOptions
+    reconstruct: ReconstructOptions
+    fuse: DsmFuseOptions
     report: Optional[str] = None
     command: Optional[str] = None
-    workers: int = 0
-    vertical_datum: str = ""
-    memory: int = 0
-    geometric: bool = True
-    colmap_fusion: bool = False
-    window_radius: int = 5
-    gpu_memory: float = 0.0
-    ept: Optional[str] = None
-    mesh: Optional[str] = None
-    mesh_vertices: int = 500_000
-    view_heights: Optional[str] = None
 
-    def __post_init__(self) -> None:
-        # The stages' own options check everything else; building them here makes a wrong value fail at once.
-        self.fit_options()
-        RefineOptions("-", "-", self.model, order=self.order)
-        ReconstructOptions(
-            "-",
-            "-",
-            self.backend,
-            self.gcps,
-            self.gcp_datum,
-            self.pointing,
-            workers=self.workers,
-            adjustment=self.adjustment,
-            memory=self.memory,
-            window_radius=self.window_radius,
-            gpu_memory=self.gpu_memory,
-        )
-        DsmFuseOptions(
-            "-",
-            self.output,
-            self.resolution,
-            self.crs,
-            self.method,
-            self.fill,
-            self.outlier_radius,
-            cloud=self.cloud,
-            mesh=self.mesh,
-            mesh_vertices=self.mesh_vertices,
-        )
+    STAGES: ClassVar[Tuple[Type[Options], ...]] = (EpmFitOptions, RefineOptions, ReconstructOptions, DsmFuseOptions)
+    SET_HERE: ClassVar[Tuple[str, ...]] = (
+        "scene",
+        "output_scene",
+        "heights",
+        "kernel",
+        "write_images",
+        "own_surface",
+    )
 
-    def fit_options(self) -> EpmFitOptions:
-        """This run's first stage; its CRS is that of the DSM."""
-        names = {field.name for field in dataclasses.fields(EpmFitOptions)} - {"report"}
-        values = {name: getattr(self, name) for name in names}
-        if self.model == "terrain" and not self.tile_size:
-            values["tile_size"] = TERRAIN_TILE_PX
-        return EpmFitOptions(**values)
+    @classmethod
+    def names(cls) -> List[str]:
+        names = dict.fromkeys(name for stage in cls.STAGES for name in stage.names() if name not in cls.SET_HERE)
+        return [*names, "command"]
+
+    @classmethod
+    def option(cls, name: str) -> "dataclasses.Field[Any]":
+        stages = (stage for stage in cls.STAGES if name in stage.names())
+        return next(stages).option(name) if name not in ("report", "command") else super().option(name)
+
+    @classmethod
+    def _of(cls, values: Mapping[str, Any], **set_here: Any) -> "PipelineOptions":
+        folder = Path(str(values.get("workspace", "")))
+        fitted, refined, reconstructed = (
+            str(folder / f"{name}.json") for name in ("scene", "refined", "reconstructed")
+        )
+        terrain = values.get("model") == "terrain"
+        # Without a DEM the surface is that of the coarse level, which needs the pointing: matching refines on it.
+        own_surface = terrain and not values.get("dem")
+        tile_size = values.get("tile_size") or (TERRAIN_TILE_PX if terrain else 0)
+        model = {"model": "polynomial"} if own_surface else {}
+        dem = values.get("dem") if terrain else None
+        return cls(
+            fit=EpmFitOptions._of(values, tile_size=tile_size, report=None),
+            refine=RefineOptions._of(
+                values, scene=fitted, output_scene=refined, dem=dem, write_images=False, report=None, **model
+            ),
+            reconstruct=ReconstructOptions._of(
+                values, scene=refined, output_scene=reconstructed, own_surface=own_surface
+            ),
+            fuse=DsmFuseOptions._of(values, scene=reconstructed),
+            report=values.get("report"),
+            command=values.get("command"),
+        )
 
 
 @dataclass(frozen=True)
@@ -405,9 +415,9 @@ class CompareDsmOptions(Options):
     are told apart by; ``profiles`` is a line layer to cut all surfaces along, None = twice through the middle.
     """
 
-    dsm: str
-    reference: str
-    align: str = "none"
+    dsm: str = given()
+    reference: str = given()
+    align: str = choice("none", ALIGNMENTS)
     thresholds: Tuple[float, ...] = (1.0, 2.5, 5.0)
     others: Tuple[str, ...] = ()
     classes: Optional[str] = None
@@ -416,15 +426,11 @@ class CompareDsmOptions(Options):
     report: Optional[str] = None
 
     def __post_init__(self) -> None:
-        _given("DSM", self.dsm)
-        _given("REFERENCE", self.reference)
-        _one_of("ALIGN", self.align, ALIGNMENTS)
+        super().__post_init__()
         if isinstance(self.others, str) or not all(isinstance(path, str) and path for path in self.others):
             raise OptionError("OTHERS", self.others, "must be a list of rasters")
-        if not self.thresholds:
-            raise OptionError("THRESHOLDS", self.thresholds, "must name at least one height in metres")
-        for value in self.thresholds:
-            _within("THRESHOLDS", value, 1e-6, 10000, "m")
+        if not self.thresholds or any(Number(1e-6, 10000).problem(height) for height in self.thresholds):
+            raise OptionError("THRESHOLDS", self.thresholds, "must be heights in metres up to 10000, such as 1; 2.5; 5")
 
 
 @dataclass(frozen=True)
@@ -435,7 +441,7 @@ class CheckGcpsOptions(Options):
     refer to (a vertical CRS; "" is the ellipsoid). ``output`` is the point layer to write, None = not wanted.
     """
 
-    gcps: str
+    gcps: str = given()
     scene: Optional[str] = None
     dsm: Optional[str] = None
     gcp_datum: str = ""
@@ -443,7 +449,7 @@ class CheckGcpsOptions(Options):
     report: Optional[str] = None
 
     def __post_init__(self) -> None:
-        _given("GCPS", self.gcps)
+        super().__post_init__()
         if not self.scene and not self.dsm:
             raise OptionError("SCENE", self.scene, "must be given, or DSM, or both: there is nothing to check")
 
@@ -452,16 +458,10 @@ class CheckGcpsOptions(Options):
 class SampleDataOptions(Options):
     """Make a truth scene: simulated images of a known surface."""
 
-    folder: str
-    kind: str = "urban"
-    size: int = 800
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        _given("FOLDER", self.folder)
-        _one_of("KIND", self.kind, KINDS)
-        _within("SIZE", self.size, 128, 20000, "px")
-        _within("SEED", self.seed, 0, 2**31 - 1)
+    folder: str = given()
+    kind: str = choice("urban", KINDS)
+    size: int = whole(800, 128, 20000, "px")
+    seed: int = whole(1, 0, 2**31 - 1)
 
 
 @dataclass(frozen=True)

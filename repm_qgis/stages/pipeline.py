@@ -10,7 +10,7 @@ from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
 from ..matching.backends import require
-from ..options import DsmFuseOptions, PipelineOptions, ReconstructOptions, RefineOptions
+from ..options import PipelineOptions
 from ..parallel import kept_workers
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
@@ -29,104 +29,27 @@ def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
-    require(options.backend)  # refused, if at all, before any work
-    folder = ensure_folder(options.workspace)
-    for path in (
-        options.output,
-        options.confidence,
-        options.ortho,
-        options.cloud,
-        options.ept,
-        options.mesh,
-        options.report,
-    ):
-        if path:  # hours of matching are not to end at a folder that cannot be written
-            ensure_folder(str(Path(path).parent))
-    if options.ept:
-        require_ept_place(options.ept)
-    if options.gcps:  # nor at a table's misspelt field
-        read_gcps(options.gcps, load_views(options.images, options.rpcs), options.gcp_datum)
-    datum = HeightDatum.of(options.vertical_datum)
-    fitted, refined, scene_path = (str(folder / name) for name in ("scene.json", "refined.json", "reconstructed.json"))
+    _check_early(options)
     seconds: Dict[str, float] = {}
     begin = 0.0
 
-    def stage(name: str, title: str, work: Callable[[Progress], Dict[str, Any]]) -> Dict[str, Any]:
+    def stage(name: str, title: str, work: Callable[[Any, Progress], Dict[str, Any]], own: Any) -> Dict[str, Any]:
         nonlocal begin
         start = time.monotonic()
         part = Part(progress, begin, _SHARES[name], title)
         part.step(0.0, "begins")
-        result = work(part)
+        result = work(own, part)
         begin, seconds[name] = _SHARES[name], round(time.monotonic() - start, 3)
         return result
 
-    first = stage("epmfit", "Pinhole cameras", lambda p: epmfit.run(options.fit_options(), p))
-    middle = Scene.load(fitted).frame
-    datum.require(middle.lon, middle.lat)
-    surface = options.dem if options.model == "terrain" else None
-    # Without a DEM the surface is that of the coarse level, which needs the pointing: the next stage refines on it.
-    own = options.model == "terrain" and not surface
-    stage(
-        "refine",
-        "Refinement",
-        lambda p: refine.run(
-            RefineOptions(
-                fitted, refined, "polynomial" if own else options.model, surface, options.order, write_images=False
-            ),
-            p,
-        ),
-    )
-    heights = stage(
-        "reconstruct",
-        "Reconstruction",
-        lambda p: reconstruct.run(
-            ReconstructOptions(
-                refined,
-                scene_path,
-                options.backend,
-                options.gcps,
-                options.gcp_datum,
-                options.pointing,
-                options.tie_points,
-                workers=options.workers,
-                adjustment=options.adjustment,
-                memory=options.memory,
-                geometric=options.geometric,
-                colmap_fusion=options.colmap_fusion,
-                window_radius=options.window_radius,
-                gpu_memory=options.gpu_memory,
-                own_surface=own,
-            ),
-            p,
-        ),
-    )
-    fused = stage(
-        "dsmfuse",
-        "Fusion",
-        lambda p: dsmfuse.run(
-            DsmFuseOptions(
-                scene_path,
-                options.output,
-                options.resolution,
-                options.crs,
-                options.method,
-                options.fill,
-                options.outlier_radius,
-                options.confidence,
-                options.ortho,
-                options.cloud,
-                options.workers,
-                options.vertical_datum,
-                options.memory,
-                options.ept,
-                options.mesh,
-                options.mesh_vertices,
-                options.view_heights,
-            ),
-            p,
-        ),
-    )
-    report_path = options.report or str(folder / "report.html")
+    first = stage("epmfit", "Pinhole cameras", epmfit.run, options.fit)
+    middle = Scene.load(first["scene"]).frame
+    HeightDatum.of(options.fuse.vertical_datum).require(middle.lon, middle.lat)
+    stage("refine", "Refinement", refine.run, options.refine)
+    heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
+    fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
+    scene_path = options.reconstruct.output_scene
+    report_path = options.report or str(Path(options.fit.workspace) / "report.html")
     products = {
         **fused,
         "scene": scene_path,
@@ -144,3 +67,18 @@ def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
         "n_tie_points": heights["n_tie_points"],
         "seconds": seconds,
     }
+
+
+def _check_early(options: PipelineOptions) -> None:
+    """What can be refused is refused before hours of matching."""
+    fit, fuse = options.fit, options.fuse
+    require(options.reconstruct.backend)
+    ensure_folder(fit.workspace)
+    for path in (fuse.output, fuse.confidence, fuse.ortho, fuse.cloud, fuse.ept, fuse.mesh, options.report):
+        if path:
+            ensure_folder(str(Path(path).parent))
+    if fuse.ept:
+        require_ept_place(fuse.ept)
+    if options.reconstruct.gcps:
+        read_gcps(options.reconstruct.gcps, load_views(fit.images, fit.rpcs), options.reconstruct.gcp_datum)
+    HeightDatum.of(fuse.vertical_datum)

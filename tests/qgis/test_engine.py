@@ -268,7 +268,7 @@ def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch)
 def test_light_stages_turn_errors_into_sentences(plugin, feedback, tmp_path):
     from repm.processing_provider import engine
 
-    with pytest.raises(QgsProcessingException, match="TILE_SIZE is 3: it must lie between"):
+    with pytest.raises(QgsProcessingException, match="TILE_SIZE is 3: it must be a whole number between"):
         engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w", "tile_size": 3}, feedback)
     with pytest.raises(TypeError):  # a bug keeps its traceback
         engine.run_here("epmfit", {"images": 5, "workspace": "w"}, feedback)

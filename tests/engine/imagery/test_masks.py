@@ -91,7 +91,7 @@ def test_a_mask_that_does_not_fit_is_named(urban, tmp_path):
     with pytest.raises(ImageError, match="gone.tif': it does not exist"):
         load_views(urban.images[:2], (), ("", str(tmp_path / "gone.tif")))
     with pytest.raises(OptionError, match="MASKS is .*one for each of IMAGES"):
-        EpmFitOptions(tuple(urban.images[:2]), "w", masks=("a.tif",))
+        EpmFitOptions(images=tuple(urban.images[:2]), workspace="w", masks=("a.tif",))
     every = raster(tmp_path / "every.tif", np.ones((400, 400), np.uint8))
     with pytest.raises(ImageError, match="only nodata in band 1: choose another image, band or mask"):
         view_stretch(urban.images[0], 1, every)

@@ -465,8 +465,10 @@ def test_views_take_the_files_in_the_images_order(tmp_path, pair):
 )
 def test_options_check_the_files(rpcs, words):
     for make in (
-        lambda: EpmFitOptions(("a.tif", "b.tif"), "ws", rpcs=rpcs),
-        lambda: PipelineOptions(("a.tif", "b.tif"), "ws", "dsm.tif", rpcs=rpcs),
+        lambda: EpmFitOptions(images=("a.tif", "b.tif"), workspace="ws", rpcs=rpcs),
+        lambda: PipelineOptions.from_json(
+            {"images": ["a.tif", "b.tif"], "workspace": "ws", "output": "dsm.tif", "rpcs": rpcs}
+        ),
     ):
         with pytest.raises(OptionError, match=words) as caught:
             make()
@@ -477,15 +479,15 @@ def test_options_carry_the_files_on():
     options = PipelineOptions.from_json(
         {"images": ["a.tif", "b.tif"], "workspace": "ws", "output": "dsm.tif", "rpcs": ["", "b.rpc"]}
     )
-    assert options.fit_options().rpcs == ("", "b.rpc")
+    assert options.fit.rpcs == ("", "b.rpc")
 
 
 def test_a_changed_rpc_file_makes_a_new_key(tmp_path, pair):
     """Cameras are fitted anew when an RPC file changes, named in RPCS or found beside the image."""
     images, rpc = pair
     named = written(tmp_path, key_value(rpc), "named.txt")
-    options = EpmFitOptions(images, str(tmp_path), rpcs=(named, ""))
-    keys = [_key(options), _key(options), _key(EpmFitOptions(images, str(tmp_path)))]
+    options = EpmFitOptions(images=images, workspace=str(tmp_path), rpcs=(named, ""))
+    keys = [_key(options), _key(options), _key(EpmFitOptions(images=images, workspace=str(tmp_path)))]
     written(tmp_path, rpb(rpc), "b.RPB")
     keys.append(_key(options))
     shutil.copy(written(tmp_path, key_value(rpc.shifted(1, 0)), "x.txt"), named)

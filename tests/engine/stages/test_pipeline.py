@@ -442,11 +442,13 @@ def test_a_missing_geoid_stops_the_run_before_the_work(urban, tmp_path, told):
     ),
 )
 def test_adjustments_that_cannot_be_fail_at_once(wrong, words):
+    files = {"images": ["a.tif", "b.tif"], "workspace": "w", "output": "dsm.tif"}
     with pytest.raises(OptionError) as caught:
-        PipelineOptions(("a.tif", "b.tif"), "w", "dsm.tif", **wrong)
+        PipelineOptions.from_json({**files, **wrong})
     text = str(caught.value)
     assert words in text and text.endswith(".") and "\n" not in text
-    assert PipelineOptions(("a.tif", "b.tif"), "w", "dsm.tif", adjustment="colmap", pointing="shift").gcps is None
+    made = PipelineOptions.from_json({**files, "adjustment": "colmap", "pointing": "shift"})
+    assert made.reconstruct.adjustment == "colmap" and made.reconstruct.gcps is None
 
 
 def test_the_pipeline_hands_the_adjustment_on(urban, told, tmp_path, monkeypatch):
