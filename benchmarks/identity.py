@@ -222,6 +222,7 @@ def _report(path: Path, work: str) -> bytes:
     text = path.read_text(encoding="utf-8").replace(work, "")
     text = text.replace("&#39;", "&#x27;").replace("&#34;", "&quot;")  # jinja2's and html's spelling of one character
     text = re.sub(r"<(style|footer|nav|head|pre)\b.*?</\1>", "", text, flags=re.S)
+    text = re.sub(r"<tr><td>DSM of each pair alone</td>.*?</tr>", "", text, flags=re.S)  # a row that once was missing
     text = re.split(r"<h2[^>]*>What was done", text)[0]
     pictures = re.findall(r'src="data:[^"]*"', text)
     cells = [re.sub("<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>.*?</td>", text, flags=re.S)]

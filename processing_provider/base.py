@@ -22,8 +22,10 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
+from ..repm_qgis.products import products_of
 from . import engine, settings, styles
 from .helptext import to_html
+from .parameters import tr
 from .values import checked_value, destination, input_options, is_empty, raster_items
 
 PLUGIN_FOLDER = engine.PLUGIN_FOLDER
@@ -61,7 +63,6 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     TAGS = ""
     HEAVY = True  # in a process of its own
     USES_WORKERS = False
-    LAYERS: dict[str, tuple[str, str]] = {}  # output: (name on the map, style)
 
     def name(self) -> str:
         return self.ID
@@ -244,17 +245,12 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if made.get(output.name().lower()) is not None
         }
         scene = self._scene_name(options)
-        for name, (title, style) in self.LAYERS.items():
-            if outputs.get(name):
-                styles.dress(
-                    context,
-                    feedback,
-                    kept_as.get(name, ""),
-                    outputs[name],
-                    self._layer_name(title, scene, result),
-                    style,
-                    scene,
-                )
+        for product in products_of(self.ID):
+            name = product.option.upper()
+            if product.style and outputs.get(name):
+                title = self._layer_name(product.layer or product.title, scene, result)
+                kept = kept_as.get(name, "")
+                styles.style_layer(context, feedback, kept, outputs[name], title, product.style, scene)
         if isinstance(result.get("seconds"), dict):
             feedback.pushInfo(
                 self.tr("Seconds: {stages}").format(
@@ -289,7 +285,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
 
     def _layer_name(self, title: str, scene: str, result: Mapping[str, Any]) -> str:
         """The kind of layer, the scene it is of, and a DSM's datum."""
-        words = [self.tr(title), *([scene] if scene else [])]
+        words = [tr(title), *([scene] if scene else [])]
         if title == "DSM" and result.get("vertical_datum"):
             words.append(f"({result['vertical_datum']})")
         return " ".join(words)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from qgis.core import (
-    QgsProcessing,
     QgsProcessingOutputNumber,
     QgsProcessingParameterFile,
-    QgsProcessingParameterVectorDestination,
 )
 
 from . import parameters
@@ -20,7 +18,6 @@ class CheckGcps(RepmAlgorithm):
     GROUP = "evaluation"
     TAGS = "GCP,ground control,check points,accuracy,RMSE,localisation,georeferencing"
     HEAVY = False
-    LAYERS = {"OUTPUT": ("Ground control points", "gcps")}
 
     def displayName(self) -> str:
         return self.tr("Check against ground control points")
@@ -46,10 +43,7 @@ class CheckGcps(RepmAlgorithm):
             ),
             parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
             parameters.gcp_datum(),
-            QgsProcessingParameterVectorDestination(
-                "OUTPUT", self.tr("Points with their errors"), QgsProcessing.SourceType.TypeVectorPoint
-            ),
-            parameters.report(),
+            *(parameters.product(self.ID, name) for name in ("output", "report")),
         ]
 
     def extra_outputs(self) -> list:

@@ -7,25 +7,25 @@ import os
 import shutil
 from typing import Any, Iterator, Mapping
 
-_FOLDERS = ("workspace", "folder", "heights", "view_heights")
-_FILES_WITH_COMPANY = ("output_scene", "scene")  # products, and what fusion keeps, lie in the scene's folder
-_FILES = ("output", "confidence", "ortho", "cloud", "tiles", "tie_points", "error", "report", "mesh")
-_NEW_FOLDERS = ("ept",)  # built under another name
+from ..repm_qgis.products import BUILT_FOLDER, FOLDER, SCENE, forms
+
 _MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
 
 
 def _patterns(options: Mapping[str, Any]) -> Iterator[str]:
+    known = forms()
     for name, value in options.items():
-        if not value or not isinstance(value, str):
+        form = known.get(name)
+        if not form or not value or not isinstance(value, str):
             continue
-        if name in _FOLDERS:
+        if form == FOLDER:
             yield os.path.join(glob.escape(value), "**", _MARK)
-        elif name in _FILES_WITH_COMPANY:
+        elif form == SCENE:  # products, and what fusion keeps, lie in the scene's folder
             yield os.path.join(glob.escape(os.path.dirname(value)), "**", _MARK)
-        elif name in _FILES:
-            yield _beside(value, os.path.splitext(os.path.basename(value))[0])
-        elif name in _NEW_FOLDERS:
+        elif form == BUILT_FOLDER:
             yield _beside(value, os.path.basename(value))
+        else:
+            yield _beside(value, os.path.splitext(os.path.basename(value))[0])
 
 
 def _beside(path: str, stem: str) -> str:

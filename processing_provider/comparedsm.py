@@ -8,7 +8,6 @@ from typing import Any
 from qgis.core import (
     QgsProcessing,
     QgsProcessingOutputNumber,
-    QgsProcessingParameterRasterDestination,
     QgsProcessingParameterString,
 )
 
@@ -32,7 +31,6 @@ class CompareDsm(RepmAlgorithm):
     GROUP = "evaluation"
     TAGS = "accuracy,RMSE,NMAD,completeness,co-registration,Nuth,LiDAR"
     HEAVY = False
-    LAYERS = {"ERROR": ("Height error", "dsm_error")}
 
     def displayName(self) -> str:
         return self.tr("Compare a DSM with a reference")
@@ -88,8 +86,7 @@ class CompareDsm(RepmAlgorithm):
                     "Lines to show the heights along, named by their field 'name'. Empty: twice through the middle."
                 ),
             ),
-            QgsProcessingParameterRasterDestination("ERROR", self.tr("Height error"), optional=True),
-            parameters.report(),
+            *(parameters.product(self.ID, name) for name in ("error", "report")),
         ]
 
     def extra_outputs(self) -> list:

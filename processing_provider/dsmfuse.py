@@ -15,13 +15,6 @@ class DsmFuse(RepmAlgorithm):
     GROUP = "surface"
     TAGS = "fusion,gridding,outliers,point cloud,orthophoto,surface model"
     USES_WORKERS = True
-    LAYERS = {
-        "OUTPUT": ("DSM", "dsm"),
-        "CONFIDENCE": ("Confidence", "confidence"),
-        "ORTHO": ("Orthophoto", "ortho"),
-        "EPT": ("Point cloud", "ept"),
-        "MESH": ("Mesh", "mesh"),
-    }
 
     def displayName(self) -> str:
         return self.tr("Fuse heights into a DSM")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Mapping
 
-from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback, QgsProcessingParameterFileDestination
+from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback
 
 from . import engine, parameters
 from .base import RepmAlgorithm
@@ -24,7 +24,7 @@ class Environment(RepmAlgorithm):
         return self.tr("Versions, missing packages with the command that installs them, CUDA, memory, PROJ grids.")
 
     def parameters(self) -> list:
-        return [QgsProcessingParameterFileDestination("REPORT", self.tr("Report"), parameters.HTML_FILTER)]
+        return [parameters.product(self.ID, "report")]
 
     def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
         """In the engine's interpreter, which is the one that matters; in QGIS's where that one does not run."""

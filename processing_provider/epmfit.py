@@ -15,7 +15,6 @@ class EpmFit(RepmAlgorithm):
     GROUP = "cameras"
     TAGS = "EPM,DLT,camera model,equivalent error,tiles"
     HEAVY = False
-    LAYERS = {"TILES": ("Tiles", "tiles")}
 
     def displayName(self) -> str:
         return self.tr("Fit equivalent pinhole cameras")
@@ -32,9 +31,7 @@ class EpmFit(RepmAlgorithm):
             parameters.masks(),
             *parameters.altitudes(),
             *parameters.tiles_and_budget(),
-            parameters.workspace(),
-            parameters.tiles(),
-            parameters.report(),
+            *(parameters.product(self.ID, name) for name in ("workspace", "tiles", "report")),
         ]
 
     def extra_outputs(self) -> list:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputNumber, QgsProcessingParameterRasterDestination, QgsProcessingParameterString
+from qgis.core import QgsProcessingOutputNumber, QgsProcessingParameterString
 
 from ..repm_qgis.options import ErrorMapOptions
 from . import parameters
@@ -16,7 +16,6 @@ class ErrorMap(RepmAlgorithm):
     GROUP = "cameras"
     TAGS = "EPM,equivalent error,accuracy"
     HEAVY = False
-    LAYERS = {"OUTPUT": ("Equivalent error", "error")}
 
     def displayName(self) -> str:
         return self.tr("Map the equivalent error")
@@ -37,8 +36,7 @@ class ErrorMap(RepmAlgorithm):
                 self.tr("Altitude (m, empty: the middle of the scene's range)"),
                 self.tr("Metres above the WGS 84 ellipsoid."),
             ),
-            QgsProcessingParameterRasterDestination("OUTPUT", self.tr("Equivalent error")),
-            parameters.report(),
+            *(parameters.product(self.ID, name) for name in ("output", "report")),
         ]
 
     def extra_outputs(self) -> list:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from qgis.core import (
     QgsProcessingOutputNumber,
-    QgsProcessingParameterFolderDestination,
     QgsProcessingParameterString,
 )
 
@@ -66,7 +65,7 @@ class ExportCameras(RepmAlgorithm):
                 )
             ),
             parameters.advanced(parameters.kernel()),
-            QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder")),
+            parameters.product(self.ID, "folder"),
         ]
 
     def extra_outputs(self) -> list:

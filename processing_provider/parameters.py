@@ -24,10 +24,10 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
+from ..repm_qgis import products
 from ..repm_qgis.options import DsmFuseOptions, EpmFitOptions, Number, Options, ReconstructOptions, RefineOptions
 
-SCENE_FILTER = "REPM scene (*.json)"
-HTML_FILTER = "HTML (*.html)"
+SCENE_FILTER = products.SCENES
 
 
 def tr(text: str) -> str:
@@ -453,54 +453,27 @@ def scene(label: Optional[str] = None) -> QgsProcessingParameterDefinition:
     )
 
 
-def output_scene() -> QgsProcessingParameterDefinition:
-    return helped(
-        QgsProcessingParameterFileDestination("OUTPUT_SCENE", tr("Scene after this stage"), SCENE_FILTER),
-        tr("What this stage makes is kept in this file's folder."),
-    )
-
-
-def workspace() -> QgsProcessingParameterDefinition:
-    return helped(
-        QgsProcessingParameterFolderDestination("WORKSPACE", tr("Workspace")),
-        tr("A folder for the scene and all between; a second run there goes on where the first stopped."),
-    )
-
-
-def report() -> QgsProcessingParameterDefinition:
-    return QgsProcessingParameterFileDestination("REPORT", tr("Report"), HTML_FILTER, optional=True)
-
-
-def tiles() -> QgsProcessingParameterDefinition:
-    return QgsProcessingParameterVectorDestination(
-        "TILES", tr("Tiles"), QgsProcessing.SourceType.TypeVectorPolygon, optional=True
-    )
-
-
-def tie_points() -> QgsProcessingParameterDefinition:
-    return QgsProcessingParameterVectorDestination(
-        "TIE_POINTS", tr("Tie points"), QgsProcessing.SourceType.TypeVectorPoint, optional=True
-    )
+def product(stage: str, option: str) -> QgsProcessingParameterDefinition:
+    """Where a product goes."""
+    return _destination(products.product(stage, option))
 
 
 def dsm_products() -> list[QgsProcessingParameterDefinition]:
     """The DSM, and what may come with it."""
-    extra: dict[str, Any] = {"optional": True, "createByDefault": False}
-    return [
-        QgsProcessingParameterRasterDestination("OUTPUT", tr("DSM")),
-        QgsProcessingParameterRasterDestination("CONFIDENCE", tr("Confidence"), **extra),
-        QgsProcessingParameterRasterDestination("ORTHO", tr("Orthophoto"), **extra),
-        QgsProcessingParameterFileDestination("CLOUD", tr("Point cloud"), "LAZ (*.laz);;LAS (*.las)", **extra),
-        helped(
-            QgsProcessingParameterFolderDestination("EPT", tr("Point cloud for display (EPT)"), **extra),
-            tr("A folder of its own with the points as Entwine point tiles, which every QGIS shows."),
-        ),
-        QgsProcessingParameterFileDestination("MESH", tr("Mesh"), "PLY (*.ply)", **extra),
-        helped(
-            QgsProcessingParameterFolderDestination("VIEW_HEIGHTS", tr("DSM of each pair alone"), **extra),
-            tr(
-                "A folder for the surface that each pair of images sees by itself, with its confidence: to see "
-                "which pair an error comes from."
-            ),
-        ),
-    ]
+    return [_destination(each) for each in products.products_of("dsmfuse")]
+
+
+def _destination(each: products.Product) -> QgsProcessingParameterDefinition:
+    name, label = each.option.upper(), tr(each.title)
+    more = {"optional": each.wanted != products.ALWAYS, "createByDefault": each.wanted != products.ON_REQUEST}
+    types = QgsProcessing.SourceType
+    if each.form == products.RASTER:
+        made: QgsProcessingParameterDefinition = QgsProcessingParameterRasterDestination(name, label, **more)
+    elif each.form in (products.POINTS, products.POLYGONS):
+        kind = types.TypeVectorPoint if each.form == products.POINTS else types.TypeVectorPolygon
+        made = QgsProcessingParameterVectorDestination(name, label, kind, **more)
+    elif each.form in (products.FOLDER, products.BUILT_FOLDER):
+        made = QgsProcessingParameterFolderDestination(name, label, **more)
+    else:
+        made = QgsProcessingParameterFileDestination(name, label, each.filter, **more)
+    return helped(made, tr(each.help)) if each.help else made

@@ -18,15 +18,6 @@ class Pipeline(RepmAlgorithm):
     GROUP = "whole"
     TAGS = "SfM,MVS,GCP,ground control,surface model,point cloud,orthophoto,REPM,tri-stereo"
     USES_WORKERS = True
-    LAYERS = {
-        "OUTPUT": ("DSM", "dsm"),
-        "CONFIDENCE": ("Confidence", "confidence"),
-        "ORTHO": ("Orthophoto", "ortho"),
-        "EPT": ("Point cloud", "ept"),
-        "MESH": ("Mesh", "mesh"),
-        "TILES": ("Tiles", "tiles"),
-        "TIE_POINTS": ("Tie points", "tie_points"),
-    }
 
     def displayName(self) -> str:
         return self.tr("Make a DSM from satellite images")
@@ -57,10 +48,7 @@ class Pipeline(RepmAlgorithm):
             *parameters.patch_match(),
             *parameters.fusion(),
             dsm,
-            parameters.workspace(),
-            parameters.report(),
-            parameters.tiles(),
-            parameters.tie_points(),
+            *(parameters.product(self.ID, name) for name in ("workspace", "report", "tiles", "tie_points")),
             *extras,
         ]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputHtml, QgsProcessingOutputNumber, QgsProcessingParameterFolderDestination
+from qgis.core import QgsProcessingOutputHtml, QgsProcessingOutputNumber
 
 from . import parameters
 from .base import RepmAlgorithm
@@ -18,7 +18,6 @@ class Reconstruct(RepmAlgorithm):
         "PatchMatch,CUDA,GPU"
     )
     USES_WORKERS = True
-    LAYERS = {"TIE_POINTS": ("Tie points", "tie_points")}
 
     def displayName(self) -> str:
         return self.tr("Reconstruct heights")
@@ -27,9 +26,6 @@ class Reconstruct(RepmAlgorithm):
         return self.tr("Tie points and relative pointing of the views, then a height map of every pair and tile.")
 
     def parameters(self) -> list:
-        heights = QgsProcessingParameterFolderDestination(
-            "HEIGHTS", self.tr("Height maps (skipped: beside the scene)"), optional=True, createByDefault=False
-        )
         return [
             parameters.scene(),
             parameters.backend(),
@@ -38,9 +34,7 @@ class Reconstruct(RepmAlgorithm):
             parameters.pointing(),
             parameters.adjustment(),
             *parameters.patch_match(),
-            parameters.output_scene(),
-            parameters.tie_points(),
-            heights,
+            *(parameters.product(self.ID, name) for name in ("output_scene", "tie_points", "heights")),
         ]
 
     def extra_outputs(self) -> list:

@@ -28,8 +28,7 @@ class Refine(RepmAlgorithm):
             parameters.surface(),
             parameters.advanced(parameters.order()),
             parameters.advanced(parameters.kernel()),
-            parameters.output_scene(),
-            parameters.report(),
+            *(parameters.product(self.ID, name) for name in ("output_scene", "report")),
         ]
 
     def extra_outputs(self) -> list:

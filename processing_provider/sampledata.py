@@ -6,7 +6,6 @@ from qgis.core import (
     QgsProcessingOutputMultipleLayers,
     QgsProcessingOutputRasterLayer,
     QgsProcessingOutputVectorLayer,
-    QgsProcessingParameterFolderDestination,
 )
 
 from ..repm_qgis.options import SampleDataOptions
@@ -20,7 +19,6 @@ class SampleData(RepmAlgorithm):
     ID = "sampledata"
     GROUP = "tools"
     TAGS = "simulation,truth,example,tutorial,pushbroom,GCP"
-    LAYERS = {"TRUTH": ("True DSM", "dsm")}
 
     def displayName(self) -> str:
         return self.tr("Make sample images")
@@ -35,7 +33,7 @@ class SampleData(RepmAlgorithm):
             parameters.number(
                 SampleDataOptions, "seed", self.tr("Seed"), self.tr("The same seed makes the same files.")
             ),
-            QgsProcessingParameterFolderDestination("FOLDER", self.tr("Folder")),
+            parameters.product(self.ID, "folder"),
         ]
 
     def extra_outputs(self) -> list:

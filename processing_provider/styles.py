@@ -19,23 +19,11 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
+from ..repm_qgis.products import STYLES
 from .engine import PLUGIN_FOLDER
 
-FROM_TOP = (
-    "gcps",
-    "tie_points",
-    "tiles",
-    "error",
-    "dsm_error",
-    "ept",
-    "ortho",
-    "confidence",
-    "mesh",
-    "hillshade",
-    "dsm",
-)
-"""Kinds of layers of a scene from top to bottom: nothing hides what is to be looked at first."""
-_LOOKED_AT_LATER = ("ept", "ortho", "confidence", "mesh")  # above the DSM, and switched off: switched on, they show
+_FROM_TOP = [style.kind for style in STYLES]
+_OFF = [style.kind for style in STYLES if style.off]
 _ORDER = "repm/order"
 
 
@@ -43,25 +31,25 @@ def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmStyles", text)
 
 
-class Dresser(QgsProcessingLayerPostProcessorInterface):
+class LayerStyler(QgsProcessingLayerPostProcessorInterface):
     """Styles a result once QGIS has put it on the map, and puts it in its place among those of its scene.
 
     Processing does not look for styles beside its results, and loads them in no order of ours.
     """
 
-    _alive: list[Dresser] = []  # QGIS does not own post-processors: without a reference Python would drop them
+    _alive: list[LayerStyler] = []  # QGIS does not own post-processors: without a reference Python would drop them
 
     def __init__(self, style: str, kind: str, group: str) -> None:
         super().__init__()
         self._style, self._kind, self._group = style, kind, group
 
     @classmethod
-    def make(cls, style: str, kind: str, group: str) -> Dresser:
+    def make(cls, style: str, kind: str, group: str) -> LayerStyler:
         """``group`` is the scene's name; "" where it has none."""
-        dresser = cls(style, kind, group)
-        cls._alive.append(dresser)
+        styler = cls(style, kind, group)
+        cls._alive.append(styler)
         del cls._alive[:-256]
-        return dresser
+        return styler
 
     def postProcessLayer(
         self, layer: QgsMapLayer, context: QgsProcessingContext, feedback: QgsProcessingFeedback
@@ -88,7 +76,7 @@ def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, gro
     hillshade.setCrs(layer.crs())
     project.addMapLayer(hillshade, False)
     above = node.parent().insertLayer(node.parent().children().index(node), hillshade)
-    above.setCustomProperty(_ORDER, FROM_TOP.index("hillshade"))
+    above.setCustomProperty(_ORDER, _FROM_TOP.index("hillshade"))
     above.setExpanded(False)
 
 
@@ -96,11 +84,11 @@ def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> QgsLayerTreeLayer:
     """Move a layer into its scene's group (QGIS before 3.32 knows none), to its place from the top; gives its node."""
     parent = node.parent()
     group = _group(parent, name) if name else parent
-    order = FROM_TOP.index(kind)
+    order = _FROM_TOP.index(kind)
     copy = node.clone()
     copy.setCustomProperty(_ORDER, order)
-    copy.setItemVisibilityChecked(kind not in _LOOKED_AT_LATER)
-    copy.setExpanded(node.isExpanded() and kind not in _LOOKED_AT_LATER)
+    copy.setItemVisibilityChecked(kind not in _OFF)
+    copy.setExpanded(node.isExpanded() and kind not in _OFF)
     group.insertChildNode(_index(group, node, order), copy)
     parent.removeChildNode(node)
     return copy
@@ -145,7 +133,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
     return beside
 
 
-def dress(
+def style_layer(
     context: QgsProcessingContext,
     feedback: QgsProcessingFeedback,
     kept_as: str,
@@ -172,8 +160,8 @@ def dress(
         if group and hasattr(details, "groupName"):  # QGIS 3.32
             details.groupName = group
         if hasattr(details, "layerSortKey"):
-            details.layerSortKey = -FROM_TOP.index(kind)
-        details.setPostProcessor(Dresser.make(style, kind, group))
+            details.layerSortKey = -_FROM_TOP.index(kind)
+        details.setPostProcessor(LayerStyler.make(style, kind, group))
 
 
 def _load_too(context: QgsProcessingContext, path: str, kind: str) -> str:

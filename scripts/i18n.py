@@ -2,7 +2,7 @@
 """Bring i18n/*.ts up to date with the source, and compile them ('make i18n'): ``scripts/i18n.py [LANGUAGE ...]``.
 
 Texts are found in the syntax tree: self.tr("...") in a class, tr("...") and _tr("...") of a module, and the names of
-groups and layers. Translations are kept as long as their text is in the source. A new language starts empty.
+groups and products. Translations are kept as long as their text is in the source. A new language starts empty.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "processing_provider"
 BASE = "RepmAlgorithm"  # the context of texts that all algorithms share; base.py looks there second
 MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings", "styles.py": "RepmStyles"}
+PRODUCTS = ROOT / "repm_qgis" / "products.py"
+MODULES[PRODUCTS.name] = MODULES["parameters.py"]  # which shows the products' titles
 
 
 def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
@@ -43,9 +45,10 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
             if isinstance(target, ast.Name) and target.id == "GROUPS":
                 for value in node.value.values:
                     add(BASE, value)
-            if isinstance(target, ast.Name) and target.id == "LAYERS":
-                for value in getattr(node.value, "values", []):
-                    add(BASE, value.elts[0])
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Product":
+            for keyword in node.keywords:
+                if keyword.arg in ("title", "layer", "help"):
+                    add(MODULES[path.name], keyword.value)
         for child in ast.iter_child_nodes(node):
             walk(child, context)
 
@@ -55,7 +58,7 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
 
 def source() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for path in sorted(FOLDER.glob("*.py")):
+    for path in (*sorted(FOLDER.glob("*.py")), PRODUCTS):
         for context, texts in texts_of(path).items():
             known = found.setdefault(context, [])
             known += [text for text in texts if text not in known]

@@ -15,6 +15,7 @@ from ..environment import PACKAGES, version_of
 from ..geometry.footprints import footprint
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.raster import opened
+from ..products import forms, products_of
 from ..progress import counted
 from ..records import FusionFacts
 from ..scene import Scene, View
@@ -24,35 +25,8 @@ from .error_study import add_error_study
 from .geometry_section import add_geometry
 from .report import Report, fixed
 
-_PRODUCTS = (
-    ("output", "DSM"),
-    ("confidence", "Confidence"),
-    ("ortho", "Orthophoto"),
-    ("cloud", "Point cloud"),
-    ("ept", "Point cloud for display (EPT)"),
-    ("mesh", "Mesh"),
-    ("tiles", "Tiles with their errors"),
-    ("tie_points", "Tie points"),
-    ("scene", "Scene, for the next stage"),
-)
 _TILES_LAYER = "The TILES layer has them all."
-_WHERE_IT_RUNS = frozenset(
-    (
-        "workspace",
-        "scene",
-        "output_scene",
-        "output",
-        "report",
-        "tiles",
-        "tie_points",
-        "heights",
-        "confidence",
-        "ortho",
-        "cloud",
-        "ept",
-        "mesh",
-    )
-)
+_WHERE_IT_RUNS = frozenset(forms())  # options that name files and folders to write
 
 
 def fit_report(scene: Scene) -> Report:
@@ -123,9 +97,12 @@ def pipeline_report(
     _errors(report, scene)
     _reconstruction(report, scene)
     _confidence(report, products.get("confidence"))
+    made = sorted(products_of("pipeline"), key=lambda product: product.stage != "dsmfuse")
+    files = [(each.title, products.get(each.option)) for each in made if each.style or each.stage == "dsmfuse"]
+    files.append(("Scene, for the next stage", products["scene"]))
     report.section("Files").table(
         "product | file",
-        [[title, str(products[name])] for name, title in _PRODUCTS if products.get(name)],
+        [[title, str(path)] for title, path in files if path],
         "To measure the DSM's accuracy, compare it with a reference: 'Compare a DSM with a reference' "
         "(repm:comparedsm).",
     )

@@ -29,19 +29,12 @@ import numpy as np
 from ..arrays import FloatImage
 from ..errors import OptionError
 from ..imagery.raster import opened
+from ..products import STYLES
 from ..workspace import write_text
 from .pictures import RAMPS, percentile_range, preview, rgb
 from .templates import RESOURCES
 
-_RAMP_OF = {
-    "dsm": "elevation",
-    "error": "viridis",
-    "dsm_error": "diverging",
-    "confidence": "viridis",
-    "ortho": "grey",
-    "ept": "elevation",
-    "mesh": "elevation",
-}
+_RAMP_OF = {style.kind: style.ramp for style in STYLES if style.ramp}
 _SAMPLE_PX = 1200
 
 

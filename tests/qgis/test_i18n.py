@@ -40,7 +40,8 @@ def test_a_german_qgis_shows_german(german, context):
     assert algorithm.parameterDefinition("IMAGES").description() == "Satellitenbilder mit RPC"
     model = QgsApplication.processingRegistry().algorithmById("repm:dsm_by_stages")
     assert (model.group(), model.groupId()) == (algorithm.group(), algorithm.groupId())
-    assert algorithm.checkParameterValues({"MODEL": "x"}, context)[1].startswith("IMAGES nennt 0 Bild(er)")
+    said = algorithm.checkParameterValues({"DEM": "gone.tif"}, context)[1]
+    assert said == "DEM „gone.tif“ ist nicht da: den Pfad prüfen."
 
 
 def test_without_a_translation_the_source_is_shown(plugin):

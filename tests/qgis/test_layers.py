@@ -165,7 +165,7 @@ def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedbac
 
 def test_groups_that_are_there_are_used_and_others_left(plugin, feedback):
     from qgis.core import QgsRasterLayer, QgsVectorLayer
-    from repm.processing_provider.styles import Dresser
+    from repm.processing_provider.styles import LayerStyler
 
     project = QgsProject()
     context = QgsProcessingContext()
@@ -175,7 +175,7 @@ def test_groups_that_are_there_are_used_and_others_left(plugin, feedback):
     def arrive(name, kind, group):
         layer = QgsVectorLayer("Point", name, "memory")
         project.addMapLayer(layer)
-        Dresser.make("", kind, group).postProcessLayer(layer, context, feedback)
+        LayerStyler.make("", kind, group).postProcessLayer(layer, context, feedback)
 
     root.addGroup("mine")
     for name, kind in (
@@ -201,7 +201,7 @@ def test_groups_that_are_there_are_used_and_others_left(plugin, feedback):
     layer = QgsRasterLayer("", "confidence", "gdal")
     project.addMapLayer(layer, False)
     root.findGroup("town").insertLayer(0, layer)
-    Dresser.make("", "confidence", "town").postProcessLayer(layer, context, feedback)
+    LayerStyler.make("", "confidence", "town").postProcessLayer(layer, context, feedback)
     assert [name for name, _ in tree(root.findGroup("town"))] == [
         "ties",
         "tiles",
@@ -231,7 +231,7 @@ def test_newer_qgis_is_told_group_and_order(plugin, feedback, tmp_path):
     context = Context()
     for kept_as, kind in (("dsm", "dsm"), ("ties", "tie_points")):
         (tmp_path / f"{kept_as}.qml").touch()
-        styles.dress(context, feedback, kept_as, str(tmp_path / f"{kept_as}.gpkg"), kept_as.upper(), kind, "town")
+        styles.style_layer(context, feedback, kept_as, str(tmp_path / f"{kept_as}.gpkg"), kept_as.upper(), kind, "town")
     dsm, ties = context.details["dsm"], context.details["ties"]
     assert (dsm.name, dsm.groupName, ties.groupName) == ("DSM", "town", "town")
     assert ties.layerSortKey > dsm.layerSortKey  # greater is higher
@@ -242,7 +242,7 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
     context = QgsProcessingContext()
     for kind in ("ept", "mesh"):
-        styles.dress(context, feedback, "", str(tmp_path), "x", kind, "town")
+        styles.style_layer(context, feedback, "", str(tmp_path), "x", kind, "town")
     assert not context.layersToLoadOnCompletion()
     context.setProject(QgsProject.instance())
 
@@ -255,7 +255,7 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
     monkeypatch.setattr(styles, "QgsProviderRegistry", Registry())
     for kind in ("ept", "mesh"):
-        styles.dress(context, feedback, "", str(tmp_path / "m.ply"), "x", kind, "town")
+        styles.style_layer(context, feedback, "", str(tmp_path / "m.ply"), "x", kind, "town")
     assert list(context.layersToLoadOnCompletion()) == [str(tmp_path / "m.ply")]
 
 
