@@ -24,10 +24,6 @@
         <translation>DOM (für die Höhen an den Punkten)</translation>
     </message>
     <message>
-        <source>Points with their errors</source>
-        <translation>Punkte mit ihren Fehlern</translation>
-    </message>
-    <message>
         <source>RPC localisation</source>
         <translation>RPC-Lokalisierung</translation>
     </message>
@@ -46,10 +42,6 @@
     <message>
         <source>{figure} of heights by {source} (m)</source>
         <translation>{figure} der Höhen durch {source} (m)</translation>
-    </message>
-    <message>
-        <source>Neither SCENE nor DSM is given: there is nothing to check; give one of them, or both.</source>
-        <translation>Weder SCENE noch DSM ist angegeben: Es gibt nichts zu prüfen; geben Sie eines davon an, oder beide.</translation>
     </message>
 </context>
 <context>
@@ -111,10 +103,6 @@
         <translation>Linien, entlang derer die Höhen gezeigt werden, benannt nach ihrem Feld 'name'. Leer: zweimal durch die Mitte.</translation>
     </message>
     <message>
-        <source>Height error</source>
-        <translation>Höhenfehler</translation>
-    </message>
-    <message>
         <source>RMSE (m)</source>
         <translation>RMSE (m)</translation>
     </message>
@@ -133,10 +121,6 @@
     <message>
         <source>Completeness at the first threshold (%)</source>
         <translation>Vollständigkeit an der ersten Schwelle (%)</translation>
-    </message>
-    <message>
-        <source>THRESHOLDS is '{text}': give heights in metres such as '1; 2.5; 5'.</source>
-        <translation>THRESHOLDS ist „{text}“: Höhen in Metern angeben, etwa „1; 2.5; 5“.</translation>
     </message>
 </context>
 <context>
@@ -163,10 +147,6 @@
     <message>
         <source>Versions, missing packages with the command that installs them, CUDA, memory, PROJ grids.</source>
         <translation>Versionen, fehlende Pakete mit dem Befehl, der sie installiert, CUDA, Speicher, PROJ-Gitter.</translation>
-    </message>
-    <message>
-        <source>Report</source>
-        <translation>Bericht</translation>
     </message>
     <message>
         <source>QGIS {version}</source>
@@ -227,10 +207,6 @@
         <translation>Meter über dem Ellipsoid WGS 84.</translation>
     </message>
     <message>
-        <source>Equivalent error</source>
-        <translation>Äquivalenter Fehler</translation>
-    </message>
-    <message>
         <source>Equivalent error, RMSE (px)</source>
         <translation>Äquivalenter Fehler, RMSE (px)</translation>
     </message>
@@ -286,10 +262,6 @@
         <translation>8: PNG (JPEG für mvsnet), Helligkeit gestreckt wie für die Zuordnung; 16: TIFF mit den Werten der Bilder selbst, das weniger Programme lesen.</translation>
     </message>
     <message>
-        <source>Folder</source>
-        <translation>Ordner</translation>
-    </message>
-    <message>
         <source>Number of images</source>
         <translation>Anzahl der Bilder</translation>
     </message>
@@ -326,10 +298,6 @@
     <message>
         <source>Tie points and relative pointing of the views, then a height map of every pair and tile.</source>
         <translation>Verknüpfungspunkte und relative Ausrichtung der Ansichten, dann eine Höhenkarte je Paar und Kachel.</translation>
-    </message>
-    <message>
-        <source>Height maps (skipped: beside the scene)</source>
-        <translation>Höhenkarten (weggelassen: neben der Szene)</translation>
     </message>
     <message>
         <source>Report</source>
@@ -382,44 +350,8 @@
         <translation>4 Werkzeuge</translation>
     </message>
     <message>
-        <source>ALTITUDE_MIN ({low:g} m) must be below ALTITUDE_MAX ({high:g} m).</source>
-        <translation>ALTITUDE_MIN ({low:g} m) muss unter ALTITUDE_MAX ({high:g} m) liegen.</translation>
-    </message>
-    <message>
-        <source>POINTING is 'affine', but ADJUSTMENT 'colmap' moves principal points only: choose auto or shift, or ADJUSTMENT 'rpc'.</source>
-        <translation>POINTING ist 'affine', aber ADJUSTMENT 'colmap' verschiebt nur Bildhauptpunkte: auto oder shift wählen, oder ADJUSTMENT 'rpc'.</translation>
-    </message>
-    <message>
-        <source>ADJUSTMENT is 'colmap', which is relative and takes no GCPS: choose 'rpc', or leave GCPS empty.</source>
-        <translation>ADJUSTMENT ist 'colmap': das gleicht nur relativ aus und nimmt keine GCPS an; 'rpc' wählen oder GCPS leer lassen.</translation>
-    </message>
-    <message>
         <source>The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs.</source>
         <translation>Der Layer „{layer}“ in {name} kommt von „{provider}“: Rasterdateien wählen, nur sie haben RPC.</translation>
-    </message>
-    <message>
-        <source>{name} names {count} image(s): give at least two images of the same ground, one image has no heights.</source>
-        <translation>{name} nennt {count} Bild(er): mindestens zwei Bilder desselben Gebiets angeben, aus einem allein folgen keine Höhen.</translation>
-    </message>
-    <message>
-        <source>{name} is '{value}': choose one of {options}.</source>
-        <translation>{name} ist „{value}“: eines von {options} wählen.</translation>
-    </message>
-    <message>
-        <source>a whole number</source>
-        <translation>eine ganze Zahl</translation>
-    </message>
-    <message>
-        <source>a number</source>
-        <translation>eine Zahl</translation>
-    </message>
-    <message>
-        <source>{name} is '{value}': give {kind}.</source>
-        <translation>{name} ist „{value}“: {kind} angeben.</translation>
-    </message>
-    <message>
-        <source>{name} is {value}: it must lie between {low:g} and {high:g}.</source>
-        <translation>{name} ist {value}: der Wert muss zwischen {low:g} und {high:g} liegen.</translation>
     </message>
     <message>
         <source>BACKEND is '{name}', which {remedy}; or choose auto.</source>
@@ -448,50 +380,6 @@
     <message>
         <source>Seconds: {stages}</source>
         <translation>Sekunden: {stages}</translation>
-    </message>
-    <message>
-        <source>Ground control points</source>
-        <translation>Passpunkte</translation>
-    </message>
-    <message>
-        <source>Height error</source>
-        <translation>Höhenfehler</translation>
-    </message>
-    <message>
-        <source>DSM</source>
-        <translation>DOM</translation>
-    </message>
-    <message>
-        <source>Confidence</source>
-        <translation>Konfidenz</translation>
-    </message>
-    <message>
-        <source>Orthophoto</source>
-        <translation>Orthophoto</translation>
-    </message>
-    <message>
-        <source>Point cloud</source>
-        <translation>Punktwolke</translation>
-    </message>
-    <message>
-        <source>Mesh</source>
-        <translation>Netz</translation>
-    </message>
-    <message>
-        <source>Tiles</source>
-        <translation>Kacheln</translation>
-    </message>
-    <message>
-        <source>Equivalent error</source>
-        <translation>Äquivalenter Fehler</translation>
-    </message>
-    <message>
-        <source>Tie points</source>
-        <translation>Verknüpfungspunkte</translation>
-    </message>
-    <message>
-        <source>True DSM</source>
-        <translation>Wahres DOM</translation>
     </message>
 </context>
 <context>
@@ -733,6 +621,18 @@
         <translation>Die scene.json, die die Stufe davor geschrieben hat.</translation>
     </message>
     <message>
+        <source>Workspace</source>
+        <translation>Arbeitsordner</translation>
+    </message>
+    <message>
+        <source>A folder for the scene and everything in between; a second run there continues where the first stopped.</source>
+        <translation>Ein Ordner für die Szene und alle Zwischenergebnisse; ein zweiter Lauf macht dort weiter, wo der erste aufhörte.</translation>
+    </message>
+    <message>
+        <source>Tiles</source>
+        <translation>Kacheln</translation>
+    </message>
+    <message>
         <source>Scene after this stage</source>
         <translation>Szene nach dieser Stufe</translation>
     </message>
@@ -741,24 +641,12 @@
         <translation>Was diese Stufe erzeugt, liegt im Ordner dieser Datei.</translation>
     </message>
     <message>
-        <source>Workspace</source>
-        <translation>Arbeitsordner</translation>
-    </message>
-    <message>
-        <source>A folder for the scene and all between; a second run there goes on where the first stopped.</source>
-        <translation>Ein Ordner für die Szene und alles dazwischen; ein zweiter Lauf macht dort weiter, wo der erste aufhörte.</translation>
-    </message>
-    <message>
-        <source>Report</source>
-        <translation>Bericht</translation>
-    </message>
-    <message>
-        <source>Tiles</source>
-        <translation>Kacheln</translation>
-    </message>
-    <message>
         <source>Tie points</source>
         <translation>Verknüpfungspunkte</translation>
+    </message>
+    <message>
+        <source>Height maps (skipped: beside the scene)</source>
+        <translation>Höhenkarten (weggelassen: neben der Szene)</translation>
     </message>
     <message>
         <source>DSM</source>
@@ -795,6 +683,30 @@
     <message>
         <source>A folder for the surface that each pair of images sees by itself, with its confidence: to see which pair an error comes from.</source>
         <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich sieht, mit ihrer Güte: um zu sehen, von welchem Paar ein Fehler kommt.</translation>
+    </message>
+    <message>
+        <source>Equivalent error</source>
+        <translation>Äquivalenter Fehler</translation>
+    </message>
+    <message>
+        <source>Folder</source>
+        <translation>Ordner</translation>
+    </message>
+    <message>
+        <source>Height error</source>
+        <translation>Höhenfehler</translation>
+    </message>
+    <message>
+        <source>Points with their errors</source>
+        <translation>Punkte mit ihren Fehlern</translation>
+    </message>
+    <message>
+        <source>True DSM</source>
+        <translation>Wahres DOM</translation>
+    </message>
+    <message>
+        <source>Report</source>
+        <translation>Bericht</translation>
     </message>
 </context>
 <context>
@@ -851,10 +763,6 @@
     <message>
         <source>The same seed makes the same files.</source>
         <translation>Derselbe Startwert erzeugt dieselben Dateien.</translation>
-    </message>
-    <message>
-        <source>Folder</source>
-        <translation>Ordner</translation>
     </message>
     <message>
         <source>Images</source>
