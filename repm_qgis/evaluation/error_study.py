@@ -7,7 +7,8 @@ from typing import Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..arrays import Altitudes, FloatArray
-from ..geometry.equivalent_error import TILE_GRID, EquivalentError, fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import EquivalentError, fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.refinement import Terrain
 from ..scene import Scene, View
 from . import charts
@@ -29,7 +30,7 @@ def _errors_by_model(
     terrain: Optional[Terrain] = None,
 ) -> Dict[str, EquivalentError]:
     """The error over a window (col, row, width, height) without correction and after each refinement."""
-    grid = virtual_grid(view.rpc.localise, window, altitudes, scene.frame, TILE_GRID)
+    grid = virtual_grid(view.rpc.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
     fitted = fit_pinhole(grid)
     errors = {"uncorrected": fitted.error}
     for model in models:

@@ -1,4 +1,4 @@
-"""The equivalent error: how far the pinhole camera's pixel of a ground point lies from the RPC's.
+"""The equivalent error: the distance between the pinhole camera's pixel of a ground point and the RPC's.
 
 Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMSE, RMSE and Max).
 """
@@ -6,24 +6,21 @@ Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMS
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Optional, Tuple
+from typing import Callable, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import Altitudes, FloatArray, Size
 from ..errors import OptionError
 from ..records import Record
+from .footprints import ring
 from .frames import EnuFrame
+from .parameters import VIRTUAL_GRID, VirtualGridParameters
 from .pinhole import PinholeCamera, factorise, fit_projection
 from .refinement import RefinementMap, Terrain, TerrainMap, fit_map
 
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
-
-GRID = (25, 25, 11)
-"""Columns, rows and altitudes of the virtual grid of a whole scene, ends included."""
-
-TILE_GRID = (13, 13, 7)
-"""The same for a tile: the model is so smooth there that a finer grid gives the same camera (to 1e-4 px)."""
+Shape = Tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -40,13 +37,10 @@ class EquivalentError(Record):
     def of(cls, difference: FloatArray, predicted: float) -> "EquivalentError":
         """From (N, 2) differences in column and row."""
         square = difference**2
-        return cls(
-            float(np.sqrt(square[:, 0].mean())),
-            float(np.sqrt(square[:, 1].mean())),
-            float(np.sqrt(square.sum(axis=1).mean())),
-            float(np.sqrt(square.sum(axis=1).max())),
-            predicted,
-        )
+        both = square.sum(axis=1)
+        means = (square[:, 0].mean(), square[:, 1].mean(), both.mean(), both.max())
+        samp_rmse, line_rmse, rmse, largest = (float(np.sqrt(value)) for value in means)
+        return cls(samp_rmse, line_rmse, rmse, largest, predicted)
 
 
 @dataclass(frozen=True)
@@ -60,28 +54,31 @@ class VirtualGrid:
 
 def virtual_grid(
     localise: Localise,
-    window: Tuple[float, float, float, float],
-    altitudes: Tuple[float, float],
+    window: Sequence[float],
+    altitudes: Altitudes,
     frame: EnuFrame,
-    shape: Tuple[int, int, int] = GRID,
+    shape: Shape = VIRTUAL_GRID.scene,
 ) -> VirtualGrid:
-    """Spread a regular grid over a window (col, row, width, height) and an altitude range.
+    """A regular grid of ``shape`` (columns, rows, altitudes) over a window (col, row, width, height) and a range.
 
-    The paper projects a grid in longitude and latitude and drops what falls outside the image; localising a grid of
+    The paper projects a grid in longitude and latitude and drops points outside the image; localising a grid of
     pixels gives the same correspondences without the loss.
     """
+    pixels, heights = _pixel_grid(window, altitudes, shape)
+    return _seen(pixels, localise(pixels, heights), frame)
+
+
+def _pixel_grid(window: Sequence[float], levels: Tuple[float, float], shape: Shape) -> Tuple[FloatArray, FloatArray]:
+    """(N, 2) pixels and (N,) levels of a regular grid."""
     col, row, width, height = window
-    cols, rows, heights = np.meshgrid(
-        np.linspace(col, col + width - 1, shape[0]),
-        np.linspace(row, row + height - 1, shape[1]),
-        np.linspace(altitudes[0], altitudes[1], shape[2]),
-        indexing="ij",
-    )
-    pixels = np.stack([cols.ravel(), rows.ravel()], axis=1)
-    ground = localise(pixels, heights.ravel())
+    ends = ((col, col + width - 1), (row, row + height - 1), levels)
+    cols, rows, values = np.meshgrid(*(np.linspace(*end, n) for end, n in zip(ends, shape)), indexing="ij")
+    return np.stack([cols.ravel(), rows.ravel()], axis=1), values.ravel()
+
+
+def _seen(pixels: FloatArray, ground: FloatArray, frame: EnuFrame) -> VirtualGrid:
     known = np.isfinite(ground).all(axis=1)
-    ground = ground[known]
-    return VirtualGrid(pixels[known], ground, frame.from_geodetic(ground))
+    return VirtualGrid(pixels[known], ground[known], frame.from_geodetic(ground[known]))
 
 
 def predicted_error(camera: PinholeCamera, grid: VirtualGrid) -> float:
@@ -96,7 +93,7 @@ def predicted_error(camera: PinholeCamera, grid: VirtualGrid) -> float:
 
 @dataclass(frozen=True)
 class EquivalentPinhole:
-    """A window's fitted camera (original pixels, with skew), and what it costs."""
+    """A window's fitted camera (original pixels, with skew), and its error."""
 
     camera: PinholeCamera
     error: EquivalentError
@@ -105,58 +102,47 @@ class EquivalentPinhole:
 def fit_pinhole(grid: VirtualGrid) -> EquivalentPinhole:
     """Fit and factorise the equivalent pinhole camera of a window, and measure its error (paper, Algorithm 1)."""
     camera = factorise(fit_projection(grid.enu, grid.pixels))
-    return EquivalentPinhole(
-        camera, EquivalentError.of(camera.project(grid.enu) - grid.pixels, predicted_error(camera, grid))
-    )
+    difference = camera.project(grid.enu) - grid.pixels
+    return EquivalentPinhole(camera, EquivalentError.of(difference, predicted_error(camera, grid)))
 
 
 @dataclass(frozen=True)
 class RefinedPinhole(Record):
-    """A zero-skew camera, the map M from its image's pixels to the original's, that image's size, and what is left."""
+    """A zero-skew camera, the map M from its image's pixels to the original's, that image's size, and its error."""
 
     camera: PinholeCamera
     to_original: RefinementMap
-    size: Tuple[int, int]
+    size: Size
     error: EquivalentError
 
 
-def surface_grid(
-    terrain: Terrain,
-    window: Tuple[float, float, float, float],
-    uncertainty_m: float = 10.0,
-    shape: Tuple[int, int, int] = GRID,
-) -> VirtualGrid:
-    """Ground points within ``uncertainty_m`` of a surface, over a window: a terrain-aware camera must hold there."""
-    cols, rows, above = np.meshgrid(
-        np.linspace(window[0], window[0] + window[2] - 1, shape[0]),
-        np.linspace(window[1], window[1] + window[3] - 1, shape[1]),
-        np.linspace(-uncertainty_m, uncertainty_m, shape[2]),
-        indexing="ij",
-    )
-    pixels = np.stack([cols.ravel(), rows.ravel()], axis=1)
+def surface_grid(terrain: Terrain, window: Sequence[float], parameters: VirtualGridParameters) -> VirtualGrid:
+    """Ground points near a surface, over a window: a terrain-aware camera must be exact there."""
+    near = parameters.near_surface_m
+    pixels, above = _pixel_grid(window, (-near, near), parameters.scene)
     height = np.full(len(pixels), float(terrain.surface.heights.mean()))
     for _ in range(40):
         ground = terrain.sensor.localise(pixels, height)
         before = height
-        height = terrain.surface.height(ground[:, 0], ground[:, 1]) + above.ravel()
+        height = terrain.surface.height(ground[:, 0], ground[:, 1]) + above
         if not (np.abs(height - before) > 0.01).any():
             break
-    known = np.isfinite(ground).all(axis=1)
-    return VirtualGrid(pixels[known], ground[known], terrain.frame.from_geodetic(ground[known]))
+    return _seen(pixels, ground, terrain.frame)
 
 
 def refine_pinhole(
     model: str,
     camera: PinholeCamera,
     grid: VirtualGrid,
-    window: Tuple[float, float, float, float],
+    window: Sequence[float],
     order: int = 2,
     terrain: Optional[Terrain] = None,
+    parameters: VirtualGridParameters = VIRTUAL_GRID,
 ) -> RefinedPinhole:
     """Find M for a window, and place the refined image so that it holds all of the window (paper, Algorithm 2).
 
     The error is measured in original pixels: M(p') against p, where p' is the zero-skew camera's pixel of a ground
-    point and p the RPC's; over ``grid``, or for the ``terrain`` model over points within 10 m of its surface.
+    point and p the RPC's; over ``grid``, or for the ``terrain`` model over points near its surface.
     """
     straight = camera.without_skew()
     to_original: RefinementMap
@@ -164,7 +150,7 @@ def refine_pinhole(
         if terrain is None:
             raise OptionError("MODEL", model, "needs a surface: give a DEM")
         to_original = TerrainMap(straight, terrain)
-        grid = surface_grid(terrain, window)
+        grid = surface_grid(terrain, window, parameters)
         refined = straight.project(grid.enu)
     else:
         refined = straight.project(grid.enu)
@@ -172,22 +158,9 @@ def refine_pinhole(
         to_original = fit_map(model, refined, grid.pixels, affinity, order)
     difference = to_original.original_from_refined(refined) - grid.pixels
     error = EquivalentError.of(difference, predicted_error(straight, grid))
-    corners = to_original.refined_from_original(_border(window))
-    low = np.floor(corners.min(axis=0))
-    high = np.ceil(corners.max(axis=0))
+    col, row, width, height = window
+    border = ring(np.linspace(col, col + width - 1, 9), np.linspace(row, row + height - 1, 9))
+    corners = to_original.refined_from_original(border)
+    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
     size = (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
     return RefinedPinhole(straight.moved(*low), to_original.moved(*low), size, error)
-
-
-def _border(window: Tuple[float, float, float, float], points: int = 9) -> FloatArray:
-    """(4 * points, 2) pixels along a window's border."""
-    col, row, width, height = window
-    u, v = np.linspace(col, col + width - 1, points), np.linspace(row, row + height - 1, points)
-    return np.concatenate(
-        [
-            np.column_stack([u, np.full(points, v[0])]),
-            np.column_stack([u, np.full(points, v[-1])]),
-            np.column_stack([np.full(points, u[0]), v]),
-            np.column_stack([np.full(points, u[-1]), v]),
-        ]
-    )

@@ -1,4 +1,4 @@
-"""Where images lie on the ground, and where they meet."""
+"""Where images lie on the ground, and where they overlap."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ Polygon = FloatArray
 def footprint(
     localise: Callable[[FloatArray, float], FloatArray], size: Size, altitude: float, points: int = 6
 ) -> Polygon:
-    """The ground outline of an image at one altitude.
+    """The outline of an image on the ground at one altitude, (4 (points - 1), 2) longitude, latitude.
 
-    ``localise`` maps (N, 2) pixels and a height to (N, 3) longitude, latitude, height; ``size`` is width, height.
-    Returns (4 * (points - 1), 2) longitude, latitude; vertices the model cannot place are left out.
+    ``localise`` maps (N, 2) pixels and a height to (N, 3) longitude, latitude, height. Vertices that the model cannot
+    place are omitted.
     """
     u, v = np.linspace(-0.5, size[0] - 0.5, points), np.linspace(-0.5, size[1] - 0.5, points)
-    border = np.concatenate(
-        [
-            np.column_stack([u[:-1], np.full(points - 1, v[0])]),
-            np.column_stack([np.full(points - 1, u[-1]), v[:-1]]),
-            np.column_stack([u[:0:-1], np.full(points - 1, v[-1])]),
-            np.column_stack([np.full(points - 1, u[0]), v[:0:-1]]),
-        ]
-    )
-    ground = localise(border, altitude)[:, :2]
-    return ground[np.isfinite(ground).all(axis=1)]
+    ground = localise(ring(u, v), altitude)[:, :2]
+    known: FloatArray = ground[np.isfinite(ground).all(axis=1)]
+    return known
+
+
+def ring(u: FloatArray, v: FloatArray) -> FloatArray:
+    """(4 (n - 1), 2) the border of a grid of (n,) columns and (n,) rows, clockwise from the upper left."""
+    columns = np.concatenate([u[:-1], np.full(len(v) - 1, u[-1]), u[:0:-1], np.full(len(v) - 1, u[0])])
+    rows = np.concatenate([np.full(len(u) - 1, v[0]), v[:-1], np.full(len(u) - 1, v[-1]), v[:0:-1]])
+    return np.column_stack([columns, rows])
 
 
 def ray_slope(view: SensorModel, lon_lat: FloatArray, altitude: float) -> FloatArray:
@@ -43,7 +43,8 @@ def ray_slope(view: SensorModel, lon_lat: FloatArray, altitude: float) -> FloatA
     points = view.localise(np.array([pixel, pixel]), np.array([altitude - 50.0, altitude + 50.0]))
     enu = EnuFrame(float(lon_lat[0]), float(lon_lat[1]), altitude).from_geodetic(points)
     step: FloatArray = enu[1] - enu[0]
-    return step[:2] / step[2]
+    slope: FloatArray = step[:2] / step[2]
+    return slope
 
 
 def geometry_of(polygon: Polygon) -> ogr.Geometry:
@@ -57,10 +58,10 @@ def geometry_of(polygon: Polygon) -> ogr.Geometry:
 
 
 def seen_twice(footprints: Sequence[Sequence[Polygon]]) -> ogr.Geometry:
-    """What at least two views see, over a range of altitudes.
+    """The area that at least two views see, over a range of altitudes.
 
     ``footprints[altitude][view]`` are outlines in one plane; the result is the union over all altitudes of all
-    pairwise intersections (empty where no two views meet).
+    pairwise intersections (empty where no two views overlap).
     """
     union = ogr.Geometry(ogr.wkbPolygon)
     for outlines in footprints:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import List, Optional, Tuple
+from typing import Any, List, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -90,13 +90,13 @@ def utm_crs(lon: float, lat: float) -> str:
 
 
 def projected_crs(text: str) -> pyproj.CRS:
-    """Parse a CRS and see that it is projected, in metres, and horizontal only; raises OptionError otherwise."""
+    """Parse a CRS and check that it is projected, in metres, and horizontal only; raises OptionError otherwise."""
     try:
         crs = pyproj.CRS.from_user_input(text)
     except pyproj.exceptions.CRSError as error:
         raise OptionError("CRS", text, f"is not a coordinate reference system that PROJ knows ({error})") from error
     if not crs.is_projected:
-        raise OptionError("CRS", text, "must be a projected CRS (UTM, say): a DSM's cells are in metres")
+        raise OptionError("CRS", text, "must be a projected CRS, such as UTM: a DSM's cells are in metres")
     if len(crs.axis_info) != 2:
         raise OptionError("CRS", text, "must be one without a vertical part: heights are above the WGS 84 ellipsoid")
     if any(abs(axis.unit_conversion_factor - 1.0) > 1e-9 for axis in crs.axis_info):
@@ -105,10 +105,10 @@ def projected_crs(text: str) -> pyproj.CRS:
 
 
 def projected_crs_at(text: str, lon: float, lat: float) -> pyproj.CRS:
-    """:func:`projected_crs` that is also fit for a place: its metres are, within a factor of two, metres there.
+    """:func:`projected_crs` that also suits a place: its metres are, within a factor of two, metres there.
 
-    Web Mercator passes up to 60 degrees of latitude; a polar projection at the equator, or the other side of the
-    Earth, does not.
+    Web Mercator does up to 60 degrees of latitude; a polar projection at the equator, or a zone on the other side of
+    the Earth, does not.
     """
     crs = projected_crs(text)
     ends = EnuFrame(lon, lat).to_geodetic(np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 100.0, 0.0]]))
@@ -120,8 +120,8 @@ def projected_crs_at(text: str, lon: float, lat: float) -> pyproj.CRS:
         raise OptionError(
             "CRS",
             text,
-            f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: choose one of that "
-            f"place, such as {utm_crs(lon, lat)}",
+            f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: choose one of that place, such as "
+            f"{utm_crs(lon, lat)}",
         )
     return crs
 
@@ -139,23 +139,25 @@ def flat_crs(crs: pyproj.CRS) -> pyproj.CRS:
 
 
 def vertical_part(crs: pyproj.CRS) -> Optional[str]:
-    """The name of a CRS's vertical part: a vertical CRS's, "ellipsoidal height", or None where it says nothing."""
+    """The name of a CRS's vertical part: a vertical CRS's, "ellipsoidal height", or None where it has none."""
     if crs.is_compound:
         return crs.sub_crs_list[1].name
-    return f"ellipsoidal height ({crs.ellipsoid.name})" if len(crs.axis_info) == 3 else None
+    ellipsoid = crs.ellipsoid.name if crs.ellipsoid is not None else "unknown"
+    return f"ellipsoidal height ({ellipsoid})" if len(crs.axis_info) == 3 else None
 
 
 def vertical_operations(
     source: pyproj.CRS, target: pyproj.CRS, bounds: Tuple[float, float, float, float]
 ) -> Tuple[TransformerGroup, List[str]]:
-    """PROJ's ways from one CRS with heights to another, best first, and the grids that are missing for others.
+    """PROJ's operations from one CRS with heights to another, best first, and the grids that others lack.
 
-    ``bounds`` are west, south, east, north in degrees. Ways that leave heights as they are ("ballpark") do not count.
+    ``bounds`` are west, south, east, north in degrees. "Ballpark" operations, which do not change heights, are not
+    included.
     """
     west, south, east, north = bounds
-    area = AreaOfInterest(west, south, east, north) if east > west and north > south else None
+    area: Any = AreaOfInterest(west, south, east, north) if east > west and north > south else None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what pyproj would say of missing grids is the caller's to say
+        warnings.simplefilter("ignore")  # of missing grids: the caller reports them
         group = TransformerGroup(source, target, always_xy=True, area_of_interest=area, allow_ballpark=False)
     missing = {
         grid.short_name for operation in group.unavailable_operations for grid in operation.grids if not grid.available

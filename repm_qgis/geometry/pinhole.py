@@ -36,11 +36,13 @@ class PinholeCamera(Record):
     def project(self, xyz_m: FloatArray) -> FloatArray:
         """(..., 3) world points to (..., 2) column, row."""
         homogeneous = (np.asarray(xyz_m) @ self.R.T + self.t) @ self.K.T
-        return homogeneous[..., :2] / homogeneous[..., 2:]
+        pixels: FloatArray = homogeneous[..., :2] / homogeneous[..., 2:]
+        return pixels
 
     def depth(self, xyz_m: FloatArray) -> FloatArray:
         """(..., 3) world points to (...) depths in metres."""
-        return np.asarray(xyz_m) @ self.R[2] + self.t[2]
+        depths: FloatArray = np.asarray(xyz_m) @ self.R[2] + self.t[2]
+        return depths
 
     def without_skew(self) -> "PinholeCamera":
         """The camera with the same pose, focal lengths and principal point whose pixels are not sheared."""
@@ -86,18 +88,13 @@ def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
     References
     ----------
     Hartley and Zisserman, Multiple View Geometry, 2nd ed., algorithm 7.1. The design matrix's QR factor is
-    decomposed in place of the matrix itself: same singular vectors, a hundredth of the work.
+    decomposed instead of the matrix itself: same singular vectors, a hundredth of the work.
     """
     T3, T2 = normaliser(xyz_m), normaliser(col_row)
     X = np.column_stack([xyz_m, np.ones(len(xyz_m))]) @ T3.T
     x = np.column_stack([col_row, np.ones(len(col_row))]) @ T2.T
     zero = np.zeros_like(X)
-    design = np.concatenate(
-        [
-            np.hstack([X, zero, -x[:, :1] * X]),
-            np.hstack([zero, X, -x[:, 1:2] * X]),
-        ]
-    )
+    design = np.concatenate([np.hstack([X, zero, -x[:, :1] * X]), np.hstack([zero, X, -x[:, 1:2] * X])])
     if not np.isfinite(design).all():
         raise RpcInvalidError("the RPC gives no finite pixels over the window and altitude range.")
     _, values, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
@@ -112,7 +109,7 @@ def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
 def factorise(P: FloatArray) -> PinholeCamera:
     """K, R, t of a projection matrix (3, 4): RQ decomposition with a positive diagonal of K and det R = +1.
 
-    Raises RpcInvalidError where P is no camera (singular, or mirrored, which no choice of sign can cure).
+    Raises RpcInvalidError where P is singular.
     """
     M = P[:, :3]
     flip = np.eye(3)[::-1]
@@ -124,8 +121,8 @@ def factorise(P: FloatArray) -> PinholeCamera:
     K, R = K * signs, signs[:, None] * R
     t = np.linalg.solve(K, P[:, 3])
     if np.linalg.det(R) < 0:
-        # Image rows of a scan may run so that the image is mirrored against a right-handed camera: turn the
-        # camera's row axis, which keeps K's zero pattern and every projection.
+        # The rows of a scan may run so that the image is mirrored for a right-handed camera: turning the camera's row
+        # axis keeps the zeros of K and every projection.
         mirror = np.diag([1.0, -1.0, 1.0])
         K, R, t = K @ mirror, mirror @ R, mirror @ t
     return PinholeCamera(K / K[2, 2], R, t)

@@ -17,6 +17,7 @@ from .frames import EnuFrame
 from .pinhole import PinholeCamera, normaliser
 from .surface import Surface
 
+# Iterations end long before these limits: they only bound the time on points where a model fails.
 _INVERSE_STEPS = 20
 _INVERSE_TOLERANCE_PX = 1e-7
 _INTERSECTION_STEPS = 20
@@ -62,18 +63,19 @@ class PolynomialMap:
         """(..., 2) refined to (..., 2) original pixels."""
         p = np.asarray(points, dtype=np.float64)
         terms = polynomial_terms((p - self.offset) / self.scale, self.order)
-        return p + terms @ self.coefficients
+        pixels: FloatArray = p + terms @ self.coefficients
+        return pixels
 
     def refined_from_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original to (..., 2) refined pixels: fixed-point iteration, as M is the identity but for a little.
+        """(..., 2) original to (..., 2) refined pixels, by fixed-point iteration: M is almost the identity.
 
-        NaN where it does not converge, far outside the window M was fitted to.
+        NaN where it does not converge, far outside the window that M was fitted to.
         """
         target = np.asarray(points, dtype=np.float64)
         # The linear part first: its inverse makes the rest a strong contraction.
         linear = np.eye(2) + self.coefficients[1:3].T / self.scale
         inverse = np.linalg.inv(linear)
-        guess = (target - self.offset - self.coefficients[0]) @ inverse.T + self.offset
+        guess: FloatArray = (target - self.offset - self.coefficients[0]) @ inverse.T + self.offset
         error = np.full(target.shape[:-1], np.inf)
         for _ in range(_INVERSE_STEPS):
             residual = target - self.original_from_refined(guess)
@@ -102,7 +104,7 @@ class PolynomialMap:
 
 
 class SensorModel(Protocol):
-    """What the terrain model asks of an image: ground to pixel and back, exactly, as its RPC has them."""
+    """An image's exact model, such as its RPC: ground to pixel and back."""
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray: ...
 
@@ -111,7 +113,7 @@ class SensorModel(Protocol):
 
 @dataclass(frozen=True)
 class Terrain:
-    """What makes a refinement terrain-aware: the image's exact model, the local frame, and a coarse surface."""
+    """What the terrain-aware refinement needs: the image's exact model, the local frame, and a coarse surface."""
 
     sensor: SensorModel
     frame: EnuFrame
@@ -120,10 +122,10 @@ class Terrain:
 
 @dataclass(frozen=True)
 class TerrainMap:
-    """M through the ground: a refined pixel's pinhole ray meets a coarse surface, and the RPC says where that is seen.
+    """M through the ground: a refined pixel's ray meets a coarse surface, and the RPC projects that point.
 
-    Ours; it goes beyond the paper. What the polynomial leaves is altitude parallax, which depends on the ground and
-    on nothing else: on the surface the equivalent error is zero, beside it it grows with the distance alone.
+    Ours; it goes beyond the paper. The error that the polynomial leaves is altitude parallax, which depends on the
+    ground only: on the surface the equivalent error is zero, and it grows with the distance from it.
     """
 
     camera: PinholeCamera
@@ -132,11 +134,10 @@ class TerrainMap:
     def original_from_refined(self, points: FloatArray) -> FloatArray:
         """(..., 2) refined to (..., 2) original pixels."""
         p = np.asarray(points, dtype=np.float64)
-        rays = (
-            np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1) @ np.linalg.inv(self.camera.K @ self.camera.R).T
-        )
+        homogeneous = np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1)
+        rays = homogeneous @ np.linalg.inv(self.camera.K @ self.camera.R).T
         centre, frame, surface = self.camera.centre, self.terrain.frame, self.terrain.surface
-        # The frame's up is within a third of a degree of the local one: steps by it converge as a strong contraction.
+        # The frame's vertical is within a third of a degree of the local one: steps along it converge fast.
         distance = (surface.heights.mean() - frame.height - centre[2]) / rays[..., 2]
         for _ in range(_INTERSECTION_STEPS):
             ground = frame.to_geodetic(centre + distance[..., None] * rays)
@@ -173,22 +174,20 @@ RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
 def map_from_mapping(
     values: Mapping[str, Any], camera: PinholeCamera, terrain: Callable[[], Optional[Terrain]]
 ) -> RefinementMap:
-    """The inverse of ``to_mapping``; raises SceneError for what is none of ours.
+    """The inverse of ``to_mapping``; raises SceneError for an unknown kind.
 
-    A terrain map is made again from its camera and from ``terrain()``, called only then.
+    A terrain map is made again from its camera and from ``terrain()``, which is called only then.
     """
-    if values.get("kind") == "terrain":
-        return TerrainMap(camera, terrain())
-    if values.get("kind") == "homography":
+    kind = values.get("kind")
+    surroundings = terrain() if kind == "terrain" else None
+    if surroundings is not None:
+        return TerrainMap(camera, surroundings)
+    if kind == "homography":
         return HomographyMap(np.array(values["matrix"], dtype=np.float64))
-    if values.get("kind") == "polynomial":
-        return PolynomialMap(
-            int(values["order"]),
-            np.array(values["offset"], dtype=np.float64),
-            float(values["scale"]),
-            np.array(values["coefficients"], dtype=np.float64),
-        )
-    raise SceneError(f"the scene has a refinement of the unknown kind {values.get('kind')!r}: make the scene anew.")
+    if kind == "polynomial":
+        offset, coefficients = (np.array(values[name], dtype=np.float64) for name in ("offset", "coefficients"))
+        return PolynomialMap(int(values["order"]), offset, float(values["scale"]), coefficients)
+    raise SceneError(f"the scene has a refinement of the unknown kind {kind!r}: make the scene again.")
 
 
 def translation(col: float, row: float) -> FloatArray:
@@ -200,7 +199,8 @@ def apply_homography(matrix: FloatArray, points: FloatArray) -> FloatArray:
     """(..., 2) points through a (3, 3) homography."""
     p = np.asarray(points, dtype=np.float64)
     homogeneous = p @ matrix[:, :2].T + matrix[:, 2]
-    return homogeneous[..., :2] / homogeneous[..., 2:]
+    pixels: FloatArray = homogeneous[..., :2] / homogeneous[..., 2:]
+    return pixels
 
 
 def polynomial_terms(points: FloatArray, order: int) -> FloatArray:
@@ -248,4 +248,5 @@ def _fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     design = np.concatenate([np.hstack([X, zero, -x[:, :1] * X]), np.hstack([zero, X, -x[:, 1:2] * X])])
     _, _, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
     H = np.linalg.solve(T2, vectors[-1].reshape(3, 3) @ T1)
-    return H / H[2, 2]
+    homography: FloatArray = H / H[2, 2]
+    return homography

@@ -1,4 +1,4 @@
-"""Where the sun stood, and where shadows fell."""
+"""The position of the sun, and the shadows that follow from it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _J2000 = datetime(2000, 1, 1, 12, tzinfo=timezone.utc)
 
 
 def sun_position(moment: datetime, lon: float, lat: float) -> Tuple[float, float]:
-    """Azimuth (clockwise from north) and elevation of the sun's centre, degrees; refraction is not in it.
+    """Azimuth (clockwise from north) and elevation of the sun's centre, degrees; without refraction.
 
-    ``moment`` knows its time zone; ``lon`` and ``lat`` are degrees east and north.
+    ``moment`` has a time zone; ``lon`` and ``lat`` are degrees east and north.
 
     References
     ----------
@@ -44,7 +44,10 @@ def sun_angle(first: Tuple[float, float], second: Tuple[float, float]) -> float:
 
 
 def shadow_shift(first: Tuple[float, float], second: Tuple[float, float]) -> float:
-    """How far apart a thing's shadows end on level ground, m for each m of its height; both suns above the horizon."""
+    """The distance between the ends of an object's two shadows on level ground, m for each m of its height.
+
+    Both positions of the sun must be above the horizon.
+    """
     ends = [-sun[:2] / sun[2] for sun in (_towards(*first), _towards(*second))]
     return float(np.linalg.norm(ends[0] - ends[1]))
 

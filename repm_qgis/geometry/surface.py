@@ -14,7 +14,7 @@ from .interpolation import bilinear
 class Surface:
     """Heights in metres above the WGS 84 ellipsoid; cell (0, 0)'s centre is at (lon, lat), rows run south.
 
-    ``heights`` (m, n) has no NaN; beyond its border the surface goes on level. ``step_lon`` and ``step_lat`` are
+    ``heights`` (m, n) has no NaN; beyond its border the surface continues level. ``step_lon`` and ``step_lat`` are
     positive, in degrees.
     """
 

@@ -30,7 +30,7 @@ def enclosing(boxes: Sequence[Bounds]) -> Bounds:
 def lay_tiles(area: ogr.Geometry, size_m: float) -> List[GroundTile]:
     """Cover an area with equal rectangles of at most ``size_m`` a side, rounded up to whole metres.
 
-    Those that miss the area are left out. Rows count from the north, columns from the west.
+    Those outside the area are omitted. Rows count from the north, columns from the west.
     """
     xmin, xmax, ymin, ymax = area.GetEnvelope()
     columns = max(1, math.ceil((xmax - xmin) / size_m - 1e-9))
@@ -57,10 +57,10 @@ def pixel_window(
     margin: int = 0,
     smallest: int = 48,
 ) -> Optional[Window]:
-    """The window (col, row, width, height) of an image that sees a ground rectangle at all altitudes of a range.
+    """The window of an image that shows a ground rectangle at all altitudes of a range.
 
     ``project`` maps (N, 3) longitude, latitude, height to pixels, ``to_geodetic`` (N, 2) x, y to longitude, latitude.
-    None where less than ``smallest`` px a side remain inside the image.
+    None where it has fewer than ``smallest`` px a side inside the image.
     """
     u = np.linspace(bounds[0], bounds[2], 5)
     v = np.linspace(bounds[1], bounds[3], 5)
@@ -77,7 +77,7 @@ def pixel_window(
 
 
 def largest_within(budget: float, sizes: Sequence[int], error_of: Callable[[int], float]) -> Tuple[int, float]:
-    """The largest of descending ``sizes`` whose error keeps to the budget, with that error; else the smallest."""
+    """The largest of descending ``sizes`` whose error is within the budget, with that error; else the smallest."""
     error = math.inf
     for size in sizes:
         error = error_of(size)

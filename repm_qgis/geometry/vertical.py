@@ -1,4 +1,4 @@
-"""What heights refer to: the WGS 84 ellipsoid, a geoid, or any other vertical CRS that PROJ knows."""
+"""Vertical datums: the WGS 84 ellipsoid, a geoid, or any other vertical CRS that PROJ knows."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Optional, Tuple
 
 import numpy as np
 import pyproj
+from pyproj.crs.crs import CompoundCRS
 
 from ..arrays import FloatArray
 from ..errors import MissingPackageError, OptionError
 from .frames import geodetic_from_projected, vertical_operations
 
 DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
-"""Names of vertical datums that people say, and PROJ's for them; "" is the WGS 84 ellipsoid."""
+"""Common names of vertical datums and their PROJ codes; "" is the WGS 84 ellipsoid."""
 
 ELLIPSOID = "WGS 84 ellipsoid"
 TAG = "VERTICAL_DATUM"
@@ -38,13 +39,13 @@ def vertical_crs(text: Optional[str], option: str) -> Optional[pyproj.CRS]:
         raise OptionError(
             option,
             text,
-            "is no vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a code such as EPSG:5773",
+            "is not a vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a code such as EPSG:5773",
         ) from error
 
 
 def with_wgs84(vertical: pyproj.CRS) -> pyproj.CRS:
     """Longitude and latitude in WGS 84 with heights of a vertical CRS."""
-    return pyproj.crs.CompoundCRS("points", ["EPSG:4326", vertical])
+    return CompoundCRS("points", ["EPSG:4326", vertical])
 
 
 @dataclass(frozen=True)
@@ -66,24 +67,24 @@ class HeightDatum:
     def file_crs(self, horizontal: str) -> str:
         """WKT 2 of a horizontal CRS with this vertical part, as it is written into files.
 
-        Ellipsoidal heights leave it horizontal: GDAL (3.6) can keep a projected CRS of three axes only in a side file,
-        without which the raster has no CRS at all, and QGIS 3.22 knows it as no EPSG code. The file says its datum in
-        the metadata item ``VERTICAL_DATUM`` in any case.
+        For ellipsoidal heights it stays horizontal: GDAL (3.6) stores a projected CRS of three axes only in a sidecar
+        file, without which the raster has no CRS at all, and QGIS 3.22 finds no EPSG code for it. The file always
+        states its datum in the metadata item ``VERTICAL_DATUM``.
         """
         flat = pyproj.CRS.from_user_input(horizontal)
         if not self.code:
             return flat.to_wkt("WKT2_2019")
-        return pyproj.crs.CompoundCRS(f"{flat.name} + {self.name}", [flat, self.code]).to_wkt("WKT2_2019")
+        return CompoundCRS(f"{flat.name} + {self.name}", [flat, self.code]).to_wkt("WKT2_2019")
 
     def require(self, lon: float, lat: float) -> None:
-        """See that heights can be turned at a place, before hours are spent; raises MissingPackageError."""
+        """Check that heights can be converted at a place, before hours of work; raises MissingPackageError."""
         if self.code:
             self._operation(_bounds(np.array([[lon, lat]])))
 
     def undulation(self, crs: str, xy: FloatArray) -> FloatArray:
         """(...) metres to take off ellipsoidal heights at (..., 2) positions in a projected CRS; 0 for the ellipsoid.
 
-        Raises MissingPackageError with the grid's name where PROJ lacks it: heights are never left as they are.
+        Raises MissingPackageError with the grid's name where PROJ lacks it: heights never stay unconverted.
         """
         xy = np.asarray(xy, dtype=np.float64)
         if not self.code:
@@ -98,20 +99,22 @@ class HeightDatum:
         return -below
 
     def _operation(self, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
-        """PROJ's best way from ellipsoidal heights that can be gone here."""
-        transformer, missing = _way_down(self.code, bounds)
+        """PROJ's best operation from ellipsoidal heights for a place."""
+        transformer, missing = _best_operation(self.code, bounds)
         if transformer is None:
-            grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
+            grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no operation for that"
             raise MissingPackageError(
-                f"PROJ cannot bring ellipsoidal heights to {self.name}: {grids}. Install it (package proj-data, or "
+                f"PROJ cannot convert ellipsoidal heights to {self.name}: {grids}. Install it (package proj-data, or "
                 "'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid."
             )
         return transformer
 
 
 @lru_cache(maxsize=16)
-def _way_down(code: str, bounds: Tuple[int, int, int, int]) -> Tuple[Optional[pyproj.Transformer], Tuple[str, ...]]:
-    """From ellipsoidal heights to a vertical CRS, None where grids are missing: these too. Searching costs 50 ms."""
+def _best_operation(
+    code: str, bounds: Tuple[int, int, int, int]
+) -> Tuple[Optional[pyproj.Transformer], Tuple[str, ...]]:
+    """From ellipsoidal heights to a vertical CRS, None where it needs missing grids; and these. It takes 50 ms."""
     group, missing = vertical_operations(pyproj.CRS(_ELLIPSOIDAL), with_wgs84(pyproj.CRS(code)), bounds)
     return (group.transformers[0] if group.transformers else None), tuple(missing)
 

@@ -188,7 +188,7 @@ def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> 
     group, missing = vertical_operations(with_wgs84(vertical), pyproj.CRS.from_user_input("EPSG:4979"), bounds)
     name = vertical.name
     if not group.transformers:
-        grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no way there"
+        grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no operation for that"
         raise InputTableError(
             f"PROJ cannot bring the heights of '{path}' from {name} to the ellipsoid: {grids}. "
             "Install it (package proj-data, or 'projsync --file NAME'), or give ellipsoidal heights."

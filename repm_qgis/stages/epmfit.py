@@ -12,9 +12,10 @@ from osgeo import ogr
 
 from ..errors import OptionError, OverlapError
 from ..evaluation.stage_reports import fit_report
-from ..geometry.equivalent_error import TILE_GRID, fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
+from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_files_beside
 from ..options import EpmFitOptions
@@ -199,7 +200,7 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
         window = view_window(scene, view, ground.bounds, scene.altitudes)
         if window is None:
             continue
-        grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame, TILE_GRID)
+        grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame, VIRTUAL_GRID.tile)
         fitted = fit_pinhole(grid)
         views[view.name] = TileView(window, fitted.camera, fitted.error)
         grids.append(grid)

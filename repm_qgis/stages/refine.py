@@ -12,7 +12,8 @@ import numpy as np
 from ..dsm.terrain_feedback import lon_lat_bounds, surface_of_heights
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
-from ..geometry.equivalent_error import TILE_GRID, RefinedPinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
+from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface
 from ..options import RefineOptions
 from ..progress import Progress, Recorder
@@ -86,7 +87,7 @@ def refined_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None
         for name, tile_view in tile.views.items():
             progress.check_cancelled()
             rpc = scene.view(name).rpc
-            grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, TILE_GRID)
+            grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
             refined = refine_pinhole(
                 scene.refinement, tile_view.camera, grid, tile_view.window, scene.order, scene.terrain(rpc)
             )

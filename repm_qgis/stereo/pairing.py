@@ -7,8 +7,9 @@ from typing import Optional, Tuple
 import numpy as np
 
 from ..arrays import FloatArray
-from ..geometry.equivalent_error import TILE_GRID, RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.frames import EnuFrame, geodetic_from_projected
+from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import pixel_window
 from ..scene import Scene, View
 from .rectification import RectifiedPair, rectify
@@ -53,7 +54,7 @@ def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Tuple[floa
     window = pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size)
     if window is None:
         return None
-    grid = virtual_grid(view.localise, window, altitudes, scene.frame, TILE_GRID)
+    grid = virtual_grid(view.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
     return refine_pinhole(
         scene.refinement or "polynomial", fit_pinhole(grid).camera, grid, window, scene.order, scene.terrain(view)
     )

@@ -7,8 +7,9 @@ import pytest
 
 from repm_qgis.colmap.projective_frame import ProjectiveFrame, tile_frame
 from repm_qgis.errors import RpcInvalidError
-from repm_qgis.geometry.equivalent_error import TILE_GRID, fit_pinhole, virtual_grid
+from repm_qgis.geometry.equivalent_error import fit_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected, projected_from_geodetic, utm_crs
+from repm_qgis.geometry.parameters import VIRTUAL_GRID
 from repm_qgis.geometry.pinhole import PinholeCamera
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of
 from repm_qgis.scene import Scene, View
@@ -135,7 +136,7 @@ def run_sensor(rpc, turned_deg, name, capsys):
     altitudes = (rpc.height_off - 100, rpc.height_off + 100)
     lon, lat, _ = rpc.localise(np.array([rpc.col_off, rpc.row_off]), rpc.height_off)
     local = EnuFrame(float(lon), float(lat), float(rpc.height_off))
-    grid = virtual_grid(rpc.localise, window, altitudes, local, TILE_GRID)
+    grid = virtual_grid(rpc.localise, window, altitudes, local, VIRTUAL_GRID.tile)
     first = fit_pinhole(grid).camera.without_skew().moved(window[0], window[1])
     angle = np.radians(turned_deg)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -170,7 +171,7 @@ def test_there_and_back(synthetic_rpc):
         (rpc.col_off, rpc.row_off, 1500, 1500),
         (400.0, 600.0),
         EnuFrame(float(lon), float(lat)),
-        TILE_GRID,
+        VIRTUAL_GRID.tile,
     )
     frame = ProjectiveFrame.over((fit_pinhole(grid).camera,), grid.enu)
     there = frame.from_enu(grid.enu)

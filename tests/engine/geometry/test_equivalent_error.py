@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.equivalent_error import (
-    GRID,
     EquivalentError,
     fit_pinhole,
     predicted_error,
@@ -16,6 +15,7 @@ from repm_qgis.geometry.equivalent_error import (
     virtual_grid,
 )
 from repm_qgis.geometry.frames import EnuFrame
+from repm_qgis.geometry.parameters import VIRTUAL_GRID
 from repm_qgis.rpc.readers import read_rpc_file
 
 # docs and DESIGN.md: RMSE and max in px, uncorrected and after the polynomial of second order.
@@ -60,7 +60,7 @@ def test_the_grid_sits_in_window_and_altitudes_and_is_seen_where_it_says(synthet
     rpc, window = synthetic_rpc(), (5000, 7000, 1600, 1200)
     frame = EnuFrame(rpc.lon_off, rpc.lat_off, 0.0)
     grid = virtual_grid(rpc.localise, window, (200.0, 700.0), frame)
-    assert len(grid.pixels) == np.prod(GRID)
+    assert len(grid.pixels) == np.prod(VIRTUAL_GRID.scene)
     assert grid.pixels.min(axis=0).tolist() == [5000, 7000] and grid.pixels.max(axis=0).tolist() == [6599, 8199]
     assert (grid.ground[:, 2].min(), grid.ground[:, 2].max()) == (200.0, 700.0)
     np.testing.assert_allclose(rpc.project(grid.ground), grid.pixels, atol=1e-6)

@@ -186,7 +186,7 @@ def test_a_missing_grid_is_named(table):
 
 @pytest.mark.parametrize("name", ("geoid", "EPSG:4326", "EPSG:32631", "EPSG:9999999"))
 def test_what_is_no_vertical_datum(name):
-    with pytest.raises(OptionError, match=f"GCP_DATUM is '{name}': it is no vertical CRS .* EGM96, EGM2008"):
+    with pytest.raises(OptionError, match=f"GCP_DATUM is '{name}': it is not a vertical CRS .* EGM96, EGM2008"):
         vertical_crs(name, "GCP_DATUM")
 
 
