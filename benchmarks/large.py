@@ -118,7 +118,7 @@ import json, sys
 import numpy as np
 from osgeo import gdal
 gdal.UseExceptions()
-from repm_qgis.imagery.warping import GRID_STEP
+from repm_qgis.imagery.parameters import WARPING
 from repm_qgis.imagery.raster import read
 from repm_qgis.matching import coarse
 from repm_qgis.matching.pair_backend import rectified_over_tile
@@ -128,7 +128,7 @@ from repm_qgis.stages import run_stage
 from repm_qgis.stereo.triangulation import pair_geometry
 
 def left_as_they_are(self, pair, geometry):
-    rows, columns = (GRID_STEP * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
+    rows, columns = (WARPING.node_step_px * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
     columns, rows = np.meshgrid(columns - self.high, rows)
     return pair.second_original(np.stack([columns - self.nodes, rows], axis=-1))
 

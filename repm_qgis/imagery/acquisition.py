@@ -70,7 +70,8 @@ def moment(text: str) -> Optional[datetime]:
     if not _FIRST_YEAR <= int(match[1]) <= _LAST_YEAR:
         return None
     try:
-        found = datetime(*(int(part) for part in match.groups()[:6]), tzinfo=timezone.utc)
+        year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
+        found = datetime(year, month, day, hour, minute, second, tzinfo=timezone.utc)
     except ValueError:
         return None
     found += timedelta(microseconds=int((match[7] or "0")[:6].ljust(6, "0")))

@@ -1,53 +1,57 @@
-"""Heights from an elevation model that the user gives: their range, and a coarse surface for the refinement."""
+"""Heights from the user's elevation model: their range, and a coarse surface for the refinement."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, FloatImage, Window
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, geodetic_from_projected, vertical_part
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..workspace import file_identity
+from .parameters import DEM, DemParameters
 from .raster import NODATA, opened, quiet, read, write
 
-_MOST_CELLS = 512
-_MOST_SURFACE = 2000  # cells a side of a coarse surface
 
-
-def dem_range(path: str, crs: str, bounds: Tuple[float, float, float, float]) -> Tuple[float, float, bool]:
+def dem_range(
+    path: str, crs: str, bounds: Sequence[float], parameters: DemParameters = DEM
+) -> Tuple[float, float, bool]:
     """Lowest and highest height of a DEM within ``bounds`` (xmin, ymin, xmax, ymax in ``crs``).
 
-    Returns the range in metres above the WGS 84 ellipsoid, and whether the DEM says what its heights refer to: a
-    vertical CRS is transformed to the ellipsoid with PROJ, a DEM without one is taken as ellipsoidal.
+    Returns the range in metres above the WGS 84 ellipsoid, and whether the DEM states its vertical datum: heights of a
+    vertical CRS are transformed to the ellipsoid with PROJ, a DEM without one is taken as ellipsoidal.
 
     Raises ImageError where it cannot be read, OverlapError where it does not cover the bounds.
     """
     u, v = np.linspace(bounds[0], bounds[2], 5), np.linspace(bounds[1], bounds[3], 5)
     lon_lat = geodetic_from_projected(crs, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     with opened(path) as dataset:
-        if not dataset.GetProjection():
-            raise ImageError(f"The DEM '{path}' has no coordinate reference system: assign it one first.")
-        dem_crs = pyproj.CRS.from_wkt(dataset.GetProjection())
+        dem_crs = _crs_of(dataset, path)
         flat = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(dem_crs), always_xy=True)
         x, y = flat.transform(lon_lat[:, 0], lon_lat[:, 1])
-        heights = _window_values(dataset, path, np.column_stack([x, y]))
+        heights = _window_values(dataset, path, np.column_stack([x, y]), parameters.range_cells)
     low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
     vertical = vertical_part(dem_crs) is not None
     if vertical:
-        # The undulation changes by decimetres over a scene: the centre's is enough for a range.
+        # The undulation changes by decimetres over a scene: that of the centre is enough for a range.
         zero = float(_to_ellipsoid(dem_crs, path, x.mean(keepdims=True), y.mean(keepdims=True))[0])
         low, high = low + zero, high + zero
     return low, high, vertical
 
 
-def _to_ellipsoid(crs: pyproj.CRS, path: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _crs_of(dataset: gdal.Dataset, path: str) -> pyproj.CRS:
+    if not dataset.GetProjection():
+        raise ImageError(f"The DEM '{path}' has no coordinate reference system: assign it one first.")
+    return pyproj.CRS.from_wkt(dataset.GetProjection())
+
+
+def _to_ellipsoid(crs: pyproj.CRS, path: str, x: FloatArray, y: FloatArray) -> FloatArray:
     """(N,) metres to add to a DEM's heights at positions in its CRS; raises ImageError where PROJ lacks the grid."""
     try:
         shift = pyproj.Transformer.from_crs(crs, "EPSG:4979", always_xy=True, allow_ballpark=False)
@@ -58,25 +62,25 @@ def _to_ellipsoid(crs: pyproj.CRS, path: str, x: np.ndarray, y: np.ndarray) -> n
         reason = "its grid is not installed"
     if not np.isfinite(result).all():
         raise ImageError(
-            f"PROJ cannot bring the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}. "
-            "Install PROJ's vertical grids (the Environment report names them), or give an ellipsoidal "
-            "DEM."
+            f"PROJ cannot convert the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}. Install "
+            "PROJ's vertical grids (the Environment report names them), or give an ellipsoidal DEM."
         )
     return result
 
 
-def make_surface(path: str, bounds: Tuple[float, float, float, float], cell_m: float, target: str) -> str:
+def make_surface(
+    path: str, bounds: Tuple[float, float, float, float], cell_m: float, target: str, parameters: DemParameters = DEM
+) -> str:
     """A coarse surface from a DEM, written as a GeoTIFF in longitude, latitude and ellipsoidal heights.
 
     ``bounds`` are west, south, east, north in degrees; cells are averages over about ``cell_m``; gaps are filled
     from their border. Raises ImageError or OverlapError as :func:`dem_range` does. Returns ``target``.
     """
-    step = max(cell_m / 111000.0, (bounds[2] - bounds[0]) / _MOST_SURFACE, (bounds[3] - bounds[1]) / _MOST_SURFACE)
-    width, height = (max(2, int(np.ceil(extent / step))) for extent in (bounds[2] - bounds[0], bounds[3] - bounds[1]))
+    extents = (bounds[2] - bounds[0], bounds[3] - bounds[1])
+    step = max(cell_m / 111000.0, *(extent / parameters.surface_cells for extent in extents))
+    width, height = (max(2, int(np.ceil(extent / step))) for extent in extents)
     with opened(path) as dataset:
-        if not dataset.GetProjection():
-            raise ImageError(f"The DEM '{path}' has no coordinate reference system: assign it one first.")
-        crs = pyproj.CRS.from_wkt(dataset.GetProjection())
+        crs = _crs_of(dataset, path)
         with quiet():
             # Two-dimensional, so that GDAL does not shift the heights by itself.
             warped = gdal.Warp(
@@ -101,7 +105,7 @@ def make_surface(path: str, bounds: Tuple[float, float, float, float], cell_m: f
         warped = None
     heights = np.where(np.isfinite(heights), heights, np.nanmean(heights))
     if vertical_part(crs):
-        heights += _undulation(crs, path, bounds, heights.shape)
+        heights += _undulation(crs, path, bounds, (height, width))
     return write(
         target,
         [heights.astype(np.float32)],
@@ -114,8 +118,8 @@ def make_surface(path: str, bounds: Tuple[float, float, float, float], cell_m: f
 
 def _undulation(
     crs: pyproj.CRS, path: str, bounds: Tuple[float, float, float, float], shape: Tuple[int, int]
-) -> np.ndarray:
-    """What to add to a DEM's heights, from a lattice of exact values: the geoid is smooth."""
+) -> FloatArray:
+    """The metres to add to a DEM's heights; geoids are smooth."""
     transformer = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True)
 
     def exact(lon_lat: FloatArray) -> FloatArray:
@@ -139,8 +143,8 @@ def _surface(path: str, *_: object) -> Surface:
     return Surface(west + step_lon / 2, north + step_lat / 2, step_lon, -step_lat, heights)
 
 
-def _window_values(dataset: gdal.Dataset, path: str, points: np.ndarray) -> np.ndarray:
-    """The DEM's cells within the bounding box of points (in its CRS), decimated."""
+def _window_values(dataset: gdal.Dataset, path: str, points: FloatArray, most: int) -> FloatImage:
+    """The DEM's cells within the bounding box of points (in its CRS), reduced to at most so many a side."""
     inverse = gdal.InvGeoTransform(dataset.GetGeoTransform())
     cells = np.array(
         [gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in points if np.isfinite(x) and np.isfinite(y)]
@@ -151,10 +155,8 @@ def _window_values(dataset: gdal.Dataset, path: str, points: np.ndarray) -> np.n
     high = np.minimum(np.ceil(cells.max(axis=0)).astype(int) + 1, (dataset.RasterXSize, dataset.RasterYSize))
     if (high <= low).any():
         raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
-    width, height = (high - low).tolist()
-    values = read(
-        dataset, (int(low[0]), int(low[1]), width, height), 1, (min(width, _MOST_CELLS), min(height, _MOST_CELLS))
-    )
+    window = Window.spanning(*map(int, (*low, *high)))
+    values = read(dataset, window, 1, (min(window.width, most), min(window.height, most)))
     if not np.isfinite(values).any():
         raise OverlapError(f"The DEM '{path}' has only nodata over the scene: give another one, or leave DEM empty.")
     return values

@@ -8,13 +8,13 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import Size, Window
+from ..arrays import FloatImage, Size, Window
 from ..errors import ImageError, WorkspaceError
 from ..workspace import take_name, temporary_name
 
@@ -25,7 +25,7 @@ _COLOURS = {gdal.GCI_RedBand: 0.299, gdal.GCI_GreenBand: 0.587, gdal.GCI_BlueBan
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """GDAL's messages go into our exceptions, not to the console."""
+    """GDAL's messages go into our exceptions and not to the console."""
     gdal.ErrorReset()
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
@@ -34,20 +34,36 @@ def quiet() -> Iterator[None]:
         gdal.PopErrorHandler()
 
 
-def _reason(error: Optional[BaseException] = None) -> str:
-    text = (str(error) if error else "") or gdal.GetLastErrorMsg() or "no reason given"
-    return text.strip().rstrip(".").replace("\n", " ")[:300]
+def _attempt(work: Callable[[], Any]) -> Tuple[Any, str]:
+    """The result of work with GDAL, None if it failed, and GDAL's reason, "" if all went well.
+
+    GDAL writes late, and libtiff only warns of a truncated file: return values do not show all that fails.
+    """
+    result, reason = None, ""
+    with quiet():
+        try:
+            result = work()
+        except RuntimeError as error:
+            reason = str(error) or "no reason given"
+        if not reason and (result is None or gdal.GetLastErrorType() >= gdal.CE_Failure):
+            reason = gdal.GetLastErrorMsg() or "no reason given"
+    return result, reason.strip().rstrip(".").replace("\n", " ")[:300]
+
+
+def _require_written(path: str, reason: str) -> None:
+    if reason:
+        raise WorkspaceError(f"Cannot write '{path}': {reason}. Is the disk full?")
 
 
 class MaskedImage:
-    """An image with a mask of its size beside it: :func:`read` gives NaN where the mask is neither zero nor nodata."""
+    """An image and a mask of its size: :func:`read` gives NaN where the mask is neither zero nor nodata."""
 
     def __init__(self, image: gdal.Dataset, mask: gdal.Dataset) -> None:
         self.image, self.mask = image, mask
         self.RasterXSize, self.RasterYSize = image.RasterXSize, image.RasterYSize
 
     def GetDescription(self) -> str:  # noqa: N802 - GDAL's name
-        return self.image.GetDescription()
+        return str(self.image.GetDescription())
 
 
 @contextmanager
@@ -61,24 +77,19 @@ def opened_masked(path: str, mask: str = "") -> Iterator[Union[gdal.Dataset, Mas
         with opened(mask) as excluded:
             sizes = [(dataset.RasterXSize, dataset.RasterYSize) for dataset in (image, excluded)]
             if sizes[0] != sizes[1]:
+                image_size, mask_size = (f"{width} x {height} px" for width, height in sizes)
                 raise ImageError(
-                    f"The mask '{mask}' has {sizes[1][0]} x {sizes[1][1]} px, its image '{path}' "
-                    f"{sizes[0][0]} x {sizes[0][1]} px: give a mask in the image's own geometry, pixel "
-                    "for pixel."
+                    f"The mask '{mask}' has {mask_size}, its image '{path}' {image_size}: give a mask in the image's "
+                    "own geometry, pixel for pixel."
                 )
             yield MaskedImage(image, excluded)
 
 
 @contextmanager
 def opened(path: str) -> Iterator[gdal.Dataset]:
-    """A raster opened for reading, closed in any case; raises ImageError with GDAL's own words."""
-    with quiet():
-        dataset, cause = None, None
-        try:
-            dataset = gdal.OpenEx(str(path), gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR)
-        except RuntimeError as error:
-            cause = error
-        reason = _reason(cause) if dataset is None else ""
+    """A raster opened for reading, and closed in any case; raises ImageError with GDAL's reason."""
+    flags = gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR
+    dataset, reason = _attempt(lambda: gdal.OpenEx(str(path), flags))
     if dataset is None:
         hint = "it does not exist" if not os.path.exists(path) and "/vsi" not in str(path) else reason
         raise ImageError(f"Cannot open the raster '{path}': {hint}. Check the path, or get the file again.")
@@ -95,42 +106,37 @@ def read(
     window: Optional[Window] = None,
     band: int = 1,
     size: Optional[Size] = None,
-) -> NDArray[np.float32]:
+) -> FloatImage:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 
-    So does what the file's own mask or alpha band hides, and what a :class:`MaskedImage` excludes.
+    So do pixels that the file's own mask or alpha band hides, or a :class:`MaskedImage` excludes.
 
     ``band`` 0 reads the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is.
-    ``size`` (width, height) reads it decimated, by averaging, from overviews where there are any. Raises ImageError
-    for a truncated or damaged file.
+    ``size`` (width, height) reads it reduced, by averaging, from overviews where there are any. Raises ImageError for
+    a truncated or damaged file.
     """
     if isinstance(dataset, MaskedImage):
         excluded = np.nan_to_num(read(dataset.mask, window, 1, size), nan=0.0) != 0
         return np.where(excluded, np.float32(np.nan), read(dataset.image, window, band, size))
     if band == 0:
         meanings = _meanings(dataset)
-        return sum(
+        red, green, blue = (
             np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
             for colour, weight in _COLOURS.items()
         )
+        grey: FloatImage = red + green + blue
+        return grey
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     handle = dataset.GetRasterBand(band)
     options = {} if size is None else {"buf_xsize": size[0], "buf_ysize": size[1], "resample_alg": gdal.GRIORA_Average}
-    with quiet():
-        values, cause = None, None
-        try:
-            values = handle.ReadAsArray(col, row, width, height, **options)
-        except RuntimeError as error:
-            cause = error
-        # libtiff fills what a truncated file lacks and only warns; a complex file gives an array that is no image.
-        reason = _reason(cause) if values is None or gdal.GetLastErrorType() >= gdal.CE_Failure else ""
-    if reason or values is None:
+    values, reason = _attempt(lambda: handle.ReadAsArray(col, row, width, height, **options))
+    if reason:
         raise ImageError(
             f"Cannot read pixels {col}..{col + width - 1}, rows {row}..{row + height - 1} of "
             f"'{dataset.GetDescription()}': {reason}. The file is damaged or cut short: get it again."
         )
     nodata = handle.GetNoDataValue()
-    result = values.astype(np.float32)
+    result: FloatImage = values.astype(np.float32)
     if handle.GetMaskFlags() & gdal.GMF_PER_DATASET:  # an alpha or mask band, in the file or beside it
         with quiet():
             hidden = handle.GetMaskBand().ReadAsArray(col, row, width, height, *(size or ()))
@@ -143,11 +149,6 @@ def read(
     return result
 
 
-def _failure() -> str:
-    """GDAL's last error within :func:`quiet`, "" where all went well."""
-    return _reason() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
-
-
 def bound_cache(megabytes: int = 128) -> None:
     """Keep GDAL's block cache small: its default takes a twentieth of the machine. For processes of our own only."""
     gdal.SetCacheMax(megabytes << 20)
@@ -157,109 +158,59 @@ class RasterWriter:
     """A raster that is being written; :func:`created` opens and closes it."""
 
     def __init__(self, dataset: gdal.Dataset, path: str) -> None:
-        self._dataset: Optional[gdal.Dataset] = dataset
-        self._path = path
+        self._dataset, self._path = dataset, path
 
-    def write(self, values: NDArray, col: int = 0, row: int = 0, band: int = 1, keep: bool = False) -> None:
-        """Put (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError.
+    def write(self, values: NDArray[Any], col: int = 0, row: int = 0, band: int = 1, keep: bool = False) -> None:
+        """Write (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError.
 
-        With ``keep`` NaN leaves what is there already.
+        With ``keep``, NaN does not replace values that are there already.
         """
         handle = self._dataset.GetRasterBand(band)
         nodata = handle.GetNoDataValue()
         if keep:
-            values = np.where(
-                np.isfinite(values),
-                values,
-                read(self._dataset, (col, row, values.shape[1], values.shape[0]), band).astype(values.dtype),
-            )
+            before = self.read(Window(col, row, values.shape[1], values.shape[0]), band)
+            values = np.where(np.isfinite(values), values, before.astype(values.dtype))
         if nodata is not None and values.dtype.kind == "f":
             values = np.where(np.isfinite(values), values, values.dtype.type(nodata))
-        with quiet():
-            try:
-                failed = handle.WriteArray(np.ascontiguousarray(values), col, row) != 0
-                reason = _reason() if failed else _failure()
-            except RuntimeError as error:
-                reason = _reason(error)
-        if reason:
-            raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
+        data = np.ascontiguousarray(values)
+        _require_written(self._path, _attempt(lambda: None if handle.WriteArray(data, col, row) else True)[1])
 
-    def read(self, window: Window, band: int = 1) -> NDArray[np.float32]:
+    def read(self, window: Window, band: int = 1) -> FloatImage:
         """What was written so far, as :func:`read` gives it."""
         return read(self._dataset, window, band)
 
-    def set_metadata(self, tags: dict, domain: str = "") -> None:
+    def set_metadata(self, tags: Mapping[str, str], domain: str = "") -> None:
         """Metadata of one of GDAL's domains, such as "RPC"."""
-        self._dataset.SetMetadata(tags, domain)
+        self._dataset.SetMetadata(dict(tags), domain)
 
     def flush(self) -> None:
-        """Write out what GDAL still holds in its cache: keeps memory flat where much is written.
-
-        Raises WorkspaceError.
-        """
-        self._checked(lambda dataset: dataset.FlushCache())
+        """Write GDAL's cache to the file, so that memory does not grow. Raises WorkspaceError."""
+        _require_written(self._path, _attempt(lambda: (self._dataset.FlushCache(), True))[1])
 
     def close(self) -> None:
-        """Let the file go: it can be renamed only then (Windows), and is whole only then. Raises WorkspaceError."""
-        dataset, self._dataset = self._dataset, None
-        if dataset is None:
-            return
-        with quiet():
-            dataset = None
-            reason = _failure()
-        if reason:
-            raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
+        """Close the file: only then it is complete, and can be renamed (Windows). Raises WorkspaceError."""
+
+        def release() -> bool:
+            self._dataset = None
+            return True
+
+        _require_written(self._path, _attempt(release)[1])
 
     def abandon(self) -> None:
-        """Let the file go, whole or not."""
+        """Close the file, complete or not."""
         with quiet():
             self._dataset = None
 
-    def _checked(self, work: Callable[[gdal.Dataset], object]) -> None:
-        """GDAL writes late, and its return values do not always tell of what failed then."""
-        with quiet():
-            try:
-                work(self._dataset)
-                reason = _failure()
-            except RuntimeError as error:
-                reason = _reason(error)
-        if reason:
-            raise WorkspaceError(f"Cannot write '{self._path}': {reason}. Is the disk full?")
-
 
 def write(
-    path: str,
-    bands: Sequence[NDArray],
-    geotransform: Optional[Sequence[float]],
-    crs_wkt: str,
-    *,
-    nodata: Optional[float] = NODATA,
-    descriptions: Sequence[str] = (),
-    metadata: Optional[dict] = None,
-    unit: str = "",
-    cog: bool = False,
-    compress: bool = True,
-    own: bool = False,
+    path: str, bands: Sequence[NDArray[Any]], geotransform: Optional[Sequence[float]], crs_wkt: str, **options: Any
 ) -> str:
-    """Write bands (each (height, width), NaN = nodata for floats) as a tiled GeoTIFF, whole or not at all.
+    """Write bands (each (height, width), NaN = nodata for floats) as a GeoTIFF, with the options of :func:`created`.
 
     Raises WorkspaceError where the file cannot be written. Returns ``path``.
     """
-    with created(
-        path,
-        bands[0].shape,
-        bands[0].dtype,
-        len(bands),
-        geotransform,
-        crs_wkt,
-        nodata=nodata,
-        descriptions=descriptions,
-        metadata=metadata,
-        unit=unit,
-        cog=cog,
-        compress=compress,
-        own=own,
-    ) as writer:
+    (height, width), kind = bands[0].shape, bands[0].dtype
+    with created(path, (height, width), kind, len(bands), geotransform, crs_wkt, **options) as writer:
         for index, values in enumerate(bands, start=1):
             writer.write(values, band=index)
     return path
@@ -269,35 +220,35 @@ def write(
 def created(
     path: str,
     shape: Tuple[int, int],
-    dtype: np.dtype,
+    dtype: np.dtype[Any],
     bands: int,
     geotransform: Optional[Sequence[float]],
     crs_wkt: str,
     *,
     nodata: Optional[float] = NODATA,
     descriptions: Sequence[str] = (),
-    metadata: Optional[dict] = None,
+    metadata: Optional[Mapping[str, object]] = None,
     unit: str = "",
     cog: bool = False,
     compress: bool = True,
     own: bool = False,
 ) -> Iterator[RasterWriter]:
-    """A new GeoTIFF to fill by window: it takes its name only when the block ends without an error.
+    """A new tiled GeoTIFF to fill by window: it gets its name only if the block ends without an error.
 
     ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews, for
-    what people look at; it is written anew from the filled one, since tiles come in no order that a COG allows.
-    ``own``: for this machine to read again; compressed in a third of the time, where its GDAL knows how.
+    products that people look at; it is a copy of the filled one, because windows may be filled in any order. ``own``:
+    for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
     """
     temporary = temporary_name(path)
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
-    writer = RasterWriter(_create(temporary, path, shape, np.dtype(dtype), bands, compress, own), path)
+    writer = RasterWriter(_create(temporary, path, shape, dtype, bands, compress, own), path)
     try:
         _describe(writer._dataset, geotransform, crs_wkt, nodata, descriptions, metadata, unit)
         yield writer
         writer.flush()
         writer.close()
         if cog:
-            _to_cog(temporary, whole, path, np.dtype(dtype))
+            _to_cog(temporary, whole, path, dtype)
             os.replace(whole, temporary)
         take_name(temporary, path)
     finally:
@@ -307,8 +258,8 @@ def created(
                 os.unlink(part)
 
 
-def _to_cog(source: str, target: str, path: str, dtype: np.dtype) -> None:
-    """The same raster with overviews in the order that the Cloud Optimized GeoTIFF layout wants."""
+def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any]) -> None:
+    """Copy a raster as a Cloud Optimized GeoTIFF, with overviews."""
     options = [
         "COMPRESS=DEFLATE",
         "LEVEL=1",
@@ -318,42 +269,27 @@ def _to_cog(source: str, target: str, path: str, dtype: np.dtype) -> None:
         "BLOCKSIZE=256",
         "BIGTIFF=IF_SAFER",
     ]
-    with opened(source) as dataset, quiet():
-        try:
-            copy = gdal.GetDriverByName("COG").CreateCopy(target, dataset, options=options)
-            reason = _failure() if copy is not None else _reason()
-        except RuntimeError as error:
-            reason = _reason(error)
-        copy = None  # noqa: F841 - closes it
-        reason = reason or _failure()
-    if reason:
-        raise WorkspaceError(f"Cannot write '{path}': {reason}. Is the disk full?")
+    with opened(source) as dataset:
+
+        def copy() -> Optional[bool]:
+            made = gdal.GetDriverByName("COG").CreateCopy(target, dataset, options=options)
+            return None if made is None else True  # the file is closed here
+
+        _require_written(path, _attempt(copy)[1])
 
 
 def _create(
-    temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype, bands: int, compress: bool, own: bool
+    temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype[Any], bands: int, compress: bool, own: bool
 ) -> gdal.Dataset:
-    kinds = {
-        "float32": gdal.GDT_Float32,
-        "float64": gdal.GDT_Float64,
-        "uint8": gdal.GDT_Byte,
-        "uint16": gdal.GDT_UInt16,
-        "int32": gdal.GDT_Int32,
-    }
+    kinds = {"float32": gdal.GDT_Float32, "float64": gdal.GDT_Float64}
+    kinds.update({"uint8": gdal.GDT_Byte, "uint16": gdal.GDT_UInt16, "int32": gdal.GDT_Int32})
     options = ["TILED=YES", "BIGTIFF=IF_SAFER"]
     if compress and own and "ZSTD" in gdal.GetDriverByName("GTiff").GetMetadataItem("DMD_CREATIONOPTIONLIST"):
         options += ["COMPRESS=ZSTD", "ZSTD_LEVEL=1"]
     elif compress:
         options += ["COMPRESS=DEFLATE", "ZLEVEL=1", f"PREDICTOR={3 if dtype.kind == 'f' else 2}"]
-    with quiet():
-        dataset, cause = None, None
-        try:
-            dataset = gdal.GetDriverByName("GTiff").Create(
-                temporary, shape[1], shape[0], bands, kinds[dtype.name], options
-            )
-        except RuntimeError as error:
-            cause = error
-        reason = _reason(cause) if dataset is None else ""
+    size = (shape[1], shape[0], bands, kinds[dtype.name])
+    dataset, reason = _attempt(lambda: gdal.GetDriverByName("GTiff").Create(temporary, *size, options))
     if dataset is None:
         raise WorkspaceError(f"Cannot write '{path}': {reason}. Choose a folder that can be written.")
     return dataset
@@ -365,7 +301,7 @@ def _describe(
     crs_wkt: str,
     nodata: Optional[float],
     descriptions: Sequence[str],
-    metadata: Optional[dict],
+    metadata: Optional[Mapping[str, object]],
     unit: str,
 ) -> None:
     if geotransform is not None:
@@ -390,9 +326,9 @@ def _meanings(dataset: gdal.Dataset) -> List[int]:
 
 
 def grey_band(dataset: gdal.Dataset) -> int:
-    """The band to match on: 0 (grey of red, green and blue) for a colour image, else the first that holds brightness.
+    """The band to match on: 0 (grey of red, green and blue) for a colour image, else the first that has intensities.
 
-    Alpha and palette bands do not.
+    Alpha and palette bands have none.
     """
     meanings = _meanings(dataset)
     if all(colour in meanings for colour in _COLOURS):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Callable, Tuple
+from functools import reduce
+from typing import Callable, List, Tuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ..geometry.interpolation import bilinear
 
 
 def sample(image: Floats, cols: Floats, rows: Floats) -> Floats:
-    """Bilinear values of ``image`` (height, width) at pixel positions; the first pixel's centre is (0, 0).
+    """Bilinear values of an image (height, width) at pixel positions; the first pixel's centre is (0, 0).
 
     NaN outside the image and wherever one of the four neighbours is NaN.
     """
@@ -54,9 +55,9 @@ def mean_of_known(
 
 
 def box_mean(values: Floats, radius: int) -> Floats:
-    """Means over (2 radius + 1) squares of (..., height, width) arrays without NaN; borders take what there is.
+    """Means over squares of (2 radius + 1) pixels of (..., height, width) arrays without NaN, in their own precision.
 
-    In the arrays' own precision.
+    At borders the part of the square inside the array counts.
     """
     height, width = values.shape[-2:]
     padded = np.zeros(values.shape[:-2] + (height + 2 * radius, width + 2 * radius), values.dtype)
@@ -66,25 +67,26 @@ def box_mean(values: Floats, radius: int) -> Floats:
         np.minimum(place + radius + 1, len(place)) - np.maximum(place - radius, 0)
         for place in (np.arange(height), np.arange(width))
     )
-    return total / (rows[:, None] * columns).astype(values.dtype)
+    mean: Floats = total / (rows[:, None] * columns).astype(values.dtype)
+    return mean
 
 
 def _window_sums(part: Floats, radius: int, columns: bool) -> Floats:
-    """Sums of 2 radius + 1 neighbours along columns or rows, made of sums of 1, 2, 4, ... of them."""
+    """Sums of 2 radius + 1 neighbours along columns or rows, composed of sums of 1, 2, 4, ... of them."""
 
     def cut(array: Floats, begin: int, length: int) -> Floats:
         return array[..., begin : begin + length] if columns else array[..., begin : begin + length, :]
 
     axis, width = -1 if columns else -2, 2 * radius + 1
     size = part.shape[axis] - 2 * radius
-    result, begin, length = None, 0, 1
+    sums: List[Floats] = []
+    begin, length = 0, 1
     while True:
         if width & length:
-            own = cut(part, begin, size)
-            result = own if result is None else result + own
+            sums.append(cut(part, begin, size))
             begin += length
         if 2 * length > width:
-            return result
+            return reduce(np.add, sums)
         rest = part.shape[axis] - length
         part = cut(part, 0, rest) + cut(part, length, rest)
         length *= 2

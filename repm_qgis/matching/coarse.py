@@ -17,11 +17,13 @@ import numpy as np
 from ..altitudes import ALTITUDES
 from ..arrays import FloatArray, FloatImage
 from ..geometry.interpolation import bilinear, interpolate_steps
+from ..imagery.parameters import WARPING
 from ..imagery.sampling import median_of_known, median_of_neighbours
-from ..imagery.warping import GRID_STEP
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
 from .disparity_map import PairMatcher
+
+STEP_PX = WARPING.node_step_px  # between the nodes of the resampled second image
 
 FACTOR = 4  # fine px a coarse one, along each side
 _CELL = 4  # coarse px a cell of the guide, along each side: 16 fine px
@@ -38,7 +40,7 @@ _MARGIN_PX = 8  # beyond what the coarse level saw
 class Guide:
     """A disparity of the ground on nodes, and the residual disparities to search around it.
 
-    ``nodes`` (m, n) lie ``GRID_STEP`` px apart in the frame of the resampled second image, whose column c stands for
+    ``nodes`` (m, n) lie 16 px apart in the frame of the resampled second image, whose column c stands for
     the rectified column c - ``high``; bilinear between them. ``low`` and ``high`` are the least and greatest residual.
     """
 
@@ -51,7 +53,7 @@ class Guide:
 
         What the pinhole model leaves of the rows at the guide's altitude is taken out.
         """
-        rows, columns = (GRID_STEP * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
+        rows, columns = (STEP_PX * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
         columns -= self.high
         height = geometry.height.on_grid(columns, rows, self.nodes)
         row = rows[:, None] + geometry.row.on_grid(columns, rows, height)
@@ -61,7 +63,7 @@ class Guide:
         """Disparities (H, W) from residual ones: the guide counts at the column where the match was found."""
         height, width = residual.shape
         wide = (height, width + self.high - self.low + 1)
-        guide = interpolate_steps(self.nodes.astype(np.float32), wide, GRID_STEP)
+        guide = interpolate_steps(self.nodes.astype(np.float32), wide, STEP_PX)
         columns = np.arange(width, dtype=np.float32) + np.float32(self.high) - np.nan_to_num(residual)
         left = np.clip(columns.astype(np.int32), 0, guide.shape[1] - 2)
         share = columns - left.astype(np.float32)
@@ -168,8 +170,8 @@ def _ends(residual: FloatArray, geometry: PairGeometry) -> Tuple[int, int]:
 
 def _nodes(ground: FloatArray, shape: Tuple[int, int], ends: Tuple[int, int]) -> FloatArray:
     """(m, n) ground on the nodes of the resampled second image, the last at or beyond its last pixel."""
-    rows = np.arange(0, shape[0] + GRID_STEP, GRID_STEP, dtype=np.float64)
-    columns = np.arange(0, shape[1] + ends[1] - ends[0] + 1 + GRID_STEP, GRID_STEP, dtype=np.float64) - ends[1]
+    rows = np.arange(0, shape[0] + STEP_PX, STEP_PX, dtype=np.float64)
+    columns = np.arange(0, shape[1] + ends[1] - ends[0] + 1 + STEP_PX, STEP_PX, dtype=np.float64) - ends[1]
     return _at(ground, *np.meshgrid(columns, rows))
 
 
@@ -177,7 +179,7 @@ def sampled_on(nodes: FloatArray):
     """The map of pixels whose values on the warping's own nodes are given."""
 
     def to_source(points: FloatArray) -> FloatArray:
-        column, row = (np.rint(points[..., axis] / GRID_STEP).astype(np.intp) for axis in (0, 1))
+        column, row = (np.rint(points[..., axis] / STEP_PX).astype(np.intp) for axis in (0, 1))
         return nodes[row, column]
 
     return to_source

@@ -11,7 +11,8 @@ import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.interpolation import interpolate_steps
-from repm_qgis.imagery.warping import GRID_STEP, sample_array
+from repm_qgis.imagery.parameters import WARPING
+from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching import coarse, sgm
 from repm_qgis.matching.coarse import Guide, guide_of, reduced
 from repm_qgis.stereo.pairing import rectified_pair
@@ -53,7 +54,7 @@ def test_a_guide_leaves_a_small_search_and_gives_the_whole_disparity():
     guide = guide_of(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
     assert guide is not None and guide.high - guide.low < 0.5 * (HIGH - LOW)
     assert guide.low < -3 and guide.high > 18  # the tower has its room, though the coarse level loses it
-    nodes = interpolate_steps(guide.nodes, (HEIGHT, WIDTH + guide.high - guide.low), GRID_STEP)
+    nodes = interpolate_steps(guide.nodes, (HEIGHT, WIDTH + guide.high - guide.low), WARPING.node_step_px)
     columns = np.arange(nodes.shape[1], dtype=np.float64)[None] - guide.high
     residual = sgm.match(known.first, known.second_at(columns - nodes), (guide.low, guide.high), 1.0)
     error = (guide.whole(residual.disparity) - known.disparity)[16:-16, 16:-16]
@@ -73,7 +74,7 @@ def test_whole_disparities_count_the_guide_where_the_match_lies():
     residual = rng.uniform(-19, 29, (60, 70)).astype(np.float32)
     residual[3, 5] = np.nan
     whole = guide.whole(residual)
-    fine = interpolate_steps(nodes, (60, 128), GRID_STEP)
+    fine = interpolate_steps(nodes, (60, 128), WARPING.node_step_px)
     for row, column in ((0, 0), (17, 40), (59, 69), (31, 8)):
         place = column - residual[row, column] + guide.high
         expected = residual[row, column] + np.interp(place, np.arange(128), fine[row])
@@ -134,7 +135,7 @@ def test_rows_are_those_that_the_rpcs_say(case, gdal_pixels):
     """On the guide, the second image is sampled where its RPC sees the first one's pixel, whatever the model."""
     pair = rectified_pair(replace(case.scene, refinement="none"), *case.views, case.bounds, case.altitudes)
     geometry = pair_geometry(pair, *case.views, case.altitudes, case.crs)
-    columns, rows = (np.arange(0, size, GRID_STEP, dtype=np.float64) for size in pair.size)
+    columns, rows = (np.arange(0, size, WARPING.node_step_px, dtype=np.float64) for size in pair.size)
     guide = np.add.outer(0.1 * rows, 0.2 * columns)
     guide = np.clip(guide - guide.mean(), *geometry.disparities)
     sampled = Guide(guide, 0, 0).second_original(pair, geometry)
