@@ -40,11 +40,9 @@ class ErrorsByClass:
             self._collector(float(value)).add(difference[here], int(here.sum()))
 
     def metrics(self) -> List[Tuple[str, HeightMetrics]]:
-        """Name and metrics of each class that the reference has cells of, by rising value."""
-        return [
-            (self._names.get(value, str(value)), self._collectors[value].metrics())
-            for value in sorted(self._collectors)
-        ]
+        """Name and metrics of each class that occurs on the reference, by rising value."""
+        ordered = sorted(self._collectors.items())
+        return [(self._names.get(value, str(value)), collector.metrics()) for value, collector in ordered]
 
     def _collector(self, value: float) -> ErrorCollector:
         if value != round(value) or (int(value) not in self._collectors and len(self._collectors) >= _MOST_CLASSES):

@@ -16,7 +16,7 @@ from ..imagery import raster
 from ..progress import Part, Progress
 from .classes import ErrorsByClass
 from .coregistration import Alignment, Patch, align, block_means
-from .grids import Grid, HeightWarper, aligned_heights, metres_per_unit, overlap, read_heights
+from .grids import Grid, HeightWarper, metres_per_unit, overlap, read_heights
 from .metrics import ErrorCollector, HeightMetrics
 from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters
 from .profiles import Profile, ProfileLine, middle_lines, sample_profile
@@ -69,7 +69,7 @@ def compare(
     """
     grid, source = Grid.of(reference), Grid.of(dsm)
     cell, common = _cell_metres(grid), overlap(source, grid)
-    warper = HeightWarper(dsm, grid)
+    warper = HeightWarper(dsm, grid, parameters.comparison)
     alignment = Alignment("none")
     if method != "none":
         part = Part(progress, 0.0, 0.25, "Alignment")
@@ -141,7 +141,7 @@ class _Blocks:
             progress.step(index / len(windows), f"block {index + 1} of {len(windows)}")
             outer = self._reference_with_margin(window)
             reference, cells = outer[1:-1, 1:-1], self._grid.window(window)
-            dsm = aligned_heights(self._warper, cells, self._alignment)
+            dsm = self._warper.read(cells, self._alignment)
             difference = dsm - reference
             self._collect(difference, reference, slope_degrees(outer, self._cell))
             if self._by_class is not None:

@@ -19,10 +19,11 @@ from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery import raster
 from ..imagery.sampling import sample
 from .coregistration import Alignment
+from .parameters import COMPARISON, ComparisonParameters
 
 _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 """Heights that writers mean as "none" although the file declares no nodata value."""
-_MIN_SHARE = 0.5  # of the kernel's weight that must have heights, so that holes keep their size
+_NO_ALIGNMENT = Alignment("none")
 _KERNEL_MARGIN = 3  # cells of the source around a window; bilinear needs one at its scale, the rest is for curvature
 
 
@@ -40,7 +41,7 @@ class Grid:
         reference = dataset.GetSpatialRef()
         if reference is not None and dataset.GetMetadataItem(TAG) == ELLIPSOID and reference.GetAxesCount() == 2:
             reference = reference.Clone()
-            reference.PromoteTo3D("")  # our own DSMs say it there: GeoTIFF keys cannot
+            reference.PromoteTo3D("")  # our own DSMs state their datum in this tag, as GeoTIFF keys cannot
         wkt = reference.ExportToWkt(["FORMAT=WKT2_2018"]) if reference is not None else ""
         size = dataset.RasterXSize, dataset.RasterYSize
         return cls(dataset.GetDescription(), size, tuple(dataset.GetGeoTransform()), wkt)
@@ -92,7 +93,7 @@ class Grid:
 
 
 def metres_per_unit(grid: Grid) -> Tuple[float, float]:
-    """How many metres one unit of the grid's x and y is; degrees are taken at the grid's middle. (1, 1) without CRS."""
+    """How many metres one unit of the grid's x and y has, for degrees at the grid's middle; (1, 1) without a CRS."""
     if not grid.wkt:
         return 1.0, 1.0
     crs = grid.crs
@@ -109,10 +110,7 @@ def metres_per_unit(grid: Grid) -> Tuple[float, float]:
 
 
 def overlap(dsm: Grid, reference: Grid) -> Bounds:
-    """What both rasters cover (by their frames), in the reference's CRS.
-
-    Raises OverlapError with both extents where they do not meet.
-    """
+    """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
     to_reference = Transformer.from_crs(flat_crs(dsm.crs), flat_crs(reference.crs), always_xy=True)
     theirs = reference.bounds
     try:
@@ -136,7 +134,7 @@ def _text(bounds: Bounds) -> str:
 
 
 def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None) -> FloatImage:
-    """Heights of band 1 as float32 with NaN; where no nodata value is declared, -9999 and its like count as none."""
+    """Heights of band 1, NaN where there is none; -9999 and the like count as none if no nodata value is declared."""
     values = raster.read(dataset, window)
     if dataset.GetRasterBand(1).GetNoDataValue() is None:
         for value in _UNDECLARED:
@@ -148,7 +146,7 @@ class HeightWarper:
     """One DSM, resampled onto parts of another grid, in that grid's CRS and vertical datum.
 
     Bilinear, by GDAL's warper, which widens its kernel where it makes cells larger; exact to 0.02 cells. Cells without
-    a height have no weight, and where less than half of the kernel's weight has heights the cell is NaN. So nodata is
+    a height have no weight, and where less than ``least_share`` of the kernel has heights the cell is NaN. So nodata is
     never mixed into heights, and holes keep their size, which the completeness would show. (A rule that drops every
     cell next to a hole removes 20 % of the cells of a speckled DSM where the grids lie 0.2 m apart; GDAL's own rule,
     which accepts any weight, closes the small holes.)
@@ -156,8 +154,9 @@ class HeightWarper:
     Raises ImageError where the vertical datums differ and PROJ lacks the grid between them.
     """
 
-    def __init__(self, dataset: gdal.Dataset, target: Grid) -> None:
+    def __init__(self, dataset: gdal.Dataset, target: Grid, parameters: ComparisonParameters = COMPARISON) -> None:
         self.dataset, self._source, self._target = dataset, Grid.of(dataset), target
+        self._least_share = parameters.least_share
         self._source_flat, self._target_flat = flat_crs(self._source.crs), flat_crs(target.crs)
         self._to_source = Transformer.from_crs(self._target_flat, self._source_flat, always_xy=True)
         self.warnings: List[str] = []
@@ -176,36 +175,34 @@ class HeightWarper:
         ratio = max(np.hypot(column[i] - column[0], row[i] - row[0]) for i in (1, 2))
         return float(ratio) if np.isfinite(ratio) and ratio > 0 else 1.0
 
-    def read(self, cells: Grid) -> FloatImage:
-        """The DSM on ``cells`` (a part of the target grid, perhaps moved): (rows, columns) float32, NaN = no height."""
-        columns, rows = cells.size
+    def read(self, cells: Grid, alignment: Alignment = _NO_ALIGNMENT) -> FloatImage:
+        """The aligned DSM on ``cells``, which are a part of the target grid: (rows, columns), NaN = no height."""
+        cells = _before(cells, alignment)
         window = self._source_window(cells)
-        if window is None:
-            return np.full((rows, columns), np.nan, np.float32)
-        heights = read_heights(self.dataset, window)
+        heights = read_heights(self.dataset, window) if window is not None else np.empty(0, np.float32)
         good = np.isfinite(heights)
-        if not good.any():
-            return np.full((rows, columns), np.nan, np.float32)
+        if window is None or not good.any():
+            return np.full(cells.size[::-1], np.nan, np.float32)
         # Both bands go through the same kernel. The second one becomes the share of it that had heights, and with that
         # the level that filled the holes is removed again.
         level = np.float32(heights[good].mean())
         warped, share = self._warp(
             [np.where(good, heights, level), good.astype(np.float32)], self._source.window(window), cells
         )
-        beside = (share >= _MIN_SHARE) & (np.abs(share - 1) > 1e-5)
+        beside = (share >= self._least_share) & (np.abs(share - 1) > 1e-5)
         warped[beside] = level + (warped[beside] - level) / share[beside]
-        warped[share < _MIN_SHARE] = np.nan
+        warped[share < self._least_share] = np.nan
         if self.vertical is not None:
             scale, offset = self._vertical_at(self.vertical, cells, float(level))
             warped = (warped * scale + offset).astype(np.float32)
-        return warped
+        return warped + np.float32(alignment.dz)
 
-    def along(self, cells: Grid) -> FloatImage:
-        """The DSM at the centres of one row of cells in any direction: (columns,) float32, NaN = no height.
+    def along(self, cells: Grid, alignment: Alignment = _NO_ALIGNMENT) -> FloatImage:
+        """The aligned DSM at the centres of one row of cells in any direction: (columns,), NaN = no height.
 
         Bilinear; a point beside a hole has none. The warper would blur a slanting row, as if it were a reduced picture.
         """
-        columns = cells.size[0]
+        cells, columns = _before(cells, alignment), cells.size[0]
         window = self._source_window(cells)
         if window is None:
             return np.full(columns, np.nan, np.float32)
@@ -215,7 +212,7 @@ class HeightWarper:
         if self.vertical is not None and np.isfinite(heights).any():
             scale, offset = self._vertical_at(self.vertical, cells, float(np.nanmean(heights)))
             heights = (heights * scale + offset[0]).astype(np.float32)
-        return heights
+        return heights + np.float32(alignment.dz)
 
     def _source_window(self, cells: Grid) -> Optional[Window]:
         columns, rows = cells.size
@@ -227,11 +224,9 @@ class HeightWarper:
         if not good.any():
             return None
         margin = _KERNEL_MARGIN + math.ceil(2 * self.cells_ratio)
-        low = [max(0, math.floor(v[good].min()) - margin) for v in (column, row)]
-        high = [min(n, math.ceil(v[good].max()) + margin) for v, n in zip((column, row), self._source.size)]
-        if low[0] >= high[0] or low[1] >= high[1]:
-            return None
-        return Window.spanning(low[0], low[1], high[0], high[1])
+        low = (math.floor(v[good].min()) - margin for v in (column, row))
+        high = (math.ceil(v[good].max()) + margin for v in (column, row))
+        return Window.spanning(*low, *high).common(Window(0, 0, *self._source.size))
 
     def _warp(self, bands: List[FloatImage], source: Grid, cells: Grid) -> List[FloatImage]:
         memory = gdal.GetDriverByName("MEM")
@@ -298,18 +293,10 @@ class HeightWarper:
         return float(np.mean(scale)), upsample_grid((low - scale * height).reshape(9, 9), (rows, columns))
 
 
-def aligned_heights(warper: HeightWarper, cells: Grid, alignment: Alignment) -> FloatImage:
-    """The DSM, moved by an alignment, on cells of the reference's grid."""
-    return warper.read(_before(cells, alignment)) + np.float32(alignment.dz)
-
-
-def aligned_along(warper: HeightWarper, cells: Grid, alignment: Alignment) -> FloatImage:
-    """The DSM, moved by an alignment, along one row of cells in any direction: (columns,)."""
-    return warper.along(_before(cells, alignment)) + np.float32(alignment.dz)
-
-
 def _before(cells: Grid, alignment: Alignment) -> Grid:
     """A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy)."""
+    if not alignment.dx and not alignment.dy:
+        return cells
     per_unit = metres_per_unit(cells)
     return cells.shifted(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
 

@@ -1,8 +1,8 @@
-"""How far a surface is from the truth: the paper's metrics, and the two that outliers and datums do not move.
+"""How far a surface is from the truth: the paper's metrics, and two that outliers and datums do not change.
 
 With e = DSM - reference over the cells where both have a height (N of them), and M cells where the reference has one:
 
-- RMSE = sqrt(sum(e²) / N). A few gross errors rule it; it contains the bias.
+- RMSE = sqrt(sum(e²) / N). A few gross errors dominate it; it contains the bias.
 - ME = median(\\|e\\|), the paper's "median error". It is *not* the mean error, nor signed.
 - MAE = sum(\\|e\\|) / N.
 - bias = median(e), signed: positive where the DSM is too high.
@@ -55,7 +55,7 @@ class HeightMetrics:
 
 
 def height_metrics(error: Floats, reference_cells: int, thresholds: Sequence[float] = THRESHOLDS_M) -> HeightMetrics:
-    """Metrics of an array of errors (any shape, m, NaN where there is none) against ``reference_cells`` cells.
+    """Metrics of errors (any shape, m, NaN where there is none) in an area with ``reference_cells`` cells.
 
     Raises ValueError where there are more errors than reference cells.
     """
@@ -65,11 +65,11 @@ def height_metrics(error: Floats, reference_cells: int, thresholds: Sequence[flo
 
 
 class ErrorCollector:
-    """Takes errors block by block and gives their metrics.
+    """Collects errors block by block, and computes their metrics.
 
-    Sums and counts are exact. Medians are exact too while the collected errors are kept (4 bytes a cell, up to
-    ``keep`` of them); from then on they come from a histogram with bins of ``bin_m`` within ``±range_m``, linear
-    inside a bin, and are good to ``bin_m``. ``keep`` 0 never keeps errors.
+    Sums and counts are exact. So are medians while the errors are kept (4 bytes per cell, up to ``keep`` of them).
+    Beyond, medians come from a histogram with bins of ``bin_m`` within ``±range_m``, linear inside a bin, and are good
+    to ``bin_m``. ``keep`` 0 never keeps errors.
     """
 
     def __init__(

@@ -41,8 +41,9 @@ class CoregistrationParameters(Parameters):
 
 @dataclass(frozen=True)
 class ComparisonParameters(Parameters):
-    """How errors are sampled and divided. All values are chosen."""
+    """How surfaces are resampled, and how errors are sampled and divided. All values are chosen."""
 
+    least_share: float = 0.5  # of a resampling kernel's weight that must have heights: holes keep their size
     slope_edges_deg: Tuple[float, ...] = (0.0, 5.0, 15.0, 30.0, 45.0, 90.0)  # classes of the reference's slope
     sample_cells: int = 2_000_000  # the alignment uses all cells up to here, and beyond ...
     patches: int = 5  # ... so many patches along a side of the overlap ...
@@ -71,4 +72,4 @@ class EvaluationParameters(Parameters):
 
 
 EVALUATION = EvaluationParameters()
-COREGISTRATION, GCPS = EVALUATION.coregistration, EVALUATION.gcps
+COREGISTRATION, COMPARISON, GCPS = EVALUATION.coregistration, EVALUATION.comparison, EVALUATION.gcps

@@ -13,8 +13,9 @@ from osgeo import gdal, ogr, osr
 from ..arrays import Bounds, FloatArray, FloatImage
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
+from ..imagery.raster import quiet
 from .coregistration import Alignment
-from .grids import Grid, HeightWarper, aligned_along, metres_per_unit
+from .grids import Grid, HeightWarper, metres_per_unit
 
 _MOST_LINES = 8
 _MOST_SAMPLES = 2000
@@ -24,7 +25,7 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True)
 class ProfileLine:
-    """A line to cut the surfaces along: a name, and its corners (N, 2) in the reference's CRS."""
+    """A line that surfaces are sampled along: a name, and its corners (N, 2) in the reference's CRS."""
 
     name: str
     corners: FloatArray
@@ -41,28 +42,24 @@ class Profile:
 
 
 def middle_lines(common: Bounds) -> List[ProfileLine]:
-    """West to east and south to north through the middle of what both rasters cover."""
+    """West to east and south to north through the middle of the common extent."""
     x0, y0, x1, y1 = common
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
-    return [
-        ProfileLine("west to east through the middle", np.array([[x0, y], [x1, y]])),
-        ProfileLine("south to north through the middle", np.array([[x, y0], [x, y1]])),
-    ]
+    ends = {"west to east": [[x0, y], [x1, y]], "south to north": [[x, y0], [x, y1]]}
+    return [ProfileLine(f"{name} through the middle", np.array(corners)) for name, corners in ends.items()]
 
 
 def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
-    """The lines of a layer (``file`` or ``file|layername=name``), in the reference's CRS; the first eight.
+    """The first eight lines of a layer (``file`` or ``file|layername=name``), in the reference's CRS.
 
-    A line is named by its field ``name``, else by its number. Raises InputTableError where there is no line.
+    A line is named by its field ``name``, or else by its number. Raises InputTableError where there is no line.
     """
     file, _, name = path.partition("|layername=")
-    gdal.PushErrorHandler("CPLQuietErrorHandler")
-    try:
-        source: Optional[gdal.Dataset] = gdal.OpenEx(file, gdal.OF_VECTOR)
-    except RuntimeError:
-        source = None
-    finally:
-        gdal.PopErrorHandler()
+    with quiet():
+        try:
+            source: Optional[gdal.Dataset] = gdal.OpenEx(file, gdal.OF_VECTOR)
+        except RuntimeError:
+            source = None
     layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
     if layer is None:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
@@ -82,7 +79,7 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
 def sample_profile(
     line: ProfileLine, dsm: HeightWarper, reference: HeightWarper, grid: Grid, alignment: Alignment
 ) -> Profile:
-    """Both surfaces along a line, at the spacing of the reference's cells (wider on lines of over 2000 of them)."""
+    """Both surfaces along a line, at the spacing of the reference's cells (wider where that makes over 2000 points)."""
     per_unit = np.array(metres_per_unit(grid))
     lengths = np.hypot(*(np.diff(line.corners, axis=0) * per_unit).T)
     spacing = max(abs(grid.transform[1]) * per_unit[0], lengths.sum() / _MOST_SAMPLES)
@@ -93,7 +90,7 @@ def sample_profile(
             last = min(first + _AT_ONCE, count)
             along = _row_of_cells(grid, a + (b - a) * first / count, a + (b - a) * last / count, last - first)
             distances.append(start + (np.arange(first, last) + 0.5) * length / count)
-            ours.append(aligned_along(dsm, along, alignment))
+            ours.append(dsm.along(along, alignment))
             theirs.append(reference.along(along))
         start += length
     return Profile(line.name, np.concatenate(distances), np.concatenate(ours), np.concatenate(theirs))
