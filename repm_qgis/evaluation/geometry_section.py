@@ -49,9 +49,9 @@ def _pairs(report: Report, scene: Scene) -> None:
         "angle between suns",
         rows,
         "The overlap is a share of the smaller footprint, at the middle altitude. The expected accuracy is that of "
-        f"single heights where matching is accurate to {POINTING.advice.matching_px:g} px. A narrow pair (B/H below 0.1) "
-        "measures heights poorly, and a wide one (above 0.9) is hard to match. Images that were taken at very different times "
-        "or under another sun have changed, and their matches have gaps.",
+        f"single heights where matching is accurate to {POINTING.advice.matching_px:g} px. A narrow pair (B/H below "
+        "0.1) measures heights poorly, and a wide one (above 0.9) is hard to match. Images that were taken at very "
+        "different times or under another sun have changed, and their matches have gaps.",
     )
 
 

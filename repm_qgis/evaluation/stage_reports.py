@@ -26,7 +26,7 @@ from .geometry_section import add_geometry
 from .report import Report, fixed
 
 _TILES_LAYER = "The TILES layer has them all."
-_WHERE_IT_RUNS = frozenset(forms())  # options that name files and folders to write
+_PATH_OPTIONS = frozenset(forms())  # options that name files and folders to write
 
 
 def fit_report(scene: Scene) -> Report:
@@ -260,7 +260,7 @@ def _options(report: Report, scene: Scene) -> None:
     found: Dict[Tuple[str, str], List[str]] = {}
     for entry in scene.history:
         for name, value in entry.options.items():
-            if value not in (None, "", []) and name not in _WHERE_IT_RUNS:
+            if value not in (None, "", []) and name not in _PATH_OPTIONS:
                 text = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
                 found.setdefault((name, text), []).append(entry.stage)
     report.table(
