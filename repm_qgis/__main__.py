@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 import traceback
+from typing import Any
 
 from .errors import Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import keep_freed_memory, one_thread_for_sums
@@ -27,7 +28,7 @@ _MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
 
 
-def _job(path: str) -> dict:
+def _job(path: str) -> dict[str, Any]:
     try:
         if os.path.getsize(path) > _MAX_JOB_BYTES:
             raise OptionError("job", path, f"must be a file of less than {_MAX_JOB_BYTES >> 20} MiB")

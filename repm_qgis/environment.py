@@ -17,11 +17,13 @@ import sys
 from dataclasses import dataclass
 from typing import Any, Optional
 
+from .memory import kernel_memory, physical_memory
+from .parallel import cores
+
 CUDA_WHEEL = "pycolmap-cuda12>=4.2,<5"
 """COLMAP with CUDA; it takes the place of ``pycolmap``, as both are imported under that name."""
 
 _ASK_SECONDS = 60
-_MEMORY_FIELDS = {"MemTotal": "total_bytes", "MemAvailable": "available_bytes"}
 
 
 @dataclass(frozen=True)
@@ -198,37 +200,21 @@ def cuda_usable() -> bool:
 
 def memory() -> dict[str, Optional[int]]:
     """``total_bytes`` and ``available_bytes`` of this machine; None where it does not say."""
-    found: dict[str, Optional[int]] = dict.fromkeys(_MEMORY_FIELDS.values())
-    try:
-        with open("/proc/meminfo", encoding="ascii") as stream:
-            for line in stream:
-                name, _, value = line.partition(":")
-                if name in _MEMORY_FIELDS:
-                    found[_MEMORY_FIELDS[name]] = int(value.split()[0]) * 1024
-    except (OSError, ValueError, IndexError):
-        names = getattr(os, "sysconf_names", {})
-        if "SC_PHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
-            found["total_bytes"] = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return found
-
-
-def cores() -> int:
-    """The cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    known, total = kernel_memory(), physical_memory()
+    return {"total_bytes": known.get("MemTotal", total), "available_bytes": known.get("MemAvailable")}
 
 
 def proj() -> dict[str, Any]:
     """PROJ's version and data folder, and which of the geoid grids are there: heights above a geoid need one."""
-    import pyproj
-
-    folders = [pyproj.datadir.get_data_dir(), pyproj.datadir.get_user_data_dir()]
+    pyproj, datadir, network = map(importlib.import_module, ("pyproj", "pyproj.datadir", "pyproj.network"))
+    folders = [datadir.get_data_dir(), datadir.get_user_data_dir()]
     folders = [folder for entry in folders for folder in entry.split(os.pathsep) if folder]
     grids = {name: any(os.path.exists(os.path.join(folder, name)) for folder in folders) for name, _ in GRIDS}
     return {
         "version": pyproj.proj_version_str,
         "folders": folders,
         "grids": grids,
-        "network": bool(pyproj.network.is_network_enabled()),
+        "network": bool(network.is_network_enabled()),
     }
 
 

@@ -20,7 +20,7 @@ class OptionError(RepmError, ValueError):
         self.value = value
         self.reason = reason
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[object, ...]:
         # Pickled by what it is made of, so that it comes out of a worker process as itself.
         return type(self), (self.name, self.value, self.reason)
 
@@ -79,5 +79,5 @@ class Cancelled(RepmError):
     def __init__(self) -> None:
         super().__init__("Cancelled by the user.")
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), ()

@@ -6,50 +6,61 @@ import ctypes
 import os
 import sys
 from pathlib import Path
-from typing import Optional, Sequence
+from typing import Any, Dict, Optional, Sequence
 
 from .errors import OptionError
 from .parallel import cores
 from .progress import Progress
 
 _SHARE = 0.75  # of what is free, where no budget is given
-_CGROUP = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")
+_CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")
 _MIB = 1024.0 * 1024.0
 
 
-def free_mib() -> Optional[float]:
+def free_mib(container: Sequence[str] = _CONTAINER) -> Optional[float]:
     """Memory that this process and its workers may still take, MiB; None where the system does not say.
 
     On Linux the kernel's own estimate, or what the container's limit leaves, whichever is less; elsewhere the free
     (Windows) or a half of all physical memory.
     """
-    found = [value for value in (_meminfo_mib(), _container_mib()) if value is not None]
+    found = [
+        value / _MIB for value in (kernel_memory().get("MemAvailable"), _container_rest(container)) if value is not None
+    ]
     if found:
         return min(found)
     if sys.platform == "win32":
         return _windows_mib()
+    total = physical_memory()
+    return None if total is None else total / _MIB / 2
+
+
+def kernel_memory() -> Dict[str, int]:
+    """Linux's own figures, bytes by their names in /proc/meminfo; empty elsewhere."""
+    found = {}
     try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _MIB / 2
+        with open("/proc/meminfo", encoding="ascii", errors="replace") as stream:
+            for line in stream:
+                name, _, value = line.partition(":")
+                if value.strip().endswith("kB"):
+                    found[name] = int(value.split()[0]) * 1024
+    except (OSError, ValueError):
+        pass
+    return found
+
+
+def physical_memory() -> Optional[int]:
+    """All memory of this machine, bytes; None where the system does not say."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
         return None
 
 
-def _meminfo_mib() -> Optional[float]:
+def _container_rest(files: Sequence[str]) -> Optional[int]:
+    """What a container's limit leaves (cgroup 2), bytes, of the files with limit and use; None without one."""
     try:
-        with open("/proc/meminfo", encoding="ascii", errors="replace") as stream:
-            for line in stream:
-                if line.startswith("MemAvailable:"):
-                    return int(line.split()[1]) / 1024.0
-    except (OSError, ValueError, IndexError):
-        pass
-    return None
-
-
-def _container_mib() -> Optional[float]:
-    """What a container's limit leaves (cgroup 2); None without one."""
-    try:
-        limit, used = (Path(path).read_text(encoding="ascii").strip() for path in _CGROUP)
-        return max(int(limit) - int(used), 0) / _MIB
+        limit, used = (Path(path).read_text(encoding="ascii").strip() for path in files)
+        return max(int(limit) - int(used), 0)
     except (OSError, ValueError):  # "max" is no number: no limit
         return None
 
@@ -63,9 +74,8 @@ def _windows_mib() -> Optional[float]:
 
     status = Status()
     status.length = ctypes.sizeof(Status)
-    if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):
-        return None
-    return status.free / _MIB
+    windll: Any = getattr(ctypes, "windll")  # noqa: B009 - there is none elsewhere
+    return float(status.free) / _MIB if windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)) else None
 
 
 def workers_within(workers: int, each_mib: float, budget_mib: int, tile_px: int, progress: Progress) -> int:

@@ -54,7 +54,7 @@ class Number:
     automatic: bool = False
 
     def problem(self, value: object) -> str:
-        if isinstance(value, int if self.whole else (int, float)) and not isinstance(value, bool):
+        if isinstance(value, (int, float)) and not isinstance(value, (bool, float) if self.whole else bool):
             if self.low <= value <= self.high or (self.automatic and value == 0):
                 return ""
         kind = "a whole number" if self.whole else "a number"

@@ -65,11 +65,13 @@ class View(Record):
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row, pointing included."""
-        return self.rpc.project(lon_lat_h) @ self.pointing[:, :2].T + self.pointing[:, 2]
+        pixels: FloatArray = self.rpc.project(lon_lat_h) @ self.pointing[:, :2].T + self.pointing[:, 2]
+        return pixels
 
     def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
         """(..., 2) column, row and heights to (..., 3) longitude, latitude, height, pointing included."""
-        raw = (np.asarray(col_row) - self.pointing[:, 2]) @ np.linalg.inv(self.pointing[:, :2]).T
+        offset: FloatArray = np.asarray(col_row) - self.pointing[:, 2]
+        raw: FloatArray = offset @ np.linalg.inv(self.pointing[:, :2]).T
         return self.rpc.localise(raw, height)
 
     def with_pointing(self, pointing: FloatArray) -> "View":
@@ -266,7 +268,9 @@ def origin(path: str) -> Tuple[str, str]:
     """The workspace in which a scene began, and its first image; "" for what its file does not tell."""
     try:
         document = _document(path)
-        first = next((entry["options"] for entry in document["history"] if entry["stage"] == "epmfit"), {})
+        first: Mapping[str, Any] = next(
+            (entry["options"] for entry in document["history"] if entry["stage"] == "epmfit"), {}
+        )
         return str(first.get("workspace", "")), str(document["views"][0]["image"])
     except (SceneError, KeyError, TypeError, AttributeError, IndexError):
         return "", ""

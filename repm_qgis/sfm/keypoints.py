@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from .. import environment
 from ..arrays import ByteImage, FloatArray, FloatImage
 from ..errors import EmptyResultError, RepmError
+from ..parallel import cores
 from ..progress import Progress
 from .parameters import POINTING, KeypointParameters
 
@@ -115,7 +116,7 @@ class ColmapSift:
         return f"SIFT of COLMAP, on the {'GPU' if self.device == 'cuda' else 'CPU'}"
 
     def workers(self, asked: int) -> int:
-        return min(asked or environment.cores(), self.parameters.gpu_workers) if self.device == "cuda" else asked
+        return min(asked or cores(), self.parameters.gpu_workers) if self.device == "cuda" else asked
 
     def detect(self, grey: ByteImage, mask: ByteImage, most: int, choose: Choice = everything) -> Keypoints:
         """All keypoints for ``choose``, sorted by place: a GPU returns them in any order."""

@@ -35,4 +35,5 @@ def run_stage(name: str, options: Mapping[str, Any], progress: Progress) -> dict
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)
-    return importlib.import_module(f"{__name__}.{name}").run(checked, progress)
+    result: dict[str, Any] = importlib.import_module(f"{__name__}.{name}").run(checked, progress)
+    return result

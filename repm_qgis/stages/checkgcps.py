@@ -40,7 +40,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
         progress.step(0.4, "points on the DSM")
         with opened(options.dsm) as dsm:
             measure_dsm(found, dsm, options.gcps)
-        if not np.isfinite(found.dsm_heights).any():
+        if found.dsm_heights is None or not np.isfinite(found.dsm_heights).any():
             raise EmptyResultError(
                 f"None of the {counted(len(found.gcps), 'point')} of '{options.gcps}' lies where "
                 f"the DSM '{options.dsm}' has a height: choose the points of that place."

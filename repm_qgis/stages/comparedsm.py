@@ -58,8 +58,8 @@ def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comp
         reference = stack.enter_context(raster.opened(options.reference))
         classes = stack.enter_context(raster.opened(options.classes)) if options.classes else None
         lines = read_lines(options.profiles, Grid.of(reference)) if options.profiles else ()
-        wanted = options.error and path == options.dsm
-        error = stack.enter_context(_error_raster(options.error, reference)) if wanted else None
+        target = options.error if path == options.dsm else None
+        error = stack.enter_context(_error_raster(target, reference)) if target else None
         found = compare(dsm, reference, options.align, options.thresholds, progress, error, classes, lines)
         if error is not None:
             error.flush()

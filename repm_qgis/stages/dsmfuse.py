@@ -62,8 +62,8 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
         cloud = cloud_of(options, folder) if facts.points else None
         shown = _write_for_display(options, cloud, datum.file_crs(crs), progress)
         for index, pair in enumerate(pairs):
-            ends = [share + (1 - share) * i / len(pairs) for i in (index, index + 1)]
-            _one_pair(options, pair, scene, tiles, layout, folder, Part(progress, *ends))
+            low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
+            _one_pair(options, pair, scene, tiles, layout, folder, Part(progress, low, high))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     _log(facts, radius, needed, options, progress)
@@ -101,7 +101,7 @@ def _fused(
             crs=layout.crs,
             method=options.method,
             fill=options.fill,
-            radius=options.outlier_radius,
+            radius=options.outlier_radius or 0.0,
             ortho_views=views,
             cloud=bool(options.cloud or options.ept),
         )

@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 from osgeo import ogr
 
+from ..arrays import Altitudes, Bounds, Window
 from ..errors import OptionError, OverlapError
 from ..evaluation.stage_reports import fit_report
 from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
@@ -18,7 +19,7 @@ from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_a
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_files_beside
-from ..options import EpmFitOptions
+from ..options import EpmFitOptions, Extent
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_files_beside
 from ..scene import Scene, Tile, TileView, View, load_views, reusable
@@ -141,7 +142,7 @@ def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], optio
         raise OverlapError(f"The images do not overlap on the ground: {places}. Choose images of one place.")
     if options.extent is None:
         return area
-    wanted = _extent(options, crs)
+    wanted = _extent(options, options.extent, crs)
     common = area.Intersection(wanted)
     if common is None or common.IsEmpty() or common.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
         back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
@@ -159,11 +160,11 @@ def _range_text(bounds: Sequence[float]) -> str:
     return f"x {xmin} to {xmax}, y {ymin} to {ymax}"
 
 
-def _extent(options: EpmFitOptions, crs: str) -> ogr.Geometry:
+def _extent(options: EpmFitOptions, extent: Extent, crs: str) -> ogr.Geometry:
     """The extent asked for as its bounding box in the scene's CRS."""
     try:
         transformer = pyproj.Transformer.from_crs(options.extent_crs, crs, always_xy=True)
-        return box(transformer.transform_bounds(*options.extent))
+        return box(transformer.transform_bounds(*extent))
     except pyproj.exceptions.ProjError as error:
         raise OptionError("EXTENT", options.extent, f"cannot be brought into {crs} ({error})") from error
 
@@ -175,7 +176,7 @@ def _automatic_size(scene: Scene, area: ogr.Geometry, budget: float, progress: P
 
     def error_of(size: int) -> float:
         half = size * scene.gsd_m / 2
-        fitted = (fit_tile(scene, GroundTile("", (x - half, y - half, x + half, y + half))) for x, y in places)
+        fitted = (fit_tile(scene, GroundTile("", Bounds(x - half, y - half, x + half, y + half))) for x, y in places)
         errors = [
             refine_pinhole("polynomial", view.camera, grid, view.window).error.rmse
             for tile, grids in fitted
@@ -207,9 +208,7 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
     return Tile(ground.id, ground.bounds, scene.altitudes, views), grids
 
 
-def view_window(
-    scene: Scene, view: View, bounds: Tuple[float, float, float, float], altitudes: Tuple[float, float], margin: int = 0
-) -> Optional[Tuple[int, int, int, int]]:
+def view_window(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes, margin: int = 0) -> Optional[Window]:
     """The pixel window of a view that sees a ground rectangle at all of these altitudes; None where it does not."""
     return pixel_window(
         view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size, margin

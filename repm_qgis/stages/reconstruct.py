@@ -83,7 +83,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         "tie_points": ties_path,
         "heights": str(folder),
         "report": report_path,
-        "n_tie_points": done.pointing.count,
+        "n_tie_points": done.pointing.count if done.pointing else 0,
     }
 
 

@@ -43,7 +43,7 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
         scene = scene.recorded("refine", key, options.to_json(), time.monotonic() - start, notes.warnings)
         scene.save(options.output_scene)
     refine_report(scene).write(report_path)
-    errors = [view.refined.error for tile in scene.tiles for view in tile.views.values()]
+    errors = [view.refined.error for tile in scene.tiles for view in tile.views.values() if view.refined]
     rmse = float(np.sqrt(np.mean([e.rmse**2 for e in errors])))
     progress.info(
         f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max "
