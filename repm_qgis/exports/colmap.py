@@ -1,11 +1,11 @@
-"""COLMAP: images/, masks/, sparse/0 (binary), sparse_text (the same, to read with one's eyes) and database.db.
+"""COLMAP: images/, masks/, sparse/0 (binary), sparse_text (the same as text) and database.db.
 
-The database knows cameras and images by the model's numbers, so that COLMAP's feature_extractor, matchers and
-point_triangulator can go on from here.
+Cameras and images have the same numbers in the database and in the model, so that COLMAP's feature_extractor, matchers
+and point_triangulator can continue from here.
 
 Conventions (https://colmap.github.io/format.html): camera model PINHOLE with fx, fy, cx, cy, the first pixel's centre
-at (0.5, 0.5), poses cam_from_world. Each image has a camera of its own. Tie points come without tracks: their
-measured pixels belong to the original images.
+at (0.5, 0.5), poses cam_from_world. Each image has a camera of its own. Tie points have no tracks, because
+their measured pixels belong to the original images.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Tuple
 
 from ..errors import MissingPackageError
-from .layout import Layout
+from .formats import ExportFormat
 from .model import TileModel
 
 _GREY = (128, 128, 128)
@@ -63,7 +63,8 @@ def write_colmap(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
 def _write_database(model: Any, path: Path) -> None:
     import pycolmap
 
-    database = getattr(pycolmap.Database, "open", pycolmap.Database)(str(path))
+    opened: Any = getattr(pycolmap.Database, "open", pycolmap.Database)
+    database = opened(str(path))
     try:
         for things, write in (
             (model.cameras, database.write_camera),
@@ -77,7 +78,7 @@ def _write_database(model: Any, path: Path) -> None:
         database.close()
 
 
-COLMAP = Layout(
+COLMAP = ExportFormat(
     "colmap",
     lambda model, index: f"images/{model.file_name(index)}",
     ".png",

@@ -1,63 +1,51 @@
-"""The pixels of exported images and their masks, in strips: memory does not grow with the image."""
+"""The pixels of exported images and their masks, written in strips, so that memory does not grow with the image."""
 
 from __future__ import annotations
 
 import os
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Iterator, Optional, Tuple
+from typing import Any, Iterator, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
+from ..arrays import FloatImage, Window
 from ..errors import ImageError, WorkspaceError
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import created, opened, quiet, read
+from ..imagery.raster import RasterWriter, created, opened, quiet, read
 from ..imagery.warping import warp_strips
 from ..progress import Progress
 from ..workspace import take_name, temporary_name
 from .model import ExportView
 
-_STRIP = 512
-_ENCODERS = {".png": ("PNG", ()), ".jpg": ("JPEG", ("QUALITY=95",))}
+_STRIP = 512  # rows
+_ENCODERS = {".png": ("PNG", ()), ".jpg": ("JPEG", ("QUALITY=95",))}  # 95: without visible loss
 
 
 def write_image(
     view: ExportView, path: Path, mask: Optional[Path], stretch: Optional[Stretch], kernel: str, progress: Progress
 ) -> None:
-    """Write a view's image, and its mask (255 where it has data) where one is wanted.
+    """Write a view's image and, where ``mask`` is given, its mask (255 where the image has data).
 
-    With ``stretch`` it is 8-bit PNG or JPEG by ``path``'s extension, 1..255; without, 16-bit TIFF with the image's own
-    values, 1..65535. 0 is nodata.
+    With ``stretch`` it is an 8-bit PNG or JPEG, by the extension of ``path``, with values 1..255; without, a 16-bit
+    TIFF with the image's own values, 1..65535. 0 is nodata.
 
     Raises ImageError where a source cannot be read, WorkspaceError where a file cannot be written.
     """
-    shape = view.size[::-1]
     plain = str(path) if stretch is None else f"{path}.tif"
     with ExitStack() as files:
-        pixels = files.enter_context(
-            created(
-                plain,
-                shape,
-                np.dtype(np.uint16 if stretch is None else np.uint8),
-                1,
-                None,
-                "",
-                nodata=None,
-                compress=stretch is None,
-            )
-        )
-        known = (
-            files.enter_context(
-                created(f"{mask}.tif", shape, np.dtype(np.uint8), 1, None, "", nodata=None, compress=False)
-            )
-            if mask
-            else None
-        )
+
+        def band(name: str, dtype: "np.dtype[Any]", compress: bool) -> RasterWriter:
+            raster = created(name, view.size[::-1], dtype, 1, None, "", nodata=None, compress=compress)
+            return files.enter_context(raster)
+
+        pixels = band(plain, np.dtype(np.uint16 if stretch is None else np.uint8), stretch is None)
+        known = band(f"{mask}.tif", np.dtype(np.uint8), False) if mask else None
         for row, values in _strips(view, kernel):
             progress.check_cancelled()
-            pixels.write(_brightness(values, stretch), 0, row)
+            pixels.write(_integers(values, stretch), 0, row)
             if known is not None:
                 known.write(np.where(np.isfinite(values), 255, 0).astype(np.uint8), 0, row)
     if stretch is not None:
@@ -66,21 +54,19 @@ def write_image(
         encode(f"{mask}.tif", mask)
 
 
-def _brightness(values: NDArray[np.float32], stretch: Optional[Stretch]) -> NDArray:
-    """Integers with 0 for NaN only."""
-    if stretch is None:
-        whole, dtype = np.clip(values, 1, 65535), np.uint16
-    else:
-        whole, dtype = 1 + 254 * stretch.apply(values), np.uint8
-    return np.where(np.isfinite(values), np.rint(np.nan_to_num(whole)), 0).astype(dtype)
+def _integers(values: FloatImage, stretch: Optional[Stretch]) -> NDArray[np.unsignedinteger[Any]]:
+    """Intensity as integers, 0 only for NaN."""
+    whole = np.clip(values, 1, 65535) if stretch is None else 1 + 254 * stretch.apply(values)
+    rounded = np.where(np.isfinite(values), np.rint(np.nan_to_num(whole)), 0)
+    return rounded.astype(np.uint16 if stretch is None else np.uint8)
 
 
-def _strips(view: ExportView, kernel: str) -> Iterator[Tuple[int, NDArray[np.float32]]]:
-    """First row and pixels of each strip: of the refined image where it is there, else resampled from the original."""
+def _strips(view: ExportView, kernel: str) -> Iterator[Tuple[int, FloatImage]]:
+    """First row and pixels of each strip: from the refined image if it exists, else resampled from the original."""
     if _is_refined_image(view):
         with opened(view.source) as dataset:
             for row in range(0, view.size[1], _STRIP):
-                yield row, read(dataset, (0, row, view.size[0], min(_STRIP, view.size[1] - row)))
+                yield row, read(dataset, Window(0, row, view.size[0], min(_STRIP, view.size[1] - row)))
         return
     with opened(view.view.image) as dataset:
         yield from warp_strips(dataset, view.view.band, view.to_original, view.size, kernel)
@@ -97,7 +83,7 @@ def _is_refined_image(view: ExportView) -> bool:
 
 
 def encode(plain: str, path: Path) -> None:
-    """Turn ``plain`` (a raster, removed afterwards) into PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
+    """Convert ``plain`` (a raster, which is removed) to PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
     driver, options = _ENCODERS[path.suffix]
     temporary = temporary_name(str(path))
     try:
@@ -110,8 +96,8 @@ def encode(plain: str, path: Path) -> None:
                 reason = str(error)
         if reason or not os.path.exists(temporary):
             raise WorkspaceError(
-                f"Cannot write '{path}' ({reason or 'no reason given'}): is the disk full, or GDAL "
-                f"without its {driver} driver?"
+                f"Cannot write '{path}' ({reason or 'no reason given'}): is the disk full, or does GDAL lack its "
+                f"{driver} driver?"
             )
         take_name(temporary, str(path))
     finally:

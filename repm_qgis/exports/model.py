@@ -1,7 +1,7 @@
-"""A tile as other software wants it: views with zero-skew cameras, image sizes, depths, and perhaps some points.
+"""A tile as other software needs it: views with zero-skew cameras, image sizes, depths, and any tie points.
 
-Pixels are column, row with the first pixel's centre at (0, 0), as everywhere here; the layouts that count from its
-corner take :meth:`ExportView.corner_K`. The world is the scene's local ENU frame, metres, the same for all tiles.
+Pixels are column, row with the first pixel's centre at (0, 0), as everywhere here; formats that count from its corner
+use :meth:`ExportView.corner_K`. The world is the scene's local ENU frame, metres, the same for all tiles.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ from typing import Callable, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Size
 from ..errors import SceneError
-from ..geometry.equivalent_error import EquivalentError
+from ..geometry.centring import centred, image_nodes
+from ..geometry.equivalent_error import EquivalentError, RefinedPinhole
 from ..geometry.frames import EnuFrame
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography
 from ..scene import Scene, Tile, View
 
 PixelMap = Callable[[FloatArray], FloatArray]
-
-_NODES = 9  # pixels a side, for depths and the shift of pointing
 
 
 @dataclass(frozen=True)
@@ -37,13 +36,13 @@ class ExportView:
     depths : least and greatest depth of the ground that the image shows within the tile's altitudes, m.
     shift_px : (2,) how far relative pointing moved the principal point.
     ground : (n, 3) what the image shows at the tile's lowest and highest altitude, in the frame.
-    source : the refined 16-bit image that shows these very pixels; "" where it has to be made.
+    source : the refined 16-bit image with exactly these pixels; "" where it must be resampled.
     """
 
     view: View
     camera: PinholeCamera
     to_original: PixelMap
-    size: Tuple[int, int]
+    size: Size
     depths: Tuple[float, float]
     error: EquivalentError
     shift_px: FloatArray
@@ -78,30 +77,15 @@ class ExportView:
         """How many depths one interval apart, the least depth the first, reach the greatest depth."""
         return int(np.ceil((self.depths[1] - self.depths[0]) / self.depth_interval)) + 1
 
-    def resampled(self, affinity: FloatArray, size: Tuple[int, int]) -> "ExportView":
+    def resampled(self, affinity: FloatArray, size: Size) -> "ExportView":
         """The view of an image whose pixel ``affinity`` @ p is this one's pixel p; (3, 3), no shear."""
         return self._seen_by(PinholeCamera(affinity @ self.camera.K, self.camera.R, self.camera.t), size)
 
     def centred(self) -> "ExportView":
-        """The view of a camera that is turned towards the image's middle: principal point there, square pixels.
+        """The view of the camera rotated towards the image's middle, with square pixels; only this is resampled."""
+        return self._seen_by(*centred(self.camera, self.size))
 
-        The projection centre stays, so the image changes by a homography only, and is as exact as before. Satellites'
-        cameras fitted without it look straight down, with a principal point up to a million pixels outside.
-        """
-        middle = (np.array(self.size) - 1.0) / 2
-        ray = np.linalg.solve(self.camera.K, [*middle, 1.0])
-        R = _turn_to(ray / np.linalg.norm(ray)) @ self.camera.R
-        turned = PinholeCamera(np.eye(3), R, R @ self.camera.R.T @ self.camera.t)
-        # One focal length that keeps the pixels' area at the middle.
-        shape = R @ np.linalg.inv(self.camera.K @ self.camera.R)
-        steps = apply_homography(shape, middle + np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]]))
-        focal = abs(np.linalg.det([steps[0] - steps[1], steps[2] - steps[3]])) ** -0.5
-        turned = PinholeCamera(np.diag([focal, focal, 1.0]), turned.R, turned.t)
-        border = apply_homography(turned.K @ shape, _nodes(self.size))
-        low, high = np.floor(border.min(axis=0)), np.ceil(border.max(axis=0))
-        return self._seen_by(turned.moved(*low), (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1))
-
-    def _seen_by(self, camera: PinholeCamera, size: Tuple[int, int]) -> "ExportView":
+    def _seen_by(self, camera: PinholeCamera, size: Size) -> "ExportView":
         """The view of another camera at the same projection centre."""
         old = self.to_original
         here_from_there = self.camera.K @ self.camera.R @ np.linalg.inv(camera.K @ camera.R)
@@ -130,81 +114,58 @@ class TileModel:
     residuals_px: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def file_name(self, index: int) -> str:
-        """A view's name as other software can take it in a list: without blanks, and no other view's."""
+        """A view's name for lists of other software: without blanks, and unique."""
         names = [re.sub(r"\s+", "_", view.name) for view in self.views]
         return names[index] if names.count(names[index]) == 1 else f"{names[index]}_{index}"
 
 
 def tile_model(scene: Scene, tile: Tile, reuse_images: bool = True) -> TileModel:
-    """A tile's views as they can be exported.
-
-    Raises SceneError where the tile is not refined.
-    """
-    missing = [name for name, tile_view in tile.views.items() if tile_view.refined is None]
-    if missing or not tile.views:
+    """A tile's views for export; raises SceneError where the tile is not refined."""
+    views = []
+    for name, tile_view in tile.views.items():
+        if tile_view.refined is None:
+            break
+        image = (tile_view.image or "") if reuse_images else ""
+        views.append(_export_view(scene, tile, name, tile_view.refined, image))
+    if not views or len(views) < len(tile.views):
         raise SceneError(
-            f"The tile '{tile.id}' of the scene '{scene.path}' has no refined images: run 'Refine the "
-            "images' first, and export the scene that it writes."
+            f"The tile '{tile.id}' of the scene '{scene.path}' has no refined images: run 'Refine the images' first, "
+            "and export the scene that it writes."
         )
-    return TileModel(
-        tile, scene.frame, scene.crs, tuple(_export_view(scene, tile, name, reuse_images) for name in tile.views)
-    )
+    return TileModel(tile, scene.frame, scene.crs, tuple(views))
 
 
-def _export_view(scene: Scene, tile: Tile, name: str, reuse_image: bool) -> ExportView:
-    view, tile_view = scene.view(name), tile.views[name]
-    refined = tile_view.refined
-    nodes = _nodes(refined.size)
-    shift = _pointing_shift(view, refined.to_original, nodes)
+def _export_view(scene: Scene, tile: Tile, name: str, refined: RefinedPinhole, image: str) -> ExportView:
+    view, to_original = scene.view(name), refined.to_original
+    nodes = image_nodes(refined.size)
+    original = to_original.original_from_refined(nodes)
+    shift = np.zeros(2)
+    if not np.array_equal(view.pointing, np.eye(2, 3)):
+        # The mean shift from where the vendor's RPC puts the ground to where it is really seen.
+        pointed = original @ view.pointing[:, :2].T + view.pointing[:, 2]
+        shift = np.nanmean(to_original.refined_from_original(pointed) - nodes, axis=0)
     camera = refined.camera.moved(*-shift)
-    ground = _ground(scene, tile, view, refined.to_original.original_from_refined(nodes))
+    places = np.concatenate([view.localise(original, altitude) for altitude in tile.altitudes])
+    ground = scene.frame.from_geodetic(places[np.isfinite(places).all(axis=1)])
     made = ExportView(
-        view,
-        camera,
-        refined.to_original.original_from_refined,
-        refined.size,
-        _range(camera, ground),
-        refined.error,
-        shift,
-        ground,
-        (tile_view.image or "") if reuse_image else "",
+        view=view,
+        camera=camera,
+        to_original=to_original.original_from_refined,
+        size=refined.size,
+        depths=_range(camera, ground),
+        error=refined.error,
+        shift_px=shift,
+        ground=ground,
+        source=image,
     )
     if camera.K[1, 1] > 0:
         return made
-    # A mirrored image has a negative focal length in K, which other software refuses: turn its rows round.
-    width, height = refined.size
-    return made.resampled(np.array([[1.0, 0.0, 0.0], [0.0, -1.0, height - 1.0], [0.0, 0.0, 1.0]]), (width, height))
-
-
-def _nodes(size: Tuple[int, int]) -> FloatArray:
-    """(n, 2) pixels spread over an image, its corners included."""
-    u, v = (np.linspace(0, side - 1, _NODES) for side in size)
-    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-
-
-def _pointing_shift(view: View, to_original: object, nodes: FloatArray) -> FloatArray:
-    """(2,) mean shift, in refined px, from where the vendor's RPC puts the ground to where it is really seen."""
-    if np.array_equal(view.pointing, np.eye(2, 3)):
-        return np.zeros(2)
-    vendor = to_original.original_from_refined(nodes)
-    seen = to_original.refined_from_original(vendor @ view.pointing[:, :2].T + view.pointing[:, 2])
-    return np.nanmean(seen - nodes, axis=0)
-
-
-def _ground(scene: Scene, tile: Tile, view: View, original: FloatArray) -> FloatArray:
-    """(n, 3) what original pixels show at the tile's lowest and highest altitude, in the scene's frame."""
-    ground = np.concatenate([view.localise(original, altitude) for altitude in tile.altitudes])
-    return scene.frame.from_geodetic(ground[np.isfinite(ground).all(axis=1)])
+    # A mirrored image has a negative focal length in K, which other software refuses: its rows are reversed.
+    flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, refined.size[1] - 1.0], [0.0, 0.0, 1.0]])
+    return made.resampled(flip, refined.size)
 
 
 def _range(camera: PinholeCamera, ground: FloatArray) -> Tuple[float, float]:
     """Least and greatest depth of points."""
     depth = camera.depth(ground)
     return float(depth.min()), float(depth.max())
-
-
-def _turn_to(direction: FloatArray) -> FloatArray:
-    """(3, 3) the smallest rotation that takes a unit vector in front of a camera to its optical axis."""
-    x, y, z = direction
-    axis = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-    return np.eye(3) + axis + axis @ axis / (1.0 + z)

@@ -1,6 +1,6 @@
 """MVSNet: images/00000000.jpg, cams/00000000_cam.txt and pair.txt.
 
-The layout that MVSNet (https://github.com/YoYo000/MVSNet) and its descendants read: extrinsic cam_from_world (4, 4),
+The format that MVSNet (https://github.com/YoYo000/MVSNet) and its descendants read: extrinsic cam_from_world (4, 4),
 intrinsic (3, 3), then DEPTH_MIN DEPTH_INTERVAL DEPTH_NUM DEPTH_MAX. Its homographies count pixels as COLMAP does.
 """
 
@@ -13,15 +13,15 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..workspace import write_text
-from .layout import Layout
+from .formats import ExportFormat
 from .model import ExportView, TileModel
 
-_MOST_SOURCES = 10
+_MOST_SOURCES = 10  # as in MVSNet's own pair.txt
 _ANGLE_DEG, _BELOW_DEG, _ABOVE_DEG = 5.0, 1.0, 10.0  # view selection of Yao et al., MVSNet, ECCV 2018
 
 
 def matrix_text(matrix: FloatArray) -> str:
-    """Rows of numbers, every digit of them."""
+    """Rows of numbers with all their digits."""
     return "\n".join(" ".join(repr(float(value)) for value in row) for row in matrix)
 
 
@@ -42,15 +42,15 @@ def pair_scores(model: TileModel) -> FloatArray:
     angle = np.degrees(np.arccos(np.clip(rays @ rays.T, -1.0, 1.0)))
     score = np.exp(-((angle - _ANGLE_DEG) ** 2) / (2 * np.where(angle <= _ANGLE_DEG, _BELOW_DEG, _ABOVE_DEG) ** 2))
     np.fill_diagonal(score, 0.0)
-    return score
+    return np.asarray(score)
 
 
 def _middle(model: TileModel) -> FloatArray:
-    """(3,) what the first view shows in its middle, at its middle depth."""
+    """(3,) the point in the middle of the first view, at its middle depth."""
     view = model.views[0]
     col, row = (side / 2 for side in view.size)
     ray = np.linalg.solve(view.camera.K @ view.camera.R, np.array([col, row, 1.0]))
-    return view.camera.centre + ray * sum(view.depths) / 2
+    return np.asarray(view.camera.centre + ray * sum(view.depths) / 2)
 
 
 def pair_text(model: TileModel) -> str:
@@ -69,5 +69,5 @@ def write_mvsnet(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
     write_text(str(folder / "pair.txt"), pair_text(model))
 
 
-# .jpg is what MVSNet and its descendants look for by name.
-MVSNET = Layout("mvsnet", lambda model, index: f"images/{index:08d}", ".jpg", write_mvsnet)
+# MVSNet and its descendants read files with the extension .jpg only.
+MVSNET = ExportFormat("mvsnet", lambda model, index: f"images/{index:08d}", ".jpg", write_mvsnet)

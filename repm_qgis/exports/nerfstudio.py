@@ -1,7 +1,7 @@
 """nerfstudio: images/, masks/ and transforms.json (https://docs.nerf.studio/quickstart/data_conventions.html).
 
-Cameras look along -z with y up (OpenGL); ``transform_matrix`` is world_from_camera; rays go through pixel + 0.5, so
-the first pixel's centre is (0.5, 0.5).
+Cameras look along -z with y up (OpenGL); ``transform_matrix`` is world_from_camera; the centre of the first pixel is
+(0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Dict, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import FloatArray
 from ..workspace import write_text
-from .layout import Layout
+from .formats import ExportFormat
 from .model import ExportView, TileModel
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def world_from_opengl(view: ExportView) -> NDArray[np.float64]:
+def world_from_opengl(view: ExportView) -> FloatArray:
     """(4, 4) transform_matrix."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = view.camera.R.T, view.camera.centre
-    return matrix @ _OPENGL_FROM_OPENCV
+    return np.asarray(matrix @ _OPENGL_FROM_OPENCV)
 
 
 def _mask(image: str) -> str:
@@ -48,17 +48,11 @@ def _frame(view: ExportView, image: str) -> Dict[str, Any]:
 
 def write_nerfstudio(model: TileModel, images: Tuple[str, ...], folder: Path) -> None:
     """Write transforms.json."""
-    document = {
-        "camera_model": "OPENCV",
-        "k1": 0.0,
-        "k2": 0.0,
-        "p1": 0.0,
-        "p2": 0.0,
-        "frames": [_frame(view, image) for view, image in zip(model.views, images)],
-    }
+    frames = [_frame(view, image) for view, image in zip(model.views, images)]
+    document = {"camera_model": "OPENCV", **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0), "frames": frames}
     write_text(str(folder / "transforms.json"), json.dumps(document, indent=1, allow_nan=False))
 
 
-NERFSTUDIO = Layout(
+NERFSTUDIO = ExportFormat(
     "nerfstudio", lambda model, index: f"images/{model.file_name(index)}", ".png", write_nerfstudio, mask=_mask
 )

@@ -12,25 +12,18 @@ from ..arrays import FloatArray
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.raster import quiet
 from ..scene import Scene, Tile
+from ..sfm.parameters import POINTING
 
-_MOST_RESIDUAL_PX = 1.5  # as in reconstruct: beyond it a tie is a wrong match
 
+def tie_points(scene: Scene, tile: Tile, most_px: float = POINTING.good_px) -> Tuple[FloatArray, FloatArray]:
+    """(N, 3) points in the scene's frame and (N,) residuals, px, of the ties on a tile with residuals below a limit.
 
-def tie_points(scene: Scene, tile: Tile) -> Tuple[FloatArray, FloatArray]:
-    """(N, 3) points in the scene's frame and (N,) residuals, px, of the trustworthy ties on a tile.
-
-    Empty where the scene was not reconstructed, or its tie points' file is gone.
+    Empty where the scene was not reconstructed, or the file of its tie points does not exist.
     """
     path = Path(scene.tie_points)
     rows = _read(path) if path.is_file() else np.empty((0, 4))
-    xmin, ymin, xmax, ymax = tile.bounds
-    rows = rows[
-        (rows[:, 0] >= xmin)
-        & (rows[:, 0] <= xmax)
-        & (rows[:, 1] >= ymin)
-        & (rows[:, 1] <= ymax)
-        & (rows[:, 3] < _MOST_RESIDUAL_PX)
-    ]
+    xy, bounds = rows[:, :2], np.array(tile.bounds)
+    rows = rows[((xy >= bounds[:2]) & (xy <= bounds[2:])).all(axis=1) & (rows[:, 3] < most_px)]
     if not len(rows):
         return np.empty((0, 3)), np.empty(0)
     ground = np.column_stack([geodetic_from_projected(scene.crs, rows[:, :2]), rows[:, 2]])
@@ -38,22 +31,16 @@ def tie_points(scene: Scene, tile: Tile) -> Tuple[FloatArray, FloatArray]:
 
 
 def _read(path: Path) -> FloatArray:
-    """(N, 4) x, y, height, residual; empty for a layer that is not of ours."""
+    """(N, 4) x, y, height, residual; empty for a layer without these fields."""
     rows = []
     with quiet():
         try:
             dataset = gdal.OpenEx(str(path), gdal.OF_VECTOR | gdal.OF_READONLY)
-            layer = dataset.GetLayer(0) if dataset is not None else None
-            fields = (
-                {layer.GetLayerDefn().GetFieldDefn(i).GetName() for i in range(layer.GetLayerDefn().GetFieldCount())}
-                if layer is not None
-                else set()
-            )
-            if {"height", "residual"} <= fields:
-                for feature in layer:
-                    point = feature.GetGeometryRef()
-                    rows.append((point.GetX(), point.GetY(), feature["height"], feature["residual"]))
-        except RuntimeError:
+            layer = dataset.GetLayer(0)
+            for feature in layer:
+                point = feature.GetGeometryRef()
+                rows.append((point.GetX(), point.GetY(), feature["height"], feature["residual"]))
+        except (RuntimeError, AttributeError, KeyError, TypeError):
             rows = []
-        feature = layer = dataset = None  # noqa: F841 - in this order, or OGR's objects outlive their file
+        feature = layer = dataset = None  # noqa: F841 - in this order, because OGR's objects must not outlive their file
     return np.array(rows, dtype=np.float64).reshape(-1, 4)

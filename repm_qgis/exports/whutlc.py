@@ -1,9 +1,9 @@
-"""WHU-TLC's pinhole layout: image/VIEW/TILE.png and camera/VIEW/TILE.txt, VIEW counting from 0.
+"""WHU-TLC's pinhole format: image/VIEW/TILE.png and camera/VIEW/TILE.txt, VIEW counting from 0.
 
 Read by SatMVS (https://github.com/WHU-GPCV/SatMVS, open_dataset_pinhole; Gao, Liu and Ji, ICCV 2021): cam_from_world
-(4, 4); ``f x0 y0``; ``DEPTH_MIN DEPTH_MAX DEPTH_INTERVAL``; ``INDEX 0 0 0 0 WIDTH HEIGHT``. The layout knows one focal
-length and the network stacks the views: pixels are made square here, and all images of a tile one size. Its
-homographies count pixels from the first one's centre.
+(4, 4); ``f x0 y0``; ``DEPTH_MIN DEPTH_MAX DEPTH_INTERVAL``; ``INDEX 0 0 0 0 WIDTH HEIGHT``. The format has one
+focal length and the network stacks the views: so pixels become square here, and all images of a tile get one size. Its
+homographies count pixels from the centre of the first one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Tuple
 import numpy as np
 
 from ..workspace import write_text
-from .layout import Layout
+from .formats import ExportFormat
 from .model import ExportView, TileModel
 from .mvsnet import matrix_text
 
@@ -23,7 +23,7 @@ _SIDE_STEP = 64  # the network halves its features several times
 
 
 def square_pixels(model: TileModel) -> TileModel:
-    """The model with one focal length a view (the larger: nothing is lost) and one image size for all views."""
+    """The model with one focal length a view (the larger one, which loses nothing) and one image size for all views."""
     scales = [max(np.diag(view.camera.K)[:2]) / np.diag(view.camera.K)[:2] for view in model.views]
     sides = [
         -(-int(np.ceil(max(view.size[axis] * scale[axis] for view, scale in zip(model.views, scales)))) // _SIDE_STEP)
@@ -53,6 +53,6 @@ def write_whutlc(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
         write_text(str(folder / "camera" / str(index) / f"{model.tile.id}.txt"), camera_text(view, index))
 
 
-WHUTLC = Layout(
+WHUTLC = ExportFormat(
     "whutlc", lambda model, index: f"image/{index}/{model.tile.id}", ".png", write_whutlc, prepare=square_pixels
 )

@@ -21,7 +21,7 @@ import numpy as np
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import Bounds, FloatArray, Size
 from ..errors import EmptyResultError, MissingPackageError
-from ..exports.model import ExportView
+from ..geometry.centring import centred
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
@@ -170,19 +170,10 @@ def _patch_views(
         refined = refined_view(plain, view, bounds, altitudes)
         if refined is None:
             continue
-        turned = ExportView(
-            view,
-            refined.camera,
-            refined.to_original.original_from_refined,
-            refined.size,
-            (1.0, 1.0),
-            refined.error,
-            np.zeros(2),
-            enu,
-        ).centred()
-        homography = turned.camera.K @ turned.camera.R @ np.linalg.inv(refined.camera.K @ refined.camera.R)
-        local = PinholeCamera(turned.camera.K, turned.camera.R, (turned.camera.R @ origin + turned.camera.t) / scale)
-        seen[index] = _PatchView(view, refined, local, turned.size, homography)
+        camera, size = centred(refined.camera, refined.size)
+        homography = camera.K @ camera.R @ np.linalg.inv(refined.camera.K @ refined.camera.R)
+        local = PinholeCamera(camera.K, camera.R, (camera.R @ origin + camera.t) / scale)
+        seen[index] = _PatchView(view, refined, local, size, homography)
     return seen, origin, scale
 
 

@@ -1,4 +1,4 @@
-"""Ground control points: reading them, and finding where images say they are."""
+"""Ground control points: reading them, and intersecting the rays of their pixels."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from ..arrays import FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
+from ..imagery.raster import quiet
 from ..scene import View
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
 
-_MOST_BYTES = 64 << 20
+_MOST_BYTES = 64 << 20  # larger files are no tables of points
 _MOST_ROWS = 1_000_000
 
 
 @dataclass(frozen=True)
 class Gcp:
-    """A point of known place: longitude, latitude (degrees), height (m above the ellipsoid), and its (2,) pixels.
+    """A point with known longitude, latitude (degrees) and height (m above the ellipsoid), and its (2,) pixels.
 
-    ``pixels`` go by the view's name and may be empty: such a point can check a DSM's height only. ``role`` is
-    control (the adjustment uses it) or check (it only tells how good the result is).
+    ``pixels`` has the names of views as keys. It may be empty: then the point can only check the heights of a DSM.
+    ``role`` is control (the adjustment uses the point) or check (it only measures the accuracy of the result).
     """
 
     id: str
@@ -46,21 +47,21 @@ class Gcp:
 
 
 def points_file(path: str) -> Tuple[str, str]:
-    """The file and the layer ("": the first) of a name as QGIS writes it: ``points.gpkg|layername=gcps``."""
+    """The file and the layer ("": the first one) of a name in QGIS's form: ``points.gpkg|layername=gcps``."""
     file, *rest = path.split("|")
     return file, next((part[len("layername=") :] for part in rest if part.startswith("layername=")), "")
 
 
 def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
-    """Read points from a CSV or any point layer that OGR opens, one row an observation.
+    """Read points from a CSV file or any point layer that OGR opens, one row for each observation.
 
     Fields ``id, lon, lat, height, view, col, row, role``: ``view`` is the image's file name (with or without its
     extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
-    A layer may have its place in its geometry instead of lon and lat. ``views`` None reads places and heights only.
-    ``datum`` is what heights refer to: a name of :data:`repm_qgis.geometry.vertical.DATUMS`, or any vertical CRS that
-    PROJ knows; None or "" is the WGS 84 ellipsoid.
+    A layer may have points as geometry instead of lon and lat. ``views`` None reads positions and heights only.
+    ``datum`` is the vertical datum: a name of :data:`repm_qgis.geometry.vertical.DATUMS`, or any vertical CRS that PROJ
+    knows; None or "" is the WGS 84 ellipsoid.
 
-    Raises InputTableError with the file, the row and the value that is wrong, OptionError for an unknown datum.
+    Raises InputTableError with the file, the row and the wrong value, OptionError for an unknown datum.
     """
     vertical = vertical_crs(datum, "GCP_DATUM")
     file, layer = points_file(path)
@@ -74,22 +75,22 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
         known = points.setdefault(gcp.id, gcp)
         if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
             raise InputTableError(
-                f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an "
-                "earlier row; give each point one place and one role."
+                f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an earlier row; give each "
+                "point one place and one role."
             )
         view = str(row.get("view") or "").strip()
         if not view or views is None:
             continue
         if view not in names:
             raise InputTableError(
-                f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of "
-                f"the images ({', '.join(v.name for v in views)}); use the images' file names."
+                f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of the images "
+                f"({', '.join(v.name for v in views)}); use the images' file names."
             )
         pixel = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
         if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
             raise InputTableError(
-                f"'{path}', row {line}: point '{gcp.id}' has another pixel in '{view}' than in an "
-                "earlier row; give each point one row an image."
+                f"'{path}', row {line}: point '{gcp.id}' has another pixel in '{view}' than in an earlier row; give "
+                "each point one row for each image."
             )
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
@@ -117,18 +118,18 @@ def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
 def _number(path: str, line: int, row: Mapping[str, Any], name: str) -> float:
     value = row.get(name)
     try:
-        number = float(value)
+        number = math.nan if value is None else float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputTableError(f"'{path}', row {line}: the field '{name}' is {value!r}, which is no number.")
+        raise InputTableError(f"'{path}', row {line}: the field '{name}' is {value!r}, which is not a number.")
     return number
 
 
 def _csv_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
     try:
         if Path(path).stat().st_size > _MOST_BYTES:
-            raise InputTableError(f"'{path}' is larger than {_MOST_BYTES >> 20} MiB: that is no list of points.")
+            raise InputTableError(f"'{path}' is larger than {_MOST_BYTES >> 20} MiB: that is not a list of points.")
         with open(path, encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)
             fields = [str(name).strip().lower() for name in reader.fieldnames or ()]
@@ -144,24 +145,22 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
     missing = [name for name in needed if name not in fields]
     if missing:
         raise InputTableError(
-            f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a "
-            f"table of points needs {', '.join(FIELDS)}."
+            f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a table of points needs "
+            f"{', '.join(FIELDS)}."
         )
 
 
 def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
-    gdal.PushErrorHandler("CPLQuietErrorHandler")
-    try:
-        source = gdal.OpenEx(path, gdal.OF_VECTOR)
-    except RuntimeError:
-        source = None
-    finally:
-        gdal.PopErrorHandler()
+    with quiet():
+        try:
+            source = gdal.OpenEx(path, gdal.OF_VECTOR)
+        except RuntimeError:
+            source = None
     if source is None or source.GetLayerCount() < 1:
         raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
     layer = source.GetLayerByName(name) if name else source.GetLayer(0)
     if layer is None:
-        raise InputTableError(f"'{path}' has no layer '{name}': choose one that is there.")
+        raise InputTableError(f"'{path}' has no layer '{name}': choose an existing one.")
     fields = [layer.GetLayerDefn().GetFieldDefn(i).GetName() for i in range(layer.GetLayerDefn().GetFieldCount())]
     lower = [name.lower() for name in fields]
     placed = ogr.GT_Flatten(layer.GetGeomType()) == ogr.wkbPoint
@@ -170,7 +169,7 @@ def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]
     transform = pyproj.Transformer.from_crs(reference.ExportToWkt(), "EPSG:4326", always_xy=True) if reference else None
     for line, feature in enumerate(layer, start=1):
         if line > _MOST_ROWS:
-            raise InputTableError(f"'{path}' has more than {_MOST_ROWS} rows: that is no list of points.")
+            raise InputTableError(f"'{path}' has more than {_MOST_ROWS} rows: that is not a list of points.")
         row = {name: feature.GetField(index) for index, name in enumerate(lower)}
         geometry = feature.GetGeometryRef()
         if geometry is not None and placed and ("lon" not in row or "lat" not in row):
@@ -190,20 +189,20 @@ def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> 
     if not group.transformers:
         grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no operation for that"
         raise InputTableError(
-            f"PROJ cannot bring the heights of '{path}' from {name} to the ellipsoid: {grids}. "
-            "Install it (package proj-data, or 'projsync --file NAME'), or give ellipsoidal heights."
+            f"PROJ cannot transform the heights of '{path}' from {name} to the ellipsoid: {grids}. Install it (package "
+            "proj-data, or 'projsync --file NAME'), or give ellipsoidal heights."
         )
     heights = np.asarray(group.transformers[0].transform(*places.T)[2])
     if not np.isfinite(heights).all():
         raise InputTableError(
-            f"PROJ's grid for {name} does not cover all points of '{path}': check their places, or "
-            "give heights above the ellipsoid."
+            f"PROJ's grid for {name} does not cover all points of '{path}': check their places, or give heights above "
+            "the ellipsoid."
         )
     return [replace(gcp, height=float(height)) for gcp, height in zip(gcps, heights)]
 
 
 def intersect(gcp: Gcp, views: Sequence[View]) -> Optional[FloatArray]:
-    """(3,) east, north, up in metres from a point's true place to where its images (pointing included) put it.
+    """(3,) east, north, up in metres from a point's true place to the intersection of its rays (pointing included).
 
     None where fewer than two views see it.
     """

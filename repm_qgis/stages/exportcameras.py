@@ -11,9 +11,9 @@ import numpy as np
 
 from .. import __version__
 from ..errors import OptionError, SceneError, WorkspaceError
-from ..exports import LAYOUTS
+from ..exports import FORMATS
+from ..exports.formats import ExportFormat
 from ..exports.images import write_image
-from ..exports.layout import Layout
 from ..exports.model import TileModel, tile_model
 from ..exports.ties import tie_points
 from ..imagery.enhancement import Stretch, view_stretch
@@ -28,14 +28,14 @@ _FRAME_FILE = "frame.json"
 
 def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     """Export the tiles; gives the folder, the models' folders in it, and how many images they hold."""
-    layout = LAYOUTS[options.format]
-    layout.require()
+    written_as = FORMATS[options.format]
+    written_as.require()
     scene = Scene.load(options.scene)
     tiles = _tiles(scene, options.tile)
     # All of it is looked at before anything is written.
     refined = scene.record_of("refine")
     reuse = refined is not None and refined.options.get("kernel") == options.kernel
-    models = [layout.prepare(_model(scene, tile, reuse, options.centre)) for tile in tiles]
+    models = [written_as.prepare(_model(scene, tile, reuse, options.centre)) for tile in tiles]
     folder = ensure_folder(options.folder)
     places = [folder / tile.id for tile in tiles]
     for place in places:
@@ -51,7 +51,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
         points, residuals = tie_points(scene, model.tile)
         _write_model(
             replace(model, points=points, residuals_px=residuals),
-            layout,
+            written_as,
             place,
             options,
             stretches,
@@ -104,7 +104,7 @@ def _check_place(place: Path, layout: str) -> None:
 
 def _write_model(
     model: TileModel,
-    layout: Layout,
+    written_as: ExportFormat,
     place: Path,
     options: ExportCamerasOptions,
     stretches: Dict[str, Stretch],
@@ -112,12 +112,12 @@ def _write_model(
     done: Tuple[int, int],
 ) -> None:
     """One tile's folder, whole or not at all."""
-    images = layout.images(model, options.bits)
+    images = written_as.images(model, options.bits)
     with whole_folder(str(place)) as folder:
         for index, (view, image) in enumerate(zip(model.views, images)):
             progress.check_cancelled()
             progress.step((done[0] + index) / done[1], f"tile {model.tile.id}, {view.name}")
-            mask: Optional[str] = layout.mask(image)
+            mask: Optional[str] = written_as.mask(image)
             write_image(
                 view,
                 folder / image,
@@ -126,7 +126,7 @@ def _write_model(
                 options.kernel,
                 progress,
             )
-        layout.write(model, images, folder)
+        written_as.write(model, images, folder)
         write_text(str(folder / _FRAME_FILE), json.dumps(_frame(model, images, options), indent=1, allow_nan=False))
 
 

@@ -71,7 +71,7 @@ def test_a_view_goes_by_its_file_with_or_without_extension(urban, table, alias):
 @pytest.mark.parametrize(
     ("rows", "words"),
     (
-        (["A,1.44,43.6,high,img_01,1,2,control"], ("row 2", "'height' is 'high'", "no number")),
+        (["A,1.44,43.6,high,img_01,1,2,control"], ("row 2", "'height' is 'high'", "not a number")),
         (["A,1.44,43.6,190,img_01,1,,control"], ("row 2", "'row' is ''")),
         (["A,1.44,43.6,190,img_01,1,nan,control"], ("row 2", "'row' is 'nan'")),
         (["A,1.44,43.6,190,img_09.tif,1,2,control"], ("'img_09.tif'", "none of the images (img_01, img_02, img_03)")),

@@ -1,4 +1,4 @@
-"""What a layout is: where its images lie, what it asks of the cameras, and what it writes beside them."""
+"""What a format is: where its images lie, what it needs of the cameras, and what it writes beside them."""
 
 from __future__ import annotations
 
@@ -9,18 +9,9 @@ from typing import Callable, Tuple
 from .model import TileModel
 
 
-def nothing() -> None:
-    """Needs no package."""
-
-
-def same(model: TileModel) -> TileModel:
-    """Takes the cameras as they are."""
-    return model
-
-
 @dataclass(frozen=True)
-class Layout:
-    """One software's way to keep images and cameras in a folder.
+class ExportFormat:
+    """How one software stores images and cameras in a folder.
 
     Attributes
     ----------
@@ -28,7 +19,7 @@ class Layout:
     extension : of 8-bit images; 16-bit ones are always TIFF.
     write : writes cameras into a folder from the model and the images' relative paths.
     mask : relative path of an image's mask (255 where the image has data) from the image's own; "" where it has none.
-    prepare : changes cameras and images to what the layout can hold.
+    prepare : changes cameras and images to what the format can store.
     require : raises MissingPackageError where a package is missing.
     """
 
@@ -37,8 +28,8 @@ class Layout:
     extension: str
     write: Callable[[TileModel, Tuple[str, ...], Path], None]
     mask: Callable[[str], str] = lambda image: ""
-    prepare: Callable[[TileModel], TileModel] = same
-    require: Callable[[], None] = nothing
+    prepare: Callable[[TileModel], TileModel] = lambda model: model
+    require: Callable[[], None] = lambda: None
 
     def images(self, model: TileModel, bits: str) -> Tuple[str, ...]:
         """Relative paths of all views' images."""
