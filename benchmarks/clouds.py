@@ -1,23 +1,20 @@
-#!/usr/bin/env python3
-"""What a point cloud for display and a mesh cost ('make bench-clouds'): CPU seconds, memory, size.
+"""What a point cloud for display and a mesh cost: CPU seconds, memory, size.
 
-Each is made by a process of its own, so that memory is that of the work alone; the last rows are QGIS, opening and
-drawing the results once. Writes docs/benchmarks.md.
+Each is made by a process of its own, so that memory is that of the work alone; QGIS then opens and draws the results
+once.
 """
 
 from __future__ import annotations
 
 import os
-import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
+from typing import Any, List, Tuple
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from benchmarks.tables import publish, table  # noqa: E402
+from benchmarks.runner import alone, few
+from benchmarks.tables import Section, table
 
 CRS, WEST, NORTH = "EPSG:32631", 600000.0, 4800000.0
 
@@ -36,21 +33,21 @@ def make(folder: str, side: int) -> None:
 
     numbers = np.random.default_rng(0)
     wkt = HeightDatum.of("").file_crs(CRS)
+    grid = (WEST, 0.5, 0, NORTH, 0, -0.5)
     with (
         created_cloud(f"{folder}/c.laz", CRS, (WEST, NORTH, 0)) as cloud,
-        created(f"{folder}/d.tif", (side, side), np.dtype(np.float32), 1, (WEST, 0.5, 0, NORTH, 0, -0.5), wkt) as dsm,
+        created(f"{folder}/d.tif", (side, side), np.dtype(np.float32), 1, grid, wkt) as dsm,
     ):
         for row in range(0, side, 64):
             rows = range(row, min(row + 64, side))
             z = heights(rows, side)
             dsm.write(z.astype(np.float32), 0, row)
             y, x = (np.mgrid[rows.start : rows.stop, 0:side] + numbers.uniform(size=(2, *z.shape))) * 0.5
-            cloud.write(
-                WEST + x.ravel(), NORTH - y.ravel(), z.ravel() + numbers.normal(0, 0.1, z.size), np.full(z.size, 0.5)
-            )
+            noisy = z.ravel() + numbers.normal(0, 0.1, z.size)
+            cloud.write(WEST + x.ravel(), NORTH - y.ravel(), noisy, np.full(z.size, 0.5))
 
 
-def ept(folder: str, _: int) -> None:
+def ept(folder: str) -> None:
     from repm_qgis.dsm.ept import write_ept
 
     write_ept(f"{folder}/c.laz", f"{folder}/e", CRS)
@@ -62,17 +59,15 @@ def mesh(folder: str, vertices: int) -> None:
     write_mesh(f"{folder}/d.tif", f"{folder}/m.ply", vertices)
 
 
-def draw(folder: str, kind: int) -> None:
-    """QGIS opens the EPT (0) or the mesh (1), and draws all of it once."""
+def draw(path: str, provider: str) -> None:
+    """QGIS opens an EPT or a mesh, and draws all of it once."""
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
     from qgis.core import QgsApplication, QgsMapRendererSequentialJob, QgsMapSettings, QgsMeshLayer, QgsPointCloudLayer
     from qgis.PyQt.QtCore import QSize
 
     application = QgsApplication([], False)
     application.initQgis()
-    layer = (
-        QgsMeshLayer(f"{folder}/m.ply", "", "mdal") if kind else QgsPointCloudLayer(f"{folder}/e/ept.json", "", "ept")
-    )
+    layer = (QgsMeshLayer if provider == "mdal" else QgsPointCloudLayer)(path, "", provider)
     settings = QgsMapSettings()
     settings.setLayers([layer])
     settings.setDestinationCrs(layer.crs())
@@ -81,23 +76,12 @@ def draw(folder: str, kind: int) -> None:
     job = QgsMapRendererSequentialJob(settings)
     job.start()
     job.waitForFinished()
-    tell()
-    os._exit(0)  # what QGIS does at its end is not measured
 
 
-def tell() -> None:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    sys.stdout.write(f"{used.ru_utime + used.ru_stime} {used.ru_maxrss / 1024}\n")
-    sys.stdout.flush()
-
-
-def apart(work: str, folder: str, number: int) -> tuple:
-    """CPU seconds and MiB of a process that does one of the above."""
-    done = subprocess.run(
-        [sys.executable, __file__, work, folder, str(number)], stdout=subprocess.PIPE, text=True, check=True
-    )
-    seconds, peak = done.stdout.split()[-2:]
-    return float(seconds), round(float(peak))
+def cost(function: Any, *arguments: Any) -> Tuple[float, int]:
+    """CPU seconds and MiB of a process that does one of these."""
+    used = alone(function, *arguments)
+    return used.cpu_s, round(used.mib)
 
 
 def megabytes(path: str) -> float:
@@ -105,33 +89,23 @@ def megabytes(path: str) -> float:
     return sum(os.path.getsize(file) for file in files) / 1e6
 
 
-def main() -> None:
-    rows = []
-    for side in (1400, 4472):
+def displays() -> List[str]:
+    rows: List[List[Any]] = []
+    for side in few((1400, 4472)):
         with tempfile.TemporaryDirectory() as folder:
-            apart("make", folder, side)
+            alone(make, folder, side)
             count = side * side / 1e6
-            rows.append(["EPT", count, *apart("ept", folder, 0), megabytes(f"{folder}/e")])
-            rows.append(["QGIS draws the EPT", count, *apart("draw", folder, 0), ""])
+            rows.append(["EPT", count, *cost(ept, folder), megabytes(f"{folder}/e")])
+            rows.append(["QGIS draws the EPT", count, *cost(draw, f"{folder}/e/ept.json", "ept"), ""])
             for vertices in (500_000, 0)[: 1 if side > 2000 else 2]:
                 what = "mesh of all cells" if not vertices else "mesh, 500000 vertices at most"
-                rows.append([what, count, *apart("mesh", folder, vertices), megabytes(f"{folder}/m.ply")])
-                rows.append([f"QGIS draws the {what}", count, *apart("draw", folder, 1), ""])
-    publish(
-        "clouds",
-        "Point clouds for display, and meshes",
-        "make bench-clouds",
-        [
-            "Simulated hills with blocks, a point a cell of 0.5 m. CPU seconds and the largest memory are those of a "
-            "process that does this alone, its start included.",
-            table(["what", "Mpoints or Mcells", "CPU, s", "memory, MiB", "MB on disk"], rows),
-        ],
-    )
+                rows.append([what, count, *cost(mesh, folder, vertices), megabytes(f"{folder}/m.ply")])
+                rows.append([f"QGIS draws the {what}", count, *cost(draw, f"{folder}/m.ply", "mdal"), ""])
+    return [
+        "Simulated hills with blocks, a point a cell of 0.5 m. CPU seconds and the largest memory are those of a "
+        "process that does this alone, its start included.",
+        table("what | Mpoints or Mcells | CPU, s | memory, MiB | MB on disk", rows),
+    ]
 
 
-if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        {"make": make, "ept": ept, "mesh": mesh, "draw": draw}[sys.argv[1]](sys.argv[2], int(sys.argv[3]))
-        tell()
-    else:
-        main()
+SECTIONS = [Section("clouds", "Point clouds for display, and meshes", "make bench-clouds", {"clouds": displays})]

@@ -1,60 +1,52 @@
-"""What fusing costs (``make bench-fusion``): height maps on disk to a DSM, without the matching.
+"""What fusing costs: height maps on disk to a DSM, without the matching.
 
-The views are simulated, their images empty: fusion needs their RPCs only. The height maps hold a made-up town of
-blocks on hills, with noise, gaps, and backgrounds beside the blocks. Each run is a process of its own with two workers;
-memory is the sum of the largest resident sets of the process and its workers.
+The views are simulated, and their images are empty: fusion needs their RPCs only. The height maps hold a made-up town
+of blocks on hills, with noise, gaps, and backgrounds beside the blocks. Each run is a process of its own with two
+workers; memory is the sum of the largest resident sets of the process and its workers.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
-import subprocess
 import sys
 import tempfile
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Dict, List, Tuple
+from typing import Any, Dict, List, Tuple
 
 import cv2
 import numpy as np
 from osgeo import gdal
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.tables import publish, table  # noqa: E402
-from repm_qgis.imagery.raster import write  # noqa: E402
-from repm_qgis.matching.pair_backend import rectified_over_tile  # noqa: E402
-from repm_qgis.parallel import run_tasks  # noqa: E402
-from repm_qgis.progress import Silent  # noqa: E402
-from repm_qgis.records import HeightMapRecord  # noqa: E402
-from repm_qgis.scene import Scene  # noqa: E402
-from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
-from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: E402
-from repm_qgis.stages import run_stage  # noqa: E402
-from repm_qgis.stereo.height_maps import BANDS  # noqa: E402
-from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
+from benchmarks.runner import ROOT, few, is_quick, measured, resident_gib, say, stage
+from benchmarks.tables import Section, table
+from repm_qgis.arrays import Altitudes, Bounds
+from repm_qgis.imagery.raster import write
+from repm_qgis.matching.pair_backend import rectified_over_tile
+from repm_qgis.parallel import run_tasks
+from repm_qgis.progress import Silent
+from repm_qgis.records import HeightMapRecord
+from repm_qgis.scene import Scene
+from repm_qgis.simulation.rpc_fit import fit_rpc
+from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags
+from repm_qgis.stereo.height_maps import BANDS
+from repm_qgis.stereo.triangulation import pair_geometry
 
 SIZE = int(os.environ.get("REPM_BENCH_CELLS", "10000"))  # cells a side of the largest DSM
 WORKERS = 2
+Work = Tuple[Scene, str, Bounds, Altitudes, Tuple[str, str], str]
 
 
 def empty_images(size: int, folder: Path) -> List[str]:
     """Images of nothing with RPCs: a sparse file takes no room."""
-    spec = SceneSpec.default("urban", size, 1)
     paths = []
-    for view in make_views(spec):
-        path = str(folder / f"{view.name}.tif")
-        dataset = gdal.GetDriverByName("GTiff").Create(
-            path, size, size, 1, gdal.GDT_UInt16, ["SPARSE_OK=TRUE", "TILED=YES"]
-        )
+    for view in make_views(SceneSpec.default("urban", size, 1)):
+        paths.append(str(folder / f"{view.name}.tif"))
+        options = ["SPARSE_OK=TRUE", "TILED=YES"]
+        dataset = gdal.GetDriverByName("GTiff").Create(paths[-1], size, size, 1, gdal.GDT_UInt16, options)
         dataset.SetMetadata(rpc_tags(fit_rpc(view.localise, view.size, (150.0, 300.0)).rpc), "RPC")
         dataset = None
-        paths.append(path)
     return paths
 
 
@@ -65,10 +57,8 @@ def town(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 200.0 + 15.0 * np.sin(x / 400.0) * np.cos(y / 300.0) + np.where(blocks, storeys, 0.0)
 
 
-def height_map(
-    work: Tuple[Scene, str, Tuple[float, ...], Tuple[float, float], Tuple[str, str], str],
-) -> HeightMapRecord:
-    """Write the height map that a pair would give of a tile, with 0.2 px of smooth noise; gives its record."""
+def height_map(work: Work) -> HeightMapRecord:
+    """Write the height map that a pair would give of a tile, with 0.2 px of smooth noise."""
     scene, tile, bounds, altitudes, names, path = work
     first, second = (scene.view(name) for name in names)
     pair = rectified_over_tile(scene, first, second, bounds, altitudes)
@@ -89,9 +79,8 @@ def height_map(
     gaps = np.kron(rng.random((rows // 8 + 1, width // 8 + 1)) < 0.02, np.ones((8, 8), bool))[:rows, :width]
     height[gaps & ~filled] = np.nan
     score = np.where(filled | np.isnan(height), np.nan, rng.beta(9, 1, height.shape)).astype(np.float32)
-    write(
-        path, [height.astype(np.float32), score, filled.astype(np.float32)], (0, 1, 0, 0, 0, 1), "", descriptions=BANDS
-    )
+    bands = [height.astype(np.float32), score, filled.astype(np.float32)]
+    write(path, bands, (0, 1, 0, 0, 0, 1), "", descriptions=BANDS)
     return HeightMapRecord(
         tile=tile,
         backend="sgm",
@@ -108,20 +97,10 @@ def height_map(
 
 
 def scene_of(size: int, pairs: int, folder: Path) -> str:
-    """A scene of ``size`` px a side with height maps of so many pairs; gives its path."""
-    folder.mkdir(parents=True)
-    made = run_stage(
-        "epmfit",
-        {
-            "images": empty_images(size, folder),
-            "workspace": str(folder / "w"),
-            "altitude_min": 170.0,
-            "altitude_max": 250.0,
-        },
-        Silent(),
-    )
-    scene = Scene.load(made["scene"])
-    scene = replace(scene, refinement="polynomial")
+    """A scene of ``size`` px a side with height maps of so many pairs; returns its path."""
+    images = empty_images(size, folder)
+    made = stage("epmfit", images=images, workspace=str(folder / "w"), altitude_min=170.0, altitude_max=250.0)
+    scene = replace(Scene.load(made["scene"]), refinement="polynomial")
     names = [(scene.views[i].name, scene.views[j].name) for i, j in ((0, 1), (1, 2), (0, 2))][:pairs]
     lean = scene.lean()
     tasks = [
@@ -135,95 +114,33 @@ def scene_of(size: int, pairs: int, folder: Path) -> str:
     return scene.save(str(folder / "scene.json"))
 
 
-def measured(scene: str, cell: float, folder: Path) -> Dict[str, float]:
-    """Cells, wall and CPU seconds, and MiB of fusing a scene, in a process of its own."""
-    job = folder / "job.json"
-    job.write_text(
-        json.dumps({"scene": scene, "output": str(folder / "dsm.tif"), "resolution": cell, "workers": WORKERS})
-    )
-    before, start = os.times(), time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "repm_qgis", "dsmfuse", str(job)],
-        cwd=ROOT,
-        text=True,
-        stdout=subprocess.PIPE,
-        start_new_session=True,
-    )
-    text: List[str] = []
-    reader = threading.Thread(target=lambda: text.append(process.stdout.read()))
-    reader.start()
-    peaks: Dict[int, float] = {}
-    while process.poll() is None:
-        peaks.update(_largest(process.pid))
-        time.sleep(0.1)
-    reader.join()
-    wall, after = time.perf_counter() - start, os.times()
-    result = json.loads(text[0].splitlines()[-1])
-    if process.returncode:
-        raise SystemExit(f"fusion: {result}")
-    cells = float(result["result"]["cells"])
-    cpu = after.children_user + after.children_system - before.children_user - before.children_system
-    return {
-        "cells": cells,
-        "wall": wall,
-        "cpu": cpu,
-        "memory": sum(peaks.values()),
-        "valid": result["result"]["valid_percent"],
-    }
+def fused(size: int, pairs: int, cell: float) -> List[Any]:
+    """The row of one DSM, fused by a process of its own."""
+    with tempfile.TemporaryDirectory(prefix="repm_bench_fusion") as name:
+        folder = Path(name)
+        scene = scene_of(size, pairs, folder)
+        options: Dict[str, Any] = {"scene": scene, "output": str(folder / "dsm.tif"), "resolution": cell}
+        (folder / "job.json").write_text(json.dumps({**options, "workers": WORKERS}))
+        command = [sys.executable, "-m", "repm_qgis", "dsmfuse", str(folder / "job.json")]
+        text, cost = measured(command, str(ROOT), resident_gib())
+    result = json.loads(text.splitlines()[-1])["result"]
+    mcells = result["cells"] / 1e6
+    rate, memory = f"{mcells / cost.cpu_s * WORKERS:.2f}", f"{1024 * cost.peak_gib:.0f}"
+    return [f"{mcells:.1f}", pairs, cell, result["valid_percent"], cost.wall_s, cost.cpu_s, rate, memory]
 
 
-def _largest(group: int) -> Dict[int, float]:
-    """MiB of the largest resident set so far of each process of a process group."""
-    found = {}
-    for name in os.listdir("/proc"):
-        if name.isdigit():
-            try:
-                if os.getpgid(int(name)) == group:
-                    lines = Path(f"/proc/{name}/status").read_text().splitlines()
-                    found[int(name)] = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
-            except (OSError, StopIteration):
-                continue
-    return found
-
-
-def main() -> None:
-    folder = Path(tempfile.mkdtemp(prefix="repm_bench_fusion"))
+def costs() -> List[str]:
+    size = 1000 if is_quick() else SIZE
     rows = []
-    try:
-        for size, pairs, cell in ((SIZE, 1, 0.5), (SIZE // 2, 1, 1.0), (SIZE // 2, 3, 0.5), (SIZE // 4, 1, 0.5)):
-            work = folder / f"{size}_{pairs}_{cell}"
-            found = measured(scene_of(size, pairs, work), cell, work)
-            shutil.rmtree(work)
-            rate = found["cells"] / 1e6 / found["cpu"] * WORKERS
-            rows.append(
-                [
-                    f"{found['cells'] / 1e6:.1f}",
-                    pairs,
-                    cell,
-                    found["valid"],
-                    found["wall"],
-                    found["cpu"],
-                    f"{rate:.2f}",
-                    f"{found['memory']:.0f}",
-                ]
-            )
-            print(rows[-1], flush=True)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-    publish(
-        "fusion",
-        "The cost of fusing",
-        "make bench-fusion",
-        [
-            f"Height maps of 0.5 m px on disk to a DSM, {WORKERS} workers. Cells a second are what {WORKERS} cores do that "
-            f"nothing else uses: cells / CPU seconds x {WORKERS}. Bars: 3 Mcell/s, 1024 MiB. {__doc__.splitlines()[2]}",
-            table(
-                ["Mcells", "pairs", "cell, m", "valid %", "wall, s", "CPU, s", "Mcell/s on 2 cores", "memory, MiB"],
-                rows,
-            ),
-        ],
-    )
+    for case in few(((size, 1, 0.5), (size // 2, 1, 1.0), (size // 2, 3, 0.5), (size // 4, 1, 0.5))):
+        rows.append(fused(*case))
+        say(rows[-1])
+    return [
+        f"Height maps of 0.5 m px on disk to a DSM, {WORKERS} workers. Cells a second are what {WORKERS} cores do that "
+        f"nothing else uses: cells / CPU seconds x {WORKERS}. Bars: 3 Mcell/s, 1024 MiB. The views are simulated, and "
+        "their images are empty: fusion needs their RPCs only. The height maps hold a made-up town of blocks on hills.",
+        table("Mcells | pairs | cell, m | valid % | wall, s | CPU, s | Mcell/s on 2 cores | memory, MiB", rows),
+    ]
 
 
-if __name__ == "__main__":
-    main()
+SECTIONS = [Section("fusion", "The cost of fusing", "make bench-fusion", {"fusion": costs})]

@@ -1,46 +1,41 @@
 """Large scenes: a ZY-3 tri-stereo of 3 x 5120 x 5120 px over 1500 m of relief, and cost from 4 to 100 Mpx.
 
-'make bench-large' (an hour with the first simulation; the images are kept in the cache of benchmarks/dsm.py).
+It takes an hour, with the first simulation.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 import pyproj
 from osgeo import gdal
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.dsm import CACHE, Scene, simulated, zy3  # noqa: E402
-from benchmarks.runner import Cost, Failed, measured, repm, say, scores  # noqa: E402
-from benchmarks.tables import publish, table  # noqa: E402
-from repm_qgis.evaluation.metrics import nmad  # noqa: E402
-from repm_qgis.imagery.raster import created, opened  # noqa: E402
-from repm_qgis.imagery.warping import sample_array  # noqa: E402
-from repm_qgis.progress import Silent  # noqa: E402
-from repm_qgis.scene import Scene as SceneFile  # noqa: E402
-from repm_qgis.simulation.rpc_fit import fit_rpc  # noqa: E402
-from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags  # noqa: E402
-from repm_qgis.simulation.sensor import PLEIADES  # noqa: E402
-from repm_qgis.stages import run_stage  # noqa: E402
-from repm_qgis.stereo.pairing import rectified_pair  # noqa: E402
-from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
+from benchmarks.programs import QGIS, repm
+from benchmarks.runner import CORES, Cost, Failed, alone, few, is_quick, measured, pipeline, say, stage
+from benchmarks.scenes import CACHE, Scene, made_once, quick_size, simulated, zy3
+from benchmarks.scoring import bounds_of, heights_of, nmad, scores, shares
+from benchmarks.tables import Section, table
+from repm_qgis.imagery.parameters import WARPING
+from repm_qgis.imagery.raster import created
+from repm_qgis.imagery.warping import sample_array
+from repm_qgis.rpc import Rpc
+from repm_qgis.scene import Scene as SceneFile
+from repm_qgis.simulation.rpc_fit import fit_rpc
+from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags
+from repm_qgis.simulation.sensor import PLEIADES
+from repm_qgis.stereo.pairing import rectified_pair
+from repm_qgis.stereo.triangulation import pair_geometry
 
 SIDES = (2000, 4000, 7000, 10000)
 TILE = 4200
 GSD = 2.5  # of the forward and backward view, m
+MODELS = ("none", "polynomial", "terrain")
 _STRIP = 500
 _SMALL_MPX, _REPEATS = 20, 3  # small scenes take seconds, of which chance takes a tenth
-
 
 LOAD = (
     "Load: the machine's average over the last minute as the run ended, our own share being as many as there are "
@@ -53,7 +48,16 @@ def load() -> float:
 
 
 def relief() -> Scene:
-    return simulated("zy3_5120_1500", zy3(5120, 1500.0), 5.0)
+    return simulated("zy3_1500m", zy3(5120, 1500.0), 5.0)
+
+
+def middle_of(path: str, side_px: int) -> Dict[str, Any]:
+    """EXTENT and its CRS of a square of so many px around a raster's middle."""
+    raster = gdal.Open(path)
+    xmin, ymin, xmax, ymax = bounds_of(raster)
+    x, y, half = (xmin + xmax) / 2, (ymin + ymax) / 2, 0.49 * side_px * GSD
+    crs = pyproj.CRS.from_wkt(raster.GetProjection()).to_string()
+    return {"extent": (x - half, y - half, x + half, y + half), "extent_crs": crs}
 
 
 # The whole scene --------------------------------------------------------------------------------------------------
@@ -62,12 +66,13 @@ def relief() -> Scene:
 def whole() -> List[str]:
     """Accuracy and cost of the whole scene, with each refinement model and else default options."""
     scene = relief()
-    scene.make()
-    rows = []
-    for label, options in (
-        ("none", {"MODEL": "none"}),
-        ("polynomial (the default)", {}),
-        ("terrain, no DEM given", {"MODEL": "terrain"}),
+    rows: List[List[Any]] = []
+    for label, options in few(
+        (
+            ("none", {"MODEL": "none"}),
+            ("polynomial (the default)", {}),
+            ("terrain, no DEM given", {"MODEL": "terrain"}),
+        )
     ):
         say(f"{scene.name}: {label} ...")
         with tempfile.TemporaryDirectory() as work:
@@ -77,35 +82,16 @@ def whole() -> List[str]:
                 rows.append([label, str(error), *[""] * 9])
                 continue
             found = scores(dsm, scene.reference, scene.align)
-        rows.append(
-            [
-                label,
-                *(round(found[k], 3) for k in ("valid", "RMSE", "MAE", "ME", "C2.5", "C5")),
-                round(cost.wall_s, 1),
-                round(cost.cpu_s, 1),
-                round(cost.peak_gib, 2),
-                load(),
-            ]
-        )
-        say(str(rows[-1]))
+        errors = (found.valid, found.rmse, found.mae, found.me, *shares(found)[1:])
+        used = (round(cost.wall_s, 1), round(cost.cpu_s, 1), round(cost.peak_gib, 2), load())
+        rows.append([label, *(round(value, 3) for value in errors), *used])
+        say(rows[-1])
     return [
         "**ZY-3 tri-stereo**, 3 x 5120 x 5120 px (2.1 to 2.5 m) over 1500 m of relief, simulated, DSM of 5 m "
-        f"against the true surface; through `scripts/qgis-headless` on {len(os.sched_getaffinity(0))} cores. "
+        f"against the true surface; through `scripts/qgis-headless` on {CORES} cores. "
         f"{LOAD} Bars: 180 s by the clock, 3 GiB. (The paper: 7.3 minutes on an A100.)",
         table(
-            [
-                "refinement",
-                "valid %",
-                "RMSE m",
-                "MAE m",
-                "ME m",
-                "C2.5 %",
-                "C5 %",
-                "wall s",
-                "CPU s",
-                "peak GiB",
-                "load",
-            ],
+            "refinement | valid % | RMSE m | MAE m | ME m | C2.5 % | C5 % | wall s | CPU s | peak GiB | load",
             rows,
         ),
     ]
@@ -113,152 +99,88 @@ def whole() -> List[str]:
 
 # Refinement -------------------------------------------------------------------------------------------------------
 
-_MODEL = """
-import json, sys
-import numpy as np
-from osgeo import gdal
-gdal.UseExceptions()
-from repm_qgis.imagery.parameters import WARPING
-from repm_qgis.imagery.raster import read
-from repm_qgis.matching import coarse
-from repm_qgis.matching.pair_backend import rectified_over_tile
-from repm_qgis.progress import Silent
-from repm_qgis.scene import Scene
-from repm_qgis.stages import run_stage
-from repm_qgis.stereo.triangulation import pair_geometry
 
-def left_as_they_are(self, pair, geometry):
-    rows, columns = (WARPING.node_step_px * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
-    columns, rows = np.meshgrid(columns - self.high, rows)
-    return pair.second_original(np.stack([columns - self.nodes, rows], axis=-1))
+def one_tile(job: Dict[str, Any], folder: str, corrected: bool) -> str:
+    """The DSM of one tile; ``corrected``: with the vertical parallax corrected on the coarse surface (the default)."""
+    if not corrected:
+        from repm_qgis.matching import coarse
 
-job = json.loads(sys.argv[1])
-if job.pop("rows_left"):
-    coarse.Guide.second_original = left_as_they_are
-scene = Scene.load(run_stage("pipeline", job, Silent())["scene"])
-square, count, most = 0.0, 0, 0.0
-for tile in scene.tiles:
-    for record in tile.heights:
-        first, second = (scene.view(name) for name in record.pair)
-        pair = rectified_over_tile(scene, first, second, tile.bounds, record.altitudes)
-        geometry = pair_geometry(pair, first, second, record.altitudes, scene.crs)
-        heights = read(gdal.Open(record.file))
-        rows = geometry.row.on_grid(*(np.arange(n, dtype=float) for n in heights.shape[::-1]), heights)
-        rows = np.abs(rows[np.isfinite(rows)])
-        square, count, most = square + float((rows ** 2).sum()), count + rows.size, max(most, float(rows.max()))
-print(json.dumps([len(scene.tiles), (square / count) ** 0.5, most]))
-"""
+        coarse.Guide.second_original = _second_as_the_model_leaves_it  # a process of its own: nothing to restore
+    return pipeline(folder=folder, **job)["output"]
+
+
+def _second_as_the_model_leaves_it(guide: Any, pair: Any, _: Any) -> np.ndarray:
+    rows, columns = (WARPING.node_step_px * np.arange(n, dtype=np.float64) for n in guide.nodes.shape)
+    columns, rows = np.meshgrid(columns - guide.high, rows)
+    return pair.second_original(np.stack([columns - guide.nodes, rows], axis=-1))
 
 
 def models() -> List[str]:
-    """One large tile of the scene by each model, with and without the rows put right on the coarse surface."""
+    """One large tile of the scene by each model, with and without the vertical parallax corrected."""
     scene = relief()
-    scene.make()
-    extent, crs = middle_of(scene.reference, 0.49 * TILE * GSD)
-    rows = []
-    for left in (True, False):
-        for model in ("none", "polynomial", "terrain"):
-            say(f"one tile, {model}, rows {'left' if left else 'put right'} ...")
+    area = middle_of(scene.reference, quick_size(TILE, "ZY3"))
+    job = {"images": [scene.images[0], scene.images[2]], "resolution": 5.0, "tile_size": TILE, "workers": 1, **area}
+    rows: List[List[Any]] = []
+    for corrected in (False, True):
+        for model in few(MODELS):
+            label = "corrected" if corrected else "left"
+            say(f"one tile, {model}, vertical parallax {label} ...")
             with tempfile.TemporaryDirectory() as work:
-                job = {
-                    "images": [scene.images[0], scene.images[2]],
-                    "workspace": f"{work}/w",
-                    "output": f"{work}/dsm.tif",
-                    "resolution": 5.0,
-                    "extent": extent,
-                    "extent_crs": crs,
-                    "tile_size": TILE,
-                    "model": model,
-                    "workers": 1,
-                    "rows_left": left,
-                }
-                done = subprocess.run(
-                    [sys.executable, "-c", _MODEL, json.dumps(job)], cwd=ROOT, capture_output=True, text=True
-                )
-                if done.returncode:
-                    rows.append(
-                        [
-                            model,
-                            "left" if left else "put right",
-                            (done.stderr.strip().splitlines() or ["failed"])[-1][:200],
-                            *[""] * 4,
-                        ]
-                    )
+                try:
+                    dsm = alone(one_tile, {**job, "model": model}, work, corrected).result
+                except Failed as error:
+                    rows.append([model, label, str(error), *[""] * 4])
                     continue
-                truth = cropped(scene.reference, extent, f"{work}/truth.tif")
-                found = scores(f"{work}/dsm.tif", truth, True)
-            rows.append(
-                [
-                    model,
-                    "left" if left else "put right",
-                    *(round(found[k], 3) for k in ("valid", "RMSE", "MAE", "C2.5", "C5")),
-                ]
-            )
-            say(str(rows[-1]))
+                xmin, ymin, xmax, ymax = area["extent"]
+                gdal.Translate(f"{work}/truth.tif", scene.reference, projWin=(xmin, ymax, xmax, ymin))
+                found = scores(dsm, f"{work}/truth.tif", True)
+            errors = (found.valid, found.rmse, found.mae, *shares(found)[1:])
+            rows.append([model, label, *(round(value, 3) for value in errors)])
+            say(rows[-1])
     return [
         f"**What refinement gains**: one tile of {TILE} px in the middle of the same scene, forward and backward "
-        "view. *left*: rows as the model leaves them, as in the paper; *put right*: where the guide of the coarse "
-        "level says what altitude the ground has, the RPCs say in which row it lies (the default), and the model "
-        "matters no more.",
-        table(["refinement", "rows", "valid %", "RMSE m", "MAE m", "C2.5 %", "C5 %"], rows),
+        "view. *left*: vertical parallax as the model leaves it, as in the paper; *corrected*: where the coarse level "
+        "says which altitude the ground has, the RPCs say in which row it lies (the default), and the model matters no "
+        "more.",
+        table("refinement | vertical parallax | valid % | RMSE m | MAE m | C2.5 % | C5 %", rows),
     ]
 
 
-def rows_left() -> List[str]:
-    """What each model leaves of the rows on the true surface, before anything is matched, by the size of the tile."""
+def parallax() -> List[str]:
+    """The vertical parallax that each model leaves on the true surface, before anything is matched, by tile size."""
     scene = relief()
-    scene.make()
     rows = []
-    for side in (800, 1300, TILE, 5000):
-        extent, crs = middle_of(scene.reference, 0.49 * side * GSD)
+    for side in few((800, 1300, TILE, 5000)):
         with tempfile.TemporaryDirectory() as work:
-            fitted = run_stage(
-                "epmfit",
-                {
-                    "images": [scene.images[0], scene.images[2]],
-                    "workspace": work,
-                    "tile_size": side,
-                    "extent": extent,
-                    "extent_crs": crs,
-                },
-                Silent(),
-            )["scene"]
-            for model in ("none", "polynomial", "terrain"):
-                dem = {"dem": scene.reference} if model == "terrain" else {}
-                refined = run_stage(
-                    "refine",
-                    {
-                        "scene": fitted,
-                        "model": model,
-                        "output_scene": f"{work}/{model}.json",
-                        "write_images": False,
-                        **dem,
-                    },
-                    Silent(),
-                )["output_scene"]
-                off = rows_on_ground(refined, scene.reference)
-                rows.append(
-                    [side, model, round(float(np.sqrt((off**2).mean())), 3), round(float(np.abs(off).max()), 3)]
-                )
-        say(str(rows[-3:]))
+            images = [scene.images[0], scene.images[2]]
+            area = middle_of(scene.reference, quick_size(side, "ZY3"))
+            fitted = stage("epmfit", images=images, workspace=work, tile_size=side, **area)["scene"]
+            for model in MODELS:
+                options: Dict[str, Any] = {"model": model, "write_images": False}
+                if model == "terrain":
+                    options["dem"] = scene.reference
+                refined = stage("refine", scene=fitted, output_scene=f"{work}/{model}.json", **options)["output_scene"]
+                off = parallax_on_ground(refined, scene.reference)
+                rms, most = float(np.sqrt((off**2).mean())), float(np.abs(off).max())
+                rows.append([side, model, round(rms, 3), round(most, 3)])
+        say(rows[-3:])
     return [
-        "**Rows before anything is matched**: one tile in the middle of the ZY-3 scene, forward and backward view; "
-        "by how much the rectified pair's rows miss each other on the true surface, px of 2.5 m, the median taken "
-        "out (relative pointing). The terrain model's surface is here the true one in cells of 48 px. What "
-        "the models leave of the equivalent error is mostly the same in both views: little of it is in the rows.",
-        table(["tile, px", "refinement", "RMS px", "Max px"], rows),
+        "**Vertical parallax before anything is matched**: one tile in the middle of the ZY-3 scene, forward and "
+        "backward view; by how much the rectified pair's rows differ on the true surface, px of 2.5 m, the median "
+        "taken out (relative pointing). The terrain model's surface is here the true one in cells of 48 px. What "
+        "the models leave of the equivalent error is mostly the same in both views: little of it is vertical parallax.",
+        table("tile, px | refinement | RMS px | Max px", rows),
     ]
 
 
-def rows_on_ground(path: str, reference: str) -> np.ndarray:
+def parallax_on_ground(path: str, reference: str) -> np.ndarray:
     """Row differences of the first tile's two views at the places that a surface has in the rectified frame."""
     scene = SceneFile.load(path)
     tile = scene.tiles[0]
     pair = rectified_pair(scene, *scene.views, tile.bounds, tile.altitudes)
     geometry = pair_geometry(pair, *scene.views, tile.altitudes, scene.crs)
     raster = gdal.Open(reference)
-    g, truth = raster.GetGeoTransform(), raster.ReadAsArray().astype(np.float32)
-    truth[truth < -9000] = np.nan
+    g, truth = raster.GetGeoTransform(), heights_of(raster).astype(np.float32)
     columns, rows = (np.arange(0, n, 16, dtype=np.float64) for n in pair.size)
     z = np.full((len(rows), len(columns)), sum(tile.altitudes) / 2)
     for step in range(20):
@@ -268,19 +190,6 @@ def rows_on_ground(path: str, reference: str) -> np.ndarray:
     inside = (x > tile.bounds[0]) & (x < tile.bounds[2]) & (y > tile.bounds[1]) & (y < tile.bounds[3])
     off = geometry.row.on_grid(columns, rows, z)[inside & np.isfinite(z)]
     return off - np.median(off)
-
-
-def middle_of(path: str, half_m: float) -> Tuple[Tuple[float, float, float, float], str]:
-    """A square around a raster's middle, and the raster's CRS."""
-    raster = gdal.Open(path)
-    g = raster.GetGeoTransform()
-    x, y = g[0] + g[1] * raster.RasterXSize / 2, g[3] + g[5] * raster.RasterYSize / 2
-    return (x - half_m, y - half_m, x + half_m, y + half_m), pyproj.CRS.from_wkt(raster.GetProjection()).to_string()
-
-
-def cropped(path: str, extent: Tuple[float, float, float, float], target: str) -> str:
-    gdal.Translate(target, path, projWin=(extent[0], extent[3], extent[2], extent[1]))
-    return target
 
 
 # Scale ------------------------------------------------------------------------------------------------------------
@@ -294,31 +203,21 @@ def smooth_pair(side: int) -> List[str]:
     """
     folder = CACHE / f"smooth_{side}"
     images = [str(folder / f"img_{i}.tif") for i in (1, 3)]
-    if (folder / "done").exists():
-        return images
-    say(f"simulating a pair of {side} px ...")
-    folder.mkdir(parents=True, exist_ok=True)
     spec = SceneSpec(
-        "mountains",
-        side,
-        3,
-        PLEIADES.at_gsd(1.0),
-        cell_m=1.0,
-        surface_step=1,
-        base_m=300.0,
-        relief_m=120.0,
-        lon=6.65,
-        lat=44.38,
+        "mountains", side, 3, PLEIADES.at_gsd(1.0), 1.0, 1, base_m=300.0, relief_m=120.0, lon=6.65, lat=44.38
     )
-    texture = noise(2048)
-    for path, view in zip(images, [make_views(spec)[i] for i in (0, 2)]):
-        fitted = fit_rpc(view.localise, view.size, (250.0, 500.0)).rpc
-        with created(path, (side, side), np.dtype(np.uint16), 1, None, "", nodata=None, compress=False) as target:
-            target.set_metadata(rpc_tags(fitted), "RPC")
-            for row in range(0, side, _STRIP):
-                rows = min(_STRIP, side - row)
-                target.write(painted(fitted, spec.crs, texture, row, (rows, side)), 0, row)
-    (folder / "done").write_text("")
+
+    def make() -> None:
+        texture = noise(2048)
+        for path, view in zip(images, [make_views(spec)[i] for i in (0, 2)]):
+            fitted = fit_rpc(view.localise, view.size, (250.0, 500.0)).rpc
+            with created(path, (side, side), np.dtype(np.uint16), 1, None, "", nodata=None, compress=False) as target:
+                target.set_metadata(rpc_tags(fitted), "RPC")
+                for row in range(0, side, _STRIP):
+                    rows = min(_STRIP, side - row)
+                    target.write(painted(fitted, spec.crs, texture, row, (rows, side)), 0, row)
+
+    made_once(folder, make)
     return images
 
 
@@ -334,15 +233,11 @@ def noise(side: int) -> np.ndarray:
 
 def rolling(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Heights of smooth hills, m, anywhere."""
-    return (
-        370.0
-        + 35 * np.sin(x / 530.0) * np.cos(y / 610.0)
-        + 18 * np.sin((x + y) / 210.0)
-        + 4 * np.cos((x - 2 * y) / 63.0)
-    )
+    waves = 35 * np.sin(x / 530.0) * np.cos(y / 610.0) + 18 * np.sin((x + y) / 210.0)
+    return 370.0 + waves + 4 * np.cos((x - 2 * y) / 63.0)
 
 
-def painted(rpc: Any, crs: str, texture: np.ndarray, row: int, shape: Tuple[int, int]) -> np.ndarray:
+def painted(rpc: Rpc, crs: str, texture: np.ndarray, row: int, shape: Tuple[int, int]) -> np.ndarray:
     """Digital numbers of a strip: rays met with the ground at every 20th px, the texture sampled between."""
     step = 20
     transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
@@ -376,51 +271,31 @@ def scale() -> List[str]:
     """CPU seconds a Mpx and peak memory of pairs of growing size, one kind of ground."""
     rows: List[List[Any]] = []
     start = start_of_qgis()
-    for side in SIDES:
+    for side in few(SIDES):
+        side = quick_size(side)
         images = smooth_pair(side)
         say(f"pair of {side} px ...")
-        mpx = side * side / 1e6
+        mpx, label = side * side / 1e6, f"2 x {side} x {side}"
         try:
-            runs = [one_run(images) for _ in range(_REPEATS if mpx < _SMALL_MPX else 1)]
+            runs = [one_run(images) for _ in range(_REPEATS if mpx < _SMALL_MPX and not is_quick() else 1)]
         except Failed as error:
-            rows.append([f"2 x {side} x {side}", str(error), *[""] * 8])
+            rows.append([label, str(error), *[""] * 8])
             continue
         cost, valid, error = sorted(runs, key=lambda run: run[0].cpu_s)[len(runs) // 2]
-        rows.append(
-            [
-                f"2 x {side} x {side}",
-                mpx,
-                round(cost.cpu_s, 1),
-                round(cost.cpu_s / mpx, 2),
-                round((cost.cpu_s - start) / mpx, 2),
-                round(cost.wall_s, 1),
-                round(cost.peak_gib, 2),
-                round(valid, 1),
-                round(error, 3),
-                load(),
-            ]
-        )
-        say(str(rows[-1]))
+        cpu = (round(cost.cpu_s, 1), round(cost.cpu_s / mpx, 2), round((cost.cpu_s - start) / mpx, 2))
+        found = (round(cost.wall_s, 1), round(cost.peak_gib, 2), round(valid, 1), round(error, 3), load())
+        rows.append([label, mpx, *cpu, *found])
+        say(rows[-1])
+    headers = (
+        "images | Mpx each | CPU s | CPU s a Mpx | ours, CPU s a Mpx | wall s | peak GiB | valid % of the tiles | "
+        "NMAD against the ground, m | load"
+    )
     return [
         "**Scale**: pairs of simulated images (1 m, B/H 0.42, rolling ground with a noise texture, 2 m cells), "
         f"whole commands; *ours* is without the start of QGIS, {start:.2f} CPU s in the same run (the median of "
         f"five commands that join two words). Below {_SMALL_MPX} Mpx: the middle one of {_REPEATS} runs. Bars: CPU "
         f"seconds a Mpx (of one image) constant within 20 %, memory flat. {LOAD}",
-        table(
-            [
-                "images",
-                "Mpx each",
-                "CPU s",
-                "CPU s a Mpx",
-                "ours, CPU s a Mpx",
-                "wall s",
-                "peak GiB",
-                "valid % of the tiles",
-                "NMAD against the ground, m",
-                "load",
-            ],
-            rows,
-        ),
+        table(headers, rows),
     ]
 
 
@@ -433,43 +308,22 @@ def one_run(images: Sequence[str]) -> Tuple[Cost, float, float]:
 
 def start_of_qgis() -> float:
     """CPU seconds of a command that does nothing worth mentioning."""
-    command = [
-        str(ROOT / "scripts" / "qgis-headless"),
-        "run",
-        "native:stringconcatenation",
-        "--",
-        "INPUT_1=a",
-        "INPUT_2=b",
-    ]
+    command = [QGIS, "run", "native:stringconcatenation", "--", "INPUT_1=a", "INPUT_2=b"]
     return float(np.median([measured(command)[1].cpu_s for _ in range(5)]))
 
 
 def off_the_hills(dsm: str) -> float:
     """NMAD of a DSM against the hills it shows, at every third cell."""
-    with opened(dsm) as raster:
-        g, size = raster.GetGeoTransform(), (raster.RasterXSize, raster.RasterYSize)
-        heights = raster.ReadAsArray()[::3, ::3].astype(np.float64)
-    heights[heights < -9000] = np.nan
-    x, y = (g[0] + g[1] * (np.arange(0, size[0], 3) + 0.5), g[3] + g[5] * (np.arange(0, size[1], 3) + 0.5))
-    error = heights - rolling(*np.meshgrid(x, y))
-    return nmad(error[np.isfinite(error)])
+    raster = gdal.Open(dsm)
+    g, heights = raster.GetGeoTransform(), heights_of(raster)[::3, ::3]
+    columns, rows = (np.arange(0, n, 3) + 0.5 for n in (raster.RasterXSize, raster.RasterYSize))
+    x, y = g[0] + g[1] * columns, g[3] + g[5] * rows
+    return nmad(heights - rolling(*np.meshgrid(x, y)))
 
 
-PARTS: Dict[str, Tuple[str, Callable[[], List[str]]]] = {
-    "whole": ("A large scene", whole),
-    "rows": ("Rows that refinement leaves", rows_left),
-    "models": ("What refinement gains", models),
-    "scale": ("Cost and size", scale),
-}
-
-
-def main() -> int:
-    gdal.UseExceptions()
-    for name, (title, part) in PARTS.items():
-        if name in (sys.argv[1:] or PARTS):
-            publish(f"large_{name}", title, "make bench-large", part())
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+SECTIONS = [
+    Section("large_whole", "A large scene", "make bench-large", {"whole": whole}),
+    Section("large_parallax", "Vertical parallax that refinement leaves", "make bench-large", {"parallax": parallax}),
+    Section("large_models", "What refinement gains", "make bench-large", {"models": models}),
+    Section("large_scale", "Cost and size", "make bench-large", {"scale": scale}),
+]

@@ -1,25 +1,98 @@
-"""Runs a program as a whole, measures its process tree, and scores the DSM that it leaves."""
+"""Running what is measured: a stage in this process, a function in a process of its own, a program as a whole."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
+import resource
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
+
+from repm_qgis.progress import Progress, Silent
+from repm_qgis.stages import run_stage
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+CORES = len(os.sched_getaffinity(0))
+Item = TypeVar("Item")
+_settings = {"quick": False}
 
-from repm_qgis.evaluation.scoring import score_files  # noqa: E402
 
-SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
-PEERS = ("s2p", "cars")
+def set_quick(quick: bool) -> None:
+    """From here on, ``few`` returns the first item alone, and simulated images are small."""
+    _settings["quick"] = quick
+
+
+def is_quick() -> bool:
+    return _settings["quick"]
+
+
+def few(items: Sequence[Item]) -> Sequence[Item]:
+    """The cases of a benchmark: all, or the first of a quick run."""
+    return items[:1] if is_quick() else items
+
+
+def say(text: object) -> None:
+    """Progress of a long benchmark, on standard error, beside the tables on standard output."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+# In this process --------------------------------------------------------------------------------------------------
+
+
+def stage(name: str, progress: Progress = Silent(), **options: Any) -> Dict[str, Any]:
+    """A stage's results."""
+    return run_stage(name, options, progress)
+
+
+def pipeline(images: Sequence[str], folder: Any, progress: Progress = Silent(), **options: Any) -> Dict[str, Any]:
+    """The pipeline's results; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
+    made = {"images": list(images), "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **options}
+    return run_stage("pipeline", made, progress)
+
+
+# In a process of its own ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Alone:
+    """What a function returned, the CPU seconds of its whole process, and MiB of the process and of its children."""
+
+    result: Any
+    cpu_s: float
+    mib: float
+    child_mib: float
+
+
+def alone(function: Callable[..., Any], *arguments: Any) -> Alone:
+    """Run a function of a benchmark in a new process; arguments and result are JSON-able. Raises Failed."""
+    command = [sys.executable, "-m", "benchmarks", "--alone", function.__module__, function.__name__]
+    done = subprocess.run([*command, json.dumps(arguments)], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Failed((done.stderr.strip().splitlines() or ["failed"])[-1][:200])
+    return Alone(**json.loads(done.stdout.splitlines()[-1]))
+
+
+def answer(module: str, function: str, arguments: str) -> None:
+    """The other side of ``alone``. The process ends here: what is cleaned up after it is not measured."""
+    result = getattr(import_module(module), function)(*json.loads(arguments))
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    # The peak of getrusage would begin with the memory of the process that started this one.
+    with open("/proc/self/status", encoding="utf-8") as status:
+        own = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+    child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    figures = Alone(result, used.ru_utime + used.ru_stime, own / 1024, child / 1024)
+    print(json.dumps(vars(figures)), flush=True)
+    os._exit(0)
+
+
+# Whole commands ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -32,43 +105,44 @@ class Cost:
 
 
 class Failed(Exception):
-    """A program that did not make its DSM, with what it said last."""
+    """A program ended with an error, or did not make its DSM; the message is what it printed last."""
 
 
-def measured(command: Sequence[str], folder: Optional[str] = None) -> tuple[str, Cost]:
-    """A command's standard output and its cost; raises Failed where it ends with another code than 0."""
+def measured(
+    command: Sequence[str], folder: Optional[str] = None, memory_gib: Optional[Callable[[int], float]] = None
+) -> Tuple[str, Cost]:
+    """A command's standard output and its cost; raises Failed where it ends with another code than 0.
+
+    ``memory_gib`` gives the memory that is in use now for a process id; it is asked ten times a second.
+    """
     before, start = os.times(), time.monotonic()
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, start_new_session=True
     )
-    said: List[str] = ["", ""]
+    printed: List[str] = ["", ""]
 
     def listen(number: int, stream: Any) -> None:
-        said[number] = stream.read()
+        printed[number] = stream.read()
 
     readers = [threading.Thread(target=listen, args=(i, s)) for i, s in enumerate((process.stdout, process.stderr))]
     for reader in readers:
         reader.start()
     peak = 0.0
     while process.poll() is None:
-        peak = max(peak, tree_gib(process.pid))
+        peak = max(peak, (memory_gib or tree_gib)(process.pid))
         time.sleep(0.1)
     for reader in readers:
         reader.join()
     after = os.times()
-    cost = Cost(
-        time.monotonic() - start,
-        after.children_user + after.children_system - before.children_user - before.children_system,
-        peak,
-    )
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
     if process.returncode:
-        last = (said[1].strip() or said[0].strip() or "nothing said").splitlines()[-1]
+        last = (printed[1].strip() or printed[0].strip() or "nothing printed").splitlines()[-1]
         raise Failed(f"ended with code {process.returncode}: {last[:200]}")
-    return said[0], cost
+    return printed[0], Cost(time.monotonic() - start, cpu, peak)
 
 
 def tree_gib(root: int) -> float:
-    """Memory of a process and all below it, GiB: what they share is divided among them (PSS) where the kernel says."""
+    """Memory of a process and all below it, GiB: what they share is divided among them (PSS) where the kernel does."""
     parents, sizes = {}, {}
     for name in os.listdir("/proc"):
         if name.isdigit():
@@ -84,14 +158,12 @@ def tree_gib(root: int) -> float:
             pid = parents.get(pid, 0)
         return pid == root
 
-    return (
-        sum(_proportional_bytes(pid) or size * os.sysconf("SC_PAGE_SIZE") for pid, size in sizes.items() if below(pid))
-        / 2**30
-    )
+    page = os.sysconf("SC_PAGE_SIZE")
+    return sum(_proportional_bytes(pid) or size * page for pid, size in sizes.items() if below(pid)) / 2**30
 
 
 def _proportional_bytes(pid: int) -> int:
-    """Proportional set size; 0 where it is not told."""
+    """Proportional set size; 0 where the kernel does not say."""
     try:
         with open(f"/proc/{pid}/smaps_rollup", encoding="utf-8") as stream:
             return next((1024 * int(line.split()[1]) for line in stream if line.startswith("Pss:")), 0)
@@ -99,89 +171,19 @@ def _proportional_bytes(pid: int) -> int:
         return 0
 
 
-# Programs --------------------------------------------------------------------------------------------------------
+def resident_gib() -> Callable[[int], float]:
+    """For ``measured``: the sum of the largest resident sets of all processes of a group, GiB."""
+    largest: Dict[str, float] = {}
 
+    def look(group: int) -> float:
+        for name in filter(str.isdigit, os.listdir("/proc")):
+            try:
+                if os.getpgid(int(name)) == group:
+                    lines = Path(f"/proc/{name}/status").read_text(encoding="utf-8").splitlines()
+                    kib = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+                    largest[name] = kib / 2**20
+            except (OSError, StopIteration):
+                continue
+        return sum(largest.values())
 
-def repm(images: Sequence[str], resolution: float, folder: Path, **options: Any) -> tuple[str, Cost, Dict[str, Any]]:
-    """Ours through ``scripts/qgis-headless``: the DSM, the cost, and the algorithm's other results."""
-    folder.mkdir(parents=True, exist_ok=True)
-    dsm = folder / "dsm.tif"
-    text, cost = measured(
-        [
-            str(ROOT / "scripts" / "qgis-headless"),
-            "--json",
-            "run",
-            "repm:pipeline",
-            "--",
-            *(f"IMAGES={image}" for image in images),
-            f"RESOLUTION={resolution}",
-            f"OUTPUT={dsm}",
-            f"WORKSPACE={folder / 'w'}",
-            *(f"{name}={value}" for name, value in options.items()),
-        ]
-    )
-    return str(dsm), cost, json.loads(text).get("results", {})
-
-
-def _s2p(images: Sequence[str], resolution: float, folder: Path) -> tuple[str, Cost]:
-    config = {
-        "out_dir": str(folder / "out"),
-        "images": [{"img": image} for image in images],
-        "full_img": True,
-        "dsm_resolution": resolution,
-        "max_processes": len(os.sched_getaffinity(0)),
-    }
-    return _configured("s2p", config, folder, ("out/dsm.tif",))
-
-
-def _cars(images: Sequence[str], resolution: float, folder: Path) -> tuple[str, Cost]:
-    sensors = {
-        f"view{i}": {"image": image, "geomodel": {"path": image, "model_type": "RPC"}} for i, image in enumerate(images)
-    }
-    names = list(sensors)
-    config = {
-        "input": {"sensors": sensors, "pairing": [[names[0], other] for other in names[1:]]},
-        "output": {"directory": str(folder / "out"), "resolution": resolution},
-    }
-    return _configured("cars", config, folder, ("out/dsm/dsm.tif", "out/dsm.tif"))
-
-
-def _configured(program: str, config: Dict[str, Any], folder: Path, products: Sequence[str]) -> tuple[str, Cost]:
-    """Run a program on a configuration file; raises Failed where it leaves none of its products."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "config.json"
-    path.write_text(json.dumps(config))
-    _, cost = measured([program, str(path)], str(folder))
-    found = next((folder / product for product in products if (folder / product).exists()), None)
-    if found is None:
-        raise Failed(f"left no {products[0]}")
-    return str(found), cost
-
-
-_RUN: Dict[str, Callable[[Sequence[str], float, Path], tuple[str, Cost]]] = {"s2p": _s2p, "cars": _cars}
-
-
-def peer(name: str, images: Sequence[str], resolution: float, folder: Path) -> tuple[str, Cost]:
-    """Another program's DSM of the same images; raises Failed where it is not on PATH or does not make one."""
-    if shutil.which(name) is None:
-        raise Failed("not on PATH")
-    return _RUN[name](images, resolution, folder)
-
-
-# Scores ----------------------------------------------------------------------------------------------------------
-
-
-def scores(dsm: str, truth: str, align: bool, thresholds: Sequence[float] = (1.0, 2.5, 5.0)) -> Dict[str, float]:
-    """The paper's measures: valid and C are per cent of all cells of the truth, the others metres.
-
-    ``align`` first removes the best whole-cell shift and the median height difference, which relative pointing leaves.
-    """
-    m = score_files(dsm, truth, "cells" if align else "none", thresholds).metrics
-    shares = {f"C{threshold:g}": share for threshold, share in m.completeness}
-    return {"valid": m.valid, "RMSE": m.rmse, "ME": m.me, "MAE": m.mae, "NMAD": m.nmad, **shares}
-
-
-def say(text: str) -> None:
-    """Progress of a long benchmark, beside the tables on standard output."""
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    return look

@@ -1,18 +1,37 @@
-"""Markdown tables, printed and kept in docs/benchmarks.md between markers of their own."""
+"""Markdown tables, and the sections of docs/benchmarks.md that they are written into."""
 
 from __future__ import annotations
 
 import platform
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Iterable, List, Sequence
+from typing import Any, Callable, Dict, Iterable, List, Sequence, Union
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "benchmarks.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-def table(headers: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A Markdown table; floats with four significant digits."""
-    lines = ["| " + " | ".join(headers) + " |", "|" + "---|" * len(headers)]
+class Details(str):
+    """A paragraph or a table that is too long for docs/benchmarks.md: it goes to docs/benchmarks/SECTION.md."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page: the name of its markers, its title, the command that writes it, and its parts.
+
+    A part is a function that measures something and returns paragraphs and tables. It can be run alone, by its name.
+    """
+
+    name: str
+    title: str
+    command: str
+    parts: Dict[str, Callable[[], List[str]]]
+
+
+def table(headers: Union[str, Sequence[str]], rows: Iterable[Sequence[Any]]) -> str:
+    """A Markdown table; ``headers`` may be one string with bars between them. Floats have four significant digits."""
+    names = [name.strip() for name in headers.split("|")] if isinstance(headers, str) else headers
+    lines = ["| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
     lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
     return "\n".join(lines)
 
@@ -21,17 +40,23 @@ def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def publish(name: str, title: str, command: str, parts: List[str]) -> None:
-    """Print a benchmark's text and put it into the page, in the place of what the last run put there."""
-    text = "\n\n".join(
-        [f"## {title}", f"`{command}`, Python {platform.python_version()} on {platform.machine()}.", *parts]
-    )
-    print(text)
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    page = PAGE.read_text(encoding="utf-8") if PAGE.exists() else "# Benchmarks\n"
-    block = f"{begin}\n{text}\n{end}"
+def publish(section: Section, texts: Sequence[str], docs: Path = DOCS) -> None:
+    """Write a section's texts into the pages, in the place of what the last run wrote there."""
+    made = f"`{section.command}`, Python {platform.python_version()} on {platform.machine()}."
+    short = [text for text in texts if not isinstance(text, Details)]
+    details = [text for text in texts if isinstance(text, Details)]
+    if details:
+        file = f"benchmarks/{section.name}.md"
+        short.append(f"More tables: [{file}]({file}).")
+        (docs / file).parent.mkdir(exist_ok=True)
+        back = f"Short tables and other subjects: [benchmarks](../benchmarks.md). {made}"
+        (docs / file).write_text("\n\n".join([f"# {section.title}", back, *details]) + "\n", encoding="utf-8")
+    begin, end = f"<!-- {section.name}: begin -->", f"<!-- {section.name}: end -->"
+    block = begin + "\n" + "\n\n".join([f"## {section.title}", made, *short]) + "\n" + end
+    path = docs / "benchmarks.md"
+    page = path.read_text(encoding="utf-8") if path.exists() else "# Benchmarks\n"
     if begin in page:
         page = re.sub(re.escape(begin) + ".*?" + re.escape(end), lambda _: block, page, flags=re.DOTALL)
     else:
         page = page.rstrip() + "\n\n" + block + "\n"
-    PAGE.write_text(page, encoding="utf-8")
+    path.write_text(page, encoding="utf-8")

@@ -1,19 +1,20 @@
-"""The benchmarks' runner: other programs that are there, absent or broken, process trees, and scores."""
+"""What benchmarks share: programs that are there, absent or broken, process trees, scores, tables and pages."""
 
 from __future__ import annotations
 
 import os
 import stat
+import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from osgeo import gdal
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.runner import Failed, measured, peer, scores  # noqa: E402
+from benchmarks.programs import peer
+from benchmarks.runner import ROOT, Failed, alone, measured
+from benchmarks.scoring import difference, scores, shares
+from benchmarks.tables import Details, Section, publish, table
 
 _COPIES = """#!{python}
 import json, os, shutil, sys
@@ -91,11 +92,54 @@ def test_scores_are_those_of_the_cells(tmp_path):
     moved = np.roll(ground, (3, -2), (0, 1)) + np.float32(7.0)
     moved[50:56, 60:70] += 3.0
     moved[80:90, 20:30] = -9999
-    found = scores(raster(tmp_path / "dsm.tif", moved), truth, True)
+    dsm = raster(tmp_path / "dsm.tif", moved)
+    found = scores(dsm, truth, True)
     cells = (120 - 3) * (130 - 2)
-    assert found["valid"] == pytest.approx(100 * (1 - 100 / cells), abs=1e-6)
-    assert found["C1"] == pytest.approx(100 * (1 - 160 / cells), abs=1e-6)
-    assert found["C5"] == pytest.approx(found["valid"], abs=1e-6)
-    assert found["RMSE"] == pytest.approx(np.sqrt(60 * 9 / (cells - 100)), abs=1e-4) and found["ME"] < 1e-4
+    assert found.valid == pytest.approx(100 * (1 - 100 / cells), abs=1e-6)
+    within = shares(found)
+    assert within[0] == pytest.approx(100 * (1 - 160 / cells), abs=1e-6)
+    assert within[2] == pytest.approx(found.valid, abs=1e-6)
+    assert found.rmse == pytest.approx(np.sqrt(60 * 9 / (cells - 100)), abs=1e-4) and found.me < 1e-4
     raw = scores(raster(tmp_path / "same.tif", ground + np.float32(0.25)), truth, False)
-    assert raw["ME"] == pytest.approx(0.25, abs=1e-4) and raw["NMAD"] < 1e-4 and raw["valid"] == 100.0
+    assert raw.me == pytest.approx(0.25, abs=1e-4) and raw.nmad < 1e-4 and raw.valid == 100.0
+    apart = difference(dsm, raster(tmp_path / "west.tif", moved[:, 10:] + np.float32(1.0), 5.0))
+    assert apart.shape == (120, 120) and np.isnan(apart).sum() == 100 and np.nanmax(np.abs(apart + 1)) < 1e-4
+
+
+def add(a, b):
+    return {"sum": a + b, "process": os.getpid()}
+
+
+def test_a_function_runs_alone_and_says_what_it_used():
+    used = alone(add, 2, 3)
+    assert used.result["sum"] == 5 and used.result["process"] != os.getpid()
+    assert used.cpu_s > 0 and used.mib > 10
+    with pytest.raises(Failed, match="TypeError"):
+        alone(add, 2)
+
+
+def test_a_section_is_written_in_the_place_of_the_last_one(tmp_path):
+    (tmp_path / "benchmarks.md").write_text("# Benchmarks\n\nHow to read this.\n", encoding="utf-8")
+    section = Section("speed", "Speed", "make bench-speed", {})
+    publish(section, ["old", Details(table("a | b", [[1, 2.34567]]))], tmp_path)
+    publish(Section("other", "Other", "make bench-other", {}), ["kept"], tmp_path)
+    publish(section, ["new", Details("long"), Details(table(["a", "b"], [["x", 0.5]]))], tmp_path)
+    page = (tmp_path / "benchmarks.md").read_text(encoding="utf-8")
+    assert page.startswith("# Benchmarks\n\nHow to read this.\n") and page.count("## Speed") == 1
+    assert "new" in page and "kept" in page and "old" not in page and "long" not in page
+    assert "[benchmarks/speed.md](benchmarks/speed.md)" in page and page.index("## Speed") < page.index("## Other")
+    details = (tmp_path / "benchmarks" / "speed.md").read_text(encoding="utf-8")
+    assert details.startswith("# Speed\n") and details.endswith("long\n\n| a | b |\n|---|---|\n| x | 0.5 |\n")
+
+
+def run(*words):
+    command = [sys.executable, str(ROOT / "benchmarks"), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_command_line_names_what_there_is():
+    assert "cuda, dsm, epm" in run("--help").stdout
+    assert "NAME" in run("nonsense").stderr
+    assert "the parts of pointing are: urban, known" in run("pointing", "nonsense").stderr
+    assert "quick figures are not written" in run("cuda", "--quick", "--write").stderr
+    assert "| what | px | bar |" in run("epm", "accuracy", "--quick").stdout

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import hard_scenes
-from benchmarks.pointing import Case, pointed, shift_of, write_image
+from benchmarks.pointing_case import Case, pointed, shift_of, write_image
 from repm_qgis.simulation.scene import SceneSpec, make_views, surface_bounds
 
 POINTINGS = [shift_of(9.0, -7.0), shift_of(-6.0, 8.0)]
