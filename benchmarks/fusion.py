@@ -61,7 +61,7 @@ def height_map(work: Work) -> HeightMapRecord:
     """Write the height map that a pair would give of a tile, with 0.2 px of smooth noise."""
     scene, tile, bounds, altitudes, names, path = work
     first, second = (scene.view(name) for name in names)
-    pair = rectified_over_tile(scene, first, second, bounds, altitudes)
+    pair = rectified_over_tile(scene, (first.name, second.name), bounds, altitudes)
     geometry = pair_geometry(pair, first, second, altitudes, scene.crs)
     width, rows = pair.size
     axes = np.arange(width, dtype=float), np.arange(rows, dtype=float)

@@ -103,9 +103,9 @@ def whole() -> List[str]:
 def one_tile(job: Dict[str, Any], folder: str, corrected: bool) -> str:
     """The DSM of one tile; ``corrected``: with the vertical parallax corrected on the coarse surface (the default)."""
     if not corrected:
-        from repm_qgis.matching import coarse
+        from repm_qgis.matching.disparity_prior import DisparityPrior
 
-        coarse.Guide.second_original = _second_as_the_model_leaves_it  # a process of its own: nothing to restore
+        DisparityPrior.second_original = _second_as_the_model_leaves_it  # a process of its own: nothing to restore
     return pipeline(folder=folder, **job)["output"]
 
 
@@ -188,7 +188,7 @@ def parallax_on_ground(path: str, reference: str) -> np.ndarray:
         ground = sample_array(truth, np.stack([(x - g[0]) / g[1] - 0.5, (y - g[3]) / g[5] - 0.5], axis=-1), "bilinear")
         z = np.where(np.isfinite(ground), (z + ground) / 2, np.nan if step > 15 else z)
     inside = (x > tile.bounds[0]) & (x < tile.bounds[2]) & (y > tile.bounds[1]) & (y < tile.bounds[3])
-    off = geometry.row.on_grid(columns, rows, z)[inside & np.isfinite(z)]
+    off = geometry.vertical_parallax.on_grid(columns, rows, z)[inside & np.isfinite(z)]
     return off - np.median(off)
 
 

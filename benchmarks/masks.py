@@ -20,11 +20,12 @@ from osgeo import gdal
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.matching import SHARED, Case, changed  # noqa: E402
+from benchmarks.matching import SHARED, VARIANTS, Case  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
 from benchmarks.water_and_clouds import CLOUD, LAND, WATER, make_pair  # noqa: E402
 from repm_qgis.evaluation.coregistration import align  # noqa: E402
-from repm_qgis.matching.reliability import without_unsupported  # noqa: E402
+from repm_qgis.matching.pair_backend import sample_pair  # noqa: E402
+from repm_qgis.matching.reliability import mask_unreliable  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
 
@@ -38,21 +39,17 @@ def within(mask: np.ndarray, cells: float) -> np.ndarray:
 
 def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     """For the matcher alone and with what is unsupported dropped: label, error of each cell (m), CPU s."""
-    seconds = [0.0]
-
-    def timed(*arguments: Any) -> Any:
-        start = time.process_time()
-        kept = without_unsupported(*arguments)
-        seconds[0] = time.process_time() - start
-        return kept
-
-    dsms = []
-    for step in (lambda matched, *_: matched, timed):
-        with changed({"pair_backend.without_unsupported": step}):
-            dsms.append(case.dsm_of(case.matched()))
+    matched = case.matched(VARIANTS["reliability mask off"])
+    seen, geometry = sample_pair(case.task, case.pair, case.geometry), case.geometry
+    start = time.process_time()
+    kept = mask_unreliable(
+        matched, seen.first, seen.second, seen.disparities, geometry.height_sign, geometry.metres_per_px
+    )
+    seconds = time.process_time() - start
+    dsms = [case.dsm_of(found) for found in (matched, kept)]
     alignment = align("cells" if case.align else "none", [(dsms[0], case.truth)], (1.0, 1.0))
     errors = [alignment.applied(dsm, (1.0, 1.0)) - case.truth for dsm in dsms]
-    return [("matched", errors[0], 0.0), ("supported", errors[1], seconds[0])]
+    return [("matched", errors[0], 0.0), ("supported", errors[1], seconds)]
 
 
 def percent(of: np.ndarray, among: np.ndarray) -> Any:

@@ -1,7 +1,7 @@
 """The matcher's choices measured, one change at a time (``make bench-matching``).
 
-Each row is one pair of one scene matched and gridded to 0.5 m as the pipeline does, with something of the ``sgm``
-backend left out or replaced, and scored on all cells of the reference, after the best whole-cell shift and the median
+Each row is one pair of one scene matched and gridded to 0.5 m as the pipeline does, with one choice of the ``sgm``
+backend changed, and scored on all cells of the reference, after the best whole-cell shift and the median
 height difference where the scene has a truth (pointing without ground control leaves such a shift).
 """
 
@@ -11,11 +11,10 @@ import os
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List
+from typing import Any, Dict, Iterator, List
 
-import cv2
 import numpy as np
 from osgeo import gdal
 
@@ -29,18 +28,18 @@ from repm_qgis.evaluation.scoring import score  # noqa: E402
 from repm_qgis.geometry.cell_grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
-from repm_qgis.matching import edges, occlusions, pair_backend, sgm, subpixel  # noqa: E402
+from repm_qgis.matching import sgm  # noqa: E402
 from repm_qgis.matching.disparity_map import DisparityMap  # noqa: E402
+from repm_qgis.matching.pair_backend import PairTask, match_pair, rectified_over_tile  # noqa: E402
+from repm_qgis.matching.parameters import MATCHING, MatchingParameters  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
 from repm_qgis.stereo.height_maps import HeightMap  # noqa: E402
-from repm_qgis.stereo.pairing import grown, rectified_pair  # noqa: E402
 from repm_qgis.stereo.triangulation import pair_geometry  # noqa: E402
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CELL = 0.5
-MODULES = {"pair_backend": pair_backend, "sgm": sgm, "edges": edges, "subpixel": subpixel, "occlusions": occlusions}
 
 
 class Case:
@@ -56,10 +55,8 @@ class Case:
         tile, self.views = scene.tiles[0], scene.views[:2]
         names = tuple(view.name for view in self.views)
         stretches = tuple(view_stretch(view.image, view.band) for view in self.views)
-        self.task = pair_backend.PairTask(
-            sgm.BACKEND, scene, tile.id, tile.bounds, tile.altitudes, names, stretches, "", ""
-        )
-        self.pair = rectified_pair(scene, *self.views, grown(tile.bounds, 32 * scene.gsd_m), tile.altitudes)
+        self.task = PairTask(sgm.BACKEND, scene, tile.id, tile.bounds, tile.altitudes, names, stretches, "", "")
+        self.pair = rectified_over_tile(scene, names, tile.bounds, tile.altitudes)
         self.geometry = pair_geometry(self.pair, *self.views, tile.altitudes, scene.crs)
         with opened(reference) as dataset:
             west, cell, _, north, _, _ = dataset.GetGeoTransform()
@@ -69,9 +66,9 @@ class Case:
         self.grid = CellGrid(west, north, cell * step, (size[1] // step, size[0] // step))
         self.truth = self.truth[: self.grid.shape[0], : self.grid.shape[1]]
 
-    def matched(self) -> DisparityMap:
-        """What the matcher, as it now is, finds."""
-        return pair_backend._match(self.task, self.pair, self.geometry, *self.views)
+    def matched(self, parameters: MatchingParameters) -> DisparityMap:
+        """What the matcher finds with these parameters."""
+        return match_pair(replace(self.task, parameters=parameters), self.pair, self.geometry)
 
     def dsm_of(self, found: DisparityMap) -> np.ndarray:
         """The DSM of a height map alone, on the truth's grid."""
@@ -79,123 +76,65 @@ class Case:
         height = self.geometry.height.on_grid(columns, rows, found.disparity.astype(np.float64))
         x, y = (part.on_grid(columns, rows, height) for part in (self.geometry.x, self.geometry.y))
         heights = HeightMap(x, y, height, found.score, found.filled)
-        layer = fusion._layer(self.grid, heights, {"metres_per_px": self.geometry.metres_per_px}, self.task.scene.gsd_m)
+        layer = fusion._layer(self.grid, heights, self.geometry, self.task.scene.gsd_m)
         return aggregate([layer], "mean").height
 
-    def score(self) -> List[float]:
-        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of the matcher as it now is."""
+    def score(self, parameters: MatchingParameters) -> List[float]:
+        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of the matcher with these parameters."""
         start = time.process_time()
-        found = self.matched()
+        found = self.matched(parameters)
         seconds = time.process_time() - start
         m = score(self.dsm_of(found), self.truth, "cells" if self.align else "none", thresholds=(1.0, 2.5)).metrics
         return [seconds, m.valid, m.me, m.mae, m.rmse, *(share for _, share in m.completeness)]
 
 
-@contextmanager
-def changed(members: Dict[str, Any]) -> Iterator[None]:
-    """Other members, named ``module.name``, in the matcher's modules for a while."""
-    places = {name: (MODULES[name.split(".")[0]], name.split(".")[1]) for name in members}
-    kept = {name: getattr(*place) for name, place in places.items()}
-    try:
-        for name, value in members.items():
-            setattr(*places[name], value)
-        yield
-    finally:
-        for name, value in kept.items():
-            setattr(*places[name], value)
+def _changed(**sets: Dict[str, Any]) -> MatchingParameters:
+    """The default parameters with other values in some of their sets."""
+    return replace(MATCHING, **{name: replace(getattr(MATCHING, name), **values) for name, values in sets.items()})
 
 
-def _with_mode(mode: int, block: int = 1, p1: int = 12, p2: int = 48) -> Callable[[int], Any]:
-    def matcher(count: int) -> Any:
-        return cv2.StereoSGBM_create(
-            0, -(-count // 16) * 16, block, p1 * block * block, p2 * block * block, -1, 31, 0, 0, 0, mode
-        )
-
-    return matcher
-
-
-def _ranks(image: np.ndarray) -> np.ndarray:
-    """How many of 7 x 7 neighbours are darker (Zabih and Woodfill 1994), spread over eight bits."""
-    grey = np.nan_to_num(image).astype(np.float32)
-    padded = cv2.copyMakeBorder(grey, 3, 3, 3, 3, cv2.BORDER_REFLECT)
-    rank = np.zeros(grey.shape, np.uint8)
-    for row in range(7):
-        for column in range(7):
-            rank += padded[row : row + grey.shape[0], column : column + grey.shape[1]] < grey
-    return rank * np.uint8(5)
-
-
-def _twice(disparity: Any, *others: Any) -> Any:
-    return edges.at_edges(edges.at_edges(disparity, *others), *others)
-
-
-def _large_pieces(disparity: Any, first: Any, second: Any, low: int, high: int) -> Any:
-    return sgm._pieces(disparity, low, 80)
-
-
-def _without_turns(disparity: Any, first: Any, second: Any, high: int) -> Any:
-    """All steps on the brightness first, all smoothing after them."""
-    with changed({"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity}):
-        sharp = subpixel.refined(disparity, first, second, high)
-    return subpixel.denoised(sharp)
-
-
-def _lowest_along_rows(disparity: Any, nearer: float, *_: object) -> Any:
-    """Filling as it was first: the lower of a gap's two ends in its row."""
-    known = np.isfinite(disparity)
-    left, right, long = occlusions._ends(np.float32(nearer) * disparity, known)
-    with np.errstate(invalid="ignore"):
-        gap = ~known & (long <= np.abs(left - right) * 1.6 + 6)
-    return np.where(gap, np.float32(nearer) * np.fmin(left, right), disparity)
-
-
-AS_MATCHED = {"sgm.at_edges": lambda disparity, *others: disparity}
-THREE, FIVE, EIGHT = cv2.STEREO_SGBM_MODE_SGBM_3WAY, cv2.STEREO_SGBM_MODE_SGBM, cv2.STEREO_SGBM_MODE_HH
-VARIANTS: Dict[str, Dict[str, Any]] = {
-    "as it is": {},
-    "no coarse level": {"pair_backend.guide_of": lambda *_: None},
-    "all that floats kept": {"pair_backend.without_unsupported": lambda matched, *_: matched},
-    "OpenCV's eight ways, checked both ways, nothing else": {
-        "sgm._matcher": _with_mode(EIGHT, 3, 8, 32),
-        **AS_MATCHED,
-        "sgm._without_islands": _large_pieces,
-        "sgm.refined": lambda disparity, *others: disparity,
-        "sgm.with_background": lambda disparity, *_: disparity.copy(),
-    },
-    "eight-way aggregation": {"sgm._matcher": _with_mode(EIGHT)},
-    "eight ways, penalties 12 and 36": {"sgm._matcher": _with_mode(EIGHT, 1, 12, 36)},
-    "five-way aggregation": {"sgm._matcher": _with_mode(FIVE)},
-    "blocks of 3 px": {"sgm._matcher": _with_mode(THREE, 3, 16, 64)},
-    "blocks of 5 px": {"sgm._matcher": _with_mode(THREE, 5, 8, 32)},
-    "penalties halved": {"sgm._matcher": _with_mode(THREE, 1, 6, 24)},
-    "penalties doubled": {"sgm._matcher": _with_mode(THREE, 1, 24, 96)},
-    "ranks of 7 x 7 for brightness": {"sgm._grey": _ranks},
-    "matched one way only": {"sgm._agree": lambda forth, back, high: np.isfinite(forth)},
-    "ways may differ by 2 px": {"sgm._AGREE_PX": 2.0},
-    "edges left as matched": AS_MATCHED,
-    "edges: window does not follow the image": {
-        "edges._guided": lambda guide, values: edges._mean(values, edges._SUPPORT)
-    },
-    "edges: window of 5 px": {"edges._SUPPORT": 5},
-    "edges: window of 9 px": {"edges._SUPPORT": 9},
-    "edges: 7 px to each side": {"edges._REACH": 7, "edges._NEIGHBOURHOOD": 13},
-    "edges: twice": {"sgm.at_edges": _twice},
-    "all islands kept": {"sgm._without_islands": lambda disparity, *others: disparity},
-    "islands below 80 px dropped": {"sgm._without_islands": _large_pieces},
-    "not sharpened": {"subpixel._moved": lambda disparity, *others: disparity},
-    "sharpened, then smoothed, no turns": {"sgm.refined": _without_turns},
-    "sharpened: noise does not count": {"subpixel._PRIOR_PX": 10.0},
-    "sharpened: half as much expected (0.13 px)": {"subpixel._PRIOR_PX": 0.13},
-    "sharpened: windows of 1 px": {"subpixel._SIGMA_PX": 1.0},
-    "sharpened: windows of 2 px": {"subpixel._SIGMA_PX": 2.0},
-    "noise left": {"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity},
-    "median only, over steps too": {
-        "subpixel.denoised": subpixel.median,
-        "subpixel._smoothed": lambda disparity: disparity,
-    },
-    "median only, not over steps": {"subpixel._smoothed": lambda disparity: disparity},
-    "occlusions left empty": {"sgm.with_background": lambda disparity, *_: disparity.copy()},
-    "occlusions: along rows only": {"sgm.with_background": _lowest_along_rows},
+NEVER = 2**31 - 1
+AS_MATCHED = {"median_px": 1, "step_px": math.inf}
+STEPS = ("step",) * 4
+VARIANTS: Dict[str, MatchingParameters] = {
+    "as it is": MATCHING,
+    "no coarse level": _changed(prior={"least_span_px": math.inf}),
+    "reliability mask off": _changed(reliability={"least_px": NEVER, "endless_px": NEVER}),
+    "OpenCV's eight paths, consistency check and speckle filter only": _changed(
+        sgm={"paths": 8, "block_px": 3, "p1": 72, "p2": 288, "tower_score": 2.0},
+        edges=AS_MATCHED,
+        subpixel={"operations": ()},
+        occlusions={"slack_px": -math.inf, "narrow_px": -1},
+    ),
+    "eight-path aggregation": _changed(sgm={"paths": 8}),
+    "eight paths, penalties 12 and 36": _changed(sgm={"paths": 8, "p2": 36}),
+    "five-path aggregation": _changed(sgm={"paths": 5}),
+    "blocks of 3 px": _changed(sgm={"block_px": 3, "p1": 144, "p2": 576}),
+    "blocks of 5 px": _changed(sgm={"block_px": 5, "p1": 200, "p2": 800}),
+    "penalties halved": _changed(sgm={"p1": 6, "p2": 24}),
+    "penalties doubled": _changed(sgm={"p1": 24, "p2": 96}),
+    "no left-right consistency check": _changed(sgm={"left_right_px": math.inf}),
+    "left and right may differ by 2 px": _changed(sgm={"left_right_px": 2.0}),
+    "edges as matched": _changed(edges=AS_MATCHED),
+    "edges: window does not follow the image": _changed(edges={"contrast": 1e3}),
+    "edges: window of 5 px": _changed(edges={"window_px": 5}),
+    "edges: window of 9 px": _changed(edges={"window_px": 9}),
+    "edges: 7 px to each side": _changed(edges={"reach_px": 7, "surface_window_px": 13}),
+    "all speckles kept": _changed(sgm={"speckle_px": 0, "tower_px": 0}),
+    "speckles below 80 px removed, towers too": _changed(sgm={"tower_score": 2.0}),
+    "no subpixel steps": _changed(subpixel={"operations": ("median", "mean", "mean", "mean")}),
+    "subpixel steps, then filters, not in turns": _changed(subpixel={"operations": (*STEPS, "median", "mean")}),
+    "subpixel: noise has no weight": _changed(subpixel={"prior_px": 10.0}),
+    "subpixel: half as much expected (0.13 px)": _changed(subpixel={"prior_px": 0.13}),
+    "subpixel: windows of 1 px": _changed(subpixel={"sigma_px": 1.0}),
+    "subpixel: windows of 2 px": _changed(subpixel={"sigma_px": 2.0}),
+    "noise not filtered": _changed(subpixel={"operations": STEPS}),
+    "median only, over steps too": _changed(
+        subpixel={"operations": (*STEPS[:2], "median", *STEPS[:2]), "edge_px": math.inf}
+    ),
+    "median only, not over steps": _changed(subpixel={"operations": (*STEPS[:2], "median", *STEPS[:2])}),
+    "occlusions not filled": _changed(occlusions={"slack_px": -math.inf, "narrow_px": -1}),
+    "occlusions: along rows only": _changed(occlusions={"narrow_px": -1}),
 }
 
 
@@ -221,9 +160,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for case in _cases(folder):
             rows = []
-            for label, members in VARIANTS.items():
-                with changed(members):
-                    rows.append([label, *(round(value, 3) for value in case.score())])
+            for label, parameters in VARIANTS.items():
+                rows.append([label, *(round(value, 3) for value in case.score(parameters))])
             low, high = case.geometry.disparities
             parts.append(
                 f"{case.name}, {case.pair.size[0]} x {case.pair.size[1]} px, {high - low:.0f} disparities"

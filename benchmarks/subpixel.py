@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Tuple
 
@@ -18,19 +19,19 @@ from osgeo import gdal
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.matching import changed  # noqa: E402
 from benchmarks.tables import publish, table  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
 from repm_qgis.imagery.raster import opened, read  # noqa: E402
 from repm_qgis.imagery.warping import sample_array  # noqa: E402
-from repm_qgis.matching import pair_backend, sgm, subpixel  # noqa: E402
+from repm_qgis.matching import sgm  # noqa: E402
+from repm_qgis.matching.pair_backend import PairTask, match_pair, rectified_over_tile, sample_pair  # noqa: E402
+from repm_qgis.matching.parameters import MATCHING, SubpixelParameters  # noqa: E402
+from repm_qgis.matching.subpixel import subpixel_disparity  # noqa: E402
 from repm_qgis.progress import Silent  # noqa: E402
 from repm_qgis.scene import Scene  # noqa: E402
 from repm_qgis.simulation.scene import SceneSpec, make_scene  # noqa: E402
 from repm_qgis.simulation.sensor import ZY3  # noqa: E402
 from repm_qgis.stages import run_stage  # noqa: E402
-from repm_qgis.stereo.height_maps import MARGIN_PX  # noqa: E402
-from repm_qgis.stereo.pairing import grown, rectified_pair  # noqa: E402
 from repm_qgis.stereo.triangulation import PairGeometry, pair_geometry  # noqa: E402
 
 SCENES: Dict[str, SceneSpec] = {
@@ -41,14 +42,13 @@ SCENES: Dict[str, SceneSpec] = {
     ),
 }
 _RIM = 20
-_KEPT = {"subpixel.denoised": lambda disparity: disparity, "subpixel._smoothed": lambda disparity: disparity}
-_STILL = {"subpixel._moved": lambda disparity, *others: disparity}
-STARTS: List[Tuple[str, bool, Dict[str, Any]]] = [
-    ("semi-global matching as it comes", False, {**_KEPT, **_STILL}),
-    ("**refined**", False, {}),
-    ("from the truth: refined", True, {}),
-    ("from the truth: steps on the brightness only", True, _KEPT),
-    ("from the truth: filters only", True, _STILL),
+NO_STEPS = replace(MATCHING.subpixel, operations=())
+STARTS: List[Tuple[str, bool, SubpixelParameters]] = [
+    ("semi-global matching as it comes", False, NO_STEPS),
+    ("**subpixel**", False, MATCHING.subpixel),
+    ("from the truth: subpixel", True, MATCHING.subpixel),
+    ("from the truth: steps on the intensity only", True, replace(MATCHING.subpixel, operations=("step",) * 4)),
+    ("from the truth: filters only", True, replace(NO_STEPS, operations=("median", "mean", "mean", "mean"))),
 ]
 
 
@@ -88,62 +88,47 @@ class Case:
     """One pair of a scene: sampled as the matcher sees it, what semi-global matching gives, and the truth."""
 
     def __init__(self, scene: Scene, views: Tuple[int, int], truth: np.ndarray, place: Tuple[float, ...]) -> None:
-        tile, first, second = scene.tiles[0], *(scene.views[view] for view in views)
+        tile, names = scene.tiles[0], tuple(scene.views[view].name for view in views)
+        first, second = (scene.view(name) for name in names)
         stretches = tuple(view_stretch(view.image, view.band) for view in (first, second))
-        pair = rectified_pair(scene, first, second, grown(tile.bounds, MARGIN_PX * scene.gsd_m), tile.altitudes)
+        pair = rectified_over_tile(scene, names, tile.bounds, tile.altitudes)
         geometry = pair_geometry(pair, first, second, tile.altitudes, scene.crs)
-        names = first.name, second.name
-        task = pair_backend.PairTask(sgm.BACKEND, scene, "", tile.bounds, tile.altitudes, names, stretches, "", "")
-        seen: Dict[str, Any] = {}
-
-        def watched(disparity: Any, a: Any, b: Any, high: int) -> Any:
-            seen.update(start=disparity, first=a, second=b, high=high)
-            return subpixel.refined(disparity, a, b, high)
-
-        guides: List[Any] = []
-
-        def kept(*arguments: Any) -> Any:
-            guides.append(guide_of(*arguments))
-            return guides[-1]
-
-        guide_of, pair_backend.guide_of = pair_backend.guide_of, kept
-        try:
-            with changed({"sgm.refined": watched}):
-                matched = pair_backend._match(task, pair, geometry, first, second)
-        finally:
-            pair_backend.guide_of = guide_of
-        self.seen, self.guide, self.metres_per_px = seen, guides[-1], geometry.metres_per_px
+        task = PairTask(sgm.BACKEND, scene, "", tile.bounds, tile.altitudes, names, stretches, "", "")
+        self.seen = sample_pair(task, pair, geometry)
+        self.prior, self.metres_per_px = self.seen.prior, geometry.metres_per_px
+        given = self.seen.first, self.seen.resampled, self.seen.residuals
+        sides = geometry.height_sign, geometry.relief_displacement
+        found = sgm.match(*given, *sides, replace(MATCHING, subpixel=NO_STEPS))
+        self.start = np.where(found.filled, np.float32(np.nan), found.disparity)
         self.truth = true_disparities(geometry, pair.size, truth, place)
+        matched = match_pair(task, pair, geometry)
         error = (matched.disparity - self.truth)[~matched.filled]
         self.truth += np.nanmedian(error)
-        self.true_start = np.where(np.isfinite(seen["start"]), self._residual(), np.nan).astype(np.float32)
+        self.true_start = np.where(np.isfinite(self.start), self._residual(), np.nan).astype(np.float32)
 
     def _residual(self) -> np.ndarray:
-        """The true disparities around the guide that the second image was sampled on."""
-        if self.guide is None:
+        """The true disparities around the prior on which the second image was sampled."""
+        if self.prior is None:
             return self.truth
-        residual = np.nan_to_num(self.seen["start"])
+        residual = np.nan_to_num(self.start)
         for _ in range(8):
-            residual = (residual - 0.7 * np.nan_to_num(self.guide.whole(residual) - self.truth)).astype(np.float32)
-        found = np.abs(self.guide.whole(residual) - self.truth) < 0.02
+            residual = (residual - 0.7 * np.nan_to_num(self.prior.full_disparity(residual) - self.truth)).astype(
+                np.float32
+            )
+        found = np.abs(self.prior.full_disparity(residual) - self.truth) < 0.02
         return np.where(found, residual, np.nan)
 
-    def left(self, from_truth: bool, members: Dict[str, Any]) -> List[float]:
+    def errors(self, from_truth: bool, parameters: SubpixelParameters) -> List[float]:
         """Median and 90 % of absolute errors, and the standard deviation of their means in the steps' window, px."""
-        with changed(members):
-            found = subpixel.refined(
-                self.true_start if from_truth else self.seen["start"],
-                self.seen["first"],
-                self.seen["second"],
-                self.seen["high"],
-            )
-        error = (found if self.guide is None else self.guide.whole(found)) - self.truth
+        start, high = self.true_start if from_truth else self.start, self.seen.residuals[1]
+        found = subpixel_disparity(start, self.seen.first, self.seen.resampled, high, parameters)
+        error = (found if self.prior is None else self.prior.full_disparity(found)) - self.truth
         known = np.isfinite(error) & np.isfinite(self.true_start)
         known[:_RIM] = known[-_RIM:] = known[:, :_RIM] = known[:, -_RIM:] = False
         # What lies on another surface is not a matter of fractions.
         near = known & (np.abs(error) < 1)
-        mean = cv2.GaussianBlur(np.where(near, error, 0.0), (0, 0), subpixel._SIGMA_PX)
-        mean /= np.maximum(cv2.GaussianBlur(near.astype(float), (0, 0), subpixel._SIGMA_PX), 1e-3)
+        mean = cv2.GaussianBlur(np.where(near, error, 0.0), (0, 0), MATCHING.subpixel.sigma_px)
+        mean /= np.maximum(cv2.GaussianBlur(near.astype(float), (0, 0), MATCHING.subpixel.sigma_px), 1e-3)
         size = np.abs(error[known])
         return [float(np.median(size)), float(np.percentile(size, 90)), float(mean[near].std())]
 
@@ -167,13 +152,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for number, name in enumerate(SCENES):
             for label, case in cases(name, f"{folder}/{number}"):
-                for what, from_truth, members in STARTS:
+                for what, from_truth, parameters in STARTS:
                     rows.append(
                         [
                             label,
                             round(case.metres_per_px, 2),
                             what,
-                            *(round(value, 3) for value in case.left(from_truth, members)),
+                            *(round(value, 3) for value in case.errors(from_truth, parameters)),
                         ]
                     )
     publish(

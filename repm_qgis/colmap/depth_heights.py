@@ -1,9 +1,9 @@
 """From depths of a tile's frame to heights and ground positions: exact RPC geometry, tabulated on nodes.
 
-COLMAP finds, for a pixel of the reference, the depth at which the pinhole cameras lead to where the other images show
-the same. Here the same is done with known ground: at each node the reference's ray is followed by its RPC to some
-altitudes, each source's RPC says where it shows that ground, and the depth is the one whose pinhole pixels are nearest
-to those. So what the pinhole cameras err by cancels, as it does for disparities in ``triangulation``. The height is a
+COLMAP finds, for a pixel of the reference, the depth whose pinhole pixels in the other images show the same. Here the
+same is done with known ground: at each node the reference's ray is followed by its RPC to some altitudes, each source's
+RPC says where it shows that ground, and the depth is the one whose pinhole pixels are nearest to those places. So the
+errors of the pinhole cameras cancel, as they do for disparities in ``stereo/triangulation.py``. The height is a
 parabola of the inverse depth, which in this frame is nearly a straight line.
 """
 
@@ -19,10 +19,10 @@ from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..scene import Scene
-from ..stereo.triangulation import LEVELS, NodeTable, nodes
+from ..stereo.parameters import STEREO, StereoParameters
+from ..stereo.triangulation import NodeTable, nodes
+from .parameters import COLMAP, ColmapParameters
 from .projective_frame import FrameView, TileFrame
-
-_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class DepthGeometry:
     """Heights and ground positions of the pixels of a reference image.
 
     ``height`` takes column, row, 1 / depth to metres above the ellipsoid, ``x`` and ``y`` take column, row, height to
-    coordinates of ``crs``. ``metres_per_px`` is the height that one px means in the source with the most parallax, the
-    one with the number ``best``, ``error_m`` the largest error of the three tables at their levels, ``row_px`` the
-    largest distance that a source's pinhole pixel keeps from the RPC's at the best depth.
+    coordinates of ``crs``. ``metres_per_px`` is the height for one px in the source with the most parallax, which has
+    the number ``best``; ``error_m`` is the largest error of the three tables at their levels, and
+    ``vertical_parallax_px`` the largest distance between a source's pinhole pixel and the RPC's at the best depth.
     """
 
     height: NodeTable
@@ -42,18 +42,24 @@ class DepthGeometry:
     metres_per_px: float
     best: int
     error_m: float
-    row_px: float
+    vertical_parallax_px: float
 
 
 def depth_geometry(
-    scene: Scene, tile: TileFrame, reference: FrameView, sources: Sequence[FrameView], crs: str
+    scene: Scene,
+    tile: TileFrame,
+    reference: FrameView,
+    sources: Sequence[FrameView],
+    crs: str,
+    parameters: ColmapParameters = COLMAP,
+    stereo: StereoParameters = STEREO,
 ) -> DepthGeometry:
     """Tabulate a reference view's heights over the tile's altitudes.
 
     Raises EmptyResultError where its RPC sees no ground there.
     """
-    columns, rows = (nodes(n) for n in reference.size)
-    z, r, c = np.meshgrid(np.linspace(*tile.altitudes, LEVELS), rows, columns, indexing="ij")
+    columns, rows = (nodes(n, stereo.node_step_px) for n in reference.size)
+    z, r, c = np.meshgrid(np.linspace(*tile.altitudes, stereo.levels), rows, columns, indexing="ij")
     pixels = np.stack([c, r], axis=-1)
     ground = reference.view.localise(reference.to_original(pixels), z)
     if not np.isfinite(ground).all():
@@ -61,14 +67,15 @@ def depth_geometry(
             f"{reference.view.name} sees no ground within {tile.altitudes[0]:.0f} to "
             f"{tile.altitudes[1]:.0f} m: check ALTITUDE_MIN and ALTITUDE_MAX."
         )
-    inverse, row_px, parallax = _inverse_depths(scene, tile, reference, sources, pixels, ground)
+    steps = parameters.depth_steps
+    inverse, left_px, parallax = _inverse_depths(scene, tile, reference, sources, pixels, ground, steps)
     xy = projected_from_geodetic(crs, ground)
     height, error_h = NodeTable.fit(columns, rows, inverse, z)
     x, error_x = NodeTable.fit(columns, rows, z, xy[..., 0])
     y, error_y = NodeTable.fit(columns, rows, z, xy[..., 1])
     best = int(np.argmax(parallax))
     metres = (tile.altitudes[1] - tile.altitudes[0]) / max(parallax[best], 1e-9)
-    return DepthGeometry(height, x, y, crs, metres, best, max(error_h, error_x, error_y), row_px)
+    return DepthGeometry(height, x, y, crs, metres, best, max(error_h, error_x, error_y), left_px)
 
 
 def _inverse_depths(
@@ -78,8 +85,9 @@ def _inverse_depths(
     sources: Sequence[FrameView],
     pixels: FloatArray,
     ground: FloatArray,
+    steps: int,
 ) -> Tuple[FloatArray, float, List[float]]:
-    """(levels, m, n) 1 / depth that fits the sources best, what is left in px, and each source's parallax in px."""
+    """(levels, m, n) 1 / depth that fits the sources best, its largest residual in px, each source's parallax in px."""
     camera = reference.camera
     inverse = 1.0 / camera.depth(tile.frame.from_enu(scene.frame.from_geodetic(ground)))
     rays = np.concatenate([pixels, np.ones(pixels.shape[:-1] + (1,))], axis=-1) @ np.linalg.inv(camera.K).T
@@ -87,7 +95,7 @@ def _inverse_depths(
         (_transfer(camera, source.camera, rays), source.from_original(source.view.project(ground)))
         for source in sources
     ]
-    for _ in range(_STEPS):
+    for _ in range(steps):
         top, bottom = np.zeros_like(inverse), np.zeros_like(inverse)
         for (still, moving), pixel in seen:
             at, slope = _pixel(still, moving, inverse)
@@ -102,7 +110,7 @@ def _inverse_depths(
 
 
 def _transfer(reference: PinholeCamera, source: PinholeCamera, rays: FloatArray) -> Tuple[FloatArray, FloatArray]:
-    """What makes a source's homogeneous pixel of a ray: (..., 3) b and (3,) a of b + a / depth."""
+    """(..., 3) b and (3,) a: the homogeneous pixel of a ray in the source is b + a / depth."""
     turn = source.R @ reference.R.T
     return rays @ (source.K @ turn).T, source.K @ (source.t - turn @ reference.t)
 

@@ -1,7 +1,7 @@
 """COLMAP's depth and normal maps: ``WIDTH&HEIGHT&CHANNELS&`` in ASCII, then float32, little-endian, channel by channel.
 
 https://colmap.github.io/format.html (dense reconstruction). A depth is along the optical axis, 0 where there is none;
-a normal is a unit vector of the camera's frame that points towards the camera.
+a normal is a unit vector in the camera's frame that points towards the camera.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def read_map(path: str, size: Tuple[int, int], channels: int = 1) -> FloatImage:
     """Read a map that must have this size (width, height) and number of channels.
 
     Returns (height, width) for one channel, else (height, width, channels). Raises ImageError for a file that is
-    missing, no such map, cut short or of another size: nothing is read before its header agrees.
+    missing, no such map, truncated or of another size; the values are read only if the header agrees.
     """
     width, height = size
     try:
@@ -31,7 +31,7 @@ def read_map(path: str, size: Tuple[int, int], channels: int = 1) -> FloatImage:
             start = stream.read(_HEADER_BYTES)
             found = _HEADER.match(start)
             if found is None:
-                raise ImageError(f"'{path}' is no map of COLMAP's (it begins with {start[:12]!r}): reconstruct again.")
+                raise ImageError(f"'{path}' is no map of COLMAP (it begins with {start[:12]!r}): reconstruct again.")
             if tuple(map(int, found.groups())) != (width, height, channels):
                 raise ImageError(
                     f"The map '{path}' has {' x '.join(g.decode() for g in found.groups())} values, the "

@@ -1,7 +1,7 @@
-"""COLMAP's patch match in a process of its own: a lost GPU or a failed check in native code ends that, not the engine.
+"""COLMAP's patch match in a process of its own: a lost GPU or a failed check in native code does not end the engine.
 
 ``python -m repm_qgis.colmap.process JOB.json``, a JSON object with ``workspace``, COLMAP's ``options``, and those
-of its fusion in ``fusion`` (null: none). What COLMAP says goes to the standard streams, which the caller keeps.
+of its fusion in ``fusion`` (null: none). COLMAP's messages go to the standard streams, which the caller keeps.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, Dict, List
 
 
 def main(arguments: List[str]) -> None:
-    """Run the job of a file; whatever goes wrong ends the process with COLMAP's own words."""
+    """Run the job of a file; every failure ends the process with COLMAP's own message."""
     import pycolmap
 
     with open(arguments[0], encoding="utf-8") as stream:

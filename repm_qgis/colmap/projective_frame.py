@@ -1,19 +1,18 @@
-"""A frame in which satellites' cameras are ordinary ones: close, without skew, square pixels, good in single precision.
+"""A frame in which the cameras of satellites are close, without skew, and have square pixels: for single precision.
 
-A satellite is some 6e5 m away. In single precision, which GPUs work in, the last bit of such a depth is 6 cm,
-homographies through such cameras err by tenths of a pixel, and COLMAP's search, whose steps are shares of the depth,
-passes over every height there is. But the world may be changed by any 4 x 4 projective map T as long as cameras follow:
-P' = P T^-1 sees the same pixels. Adapted COLMAP (Zhang, Snavely, Sun, Leveraging Vision Reconstruction Pipelines for
-Satellite Imagery, 2019) changes COLMAP's depth for that; here the world is changed, so that COLMAP stays as it is.
+A satellite is some 6e5 m away. In single precision, in which GPUs calculate, the last bit of such a depth is 6 cm,
+homographies through such cameras have errors of tenths of a pixel, and the steps of COLMAP's search, which are shares
+of the depth, are larger than all heights. But the world may be changed by any 4 x 4 projective map T if the cameras
+are changed too: P' = P T^-1 sees the same pixels. Adapted COLMAP (Zhang, Snavely, Sun, Leveraging Vision Reconstruction
+Pipelines for Satellite Imagery, 2019) changes COLMAP's depth; here the world is changed, and COLMAP is not.
 
-T brings, in turn, the tile's middle to the origin, the mean viewing direction to the vertical (a shear, planes of
-equal height stay), the tile's width and altitude range to the size of the unit, and the vertical's point at infinity
-to z = D = 4/3: ``(x, y, z) -> (x, y, z) / (1 + z / D)``. Satellites, as good as infinitely far away, come to lie beside
-(0, 0, D) and look straight down, depths are D^2 / (D + z), so that their inverse grows evenly with the height, and
-planes stay planes.
+T maps, in this order, the tile's middle to the origin, the mean viewing direction to the vertical (a shear that keeps
+planes of equal height), the tile's width and altitude range to the unit, and the vertical's point at infinity to
+z = D: ``(x, y, z) -> (x, y, z) / (1 + z / D)``. Satellites, which are almost infinitely far away, are then near
+(0, 0, D) and look straight down; depths are D^2 / (D + z), so that their inverse is linear in the height.
 
-What is left of a camera's skew and unequal focal lengths is taken out by resampling its image with an upper-triangular
-affinity, in one go with the refinement M.
+The remaining skew and unequal focal lengths of a camera are removed by resampling its image with an upper-triangular
+affinity, together with the refinement M.
 """
 
 from __future__ import annotations
@@ -23,23 +22,20 @@ from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import Altitudes, Bounds, FloatArray, Size
 from ..errors import RpcInvalidError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.pinhole import PinholeCamera, factorise
 from ..geometry.refinement import apply_homography, translation
 from ..scene import Scene, View
-from ..stereo.pairing import Bounds, ground_points, grown, refined_view
-
-_DISTANCE = 4.0 / 3.0  # D: with heights of +- D / 3 depths are 1 to 2
-_HALF_WIDTH = 0.5  # of the tile, in units of D: seen within 27 degrees of the vertical
-_MOST_STRETCH = 4.0  # of heights against distances on the ground: more would turn roofs into walls
-_SMALLEST_PX = 48
+from ..stereo.pairing import ground_points, grown, refined_view
+from ..stereo.parameters import STEREO, StereoParameters
+from .parameters import COLMAP, FrameParameters
 
 
 @dataclass(frozen=True)
 class ProjectiveFrame:
-    """T (4, 4), from a scene's local ENU frame (m) to the frame that a tile's cameras are ordinary in."""
+    """T (4, 4), from a scene's local ENU frame (m) to the frame of a tile."""
 
     matrix: FloatArray
 
@@ -52,11 +48,13 @@ class ProjectiveFrame:
         return _mapped(np.linalg.inv(self.matrix), points)
 
     def camera(self, camera: PinholeCamera) -> PinholeCamera:
-        """K', R', t' of P T^-1: the same pixels, mostly with a skew; K'[1, 1] is negative where the image is mirrored."""
+        """K', R', t' of P T^-1: the same pixels, mostly with a skew; K'[1, 1] < 0 where the image is mirrored."""
         return factorise(camera.P @ np.linalg.inv(self.matrix))
 
     @classmethod
-    def over(cls, cameras: Sequence[PinholeCamera], ground_enu: FloatArray) -> "ProjectiveFrame":
+    def over(
+        cls, cameras: Sequence[PinholeCamera], ground_enu: FloatArray, parameters: FrameParameters = COLMAP.frame
+    ) -> "ProjectiveFrame":
         """The frame of a tile.
 
         Parameters
@@ -66,17 +64,17 @@ class ProjectiveFrame:
 
         Raises RpcInvalidError where a camera looks along the ground.
         """
-        low, high = ground_enu.min(axis=0), ground_enu.max(axis=0)
+        distance, low, high = parameters.distance, ground_enu.min(axis=0), ground_enu.max(axis=0)
         origin = (low + high) / 2
-        lean = np.mean([_lean(camera, origin) for camera in cameras], axis=0)
+        slope = np.mean([_ray_slope(camera, origin) for camera in cameras], axis=0)
         to_origin, shear = np.eye(4), np.eye(4)
         to_origin[:3, 3] = -origin
-        shear[:2, 2] = -lean
+        shear[:2, 2] = -slope
         spread = np.abs(_mapped(shear @ to_origin, ground_enu)).max(axis=0)
-        across = _HALF_WIDTH * _DISTANCE / max(float(spread[:2].max()), 1.0)
-        up = min(_DISTANCE / 3 / max(float(spread[2]), 1.0), _MOST_STRETCH * across)
+        across = parameters.half_width * distance / max(float(spread[:2].max()), 1.0)
+        up = min(distance / 3 / max(float(spread[2]), 1.0), parameters.most_stretch * across)
         projection = np.eye(4)
-        projection[3, 2] = 1.0 / _DISTANCE
+        projection[3, 2] = 1.0 / distance
         return cls(projection @ np.diag([across, across, up, 1.0]) @ shear @ to_origin)
 
 
@@ -85,8 +83,8 @@ def _mapped(matrix: FloatArray, points: FloatArray) -> FloatArray:
     return homogeneous[..., :3] / homogeneous[..., 3:]
 
 
-def _lean(camera: PinholeCamera, origin: FloatArray) -> FloatArray:
-    """(2,) east and north that a viewing ray through the tile's middle moves by for a metre up."""
+def _ray_slope(camera: PinholeCamera, origin: FloatArray) -> FloatArray:
+    """(2,) east and north by which a viewing ray through the tile's middle moves for each metre up."""
     pixel = np.append(camera.project(origin), 1.0)
     ray = np.linalg.solve(camera.K @ camera.R, pixel)
     if abs(ray[2]) < 0.1 * np.linalg.norm(ray):
@@ -105,22 +103,22 @@ class FrameView:
     refined: RefinedPinhole
     camera: PinholeCamera
     from_refined: FloatArray
-    size: Tuple[int, int]
+    size: Size
 
     def to_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) pixels of this image to the original's: all resampling there is."""
+        """(..., 2) original pixels from those of this image: the only resampling."""
         return self.refined.to_original.original_from_refined(
             apply_homography(np.linalg.inv(self.from_refined), points)
         )
 
     def from_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original pixels to this image's."""
+        """(..., 2) pixels of this image from original ones."""
         return apply_homography(self.from_refined, self.refined.to_original.refined_from_original(points))
 
 
 @dataclass(frozen=True)
 class TileFrame:
-    """All that sees a ground rectangle (``bounds`` in the scene's CRS) at some altitudes, in one frame.
+    """The views that see a ground rectangle (``bounds`` in the scene's CRS) at some altitudes, in one frame.
 
     Images and tracks reach over ``wide``, the rectangle with its margin.
     """
@@ -129,7 +127,12 @@ class TileFrame:
     views: Tuple[FrameView, ...]
     bounds: Bounds
     wide: Bounds
-    altitudes: Tuple[float, float]
+    altitudes: Altitudes
+
+    @property
+    def largest_px(self) -> int:
+        """Pixels of the largest image."""
+        return max(view.size[0] * view.size[1] for view in self.views)
 
     def view(self, name: str) -> Optional[FrameView]:
         """The view with this name; None where it does not see the tile."""
@@ -143,32 +146,37 @@ class TileFrame:
 
 
 def tile_frame(
-    scene: Scene, names: Sequence[str], bounds: Bounds, altitudes: Tuple[float, float], margin_px: float
+    scene: Scene,
+    names: Sequence[str],
+    bounds: Bounds,
+    altitudes: Altitudes,
+    parameters: FrameParameters = COLMAP.frame,
+    stereo: StereoParameters = STEREO,
 ) -> Optional[TileFrame]:
     """The frame and the views of a ground rectangle with a margin; None where fewer than two of the views see it."""
-    wide = grown(bounds, margin_px * scene.gsd_m)
+    wide = grown(bounds, stereo.tile_margin_px * scene.gsd_m)
     refined = {name: refined_view(scene, scene.view(name), wide, altitudes) for name in names}
     seen = {name: found for name, found in refined.items() if found is not None}
     if len(seen) < 2:
         return None
     ground = scene.frame.from_geodetic(ground_points(scene, wide, altitudes))
-    frame = ProjectiveFrame.over([found.camera for found in seen.values()], ground)
+    frame = ProjectiveFrame.over([found.camera for found in seen.values()], ground, parameters)
     made = [_frame_view(scene.view(name), found, frame, ground) for name, found in seen.items()]
-    views = tuple(view for view in made if min(view.size) >= _SMALLEST_PX)
+    views = tuple(view for view in made if min(view.size) >= stereo.smallest_px)
     return TileFrame(frame, views, bounds, wide, altitudes) if len(views) >= 2 else None
 
 
 def _frame_view(view: View, refined: RefinedPinhole, frame: ProjectiveFrame, ground_enu: FloatArray) -> FrameView:
-    """A view with its image cut to what it shows of the tile."""
+    """A view whose image is limited to what it shows of the tile."""
     camera = frame.camera(refined.camera)
     focal = float(max(camera.K[0, 0], abs(camera.K[1, 1])))  # the finer axis: resampling loses nothing
     square = np.diag([focal, focal, 1.0])
     affinity = square @ np.linalg.inv(camera.K)
-    wanted = apply_homography(affinity, refined.camera.project(ground_enu))
+    shown = apply_homography(affinity, refined.camera.project(ground_enu))
     width, height = refined.size
     own = apply_homography(affinity, np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1.0]]))
-    low = np.floor(np.maximum(wanted.min(axis=0), own.min(axis=0)))
-    high = np.ceil(np.minimum(wanted.max(axis=0), own.max(axis=0)))
+    low = np.floor(np.maximum(shown.min(axis=0), own.min(axis=0)))
+    high = np.ceil(np.minimum(shown.max(axis=0), own.max(axis=0)))
     straight = PinholeCamera(square, camera.R, camera.t).moved(*low)
     size = (max(int(high[0] - low[0]) + 1, 0), max(int(high[1] - low[1]) + 1, 0))
     return FrameView(view, refined, straight, translation(*-low) @ affinity, size)

@@ -1,6 +1,7 @@
-"""Running COLMAP's patch match on the GPUs: its options, how much memory it takes, one worker a GPU, what may go wrong.
+"""Running COLMAP's patch match on the GPUs: its options, its memory, one worker for each GPU, and its failures.
 
-Stock COLMAP (Schoenberger, Zheng, Pollefeys, Frahm, Pixelwise View Selection for Unstructured Multi-View Stereo, 2016).
+COLMAP is used as it is (Schoenberger, Zheng, Pollefeys, Frahm, Pixelwise View Selection for Unstructured Multi-View
+Stereo, 2016).
 """
 
 from __future__ import annotations
@@ -22,16 +23,14 @@ from ..errors import Cancelled, DeviceError
 from ..parallel import as_they_end
 from ..progress import Progress
 from ..workspace import write_text
+from .parameters import COLMAP, PatchMatchParameters
 
 _ROOT = Path(__file__).resolve().parents[2]
 _POLL_S = 0.1
-_SHARE = 0.8  # of a GPU's free memory that is used
 _CONTEXT_BYTES = 600 << 20  # of CUDA itself
-# Bytes a pixel: of the reference, random states (twice, while they are turned), depth, normal, sums; and for each
-# source, cost, selection probabilities, their turned copies, image, depth.
+# Bytes for each pixel, by the buffers that COLMAP 4.2 allocates. Reference: random states (twice, while they are
+# rotated), depth, normal, sums; each source: cost, selection probabilities, their rotated copies, image, depth.
 _REFERENCE_BYTES, _SOURCE_BYTES = 136, 26
-_SAMPLES = 4  # drawn a source: with one source every sample is the same
-_MOST_SAMPLES = 15  # COLMAP's default
 _FULL = ("out of memory", "std::bad_alloc", "memory allocation")
 
 T = TypeVar("T")
@@ -39,10 +38,10 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class PatchMatch:
-    """What a user may choose: geometric consistency, the window's radius (px), memory of a GPU (GiB, 0 what is free).
+class PatchMatchOptions:
+    """The user's choices: geometric consistency, radius of the window (px), memory of a GPU (GiB, 0 is what is free).
 
-    ``fusion``: only depths that COLMAP's own fusion takes up are kept.
+    ``fusion``: only depths that COLMAP's own fusion uses are kept.
     """
 
     geometric: bool = True
@@ -52,27 +51,36 @@ class PatchMatch:
 
 
 Runner = Callable[[str, Dict[str, Any], Optional[Dict[str, Any]], threading.Event], None]
-"""Runs patch match in a workspace with COLMAP's options, and its fusion with others; ends once the event is set."""
-
-FUSION = {"min_num_pixels": 2, "max_normal_error": 30.0, "num_threads": 1}
-"""COLMAP's fusion: two views must agree. In the frame heights are stretched, so that normals differ by more."""
+"""Runs patch match in a workspace with COLMAP's options, and fusion with its own; it ends when the event is set."""
 
 
-def colmap_options(settings: PatchMatch, depths: Sequence[float], sources: int, gpu: int) -> Dict[str, Any]:
-    """COLMAP's options for a tile whose depths are known, with up to so many sources a reference.
+def fusion_options(parameters: PatchMatchParameters) -> Dict[str, Any]:
+    """The options of COLMAP's fusion."""
+    views, angle = parameters.fused_views, parameters.fused_normal_deg
+    return {"min_num_pixels": views, "max_normal_error": angle, "num_threads": 1}
+
+
+def colmap_options(
+    chosen: PatchMatchOptions,
+    depths: Sequence[float],
+    sources: int,
+    gpu: int,
+    parameters: PatchMatchParameters = COLMAP.patch_match,
+) -> Dict[str, Any]:
+    """COLMAP's options for a tile whose depths are known, with up to so many sources for each reference.
 
     Angles between rays are not checked: in the frame they are smaller than on Earth, and pairs were chosen by the true
     ones. A source's cost does not change from sample to sample, so that few sources need few samples.
     """
-    room = 0.02 * (depths[1] - depths[0])
+    room = parameters.depth_margin * (depths[1] - depths[0])
     return {
         "gpu_index": str(gpu),
         "depth_min": depths[0] - room,
         "depth_max": depths[1] + room,
-        "window_radius": settings.window_radius,
-        "geom_consistency": settings.geometric,
+        "window_radius": chosen.window_radius,
+        "geom_consistency": chosen.geometric,
         "filter": True,
-        "num_samples": 1 if sources == 1 else min(_MOST_SAMPLES, _SAMPLES * sources),
+        "num_samples": 1 if sources == 1 else min(parameters.most_samples, parameters.samples * sources),
         "min_triangulation_angle": 0.0,
         "filter_min_triangulation_angle": 0.0,
         "num_threads": 1,
@@ -80,22 +88,22 @@ def colmap_options(settings: PatchMatch, depths: Sequence[float], sources: int, 
 
 
 def bytes_needed(pixels: int, sources: int) -> int:
-    """GPU memory that matching images of so many pixels takes, from the buffers that COLMAP 4.2 allocates."""
+    """GPU memory that matching takes with images of so many pixels."""
     return _CONTEXT_BYTES + pixels * (_REFERENCE_BYTES + _SOURCE_BYTES * sources)
 
 
-def bytes_allowed(gpu: Gpu, settings: PatchMatch) -> int:
+def bytes_allowed(gpu: Gpu, chosen: PatchMatchOptions, parameters: PatchMatchParameters = COLMAP.patch_match) -> int:
     """GPU memory that a tile may take."""
-    free = int(_SHARE * gpu.free_bytes)
-    return min(free, int(settings.memory_gib * 2**30)) if settings.memory_gib else free
+    free = int(parameters.memory_share * gpu.free_bytes)
+    return min(free, int(chosen.memory_gib * 2**30)) if chosen.memory_gib else free
 
 
 def run_patch_match(
     workspace: str, options: Dict[str, Any], fusion: Optional[Dict[str, Any]], stop: threading.Event
 ) -> None:
-    """Run patch match, and fusion where it has options, in a process of its own.
+    """Run patch match, and fusion if it has options, in a process of its own.
 
-    Raises DeviceError where it fails, with COLMAP's own words, and Cancelled once ``stop`` is set.
+    Raises DeviceError with COLMAP's own message where it fails, and Cancelled once ``stop`` is set.
     """
     job, log = (os.path.join(workspace, name) for name in ("job.json", "patch_match.log"))
     write_text(job, json.dumps({"workspace": workspace, "options": options, "fusion": fusion}))
@@ -122,7 +130,7 @@ def run_patch_match(
 
 
 def failure(log: str, gpu: str, code: int) -> DeviceError:
-    """What COLMAP's last words mean."""
+    """What the last message in COLMAP's log means."""
     lines = [line.strip() for line in log.splitlines() if line.strip()]
     words = next(
         (line for line in reversed(lines) if any(text in line.lower() for text in (*_FULL, "error", "fail"))),
@@ -143,7 +151,7 @@ def on_gpus(
     progress: Progress,
     describe: Callable[[T], str],
 ) -> List[Union[R, DeviceError]]:
-    """``[function(task, gpu, stop) for task in tasks]``, one worker a GPU; a DeviceError is the task's result.
+    """``[function(task, gpu, stop) for task in tasks]``, one worker for each GPU; a DeviceError is a task's result.
 
     Cancel sets ``stop``. Any other exception is raised here.
     """

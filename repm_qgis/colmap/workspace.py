@@ -1,24 +1,23 @@
-"""The folder that COLMAP's dense reconstruction works in: images, a sparse model, what to match with what.
+"""The folder of COLMAP's dense reconstruction: images, a sparse model, and which views are matched with which.
 
-``images/*.png`` (8 bit, one stretch a view), ``sparse/`` (PINHOLE cameras, poses, a grid of ground points over the
-altitudes as tracks: COLMAP takes depth ranges and neighbours from them), ``stereo/patch-match.cfg`` and
-``stereo/fusion.cfg``. Images are called by number: names with commas would be several in the lists.
+``images/*.png`` (8 bit, one stretch for each view), ``sparse/`` (PINHOLE cameras, poses, a grid of ground points over
+the altitudes as tracks: COLMAP takes depth ranges and neighbours from them), ``stereo/patch-match.cfg`` and
+``stereo/fusion.cfg``. The images' names are numbers: a name with a comma would be several in the lists.
 
 Principal points are written for pixels whose first centre is (0, 0). COLMAP's sparse models count from the corner, but
-its patch match and fusion take K as it is for whole pixel numbers; so half a pixel more would turn every ray.
-``tests/engine/colmap/test_colmap_workspace.py`` looks at what the installed version does.
+its patch match and fusion use K with whole pixel numbers; so half a pixel more would rotate every ray.
+``tests/engine/colmap/test_colmap_workspace.py`` checks what the installed version does.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, List, Mapping, Sequence, Tuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import FloatArray, FloatImage
+from ..arrays import FloatArray, FloatImage, Mask
 from ..errors import WorkspaceError
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
@@ -26,40 +25,44 @@ from ..imagery.warping import warp
 from ..scene import Scene
 from ..stereo.pairing import ground_points
 from ..workspace import ensure_folder, write_text
+from .parameters import COLMAP, TrackParameters
 from .projective_frame import FrameView, TileFrame
 
-_ALTITUDES = 5
-_POINTS = 11  # a side of the grid of tracks
 _GREY = np.array([128, 128, 128], dtype=np.uint8)
 _KINDS = {"depth": ("depth_maps", 1), "normal": ("normal_maps", 3)}
 
 
 def image_name(index: int) -> str:
-    """What COLMAP calls the view with this number in its tile."""
+    """COLMAP's name of the view with this number in its tile."""
     return f"{index:04d}.png"
 
 
 def map_path(folder: str, kind: str, index: int, geometric: bool) -> str:
-    """Where COLMAP keeps a view's map; ``kind`` is depth or normal."""
+    """The file of a view's map in a workspace; ``kind`` is depth or normal."""
     return os.path.join(
         folder, "stereo", _KINDS[kind][0], f"{image_name(index)}.{'geometric' if geometric else 'photometric'}.bin"
     )
 
 
-def brightness(view: FrameView, stretch: Stretch) -> FloatImage:
-    """(height, width) brightness in 0..1 of a view's image, in one resampling of the original; NaN where there is none."""
+def view_intensity(view: FrameView, stretch: Stretch) -> FloatImage:
+    """(height, width) intensity in 0..1 of a view's image, by one resampling of the original; NaN where it has none."""
     with opened_masked(view.view.image, view.view.mask) as dataset:
         return stretch.apply(warp(dataset, view.view.band, view.to_original, view.size, "cubic"))
 
 
 def write_workspace(
-    folder: str, scene: Scene, tile: TileFrame, images: Sequence[FloatImage], sources: Dict[str, Sequence[str]]
+    folder: str,
+    scene: Scene,
+    tile: TileFrame,
+    images: Sequence[FloatImage],
+    sources: Mapping[str, Sequence[str]],
+    parameters: TrackParameters = COLMAP.tracks,
 ) -> None:
     """Write all that COLMAP needs for a tile.
 
     Parameters
     ----------
-    images : brightness in 0..1 of ``tile.views``, in their order; NaN becomes black, where nothing can be matched.
+    images : intensity in 0..1 of ``tile.views``, in their order; NaN becomes black, where nothing can be matched.
     sources : for each reference view's name, the names of the views that it is matched with.
 
     Raises WorkspaceError where files cannot be written.
@@ -68,7 +71,7 @@ def write_workspace(
         ensure_folder(os.path.join(folder, name))
     for index, pixels in enumerate(images):
         _write_png(os.path.join(folder, "images", image_name(index)), pixels)
-    _reconstruction(scene, tile).write(os.path.join(folder, "sparse"))
+    _reconstruction(scene, tile, parameters).write(os.path.join(folder, "sparse"))
     numbers = {view.view.name: index for index, view in enumerate(tile.views)}
     lines: List[str] = []
     for name, others in sources.items():
@@ -88,11 +91,11 @@ def _write_png(path: str, pixels: FloatImage) -> None:
         raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): is the disk full?") from error
 
 
-def _reconstruction(scene: Scene, tile: TileFrame) -> Any:
+def _reconstruction(scene: Scene, tile: TileFrame, parameters: TrackParameters) -> Any:
     """COLMAP's sparse model: cameras 1, 2 ..., images 1, 2 ..., and the tracks of a grid of ground points."""
     import pycolmap
 
-    points, seen = _tracks(scene, tile)
+    points, seen = _tracks(scene, tile, parameters)
     made = pycolmap.Reconstruction()
     places = np.cumsum(seen, axis=0) - 1  # a point's number among those that an image shows
     for index, view in enumerate(tile.views):
@@ -117,10 +120,11 @@ def _reconstruction(scene: Scene, tile: TileFrame) -> Any:
     return made
 
 
-def _tracks(scene: Scene, tile: TileFrame) -> Tuple[FloatArray, NDArray[np.bool_]]:
+def _tracks(scene: Scene, tile: TileFrame, parameters: TrackParameters) -> Tuple[FloatArray, Mask]:
     """(N, 3) points of the tile's frame that two views or more show, and (N, views) which show them."""
-    levels = tuple(np.linspace(*tile.altitudes, _ALTITUDES))
-    points = tile.frame.from_enu(scene.frame.from_geodetic(ground_points(scene, tile.wide, levels, _POINTS)))
+    levels = tuple(np.linspace(*tile.altitudes, parameters.altitudes))
+    ground = ground_points(scene, tile.wide, levels, parameters.points)
+    points = tile.frame.from_enu(scene.frame.from_geodetic(ground))
     pixels = [view.camera.project(points) for view in tile.views]
     seen = np.stack(
         [((p >= 0) & (p <= np.array(view.size) - 1)).all(axis=1) for p, view in zip(pixels, tile.views)], axis=1

@@ -1,1 +1,1 @@
-"""Dense matching on the CPU: the registry of backends, and semi-global matching with what surrounds it."""
+"""Dense matching: the registry of backends, semi-global matching with all its steps, and the coarse surface."""

@@ -1,10 +1,10 @@
 """The registry of matching backends, and the interface that all of them have.
 
-A backend turns the tiles of a scene into height maps. There are two kinds in use: a matcher of rectified pairs, which
+A backend turns the tiles of a scene into height maps. Two kinds are in use: a matcher of rectified pairs, which
 :class:`repm_qgis.matching.pair_backend.PairBackend` runs over all tiles and pairs (``sgm``), and one that matches all
-views of a tile together (``colmap``). A matcher that only computes a cost volume becomes a pair matcher by a function
-that aggregates the volume and selects the disparities. A new backend is a module with an object ``BACKEND``, a line in
-``_MODULES`` here, and its name in ``options.BACKENDS``.
+views of a tile together (``colmap``). A third kind, a cost volume, is a pair matcher whose function aggregates the
+volume, selects the disparities, and calls the same steps as ``sgm`` after that. A new backend is a module with an
+object ``BACKEND``, a line in ``_MODULES`` here, and its name in ``options.BACKENDS``.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
 from .disparity_map import PairMatcher
+from .parameters import MATCHING, MatchingParameters
 
 _AUTO = "auto"
-_MODULES = {"colmap": "repm_qgis.colmap.backend", "sgm": "repm_qgis.matching.sgm"}
+_MODULES = {"colmap": "repm_qgis.matching.colmap_backend", "sgm": "repm_qgis.matching.sgm"}
 """Where each backend's object ``BACKEND`` is; ``auto`` takes the first usable one, and the next where that fails."""
 
 
 @dataclass(frozen=True)
 class MatchingJob:
-    """The tiles to match: ``key`` is the fingerprint of what all height maps are made from, ``folder`` their place."""
+    """The tiles to match; ``key`` is the fingerprint of what all height maps are made from, ``folder`` takes them."""
 
     scene: Scene
     tiles: Tuple[Tile, ...]
@@ -39,6 +40,7 @@ class MatchingJob:
     options: ReconstructOptions
     key: str
     folder: str
+    parameters: MatchingParameters = MATCHING
 
 
 class MatchingResult(NamedTuple):
@@ -71,11 +73,13 @@ class Backend(Protocol):
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
         """Match all tiles of a job."""
 
-    def height_source(self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
+    def height_source(
+        self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
+    ) -> HeightSource:
         """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
 
         The geometry is made again from the scene: it is exact, and nothing stored can contradict it. Raises SceneError
-        where the file is gone, damaged or of another scene.
+        where the file is missing, damaged or of another scene.
         """
 
 
@@ -135,6 +139,8 @@ def match_scene(job: MatchingJob, backends: Sequence[Backend], progress: Progres
     return records
 
 
-def height_source(scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
-    """A height map's source by the backend that made it, see :meth:`Backend.height_source`."""
-    return backend_of(record.backend).height_source(scene, bounds, record, crs)
+def height_source(
+    scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters = MATCHING
+) -> HeightSource:
+    """A height map by the backend that made it, see :meth:`Backend.height_source`."""
+    return backend_of(record.backend).height_source(scene, bounds, record, crs, parameters)

@@ -1,7 +1,7 @@
-"""The scene's coarse surface, matched at an eighth of the resolution: what tiles expect, and terrain feedback.
+"""The coarse surface of a scene: expected altitudes of tiles, and terrain feedback.
 
-It costs little (1/512 of a fine search over the same altitudes), and knows the ground everywhere, where tie points
-lie on patches only.
+Matching at an eighth of the resolution costs little (1/512 of a fine search over the same altitudes), and it finds the
+ground everywhere, where tie points lie in patches only.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from typing import Dict, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
-from numpy.typing import NDArray
 from osgeo import ogr
 
-from ..arrays import Bounds, FloatArray
+from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Window
 from ..errors import EmptyResultError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.gridding import grid_points
@@ -30,15 +29,7 @@ from ..scene import Scene, View
 from ..stereo.pairing import grown, rectified_pair
 from ..stereo.triangulation import pair_geometry
 from .disparity_map import PairMatcher
-
-FACTOR = 8
-CELL_PX = 16  # a side of the surface's cells, fine px: two coarse ones
-_BLOCK_PX = 6400  # a side of what is matched at once: 800 coarse px
-_MORE = 0.15  # of the scene's altitude range searched beyond either end: its own margins may be short
-_LEAST_SCORE = 0.6
-_LEAST_SHARE = 0.25  # of a tile's cells must be known for its altitudes to be taken from there
-_TAIL = 0.2  # percent of cells on either side that may be blunders
-_ROOM_CELLS = 1.25  # m of height a m of cell: what narrow valleys and ridges may lose, a px of disparity or so
+from .parameters import MATCHING, CoarseSurfaceParameters, MatchingParameters
 
 
 @dataclass(frozen=True)
@@ -52,6 +43,7 @@ class _Task:
     stretches: Tuple[Stretch, Stretch]
     grid: CellGrid
     match: PairMatcher
+    parameters: MatchingParameters
 
 
 @dataclass(frozen=True)
@@ -60,27 +52,23 @@ class CoarseSurface:
 
     grid: CellGrid
     height: FloatArray
+    parameters: CoarseSurfaceParameters
 
-    def altitudes(self, bounds: Bounds) -> Optional[Tuple[float, float]]:
-        """Between what heights the ground of a rectangle lies; None where too little of it is known."""
+    def altitudes(self, bounds: Bounds) -> Optional[Altitudes]:
+        """The range of the ground's heights in a rectangle; None where too little of it is known."""
         col, row, width, height = self.grid.window(bounds, 1)
         cells = self.height[row : row + height, col : col + width]
         known = cells[np.isfinite(cells)]
-        if known.size < max(4, _LEAST_SHARE * cells.size):
+        if known.size < max(self.parameters.least_cells, self.parameters.least_share * cells.size):
             return None
-        low, high = np.percentile(known, (_TAIL, 100 - _TAIL))
-        room = _ROOM_CELLS * self.grid.cell
+        low, high = np.percentile(known, (self.parameters.tail_percent, 100 - self.parameters.tail_percent))
+        room = self.parameters.room_cells * self.grid.cell
         return float(low - room), float(high + room)
 
     def write(self, path: str, crs: str) -> str:
-        """As a GeoTIFF."""
-        return write(
-            path,
-            [self.height.astype(np.float32)],
-            self.grid.geotransform,
-            pyproj.CRS.from_user_input(crs).to_wkt(),
-            unit="m",
-        )
+        """Write the heights as a GeoTIFF."""
+        wkt = pyproj.CRS.from_user_input(crs).to_wkt()
+        return write(path, [self.height.astype(np.float32)], self.grid.geotransform, wkt, unit="m")
 
 
 def coarse_surface(
@@ -90,13 +78,14 @@ def coarse_surface(
     match: PairMatcher,
     workers: int,
     progress: Progress,
+    parameters: MatchingParameters = MATCHING,
 ) -> CoarseSurface:
-    """Match all pairs over all of the scene at an eighth of the resolution, cell by cell the median of the pairs."""
-    cell = CELL_PX * scene.gsd_m
-    grid = CellGrid.covering(enclosing([tile.bounds for tile in scene.tiles]), cell)
-    blocks = lay_tiles(ogr.CreateGeometryFromWkt(scene.area), _BLOCK_PX * scene.gsd_m)
+    """Match all pairs over the whole scene at a reduced resolution; each cell takes the median of the pairs."""
+    p, lean = parameters.coarse_surface, scene.lean()
+    grid = CellGrid.covering(enclosing([tile.bounds for tile in scene.tiles]), p.cell_px * scene.gsd_m)
+    blocks = lay_tiles(ogr.CreateGeometryFromWkt(scene.area), p.block_px * scene.gsd_m)
     tasks = [
-        _Task(scene.lean(), block.bounds, first, second, (stretches[first], stretches[second]), grid, match)
+        _Task(lean, block.bounds, first, second, (stretches[first], stretches[second]), grid, match, parameters)
         for block in blocks
         for first, second in pairs
     ]
@@ -109,47 +98,49 @@ def coarse_surface(
         if found:
             col, row, width, rows = grid.window(tasks[begin].bounds)
             height[row : row + rows, col : col + width] = median_of_known(np.stack(found))
-    return CoarseSurface(grid, height)
+    return CoarseSurface(grid, height, p)
 
 
 def _match_block(task: _Task) -> Optional[FloatArray]:
     """Heights of a block's cells from one pair; None where the pair does not see it."""
+    p, stereo = task.parameters.coarse_surface, task.parameters.stereo
     scene, (first, second) = task.scene, (task.scene.view(name) for name in (task.first, task.second))
-    room = _MORE * (scene.altitudes[1] - scene.altitudes[0])
+    room = p.range_share * (scene.altitudes[1] - scene.altitudes[0])
     altitudes = scene.altitudes[0] - room, scene.altitudes[1] + room
-    pair = rectified_pair(scene, first, second, grown(task.bounds, 2 * CELL_PX * scene.gsd_m), altitudes)
-    if pair is None or min(pair.size) < 16 * FACTOR:
+    pair = rectified_pair(scene, first, second, grown(task.bounds, 2 * p.cell_px * scene.gsd_m), altitudes, stereo)
+    if pair is None or min(pair.size) < p.smallest_px * p.factor:
         return None
-    pair = pair.scaled(FACTOR)
+    pair = pair.scaled(p.factor)
     try:
-        geometry = pair_geometry(pair, first, second, altitudes, scene.crs)
+        geometry = pair_geometry(pair, first, second, altitudes, scene.crs, stereo)
     except EmptyResultError:
         return None
-    low, high = math.floor(geometry.disparities[0]) - 2, math.ceil(geometry.disparities[1]) + 2
+    low = math.floor(geometry.disparities[0]) - p.range_margin_px
+    high = math.ceil(geometry.disparities[1]) + p.range_margin_px
     width, height = pair.size
-    positions = source_positions(lambda p: pair.second_original(p - (high, 0)), (width + high - low, height))
-    a = _reduced(first, task.stretches[0], source_positions(pair.first_original, pair.size))
-    b = _reduced(second, task.stretches[1], positions)
-    found = task.match(a, b, (low, high), geometry.nearer)
-    good = ~found.filled & (found.score >= _LEAST_SCORE)
+    positions = source_positions(lambda at: pair.second_original(at - (high, 0)), (width + high - low, height))
+    a = _reduced(first, task.stretches[0], source_positions(pair.first_original, pair.size), p.factor)
+    b = _reduced(second, task.stretches[1], positions, p.factor)
+    found = task.match(a, b, (low, high), geometry.height_sign, parameters=task.parameters)
+    good = ~found.filled & (found.score >= p.least_score)
     disparity = np.where(good, found.disparity, np.nan).astype(np.float64)
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
     z = geometry.height.on_grid(columns, rows, disparity)
     x, y = (table.on_grid(columns, rows, z) for table in (geometry.x, geometry.y))
     cells, _, _ = grid_points(task.grid.part(task.grid.window(task.bounds)), x, y, z, found.score)
-    # Medians drop blunders and cells that stand alone.
-    return median_of_neighbours(cells, 5, 8)
+    # The median removes wrong cells and cells without neighbours.
+    return median_of_neighbours(cells, p.median_cells, p.least_neighbours)
 
 
-def _reduced(view: View, stretch: Stretch, positions: FloatArray) -> NDArray[np.float32]:
-    """Brightness at original positions, from the window that they span, read by means over ``FACTOR`` px."""
+def _reduced(view: View, stretch: Stretch, positions: FloatArray, factor: int) -> FloatImage:
+    """Intensities at original positions, from the window that they span, read by means over ``factor`` px."""
     known = positions[np.isfinite(positions).all(axis=-1)]
-    low = np.maximum(np.floor(known.min(axis=0)).astype(int) // FACTOR * FACTOR - FACTOR, 0)
-    high = np.minimum(np.ceil(known.max(axis=0)).astype(int) + FACTOR, view.size)
-    size = (high - low) // FACTOR
-    if (size < 2).any():
+    low = np.maximum(np.floor(known.min(axis=0)).astype(int) // factor * factor - factor, 0)
+    high = np.minimum(np.ceil(known.max(axis=0)).astype(int) + factor, view.size)
+    width, height = (int(n) for n in (high - low) // factor)
+    if min(width, height) < 2:
         return np.full(positions.shape[:2], np.nan, dtype=np.float32)
     with opened_masked(view.image, view.mask) as dataset:
-        window = (int(low[0]), int(low[1]), int(size[0]) * FACTOR, int(size[1]) * FACTOR)
-        pixels = read(dataset, window, view.band, (int(size[0]), int(size[1])))
-    return sample_array(stretch.apply(pixels), (positions - low + 0.5) / FACTOR - 0.5, "bilinear")
+        window = Window(int(low[0]), int(low[1]), width * factor, height * factor)
+        pixels = read(dataset, window, view.band, (width, height))
+    return sample_array(stretch.apply(pixels), (positions - low + 0.5) / factor - 0.5, "bilinear")

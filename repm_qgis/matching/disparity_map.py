@@ -1,11 +1,18 @@
-"""What a matcher of rectified pairs takes and gives, whichever matcher it is."""
+"""What a matcher of rectified pairs takes and gives, and how well the images agree on disparities."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Protocol, Tuple
 
+import cv2
+import numpy as np
+
 from ..arrays import FloatImage, Mask
+from ..imagery.correlation import window_statistics
+from .parameters import MATCHING, MatchingParameters
+
+_UNKNOWN = -9.0  # a column outside every image
 
 
 @dataclass(frozen=True)
@@ -26,15 +33,48 @@ class PairMatcher(Protocol):
     """A function of a module (worker processes import it by its name) that matches a rectified pair."""
 
     def __call__(
-        self, first: FloatImage, second: FloatImage, disparities: Tuple[int, int], nearer: float, lean: float = 0.0
+        self,
+        first: FloatImage,
+        second: FloatImage,
+        disparities: Tuple[int, int],
+        height_sign: float,
+        relief_displacement: float = 0.0,
+        parameters: MatchingParameters = MATCHING,
     ) -> DisparityMap:
         """Disparities of a rectified pair.
 
         Parameters
         ----------
-        first : (H, W) brightness in 0..1, NaN where there is none.
-        second : (H, W + high - low), brightness whose column c shows the rectified column c - high.
+        first : (H, W) intensity in 0..1, NaN where there is none.
+        second : (H, W + high - low), intensity; its column c shows the rectified column c - high.
         disparities : low, high: whole px, least and greatest first column minus second column.
-        nearer : +1 if greater disparities are higher ground, -1 if lower.
-        lean : by how many columns the first image moves what rises by one px of disparity (0: it looks straight down).
+        height_sign : +1 if greater disparities are higher ground, -1 if lower.
+        relief_displacement : columns by which a point that rises by one px of disparity moves in the first image (0:
+            it looks straight down).
         """
+
+
+def matched_positions(disparity: FloatImage, high: int) -> Tuple[FloatImage, FloatImage]:
+    """(H, W) columns and rows of the second image that the first image's pixels are matched to; outside if unknown."""
+    columns = np.arange(disparity.shape[1], dtype=np.float32)[None, :] - disparity + np.float32(high)
+    rows = np.repeat(np.arange(disparity.shape[0], dtype=np.float32)[:, None], disparity.shape[1], axis=1)
+    return np.nan_to_num(columns, nan=_UNKNOWN), rows
+
+
+def match_correlation(
+    first: FloatImage, second: FloatImage, disparity: FloatImage, high: int, window_px: int, border: int
+) -> Tuple[FloatImage, Mask]:
+    """(H, W) correlation of each pixel's window with the one it was matched to, and where both images have data.
+
+    ``border`` says how OpenCV continues the images. Elsewhere the correlation has no meaning.
+    """
+    columns, rows = matched_positions(disparity, high)
+    nothing = float("nan")
+    matched = cv2.remap(second, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)
+    known = np.isfinite(matched) & np.isfinite(first) & np.isfinite(disparity)
+
+    def window_mean(image: FloatImage) -> FloatImage:
+        mean: FloatImage = cv2.boxFilter(image, cv2.CV_32F, (window_px, window_px), normalize=True, borderType=border)
+        return mean
+
+    return window_statistics(first, matched, known, window_mean).correlation(), known

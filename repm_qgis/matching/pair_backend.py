@@ -5,34 +5,33 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
-from typing import Any, List, Optional, Tuple
+from typing import Any, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
 from ..arrays import Altitudes, Bounds, FloatImage, Size
-from ..errors import EmptyResultError, SceneError
+from ..errors import EmptyResultError
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
-from ..imagery.warping import warp
+from ..imagery.warping import PixelMap, warp
 from ..memory import matching_mib, workers_within
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..records import HeightMapRecord
-from ..scene import Scene, View
-from ..stereo.height_maps import MARGIN_PX, HeightSource, finished_record, map_size, write_height_map
+from ..scene import Scene
+from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, map_size, write_height_map
 from ..stereo.pairing import grown, rectified_pair
+from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
 from ..workspace import drop_temporary, fingerprint
 from .backends import MatchingJob, MatchingResult
-from .coarse import FACTOR, guide_of, sampled_on
 from .disparity_map import DisparityMap, PairMatcher
-from .reliability import without_unsupported
-
-_RANGE_MARGIN_PX = 6  # disparities searched beyond the altitude range
-_SMALLEST_PX = 48
+from .disparity_prior import DisparityPrior, find_prior, sampled_on
+from .parameters import MATCHING, MatchingParameters, PriorParameters
+from .reliability import mask_unreliable
 
 
 @dataclass(frozen=True)
@@ -65,6 +64,7 @@ class PairBackend:
                 (job.stretches[pair.first], job.stretches[pair.second]),
                 os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif"),
                 fingerprint(job.key, tile.id, pair.first, pair.second),
+                job.parameters,
             )
             for tile in job.tiles
             for pair in job.pairs
@@ -78,16 +78,15 @@ class PairBackend:
             raise
         return MatchingResult(records, {})
 
-    def height_source(self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str) -> HeightSource:
-        first, second = (scene.view(name) for name in record.pair)
-        pair = rectified_over_tile(scene, first, second, bounds, record.altitudes)
+    def height_source(
+        self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
+    ) -> HeightSource:
+        pair = rectified_over_tile(scene, record.pair, bounds, record.altitudes, parameters.stereo)
         size = map_size(record.file)
         if pair is None or pair.size != size:
-            raise SceneError(
-                f"The height map '{record.file}' does not belong to the scene '{scene.path}': run "
-                "'Reconstruct heights' again."
-            )
-        geometry = pair_geometry(pair, first, second, record.altitudes, crs)
+            raise foreign_height_map(record, scene)
+        first, second = (scene.view(name) for name in record.pair)
+        geometry = pair_geometry(pair, first, second, record.altitudes, crs, parameters.stereo)
         return HeightSource(record.file, geometry.x, geometry.y, size, record.altitudes)
 
 
@@ -104,6 +103,7 @@ class PairTask:
     stretches: Tuple[Stretch, Stretch]
     path: str
     key: str
+    parameters: MatchingParameters = MATCHING
 
 
 def _describe(task: PairTask) -> str:
@@ -125,22 +125,20 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
 def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:
     """Rectify, match, and turn disparities into heights; gives the height map's record, None without common ground.
 
-    The file has three bands in the geometry of the rectified first image: height in metres above the ellipsoid, the
-    matching score, and 1 where the height was not matched but taken from the background of an occlusion. A file
-    that an earlier, stopped run has finished is taken as it is (``reused`` in the record).
+    A file that an earlier, stopped run has finished is taken as it is (``reused`` in the record).
     """
     done = finished_record(task.path, task.key)
     if done is not None:
         return done
-    first, second = (task.scene.view(name) for name in task.pair)
-    pair = rectified_over_tile(task.scene, first, second, task.bounds, task.altitudes)
-    if pair is None or min(pair.size) < _SMALLEST_PX:
+    pair = rectified_over_tile(task.scene, task.pair, task.bounds, task.altitudes, task.parameters.stereo)
+    if pair is None or min(pair.size) < task.parameters.stereo.smallest_px:
         return None
+    first, second = (task.scene.view(name) for name in task.pair)
     try:
-        geometry = pair_geometry(pair, first, second, task.altitudes, task.scene.crs)
+        geometry = pair_geometry(pair, first, second, task.altitudes, task.scene.crs, task.parameters.stereo)
     except EmptyResultError:
         return None
-    matched = _match(task, pair, geometry, first, second)
+    matched = match_pair(task, pair, geometry)
     columns, rows = np.arange(pair.size[0], dtype=np.float64), np.arange(pair.size[1], dtype=np.float64)
     heights = geometry.height.on_grid(columns, rows, matched.disparity.astype(np.float64)).astype(np.float32)
     record = HeightMapRecord(
@@ -152,7 +150,7 @@ def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:
         valid=int((np.isfinite(heights) & ~matched.filled).sum()),
         filled=int(matched.filled.sum()),
         metres_per_px=geometry.metres_per_px,
-        vertical_parallax_px=geometry.row_px,
+        vertical_parallax_px=geometry.vertical_parallax_px,
         table_error_m=geometry.error_m,
         altitudes=task.altitudes,
     )
@@ -161,50 +159,72 @@ def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:
 
 
 def frame_size(task: PairTask) -> Size:
-    """Width and height of the rectified frame that a tile is matched in; nothing where the views do not share it."""
-    first, second = (task.scene.view(name) for name in task.pair)
-    pair = rectified_over_tile(task.scene, first, second, task.bounds, task.altitudes)
+    """Width and height of the rectified frame in which a tile is matched; 0 where the views do not share it."""
+    pair = rectified_over_tile(task.scene, task.pair, task.bounds, task.altitudes, task.parameters.stereo)
     return pair.size if pair is not None else (0, 0)
 
 
-def _match(task: PairTask, pair: RectifiedPair, geometry: PairGeometry, first: View, second: View) -> DisparityMap:
-    """Disparities of the pair, coarse to fine where that narrows the search."""
-    low, high = _whole_range(geometry)
+class SampledPair(NamedTuple):
+    """A rectified pair as a matcher gets it: ``first``, ``second`` and the whole range of ``disparities``.
+
+    ``resampled`` is the second image for the ``residuals``; without a prior they are the second image and all of the
+    range.
+    """
+
+    first: FloatImage
+    second: FloatImage
+    disparities: Tuple[int, int]
+    resampled: FloatImage
+    residuals: Tuple[int, int]
+    prior: Optional[DisparityPrior]
+
+
+def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> SampledPair:
+    """The images of a task's pair, on the disparity prior where that narrows the search."""
+    low, high = search = _whole_range(geometry, task.parameters.prior)
     width, height = pair.size
     shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
-    a = _brightness(first, task.stretches[0], pair.first_original, (width, height))
-    b = _brightness(second, task.stretches[1], shifted.second_original, (width + high - low, height))
-    match = task.backend.pair_matcher
-    guide = guide_of(a, b, (low, high), geometry, match)
-    if guide is None:
-        matched = match(a, b, (low, high), geometry.nearer, geometry.lean)
-    else:
-        guided = _brightness(
-            second,
-            task.stretches[1],
-            sampled_on(guide.second_original(pair, geometry)),
-            (width + guide.high - guide.low, height),
-        )
-        matched = match(a, guided, (guide.low, guide.high), geometry.nearer, geometry.lean)
-        matched = replace(matched, disparity=guide.whole(matched.disparity))
-    # On whole disparities: a guide that lies on a cloud would hide how high it stands.
-    return without_unsupported(matched, a, b, (low, high), geometry.nearer, geometry.metres_per_px)
+    first = _intensity(task, 0, pair.first_original, pair.size)
+    second = _intensity(task, 1, shifted.second_original, (width + high - low, height))
+    prior = find_prior(first, second, search, geometry, task.backend.pair_matcher, task.parameters)
+    if prior is None:
+        return SampledPair(first, second, search, second, search, None)
+    original = sampled_on(prior.second_original(pair, geometry))
+    resampled = _intensity(task, 1, original, (width + prior.high - prior.low, height))
+    return SampledPair(first, second, search, resampled, (prior.low, prior.high), prior)
 
 
-def _whole_range(geometry: PairGeometry) -> Tuple[int, int]:
+def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
+    """Disparities of a task's rectified pair, coarse to fine, without water and clouds."""
+    seen, sign, parameters = sample_pair(task, pair, geometry), geometry.height_sign, task.parameters
+    matched = task.backend.pair_matcher(
+        seen.first, seen.resampled, seen.residuals, sign, geometry.relief_displacement, parameters
+    )
+    if seen.prior is not None:
+        matched = replace(matched, disparity=seen.prior.full_disparity(matched.disparity))
+    # On full disparities: a prior that lies on a cloud would hide how high the cloud is.
+    metres, reliability = geometry.metres_per_px, parameters.reliability
+    return mask_unreliable(matched, seen.first, seen.second, seen.disparities, sign, metres, reliability)
+
+
+def _whole_range(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
     """Disparities of all altitudes with their margin, in whole coarse pixels."""
-    low = math.floor((geometry.disparities[0] - _RANGE_MARGIN_PX) / FACTOR) * FACTOR
-    high = math.ceil((geometry.disparities[1] + _RANGE_MARGIN_PX) / FACTOR) * FACTOR
+    factor, margin = parameters.factor, parameters.range_margin_px
+    low = math.floor((geometry.disparities[0] - margin) / factor) * factor
+    high = math.ceil((geometry.disparities[1] + margin) / factor) * factor
     return low, high
 
 
-def _brightness(view: View, stretch: Stretch, to_original: Any, size: Size) -> FloatImage:
+def _intensity(task: PairTask, number: int, to_original: PixelMap, size: Size) -> FloatImage:
+    view = task.scene.view(task.pair[number])
     with opened_masked(view.image, view.mask) as dataset:
-        return stretch.apply(warp(dataset, view.band, to_original, size, "cubic"))
+        return task.stretches[number].apply(warp(dataset, view.band, to_original, size, "cubic"))
 
 
 def rectified_over_tile(
-    scene: Scene, first: View, second: View, bounds: Bounds, altitudes: Altitudes
+    scene: Scene, pair: Tuple[str, str], bounds: Bounds, altitudes: Altitudes, parameters: StereoParameters = STEREO
 ) -> Optional[RectifiedPair]:
-    """The rectified pair that a tile is matched in: its ground with the matching margin."""
-    return rectified_pair(scene, first, second, grown(bounds, MARGIN_PX * scene.gsd_m), altitudes)
+    """The rectified pair in which a tile is matched: its ground with the matching margin; None where unseen."""
+    first, second = (scene.view(name) for name in pair)
+    wide = grown(bounds, parameters.tile_margin_px * scene.gsd_m)
+    return rectified_pair(scene, first, second, wide, altitudes, parameters)

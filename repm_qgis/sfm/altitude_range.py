@@ -20,6 +20,7 @@ from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import upsample_grid
 from ..geometry.tiles import pixel_window
+from ..imagery.correlation import window_statistics
 from ..imagery.dem import dem_range
 from ..imagery.enhancement import view_stretch
 from ..imagery.raster import opened_masked, read
@@ -192,18 +193,12 @@ def _correlation(a: FloatImage, b: FloatImage, shift: Tuple[int, int], parameter
         return np.full(a.shape, np.float32(-1))
     # The means are subtracted first, because sums of squares would exceed single precision.
     middle_a, middle_b = a[known].mean(), b[known].mean()
-    a, b = np.where(known, a - middle_a, np.float32(0)), np.where(known, b - middle_b, np.float32(0))
-    count, mean_a, mean_b, var_a, var_b, covariance = (
-        box_mean(part, parameters.window_radius) for part in (known.astype(np.float32), a, b, a * a, b * b, a * b)
-    )
-    safe = np.maximum(count, np.float32(1e-6))
-    mean_a, mean_b = mean_a / safe, mean_b / safe
-    var_a, var_b = var_a / safe - mean_a**2, var_b / safe - mean_b**2
-    covariance = covariance / safe - mean_a * mean_b
+    found = window_statistics(a - middle_a, b - middle_b, known, lambda part: box_mean(part, parameters.window_radius))
     noise = parameters.least_contrast
-    flat = (var_a < noise * (mean_a + middle_a) ** 2) | (var_b < noise * (mean_b + middle_b) ** 2)
-    score = covariance / np.sqrt(np.maximum(var_a * var_b, np.float32(1e-12)))
-    return np.where(flat | (count < parameters.least_known), np.float32(-1), score)
+    flat = (found.variance_a < noise * (found.mean_a + middle_a) ** 2) | (
+        found.variance_b < noise * (found.mean_b + middle_b) ** 2
+    )
+    return np.where(flat | (found.share < parameters.least_known), np.float32(-1), found.correlation())
 
 
 def _pointing_shift(sweep: _Sweep, patches: Sequence[Bounds]) -> Tuple[int, int]:

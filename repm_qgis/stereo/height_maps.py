@@ -15,9 +15,9 @@ from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Size, Wind
 from ..errors import ImageError, SceneError
 from ..imagery.raster import opened, read, write
 from ..records import HeightMapRecord
+from ..scene import Scene
 from .triangulation import NodeTable, verticals
 
-MARGIN_PX = 32  # matched beyond the tile's border, so that neighbours agree along it
 _KEY = "REPM_FINGERPRINT"
 _RECORD = "REPM_RECORD"
 BANDS = ("height above the WGS 84 ellipsoid (m)", "matching score", "filled from the background (1)")
@@ -27,9 +27,9 @@ BANDS = ("height above the WGS 84 ellipsoid (m)", "matching score", "filled from
 class HeightMap:
     """Ground points of a height map: ``x``, ``y`` in a projected CRS, ``height``, ``score``; all (H, W), NaN = none.
 
-    ``filled`` says which heights were taken from the background of an occlusion. ``ray`` is how far x and y move along
-    a pixel's line of sight, m for each m of height; ``relief_displacement`` how far column and row move along a
-    vertical, px for each m.
+    ``filled`` marks heights that were taken from the background of an occlusion. ``ray`` is how far x and y move along
+    a pixel's line of sight, m for each m of height; ``relief_displacement`` how far column and row of a point move
+    that rises, px for each m.
     """
 
     x: FloatArray
@@ -47,7 +47,7 @@ class HeightSource:
 
     ``x`` and ``y`` take column, row, height to coordinates of a projected CRS. ``part`` are the bounds of the tile and
     of the part of it that the map was made for, where tiles were matched in parts: heights on the rest of the tile are
-    left out, as its other parts have maps of their own.
+    left out, because its other parts have maps of their own.
     """
 
     path: str
@@ -58,14 +58,14 @@ class HeightSource:
     part: Optional[Tuple[Bounds, Bounds]] = None
 
     def within(self, bounds: Optional[Bounds] = None) -> HeightMap:
-        """The rectangle of pixels that holds all points in bounds (xmin, ymin, xmax, ymax); None takes all.
+        """The rectangle of pixels that contains all points in ``bounds``; None takes all.
 
-        Raises SceneError where the file is gone or damaged.
+        Raises SceneError where the file is missing or damaged.
         """
         col, row, width, height_px = window = Window(0, 0, *self.size) if bounds is None else self._window(bounds)
         if not (width and height_px):
-            nothing = np.empty((0, 0))
-            return HeightMap(nothing, nothing, nothing, nothing.astype(np.float32), nothing.astype(bool))
+            none = np.empty((0, 0))
+            return HeightMap(none, none, none, none.astype(np.float32), none.astype(bool))
         with _opened_height_map(self.path) as dataset:
             height = read(dataset, window, 1).astype(np.float64)
             score = read(dataset, window, 2)
@@ -78,12 +78,12 @@ class HeightSource:
         return HeightMap(x, y, height, score, filled, *verticals(self.x, self.y))
 
     def _window(self, bounds: Bounds) -> Window:
-        """Of the table's nodes, those whose ray may cross the bounds, and the pixels between them."""
+        """The pixels between the nodes of the tables whose rays may cross the bounds."""
         columns, rows = self.x.columns, self.x.rows
         levels = [np.full((len(rows), len(columns)), z) for z in self.altitudes]
         ends = [[table.on_grid(columns, rows, level) for table in (self.x, self.y)] for level in levels]
-        low, high = np.minimum(*ends), np.maximum(*ends)
-        # Between two nodes the ground goes on by at most one step of theirs.
+        low, high = np.minimum(ends[0], ends[1]), np.maximum(ends[0], ends[1])
+        # Between two nodes the ground continues by at most the distance between two of them.
         step = max(float(np.abs(np.diff(part, axis=axis)).max()) for part in (*ends[0], *ends[1]) for axis in (0, 1))
         near = (
             (high[0] >= bounds[0] - step)
@@ -106,7 +106,10 @@ def _inside(bounds: Bounds, x: FloatArray, y: FloatArray) -> Mask:
 def write_height_map(
     path: str, key: str, record: HeightMapRecord, height: FloatImage, score: FloatImage, filled: Mask
 ) -> None:
-    """Write a height map with its record, and the key that says what it was made from."""
+    """Write a height map with its record and its fingerprint ``key``.
+
+    The bands are the height in m above the ellipsoid, the matching score, and 1 where the height is a fill.
+    """
     write(
         path,
         [height, score, filled.astype(np.float32)],
@@ -119,7 +122,7 @@ def write_height_map(
 
 
 def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
-    """The record of a height map that is there, whole, and made from the very same things; else None."""
+    """The record of a complete height map with this fingerprint; None where there is none."""
     if not os.path.exists(path):
         return None
     try:
@@ -135,19 +138,25 @@ def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
 
 
 def map_size(path: str) -> Size:
-    """Width and height of a height map; raises SceneError where the file is gone or damaged."""
+    """Width and height of a height map; raises SceneError where the file is missing or damaged."""
     with _opened_height_map(path) as dataset:
         return dataset.RasterXSize, dataset.RasterYSize
 
 
 @contextmanager
 def _opened_height_map(path: str) -> Iterator[gdal.Dataset]:
-    """A height map's raster; raises SceneError where it is gone or damaged."""
+    """A height map's raster; raises SceneError where it is missing or damaged."""
     try:
         with opened(path) as dataset:
             yield dataset
     except ImageError as error:
         raise SceneError(
-            f"The height map '{path}' is gone or damaged: delete what is left of it, and run 'Reconstruct "
-            "heights' again."
+            f"The height map '{path}' is missing or damaged: delete it, and run 'Reconstruct heights' again."
         ) from error
+
+
+def foreign_height_map(record: HeightMapRecord, scene: Scene) -> SceneError:
+    """The error of a height map that does not fit its scene."""
+    return SceneError(
+        f"The height map '{record.file}' does not belong to the scene '{scene.path}': run 'Reconstruct heights' again."
+    )

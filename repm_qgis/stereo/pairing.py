@@ -1,4 +1,4 @@
-"""What reconstruct works on: a pair of views over a tile, with cameras fitted to the altitudes really there."""
+"""A pair of views over a tile, with cameras that are fitted to the altitudes of its ground."""
 
 from __future__ import annotations
 
@@ -6,50 +6,52 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import Altitudes, Bounds, FloatArray
 from ..geometry.equivalent_error import RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import pixel_window
 from ..scene import Scene, View
+from .parameters import STEREO, StereoParameters
 from .rectification import RectifiedPair, rectify
-
-Bounds = Tuple[float, float, float, float]
 
 
 def rectified_pair(
-    scene: Scene, first: View, second: View, bounds: Bounds, altitudes: Tuple[float, float]
+    scene: Scene, first: View, second: View, bounds: Bounds, altitudes: Altitudes, parameters: StereoParameters = STEREO
 ) -> Optional[RectifiedPair]:
     """Fit, refine and rectify two views over a ground rectangle (in the scene's CRS); None where not both see it.
 
-    Cameras are fitted anew: relative pointing and a narrower altitude range make them better than those of the
+    Cameras are fitted again: relative pointing and a narrower altitude range make them better than those of the
     first fit.
     """
     refined = [refined_view(scene, view, bounds, altitudes) for view in (first, second)]
     if refined[0] is None or refined[1] is None:
         return None
-    return rectify_over(scene, refined[0], refined[1], bounds, altitudes)
+    return rectify_over(scene, refined[0], refined[1], bounds, altitudes, parameters)
 
 
 def rectify_over(
-    scene: Scene, first: RefinedPinhole, second: RefinedPinhole, bounds: Bounds, altitudes: Tuple[float, float]
+    scene: Scene,
+    first: RefinedPinhole,
+    second: RefinedPinhole,
+    bounds: Bounds,
+    altitudes: Altitudes,
+    parameters: StereoParameters = STEREO,
 ) -> RectifiedPair:
     """Rectify two refined views so that the frame holds a ground rectangle at all altitudes of a range."""
-    to_frame = scene.frame.from_geodetic
-    return rectify(
-        first,
-        second,
-        to_frame(ground_points(scene, bounds, (sum(altitudes) / 2,))),
-        to_frame(ground_points(scene, bounds, altitudes)),
+    plane, tile = (
+        scene.frame.from_geodetic(ground_points(scene, bounds, levels, parameters.ground_points))
+        for levels in ((sum(altitudes) / 2,), altitudes)
     )
+    return rectify(first, second, plane, tile)
 
 
 def grown(bounds: Bounds, margin: float) -> Bounds:
-    """A rectangle with a margin all round."""
-    return bounds[0] - margin, bounds[1] - margin, bounds[2] + margin, bounds[3] + margin
+    """A rectangle with a margin on all sides."""
+    return Bounds(bounds[0] - margin, bounds[1] - margin, bounds[2] + margin, bounds[3] + margin)
 
 
-def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Tuple[float, float]) -> Optional[RefinedPinhole]:
+def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes) -> Optional[RefinedPinhole]:
     """The refined camera of a view over a ground rectangle, by the scene's refinement model; None where unseen."""
     window = pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size)
     if window is None:
@@ -60,7 +62,9 @@ def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Tuple[floa
     )
 
 
-def ground_points(scene: Scene, bounds: Bounds, altitudes: Tuple[float, ...], points: int = 9) -> FloatArray:
+def ground_points(
+    scene: Scene, bounds: Bounds, altitudes: Tuple[float, ...], points: int = STEREO.ground_points
+) -> FloatArray:
     """(N, 3) longitude, latitude, height: a grid over a ground rectangle at some altitudes."""
     x, y = np.linspace(bounds[0], bounds[2], points), np.linspace(bounds[1], bounds[3], points)
     lon_lat = geodetic_from_projected(scene.crs, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))

@@ -1,4 +1,4 @@
-"""Epipolar rectification of two refined pinhole images by homographies: that is what the pinhole model buys.
+"""Epipolar rectification of two refined pinhole images by homographies, which the pinhole model makes possible.
 
 After it, a ground point has the same row in both images, and its column difference (disparity, first minus second)
 grows with its height and is about zero on the plane of the middle altitude.
@@ -11,7 +11,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Size
 from ..errors import RpcInvalidError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.pinhole import PinholeCamera
@@ -26,26 +26,26 @@ class RectifiedPair:
     second: RefinedPinhole
     h_first: FloatArray
     h_second: FloatArray
-    size: Tuple[int, int]
+    size: Size
 
     def first_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) rectified to original pixels of the first image."""
+        """(..., 2) original pixels of the first image from rectified ones."""
         return self.first.to_original.original_from_refined(apply_homography(np.linalg.inv(self.h_first), points))
 
     def second_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) rectified to original pixels of the second image."""
+        """(..., 2) original pixels of the second image from rectified ones."""
         return self.second.to_original.original_from_refined(apply_homography(np.linalg.inv(self.h_second), points))
 
     def first_rectified(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original pixels of the first image to rectified ones."""
+        """(..., 2) rectified pixels of the first image from original ones."""
         return apply_homography(self.h_first, self.first.to_original.refined_from_original(points))
 
     def second_rectified(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original pixels of the second image to rectified ones."""
+        """(..., 2) rectified pixels of the second image from original ones."""
         return apply_homography(self.h_second, self.second.to_original.refined_from_original(points))
 
     def scaled(self, factor: float) -> "RectifiedPair":
-        """The same pair, both images reduced by ``factor``, pixel areas on pixel areas."""
+        """The same pair with both images reduced by ``factor``, so that the areas of the pixels coincide."""
         half = (1.0 / factor - 1.0) / 2.0
         S = np.array([[1 / factor, 0, half], [0, 1 / factor, half], [0, 0, 1.0]])
         size = (int(np.ceil(self.size[0] / factor)), int(np.ceil(self.size[1] / factor)))
@@ -53,11 +53,11 @@ class RectifiedPair:
 
 
 def _aligning_rotation(first: PinholeCamera, second: PinholeCamera, target: FloatArray) -> FloatArray:
-    """(3, 3) rotation with x along the baseline and z as near to the direction of the target as that allows."""
+    """(3, 3) rotation with x along the baseline and z as close to the direction of the target as that allows."""
     baseline = second.centre - first.centre
     length = float(np.linalg.norm(baseline))
     if length < 1.0:
-        raise RpcInvalidError("two images were taken from the same place: they hold no heights.")
+        raise RpcInvalidError("two images were taken from the same place: heights cannot be measured.")
     x = baseline / length
     if x @ first.R[0] < 0:  # keep the image's own sense of left and right
         x = -x
@@ -73,15 +73,15 @@ def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, ti
     Parameters
     ----------
     first, second : zero-skew cameras in one local frame with their maps M.
-    plane : (N, 3) points of the local frame on the middle altitude: there the disparity is made zero, as well as an
-        affine change of the second image's columns can.
-    tile : (M, 3) points of the local frame whose pixels in the first image the rectified frame must hold.
+    plane : (N, 3) points of the local frame at the middle altitude, where the disparity becomes as close to zero as
+        an affine change of the second image's columns allows.
+    tile : (M, 3) points of the local frame whose pixels in the first image the rectified frame must contain.
 
     Notes
     -----
     Turning both cameras onto their common baseline (Fusiello, Trucco and Verri, A compact algorithm for
-    rectification of stereo pairs, 2000) aligns the rows; what is left free, one affine change of rows for both and of
-    columns for each, makes the first image look as its refined image does (same scale, no shear).
+    rectification of stereo pairs, 2000) aligns the rows. One affine change of rows for both images and of columns for
+    each is still free; it gives the first image the scale of its refined image, without shear.
     """
     R = _aligning_rotation(first.camera, second.camera, plane.mean(axis=0))
     turn_first = _turn(first.camera, R)
@@ -107,17 +107,17 @@ def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, ti
 def _frame(
     first: RefinedPinhole, h_first: FloatArray, tile: FloatArray, h_second: FloatArray, second: RefinedPinhole
 ) -> Tuple[FloatArray, FloatArray]:
-    """Lowest and highest rectified pixel that shows the tile, is inside the first image, and has the second's rows."""
-    wanted = apply_homography(h_first, tile)
+    """Lowest and highest rectified pixel of the tile in the first image, in rows that the second image has too."""
+    shown = apply_homography(h_first, tile)
     own = apply_homography(h_first, _corners(first.size))
     other = apply_homography(h_second, _corners(second.size))
-    low = np.maximum(wanted.min(axis=0), own.min(axis=0))
-    high = np.minimum(wanted.max(axis=0), own.max(axis=0))
+    low = np.maximum(shown.min(axis=0), own.min(axis=0))
+    high = np.minimum(shown.max(axis=0), own.max(axis=0))
     low[1], high[1] = max(low[1], other[:, 1].min()), min(high[1], other[:, 1].max())
     return np.floor(low), np.maximum(np.ceil(high), np.floor(low))
 
 
-def _corners(size: Tuple[int, int]) -> FloatArray:
+def _corners(size: Size) -> FloatArray:
     return np.array([[0, 0], [size[0] - 1, 0], [0, size[1] - 1], [size[0] - 1, size[1] - 1]], dtype=np.float64)
 
 

@@ -1,7 +1,7 @@
 """From disparities to heights and ground positions: exact RPC geometry, tabulated on nodes of the rectified frame.
 
-At each node the first image's ray is followed by its RPC (pointing included), and where the second RPC sees its
-points gives the disparities; a parabola through them is exact to a fraction of a millimetre. Between nodes the
+At each node the first image's ray is followed by its RPC (pointing included), and the places where the second RPC sees
+its points give the disparities; a parabola through them is exact to a fraction of a millimetre. Between nodes the
 parabolas are interpolated. So no error of the pinhole model reaches the DSM, whatever the refinement.
 """
 
@@ -12,24 +12,21 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import Altitudes, FloatArray
 from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.interpolation import interpolate_grid
 from ..scene import View
+from .parameters import STEREO, StereoParameters
 from .rectification import RectifiedPair
-
-_NODE_STEP = 32
-LEVELS = 5
-"""Altitudes that tables are made from."""
 
 
 @dataclass(frozen=True)
 class NodeTable:
     """A quantity as a parabola of a third variable on each node, bilinear between nodes.
 
-    ``columns`` (n,) and ``rows`` (m,) place the nodes, evenly; ``coefficients`` (3, m, n) belong to 1, t, t^2 with
-    t = (third - offset) / scale.
+    ``columns`` (n,) and ``rows`` (m,) are the evenly spaced places of the nodes; ``coefficients`` (3, m, n) belong to
+    1, t, t^2 with t = (third - offset) / scale.
     """
 
     columns: FloatArray
@@ -44,7 +41,7 @@ class NodeTable:
     ) -> Tuple["NodeTable", float]:
         """Least-squares parabolas through (levels, m, n) values of the third variable and the quantity.
 
-        Also gives the largest difference left at the levels.
+        Also gives the largest remaining difference at the levels.
         """
         low, high = float(third.min()), float(third.max())
         offset, scale = (low + high) / 2, max((high - low) / 2, 1e-9)
@@ -72,39 +69,40 @@ class PairGeometry:
     """Heights and ground positions of the pixels of a rectified first image.
 
     ``height`` takes column, row, disparity (first minus second column, px) to metres above the ellipsoid, ``x`` and
-    ``y`` take column, row, height to coordinates of ``crs``, ``row`` to what the second image's row differs by (second
-    minus first, px: what the pinhole model leaves). ``disparities`` is the range over the altitudes,
-    ``metres_per_px`` the height that one px of disparity means, ``error_m`` the largest error of the three tables at
-    their levels, ``row_px`` the largest row difference that the pinhole model leaves.
+    ``y`` take column, row, height to coordinates of ``crs``, ``vertical_parallax`` to the row of the second image minus
+    that of the first (px: what the pinhole model leaves; ``vertical_parallax_px`` is the largest). ``disparities`` is
+    the range over the altitudes, ``metres_per_px`` the height for one px of disparity, ``error_m`` the largest error
+    of the first three tables at their levels.
     """
 
     height: NodeTable
     x: NodeTable
     y: NodeTable
-    row: NodeTable
+    vertical_parallax: NodeTable
     crs: str
     disparities: Tuple[float, float]
     metres_per_px: float
     error_m: float
-    row_px: float
+    vertical_parallax_px: float
 
     @property
-    def nearer(self) -> float:
+    def height_sign(self) -> float:
         """+1 where greater disparities are higher ground, -1 where lower."""
         return float(np.sign(np.mean(self.height.coefficients[1])))
 
     @property
-    def lean(self) -> float:
-        """By how many columns the first image moves what rises by one px of disparity: its share of the parallax."""
+    def relief_displacement(self) -> float:
+        """Columns by which a point that rises by one px of disparity moves in the first image: its share of the
+        parallax."""
         _, (columns_per_m, _) = verticals(self.x, self.y)
-        return self.nearer * columns_per_m * self.metres_per_px
+        return self.height_sign * columns_per_m * self.metres_per_px
 
 
 def verticals(x: NodeTable, y: NodeTable) -> Tuple[Tuple[float, float], Tuple[float, float]]:
-    """How lines of sight and verticals run in the middle of a frame, from tables of x and y by column, row, height.
+    """The lines of sight and the verticals in the middle of a frame, from tables of x and y by column, row, height.
 
-    First x and y along a pixel's line of sight, m for each m of height; then column and row of what rises above a
-    place, px for each m. A satellite is so far that they hold for a whole tile.
+    First x and y along a pixel's line of sight, m for each m of height; then column and row of a point that rises
+    (relief displacement), px for each m. A satellite is so far away that they are valid for a whole tile.
     """
     ray = np.array([table.coefficients[1].mean() / table.scale for table in (x, y)])
     by_pixel = np.array(
@@ -116,19 +114,24 @@ def verticals(x: NodeTable, y: NodeTable) -> Tuple[Tuple[float, float], Tuple[fl
             for table in (x, y)
         ]
     )
-    lean = -np.linalg.solve(by_pixel, ray)
-    return (float(ray[0]), float(ray[1])), (float(lean[0]), float(lean[1]))
+    displacement = -np.linalg.solve(by_pixel, ray)
+    return (float(ray[0]), float(ray[1])), (float(displacement[0]), float(displacement[1]))
 
 
 def pair_geometry(
-    pair: RectifiedPair, first: View, second: View, altitudes: Tuple[float, float], crs: str
+    pair: RectifiedPair,
+    first: View,
+    second: View,
+    altitudes: Altitudes,
+    crs: str,
+    parameters: StereoParameters = STEREO,
 ) -> PairGeometry:
     """Tabulate the RPC intersection of two rectified views over an altitude range.
 
     Raises EmptyResultError where the views share no part of the frame.
     """
-    columns, rows = (nodes(n) for n in pair.size)
-    z, r, c = np.meshgrid(np.linspace(*altitudes, LEVELS), rows, columns, indexing="ij")
+    columns, rows = (nodes(n, parameters.node_step_px) for n in pair.size)
+    z, r, c = np.meshgrid(np.linspace(*altitudes, parameters.levels), rows, columns, indexing="ij")
     pixels = np.stack([c, r], axis=-1)
     ground = first.localise(pair.first_original(pixels), z)
     seen = pair.second_rectified(second.project(ground))
@@ -142,13 +145,13 @@ def pair_geometry(
     height, error_h = NodeTable.fit(columns, rows, disparity, z)
     x, error_x = NodeTable.fit(columns, rows, z, xy[..., 0])
     y, error_y = NodeTable.fit(columns, rows, z, xy[..., 1])
-    row, _ = NodeTable.fit(columns, rows, z, seen[..., 1] - r)
+    parallax, _ = NodeTable.fit(columns, rows, z, seen[..., 1] - r)
     slope = abs(float(np.mean(disparity[-1] - disparity[0]))) / (altitudes[1] - altitudes[0])
     return PairGeometry(
         height,
         x,
         y,
-        row,
+        parallax,
         crs,
         (float(disparity.min()), float(disparity.max())),
         1.0 / max(slope, 1e-9),
@@ -157,6 +160,6 @@ def pair_geometry(
     )
 
 
-def nodes(size: int) -> FloatArray:
-    """Evenly spaced positions from the first to the last pixel, some 32 px apart, at least two."""
-    return np.linspace(0.0, max(size - 1, 1), max(2, -(-(size - 1) // _NODE_STEP) + 1))
+def nodes(size: int, step_px: int) -> FloatArray:
+    """Evenly spaced positions from the first to the last pixel, at most ``step_px`` apart, at least two."""
+    return np.linspace(0.0, max(size - 1, 1), max(2, -(-(size - 1) // step_px) + 1))

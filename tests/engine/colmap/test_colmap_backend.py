@@ -14,19 +14,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.colmap import backend as colmap_backend
 from repm_qgis.colmap import runner as colmap_runner
-from repm_qgis.colmap.backend import ColmapBackend, GpuTask, match_tile
+from repm_qgis.colmap import tile_matching
 from repm_qgis.colmap.depth_heights import depth_geometry
-from repm_qgis.colmap.runner import PatchMatch, bytes_needed, colmap_options, failure, on_gpus, run_patch_match
-from repm_qgis.colmap.workspace import brightness, write_workspace
+from repm_qgis.colmap.parameters import COLMAP
+from repm_qgis.colmap.runner import (
+    PatchMatchOptions,
+    bytes_allowed,
+    bytes_needed,
+    colmap_options,
+    failure,
+    on_gpus,
+    run_patch_match,
+)
+from repm_qgis.colmap.tile_matching import GpuTask, match_tile
+from repm_qgis.colmap.workspace import view_intensity, write_workspace
 from repm_qgis.environment import Gpu, cuda_usable
 from repm_qgis.errors import Cancelled, DeviceError, ImageError, SceneError
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.matching import backends
+from repm_qgis.matching import backends, colmap_backend
 from repm_qgis.matching.backends import height_source
+from repm_qgis.matching.colmap_backend import ColmapBackend
 from repm_qgis.records import HeightMapRecord
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -60,7 +70,7 @@ def task_of(truth, folder, half=60.0, **settings):
         scene.altitudes,
         {name: tuple(other for other in names if other != name) for name in names},
         stretches,
-        PatchMatch(**settings),
+        PatchMatchOptions(**settings),
         str(folder),
         "key",
     )
@@ -82,7 +92,7 @@ def test_the_best_correlation_is_at_the_true_depth(request, kind, half, calm_m, 
     truth = request.getfixturevalue(kind)
     scene, tile = true_frame(truth, half)
     names = [view.view.name for view in tile.views]
-    images = [brightness(view, view_stretch(view.view.image, view.view.band)) for view in tile.views]
+    images = [view_intensity(view, view_stretch(view.view.image, view.view.band)) for view in tile.views]
     write_workspace(str(tmp_path), scene, tile, images, {names[0]: [names[2]]})
     workspace = Workspace(str(tmp_path))
     heights = true_heights(scene, tile, tile.views[0], truth)
@@ -150,7 +160,7 @@ def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
     whole, whole_records = matched
     scene, tile = true_frame(urban, 60.0)
     pixels = max(view.size[0] * view.size[1] for view in tile.views)
-    small = Gpu(0, "small", 8 << 30, int(bytes_needed(pixels, 2) / colmap_runner._SHARE) - (8 << 20))
+    small = Gpu(0, "small", 8 << 30, int(bytes_needed(pixels, 2) / COLMAP.patch_match.memory_share) - (8 << 20))
     task, runs = task_of(urban, tmp_path), []
 
     def sweep(folder, options, fusion, stop):
@@ -159,7 +169,7 @@ def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
 
     records = match_tile(task, small, threading.Event(), sweep)
     assert len(runs) == 4 and len(records) == 12
-    assert all(bytes_needed(count, 2) <= colmap_runner.bytes_allowed(small, task.settings) for count in runs)
+    assert all(bytes_needed(count, 2) <= bytes_allowed(small, task.options) for count in runs)
     x0, y0, x1, y1 = task.bounds
     grid = CellGrid.covering(task.bounds, 1.0)
 
@@ -180,7 +190,7 @@ def test_a_gpu_without_room_says_so(urban, tmp_path):
     tiny = Gpu(0, "tiny", 1 << 30, 64 << 20)
     with pytest.raises(DeviceError, match=r"0.05 GiB, and even a small part"):
         match_tile(task_of(urban, tmp_path), tiny, threading.Event(), plane_sweep)
-    assert colmap_runner.bytes_allowed(GPU, PatchMatch(memory_gib=2)) == 2 << 30
+    assert bytes_allowed(GPU, PatchMatchOptions(memory_gib=2)) == 2 << 30
 
 
 def test_colmap_s_fusion_decides_where_it_is_asked_to(urban, matched, tmp_path):
@@ -202,18 +212,18 @@ def test_fused_points_that_are_none_are_refused(tmp_path):
         if content is not None:
             (tmp_path / "fused.npy").write_bytes(content)
         with pytest.raises(ImageError, match="fused points"):
-            colmap_backend._fused(str(tmp_path))
+            tile_matching._fused(str(tmp_path))
         (tmp_path / "fused.npy").unlink(missing_ok=True)
     np.save(tmp_path / "fused.npy", np.zeros((3, 2)))
     with pytest.raises(ImageError, match="fused points"):
-        colmap_backend._fused(str(tmp_path))
+        tile_matching._fused(str(tmp_path))
 
 
 def test_options_follow_the_frame_and_the_sources():
-    options = colmap_options(PatchMatch(geometric=False, window_radius=7), (1.0, 2.0), 1, 3)
+    options = colmap_options(PatchMatchOptions(geometric=False, window_radius=7), (1.0, 2.0), 1, 3)
     assert (options["depth_min"], options["depth_max"]) == (0.98, 2.02)
     assert (options["gpu_index"], options["window_radius"], options["geom_consistency"]) == ("3", 7, False)
-    assert [colmap_options(PatchMatch(), (1, 2), n, 0)["num_samples"] for n in (1, 2, 3, 9)] == [1, 8, 12, 15]
+    assert [colmap_options(PatchMatchOptions(), (1, 2), n, 0)["num_samples"] for n in (1, 2, 3, 9)] == [1, 8, 12, 15]
     pycolmap = pytest.importorskip("pycolmap")
     theirs = pycolmap.PatchMatchOptions()
     for name, value in options.items():
@@ -224,7 +234,7 @@ def test_options_follow_the_frame_and_the_sources():
 def test_pixels_beside_nodata_have_no_height():
     image = np.ones((20, 20), dtype=np.float32)
     image[10, 10] = np.nan
-    kept = colmap_backend._surrounded(image, 2)
+    kept = tile_matching._surrounded(image, 2)
     assert (~kept).sum() == 25 and not kept[8:13, 8:13].any()
 
 
@@ -232,11 +242,11 @@ def test_correlation_is_that_of_the_two_neighbourhoods():
     numbers = np.random.default_rng(0)
     a = numbers.random((30, 30)).astype(np.float32)
     b = (0.5 * a + 0.2 * numbers.random((30, 30))).astype(np.float32)
-    found = colmap_backend._correlation(a, b)
+    found = tile_matching._correlation(a, b, 7)
     expected = np.corrcoef(a[10:17, 8:15].ravel(), b[10:17, 8:15].ravel())[0, 1]
     assert found[13, 11] == pytest.approx(expected, abs=1e-3)
     b[0, 0] = np.nan
-    assert np.isnan(colmap_backend._correlation(a, b)[0, 0])
+    assert np.isnan(tile_matching._correlation(a, b, 7)[0, 0])
 
 
 # What a GPU may do instead of working
@@ -408,7 +418,7 @@ def test_the_whole_way_to_a_dsm(urban, refined, tmp_path, with_gpu, told):
         told(),
     )
     facts = run_stage("comparedsm", {"dsm": str(tmp_path / "dsm.tif"), "reference": urban.truth, "align": "3d"}, told())
-    assert facts["nmad"] < 1.0  # level windows at roofs' edges; what PatchMatch itself gives needs a GPU
+    assert facts["nmad"] < 1.0  # level windows at roofs' edges; what PatchMatchOptions itself gives needs a GPU
     again = told()
     reconstruct(refined, tmp_path, again, backend="auto")
     assert any("Reused" in note for note in again.notes)

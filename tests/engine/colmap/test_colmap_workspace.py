@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from repm_qgis.colmap.workspace import brightness, image_name, map_path, write_workspace
+from repm_qgis.colmap.workspace import image_name, map_path, view_intensity, write_workspace
 from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.enhancement import view_stretch
 from tests.engine.colmap.emulation import Workspace, write_map
@@ -17,10 +17,10 @@ from tests.engine.colmap.truth_depths import depths_of, surface_at, true_frame, 
 
 @pytest.fixture(scope="module")
 def made(urban, tmp_path_factory):
-    """A tile of the simulated town as a workspace: scene, tile, folder, brightness of the views."""
+    """A tile of the simulated town as a workspace: scene, tile, folder, view_intensity of the views."""
     scene, tile = true_frame(urban, 60.0)
     folder = str(tmp_path_factory.mktemp("colmap"))
-    images = [brightness(view, view_stretch(view.view.image, view.view.band)) for view in tile.views]
+    images = [view_intensity(view, view_stretch(view.view.image, view.view.band)) for view in tile.views]
     names = [view.view.name for view in tile.views]
     write_workspace(folder, scene, tile, images, {name: [other for other in names if other != name] for name in names})
     return scene, tile, folder, images
@@ -76,7 +76,7 @@ def test_images_are_the_original_resampled_once(made):
 
 
 def test_masked_pixels_are_none(made, tmp_path, write_image):
-    """A mask over the image's left half: no brightness there, and black for COLMAP."""
+    """A mask over the image's left half: no view_intensity there, and black for COLMAP."""
     from dataclasses import replace
 
     _, tile, _, _ = made
@@ -84,7 +84,7 @@ def test_masked_pixels_are_none(made, tmp_path, write_image):
     mask = np.zeros((view.view.height, view.view.width), dtype=np.uint8)
     mask[:, : mask.shape[1] // 2] = 1
     masked = replace(view, view=replace(view.view, mask=write_image(tmp_path / "mask.tif", mask)))
-    found = brightness(masked, view_stretch(view.view.image, view.view.band))
+    found = view_intensity(masked, view_stretch(view.view.image, view.view.band))
     rows, columns = np.indices(view.size[::-1])
     original = view.to_original(np.stack([columns, rows], axis=-1).astype(np.float64))[..., 0]
     assert np.isnan(found[original < mask.shape[1] // 2 - 1]).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -10,6 +12,7 @@ from repm_qgis.colmap.depth_heights import depth_geometry
 from repm_qgis.colmap.projective_frame import FrameView, TileFrame, tile_frame
 from repm_qgis.errors import EmptyResultError
 from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.stereo.parameters import STEREO
 
 
 def at(table, points):
@@ -18,7 +21,8 @@ def at(table, points):
 
 @pytest.fixture(scope="session")
 def tile(case):
-    return tile_frame(case.scene, [view.name for view in case.views], case.bounds, case.altitudes, 16)
+    names, stereo = [view.name for view in case.views], replace(STEREO, tile_margin_px=16)
+    return tile_frame(case.scene, names, case.bounds, case.altitudes, stereo=stereo)
 
 
 def test_a_float32_depth_gives_its_height_back_through_t(case, tile):
@@ -59,7 +63,7 @@ def test_the_depth_that_fits_the_images_gives_the_ground_s_height(case, tile, gd
     places = np.column_stack([a, points[:, 2]])
     assert np.abs(at(table.x, places) - points[:, 0]).max() < 0.01
     assert np.abs(at(table.y, places) - points[:, 1]).max() < 0.01
-    assert table.error_m < 0.01 and table.row_px < 0.05 and table.best == 0
+    assert table.error_m < 0.01 and table.vertical_parallax_px < 0.05 and table.best == 0
 
 
 def test_a_px_of_the_source_is_so_much_height(case, tile):

@@ -98,16 +98,15 @@ def test_every_site(shared_data, site, span, capsys):
     middle = views[0].rpc.height_off
     altitudes = (middle - 100, middle + 100) if span == "200 m" else views[0].rpc.height_range
     scene, x, y = scene_of(views, altitudes)
-    tile = tile_frame(
-        scene, [view.name for view in views], (x - HALF_M, y - HALF_M, x + HALF_M, y + HALF_M), altitudes, 32
-    )
+    bounds = x - HALF_M, y - HALF_M, x + HALF_M, y + HALF_M
+    tile = tile_frame(scene, [view.name for view in views], bounds, altitudes)
     check(f"{site}, {span}", scene, tile, ground_enu(scene, x, y, HALF_M, altitudes), capsys)
 
 
 def test_images_that_need_no_shared_data(urban, capsys):
     altitudes = urban.height_range
     scene, x, y = scene_of(urban.views, altitudes)
-    tile = tile_frame(scene, [view.name for view in urban.views], (x - 60, y - 60, x + 60, y + 60), altitudes, 32)
+    tile = tile_frame(scene, [view.name for view in urban.views], (x - 60, y - 60, x + 60, y + 60), altitudes)
     assert [view.view.name for view in tile.views] == [view.name for view in urban.views]
     check("simulated town", scene, tile, ground_enu(scene, x, y, 60.0, altitudes), capsys)
 
@@ -197,5 +196,5 @@ def test_views_that_do_not_see_the_tile_are_left_out(urban):
     altitudes = urban.height_range
     scene, x, y = scene_of(urban.views, altitudes)
     names = [view.name for view in urban.views]
-    assert tile_frame(scene, names, (x + 5000, y, x + 5100, y + 100), altitudes, 32) is None
-    assert tile_frame(scene, names[:1], (x - 50, y - 50, x + 50, y + 50), altitudes, 32) is None
+    assert tile_frame(scene, names, (x + 5000, y, x + 5100, y + 100), altitudes) is None
+    assert tile_frame(scene, names[:1], (x - 50, y - 50, x + 50, y + 50), altitudes) is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -9,6 +11,7 @@ from repm_qgis.colmap.projective_frame import tile_frame
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected, projected_from_geodetic
 from repm_qgis.imagery.sampling import sample
 from repm_qgis.scene import Scene
+from repm_qgis.stereo.parameters import STEREO
 from repm_qgis.stereo.triangulation import NodeTable, nodes
 
 
@@ -28,10 +31,12 @@ def middle(truth, half):
     return x - half, y - half, x + half, y + half
 
 
-def true_frame(truth, half, margin_px=16):
+def true_frame(truth, half):
     scene = true_scene(truth)
     names = [view.name for view in scene.views]
-    return scene, tile_frame(scene, names, middle(truth, half), scene.altitudes, margin_px)
+    return scene, tile_frame(
+        scene, names, middle(truth, half), scene.altitudes, stereo=replace(STEREO, tile_margin_px=16)
+    )
 
 
 def surface_at(truth, x, y):
@@ -42,7 +47,7 @@ def surface_at(truth, x, y):
 
 def true_heights(scene, tile, view, truth, step=0.5):
     """(H, W) height where each pixel's ray first meets the surface, from above; NaN where it never does."""
-    columns, rows = (nodes(n) for n in view.size)
+    columns, rows = (nodes(n, STEREO.node_step_px) for n in view.size)
     levels = np.linspace(*tile.altitudes, 5)
     z, r, c = np.meshgrid(levels, rows, columns, indexing="ij")
     ground = view.view.localise(view.to_original(np.stack([c, r], axis=-1)), z)

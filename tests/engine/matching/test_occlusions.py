@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.matching.occlusions import with_background
+from repm_qgis.matching.occlusions import fill_occlusions
 
 WEST, EAST, TALL = 60.0, 90.0, 20.0  # the block, m; a pixel is a metre
 COLUMNS = np.arange(160.0)
@@ -42,8 +42,8 @@ def pair_of(first, second):
 def test_hidden_ground_is_filled_and_walls_are_not(first, second, mirrored):
     first, second = (-first, -second) if mirrored else (first, second)
     disparity, height = pair_of(first, second)
-    nearer, lean = np.sign(first - second), first / (first - second)
-    filled = with_background(disparity, nearer, lean)[15]
+    height_sign, displacement = np.sign(first - second), first / (first - second)
+    filled = fill_occlusions(disparity, height_sign, displacement)[15]
     gap = np.isnan(disparity[15])
     wall, ground = gap & (height > 0.5) & (height < TALL - 0.5), gap & (height == 0)
     # Two pixels for where an edge falls within one.
@@ -58,7 +58,7 @@ def test_without_its_lean_the_wall_would_be_ground():
     """Which lies under the roof then: what the lean is asked for."""
     disparity, height = pair_of(0.5, 0.0)
     wall = np.isnan(disparity[15]) & (height > 1.0) & (height < TALL - 1.0)
-    assert wall.sum() >= 7 and (with_background(disparity, 1.0)[15][wall] == 0.0).all()
+    assert wall.sum() >= 7 and (fill_occlusions(disparity, 1.0)[15][wall] == 0.0).all()
 
 
 def test_where_surfaces_meet_a_gap_takes_what_its_pixels_say():
@@ -68,6 +68,6 @@ def test_where_surfaces_meet_a_gap_takes_what_its_pixels_say():
     gappy = true.copy()
     gappy[5:25, edge - 3 : edge + 4] = np.nan
     own = true + np.float32(0.8)
-    np.testing.assert_array_equal(with_background(gappy, 1.0, 1.0, own), true)
+    np.testing.assert_array_equal(fill_occlusions(gappy, 1.0, 1.0, own), true)
     unknown = np.full_like(true, np.nan)
-    assert (with_background(gappy, 1.0, 1.0, unknown)[5:25, edge - 3 : edge + 4] == 0).all()
+    assert (fill_occlusions(gappy, 1.0, 1.0, unknown)[5:25, edge - 3 : edge + 4] == 0).all()

@@ -11,7 +11,7 @@ from osgeo import gdal
 from scipy import ndimage
 
 from repm_qgis.matching.disparity_map import DisparityMap
-from repm_qgis.matching.reliability import without_unsupported
+from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.matching.sgm import match
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
@@ -55,7 +55,7 @@ def inner(mask, pixels):
 
 def kept(first, second, metres=1.0):
     found = match(first, second, (LOW, HIGH), 1.0)
-    return found, without_unsupported(found, first, second, (LOW, HIGH), 1.0, metres)
+    return found, mask_unreliable(found, first, second, (LOW, HIGH), 1.0, metres)
 
 
 def test_still_water_goes_and_land_stays():
@@ -88,7 +88,7 @@ def test_a_plain_roof_stays(size, wobble, stays):
     patches = ndimage.gaussian_filter(np.random.default_rng(4).normal(size=SHAPE), 5)
     disparity = np.where(roof, disparity + wobble * patches / patches.std(), 0.0).astype(np.float32)
     found = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    left = without_unsupported(found, first, second, (LOW, HIGH), 1.0, 1.0)
+    left = mask_unreliable(found, first, second, (LOW, HIGH), 1.0, 1.0)
     assert np.isfinite(left.disparity[inner(roof, 6)]).mean() == stays
     assert np.isfinite(left.disparity[inner(~roof, 16)]).all()  # nearer, the roof hides land
 
@@ -104,7 +104,7 @@ def _plateau(rise, bright, metres):
     disparity = np.where(top, np.float32(rise), np.float32(0))
     texture = np.where(top, bright + 0.05 * (land(3) - 0.5), land()).astype(np.float32)
     first, second = pair(disparity.astype(int), texture)
-    left = without_unsupported(
+    left = mask_unreliable(
         DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)),
         first,
         second,
@@ -128,7 +128,7 @@ def test_a_bright_slope_stays():
     texture = np.where(disparity > 9, 0.85 + 0.3 * (land(3) - 0.5), land()).astype(np.float32)
     first, second = pair(disparity.astype(int), texture)
     found = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    left = without_unsupported(found, first, second, (LOW, HIGH), 1.0, 20.0)
+    left = mask_unreliable(found, first, second, (LOW, HIGH), 1.0, 20.0)
     assert np.isfinite(left.disparity[disparity > 10]).mean() > 0.99
 
 

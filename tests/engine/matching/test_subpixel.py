@@ -1,15 +1,19 @@
-"""Disparities refined on made-up pairs whose disparities are known."""
+"""Subpixel disparities on made-up pairs whose disparities are known."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.matching.subpixel import denoised, refined
+from repm_qgis.matching.parameters import MATCHING
+from repm_qgis.matching.subpixel import subpixel_disparity
 
 HEIGHT, WIDTH, HIGH = 160, 200, 12
 INNER = np.s_[12:-12, 24:-24]
+SMOOTHING = replace(MATCHING.subpixel, operations=("median", "mean"))
 
 
 def pair_of(disparity, contrast=0.02, noise=0.003, seed=0):
@@ -37,7 +41,7 @@ def test_weak_texture_is_sharpened_as_far_as_its_noise_allows():
     first, second = pair_of(truth)
     gradient = np.gradient(second, axis=1).std()
     bound = 0.003 * np.sqrt(2) / (gradient * np.sqrt(18))
-    found = refined(np.rint(truth).astype(np.float32), first, second, HIGH)
+    found = subpixel_disparity(np.rint(truth).astype(np.float32), first, second, HIGH)
     assert rms(np.rint(truth), truth) > 0.19
     assert rms(found, truth) < 1.5 * bound + 0.03
 
@@ -48,31 +52,31 @@ def test_contrast_alone_changes_nothing(factor):
     truth = hills(30.0)
     first, second = pair_of(truth)
     start = np.rint(truth).astype(np.float32)
-    other = refined(
+    other = subpixel_disparity(
         start, *(np.float32(0.5) + np.float32(factor) * (image - np.float32(0.5)) for image in (first, second)), HIGH
     )
-    assert np.abs(other - refined(start, first, second, HIGH))[INNER].max() < 0.02
+    assert np.abs(other - subpixel_disparity(start, first, second, HIGH))[INNER].max() < 0.02
 
 
 def test_relief_that_smoothing_takes_away_comes_back():
     """Smoothing would cost the very truth more than is left of it where the images tell it."""
     truth = hills(14.0)
     first, second = pair_of(truth, contrast=0.1)
-    assert rms(denoised(truth.astype(np.float32)), truth) > 0.1
+    assert rms(subpixel_disparity(truth.astype(np.float32), first, second, HIGH, SMOOTHING), truth) > 0.1
     start = ndimage.gaussian_filter(truth, 2.0).astype(np.float32)
-    assert rms(refined(start, first, second, HIGH), truth) < 0.08
+    assert rms(subpixel_disparity(start, first, second, HIGH), truth) < 0.08
 
 
 def test_noise_without_texture_moves_nothing_far():
     truth = np.full((HEIGHT, WIDTH), 3.0)
     first, second = pair_of(truth, contrast=1e-6)
-    assert rms(refined(truth.astype(np.float32), first, second, HIGH), truth) < 0.1
+    assert rms(subpixel_disparity(truth.astype(np.float32), first, second, HIGH), truth) < 0.1
 
 
 def test_steps_stay_where_they_are():
     truth = np.where(np.arange(WIDTH) < 100, 2.25, 8.25) * np.ones((HEIGHT, 1))
     first, second = pair_of(truth)
-    found = refined(truth.astype(np.float32), first, second, HIGH)
+    found = subpixel_disparity(truth.astype(np.float32), first, second, HIGH)
     assert np.abs(found - truth)[INNER].max() < 0.5
 
 
@@ -82,11 +86,11 @@ def test_what_is_unknown_stays_so_and_counts_for_nothing():
     start = np.rint(truth).astype(np.float32)
     start[60:90, 80:120] = np.nan
     first[60:90, 80:120] = np.nan
-    found = refined(start, first, second, HIGH)
+    found = subpixel_disparity(start, first, second, HIGH)
     assert (np.isnan(found) == np.isnan(start)).all()
     around = np.s_[50:100, 70:130]
-    whole = refined(np.rint(truth).astype(np.float32), *pair_of(truth), HIGH)
+    whole = subpixel_disparity(np.rint(truth).astype(np.float32), *pair_of(truth), HIGH)
     error, without = np.abs(found - truth)[around], np.abs(whole - truth)[around]
     assert np.nanpercentile(error, 95) < np.percentile(without, 95) + 0.03
-    nothing = refined(np.full_like(start, np.nan), first, second, HIGH)
+    nothing = subpixel_disparity(np.full_like(start, np.nan), first, second, HIGH)
     assert np.isnan(nothing).all()

@@ -34,7 +34,7 @@ def test_heights_and_places_are_those_of_the_ground(case, geometry, gdal_pixels)
     places = np.column_stack([a, points[:, 2]])
     assert np.abs(at(table.x, places) - points[:, 0]).max() < 0.01
     assert np.abs(at(table.y, places) - points[:, 1]).max() < 0.01
-    assert table.error_m < 0.01 and table.row_px < 0.02
+    assert table.error_m < 0.01 and table.vertical_parallax_px < 0.02
 
 
 def test_measured_pixels_meet_where_least_squares_says(case, geometry, gdal_pixels):
@@ -125,7 +125,7 @@ def test_verticals_lean_as_the_rpcs_say(case, gdal_pixels):
         for p in (foot, top)
     ]
     parallax = (place[1] - place[0] - seen[1] + seen[0])[:, 0]
-    np.testing.assert_allclose((place[1] - place[0])[:, 0] / parallax, geometry.lean, atol=0.02)
+    np.testing.assert_allclose((place[1] - place[0])[:, 0] / parallax, geometry.relief_displacement, atol=0.02)
 
 
 def test_no_common_ground_is_said(case):

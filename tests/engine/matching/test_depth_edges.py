@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.matching.edges import at_edges
-from repm_qgis.matching.occlusions import with_background
-from repm_qgis.matching.sgm import _without_islands, match
-from repm_qgis.matching.subpixel import denoised
+from repm_qgis.matching.depth_edges import correct_depth_edges
+from repm_qgis.matching.occlusions import fill_occlusions
+from repm_qgis.matching.parameters import MATCHING
+from repm_qgis.matching.sgm import match, speckle_filter
+from repm_qgis.matching.subpixel import subpixel_disparity
 
 HEIGHT, WIDTH = 120, 160
 LOW, HIGH = -8, 16
 GROUND, ROOF = 1, 9
+
+
+def smoothed(disparity):
+    blank = np.zeros_like(disparity)
+    return subpixel_disparity(disparity, blank, blank, 0, replace(MATCHING.subpixel, operations=("median", "mean")))
 
 
 def texture(seed, level):
@@ -83,18 +91,18 @@ def test_towers_stay(row, column):
 
 def test_a_tower_of_four_pixels_that_was_matched_is_not_lost_again():
     first, second, truth = scene((40, 70, 4, 4))
-    found = at_edges(truth.astype(np.float32), first, second, (-1.0, HIGH), 1.0)
+    found = correct_depth_edges(truth.astype(np.float32), first, second, (-1.0, HIGH), 1.0)
     np.testing.assert_allclose(found, truth, atol=1e-3)
-    alone = _without_islands(found, first, second, LOW, HIGH)
+    alone = speckle_filter(found, first, second, LOW, HIGH, MATCHING.sgm)
     np.testing.assert_array_equal(alone, found)
-    np.testing.assert_allclose(denoised(alone), truth, atol=1e-2)
+    np.testing.assert_allclose(smoothed(alone), truth, atol=1e-2)
 
 
 def test_small_pieces_that_match_badly_go():
     first, second, truth = scene()
     wrong = truth.astype(np.float32)
     wrong[40:46, 70:76] = ROOF
-    kept = _without_islands(wrong, first, second, LOW, HIGH)
+    kept = speckle_filter(wrong, first, second, LOW, HIGH, MATCHING.sgm)
     assert np.isnan(kept[40:46, 70:76]).mean() > 0.9 and np.isfinite(kept).sum() >= kept.size - 36
 
 
@@ -103,7 +111,7 @@ def test_steps_that_lie_wrong_are_moved_to_where_the_images_have_them():
     roof = truth == ROOF
     wrong = np.where(ndimage.binary_dilation(roof, np.ones((3, 3)), iterations=4), ROOF, GROUND).astype(np.float32)
     wrong[10, 10] = np.nan
-    found = at_edges(wrong, first, second, (-1.0, HIGH), 1.0)
+    found = correct_depth_edges(wrong, first, second, (-1.0, HIGH), 1.0)
     assert np.isnan(found[10, 10]) and np.isfinite(found).sum() == found.size - 1
     # Left of the roof the second image shows nothing of the ground, so there is nothing to go by.
     seen = np.ones(truth.shape, bool)
@@ -116,7 +124,9 @@ def test_steps_that_lie_wrong_are_moved_to_where_the_images_have_them():
 def test_a_slope_is_left_alone():
     first, second, _ = scene()
     slope = np.repeat(np.linspace(0, 12, WIDTH, dtype=np.float32)[None], HEIGHT, axis=0)
-    np.testing.assert_allclose(at_edges(slope, first, second, (-1.0, HIGH), 1.0)[:, 2:-2], slope[:, 2:-2], atol=1e-6)
+    np.testing.assert_allclose(
+        correct_depth_edges(slope, first, second, (-1.0, HIGH), 1.0)[:, 2:-2], slope[:, 2:-2], atol=1e-6
+    )
 
 
 def test_noise_goes_and_steps_stay():
@@ -124,10 +134,10 @@ def test_noise_goes_and_steps_stay():
     step = np.where(np.arange(60) < 30, 2.0, 5.0).astype(np.float32)[None] + np.zeros((60, 1), np.float32)
     noisy = step + noise
     noisy[20:24, 10:14] = np.nan
-    calm = denoised(noisy)
+    calm = smoothed(noisy)
     assert np.isnan(calm[20:24, 10:14]).all() and np.isfinite(calm).sum() == calm.size - 16
     assert np.nanstd(calm - step) < 0.04 and np.nanmax(np.abs(calm - step)) < 0.2
-    assert np.isnan(denoised(np.full((9, 9), np.nan, np.float32))).all()
+    assert np.isnan(smoothed(np.full((9, 9), np.nan, np.float32))).all()
 
 
 def test_gaps_take_the_background():
@@ -137,14 +147,14 @@ def test_gaps_take_the_background():
     surface[10:30, 45:54] = np.nan  # hidden behind the roof: as long as its jump
     surface[2:5] = np.nan  # a narrow band along a row
     surface[33:38, 0:30] = np.nan  # open to the image's border, and narrow
-    filled = with_background(surface, 1.0)
+    filled = fill_occlusions(surface, 1.0)
     np.testing.assert_array_equal(filled, plain)
     wide = plain.copy()
     wide[10:30, 45:70] = np.nan  # far longer than the jump explains
     wide[10:30, :20] = np.nan  # no other end
-    assert np.isnan(with_background(wide, 1.0)[10:30, 45:70]).all()
-    assert np.isnan(with_background(wide, 1.0)[10:30, :20]).all()
-    np.testing.assert_array_equal(with_background(-surface, -1.0), -plain)
+    assert np.isnan(fill_occlusions(wide, 1.0)[10:30, 45:70]).all()
+    assert np.isnan(fill_occlusions(wide, 1.0)[10:30, :20]).all()
+    np.testing.assert_array_equal(fill_occlusions(-surface, -1.0), -plain)
 
 
 def test_an_alley_between_two_roofs_takes_the_street():
@@ -152,4 +162,4 @@ def test_an_alley_between_two_roofs_takes_the_street():
     plain[10:30, 10:26], plain[10:30, 34:50] = 12.0, 20.0
     surface = plain.copy()
     surface[10:30, 26:34] = np.nan
-    np.testing.assert_array_equal(with_background(surface, 1.0), plain)
+    np.testing.assert_array_equal(fill_occlusions(surface, 1.0), plain)

@@ -1,4 +1,4 @@
-"""Coarse to fine: guides on pairs of known disparity, and the rows that they put right against GDAL's RPCs."""
+"""Coarse to fine: priors on pairs of known disparity, and the rows that they put right against GDAL's RPCs."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.interpolation import interpolate_steps
-from repm_qgis.imagery.parameters import WARPING
 from repm_qgis.imagery.warping import sample_array
-from repm_qgis.matching import coarse, sgm
-from repm_qgis.matching.coarse import Guide, guide_of, reduced
+from repm_qgis.matching import sgm
+from repm_qgis.matching.disparity_prior import STEP_PX, DisparityPrior, bounded_slope, fill_gaps, find_prior, reduced
 from repm_qgis.stereo.pairing import rectified_pair
 from repm_qgis.stereo.triangulation import pair_geometry
 
 HEIGHT, WIDTH = 384, 512
 LOW, HIGH = -80, 80
-LEVEL = SimpleNamespace(nearer=1.0, metres_per_px=3.0)
+LEVEL = SimpleNamespace(height_sign=1.0, metres_per_px=3.0)
 
 
 def hills(columns):
@@ -49,15 +48,15 @@ class Known:
         return self.second_at(np.repeat(np.arange(WIDTH + high - low, dtype=np.float64)[None] - high, HEIGHT, axis=0))
 
 
-def test_a_guide_leaves_a_small_search_and_gives_the_whole_disparity():
+def test_a_prior_leaves_a_small_search_and_gives_the_whole_disparity():
     known = Known(tower=15.0)
-    guide = guide_of(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
-    assert guide is not None and guide.high - guide.low < 0.5 * (HIGH - LOW)
-    assert guide.low < -3 and guide.high > 18  # the tower has its room, though the coarse level loses it
-    nodes = interpolate_steps(guide.nodes, (HEIGHT, WIDTH + guide.high - guide.low), WARPING.node_step_px)
-    columns = np.arange(nodes.shape[1], dtype=np.float64)[None] - guide.high
-    residual = sgm.match(known.first, known.second_at(columns - nodes), (guide.low, guide.high), 1.0)
-    error = (guide.whole(residual.disparity) - known.disparity)[16:-16, 16:-16]
+    prior = find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
+    assert prior is not None and prior.high - prior.low < 0.5 * (HIGH - LOW)
+    assert prior.low < -3 and prior.high > 18  # the tower has its room, though the coarse level loses it
+    nodes = interpolate_steps(prior.nodes, (HEIGHT, WIDTH + prior.high - prior.low), STEP_PX)
+    columns = np.arange(nodes.shape[1], dtype=np.float64)[None] - prior.high
+    residual = sgm.match(known.first, known.second_at(columns - nodes), (prior.low, prior.high), 1.0)
+    error = (prior.full_disparity(residual.disparity) - known.disparity)[16:-16, 16:-16]
     error[residual.filled[16:-16, 16:-16]] = np.nan
     plain = sgm.match(known.first, known.second(HIGH, LOW), (LOW, HIGH), 1.0)
     before = (np.where(plain.filled, np.nan, plain.disparity) - known.disparity)[16:-16, 16:-16]
@@ -67,36 +66,36 @@ def test_a_guide_leaves_a_small_search_and_gives_the_whole_disparity():
     assert np.nanmedian(np.abs(tower)) < 0.1
 
 
-def test_whole_disparities_count_the_guide_where_the_match_lies():
+def test_whole_disparities_count_the_prior_where_the_match_lies():
     rng = np.random.default_rng(1)
     nodes = np.cumsum(rng.uniform(-8, 8, (5, 9)), axis=1)
-    guide = Guide(nodes, -20, 30)
+    prior = DisparityPrior(nodes, -20, 30)
     residual = rng.uniform(-19, 29, (60, 70)).astype(np.float32)
     residual[3, 5] = np.nan
-    whole = guide.whole(residual)
-    fine = interpolate_steps(nodes, (60, 128), WARPING.node_step_px)
+    full = prior.full_disparity(residual)
+    fine = interpolate_steps(nodes, (60, 128), STEP_PX)
     for row, column in ((0, 0), (17, 40), (59, 69), (31, 8)):
-        place = column - residual[row, column] + guide.high
+        place = column - residual[row, column] + prior.high
         expected = residual[row, column] + np.interp(place, np.arange(128), fine[row])
-        assert whole[row, column] == pytest.approx(expected, abs=1e-4)
-    assert whole.dtype == np.float32 and np.isnan(whole[3, 5]) and np.isfinite(whole).sum() == whole.size - 1
+        assert full[row, column] == pytest.approx(expected, abs=1e-4)
+    assert full.dtype == np.float32 and np.isnan(full[3, 5]) and np.isfinite(full).sum() == full.size - 1
 
 
-def test_where_the_search_cannot_be_narrowed_there_is_no_guide():
+def test_where_the_search_cannot_be_narrowed_there_is_no_prior():
     known = Known()
-    assert guide_of(known.first, known.second(24, -16), (-16, 24), LEVEL, sgm.match) is None
+    assert find_prior(known.first, known.second(24, -16), (-16, 24), LEVEL, sgm.match) is None
     blank = np.full((HEIGHT, WIDTH), 0.5, np.float32)
     wide = np.full((HEIGHT, WIDTH + HIGH - LOW), 0.5, np.float32)
-    assert guide_of(blank, wide, (LOW, HIGH), LEVEL, sgm.match) is None
+    assert find_prior(blank, wide, (LOW, HIGH), LEVEL, sgm.match) is None
 
 
 def test_slopes_are_bounded_and_gentle_ones_kept():
     rng = np.random.default_rng(2)
     gentle = np.cumsum(rng.uniform(-0.9, 0.9, (20, 50)), axis=1)
-    assert coarse._bounded_slope(gentle, 1.0, 1.0) == pytest.approx(gentle)
+    assert bounded_slope(gentle, 1.0, 1.0) == pytest.approx(gentle)
     steep = gentle.copy()
     steep[:, 25:] += 12
-    bounded = coarse._bounded_slope(steep, 1.0, 1.0)
+    bounded = bounded_slope(steep, 1.0, 1.0)
     assert np.abs(np.diff(bounded, axis=1)).max() <= 1 + 1e-9
     assert np.abs(bounded[:, :8] - steep[:, :8]).max() < 1e-9 and np.abs(bounded[:, -5:] - steep[:, -5:]).max() < 1e-9
 
@@ -105,10 +104,10 @@ def test_the_ground_may_fall_more_steeply_than_it_rises():
     """Slopes that lean away from the first image of a wide pair fall by more than a px a px: only rises could fold."""
     wall = np.zeros((3, 60))
     wall[:, 20:] -= 24
-    bounded = coarse._bounded_slope(wall, 0.5, 2.0)
+    bounded = bounded_slope(wall, 0.5, 2.0)
     assert np.diff(bounded, axis=1).min() == pytest.approx(-2.0)
     assert np.diff(bounded, axis=1).max() <= 1e-9
-    steps = np.diff(coarse._bounded_slope(-wall, 0.5, 2.0), axis=1)
+    steps = np.diff(bounded_slope(-wall, 0.5, 2.0), axis=1)
     assert steps.max() == pytest.approx(0.5) and steps.min() >= -1e-9
 
 
@@ -117,7 +116,7 @@ def test_gaps_of_the_ground_are_filled_from_around_them():
     ground = 3 * columns + rows
     holed = ground.copy()
     holed[10:20, 20:34] = np.nan
-    filled = coarse._without_gaps(holed)
+    filled = fill_gaps(holed, 2.0)
     assert np.isfinite(filled).all() and (filled[np.isfinite(holed)] == ground[np.isfinite(holed)]).all()
     assert np.abs(filled - ground).max() < 16  # of 42 across the gap
     assert filled[10:20, 20:34].min() > ground[10:20, 20:34].min() - 9
@@ -126,21 +125,21 @@ def test_gaps_of_the_ground_are_filled_from_around_them():
 def test_reduced_images_are_means_and_know_no_half_pixels():
     image = np.arange(9 * 14, dtype=np.float32).reshape(9, 14)
     image[1, 1] = np.nan
-    small = reduced(image)
+    small = reduced(image, 4)
     assert small.shape == (2, 3) and np.isnan(small[0, 0])
     assert small[1, 2] == pytest.approx(image[4:8, 8:12].mean())
 
 
 def test_rows_are_those_that_the_rpcs_say(case, gdal_pixels):
-    """On the guide, the second image is sampled where its RPC sees the first one's pixel, whatever the model."""
+    """On the prior, the second image is sampled where its RPC sees the first one's pixel, whatever the model."""
     pair = rectified_pair(replace(case.scene, refinement="none"), *case.views, case.bounds, case.altitudes)
     geometry = pair_geometry(pair, *case.views, case.altitudes, case.crs)
-    columns, rows = (np.arange(0, size, WARPING.node_step_px, dtype=np.float64) for size in pair.size)
-    guide = np.add.outer(0.1 * rows, 0.2 * columns)
-    guide = np.clip(guide - guide.mean(), *geometry.disparities)
-    sampled = Guide(guide, 0, 0).second_original(pair, geometry)
+    columns, rows = (np.arange(0, size, STEP_PX, dtype=np.float64) for size in pair.size)
+    prior = np.add.outer(0.1 * rows, 0.2 * columns)
+    prior = np.clip(prior - prior.mean(), *geometry.disparities)
+    sampled = DisparityPrior(prior, 0, 0).second_original(pair, geometry)
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
-    height = geometry.height.on_grid(columns, rows, guide)
+    height = geometry.height.on_grid(columns, rows, prior)
     x, y = (table.on_grid(columns, rows, height) for table in (geometry.x, geometry.y))
     ground = np.column_stack(
         [geodetic_from_projected(case.crs, np.column_stack([x.ravel(), y.ravel()])), height.ravel()]

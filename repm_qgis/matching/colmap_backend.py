@@ -1,0 +1,83 @@
+"""Backend ``colmap``: all views of a tile matched together by COLMAP's patch match on CUDA."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Sequence, Tuple
+
+from ..arrays import Bounds
+from ..colmap.runner import PatchMatchOptions, Runner, run_patch_match
+from ..colmap.tile_matching import GpuTask, match_tiles, tile_height_source
+from ..environment import Gpu, cuda, cuda_usable, gpus
+from ..options import ReconstructOptions
+from ..progress import Progress
+from ..records import HeightMapRecord, ViewPair
+from ..scene import Scene, Tile
+from ..stereo.height_maps import HeightSource
+from ..workspace import fingerprint
+from .backends import MatchingJob, MatchingResult
+from .parameters import MatchingParameters
+
+
+@dataclass(frozen=True)
+class ColmapBackend:
+    """COLMAP as a backend (:class:`repm_qgis.matching.backends.Backend`).
+
+    ``run`` runs COLMAP in the workspace of a tile, ``devices`` finds the GPUs.
+    """
+
+    run: Runner = run_patch_match
+    devices: Callable[[], Sequence[Gpu]] = gpus
+    name: str = "colmap"
+    pair_matcher: None = None
+
+    def usable(self) -> bool:
+        return cuda_usable()
+
+    def remedy(self) -> str:
+        missing = cuda()["remedy"]
+        return f"needs CUDA, and {missing}" if missing else ""
+
+    def settings(self, options: ReconstructOptions) -> List[Any]:
+        return [options.geometric, options.colmap_fusion, options.window_radius]
+
+    def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
+        """Match all tiles, one worker for each GPU."""
+        chosen, scene = job.options, job.scene.lean()
+        options = PatchMatchOptions(chosen.geometric, chosen.window_radius, chosen.gpu_memory, chosen.colmap_fusion)
+        tasks = [
+            GpuTask(
+                scene,
+                tile.id,
+                tile.bounds,
+                tile.altitudes,
+                sources,
+                {name: job.stretches[name] for name in sorted(sources)},
+                options,
+                job.folder,
+                fingerprint(job.key, tile.id, sources),
+                job.parameters.colmap,
+                job.parameters.stereo,
+            )
+            for tile, sources in ((tile, _partners(tile, job.pairs)) for tile in job.tiles)
+            if sources
+        ]
+        return MatchingResult(*match_tiles(tasks, self.devices(), self.run, progress))
+
+    def height_source(
+        self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
+    ) -> HeightSource:
+        return tile_height_source(scene, bounds, record, crs, parameters.colmap, parameters.stereo)
+
+
+BACKEND = ColmapBackend()
+
+
+def _partners(tile: Tile, pairs: Sequence[ViewPair]) -> Dict[str, Tuple[str, ...]]:
+    """For each view of a tile, the views it is matched with: both directions of every pair that the tile has."""
+    found: Dict[str, List[str]] = {}
+    for pair in pairs:
+        if pair.first in tile.views and pair.second in tile.views:
+            found.setdefault(pair.first, []).append(pair.second)
+            found.setdefault(pair.second, []).append(pair.first)
+    return {name: tuple(others) for name, others in found.items()}

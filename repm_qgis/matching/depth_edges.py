@@ -1,0 +1,136 @@
+"""Correction of depth edges: each pixel near a step in height is assigned again to the upper or the lower surface.
+
+Semi-global matching leaves steps a few pixels away from their place: roofs grow, their corners become round, alleys
+are bridged. But it knows both surfaces there, so the question is only to which of the two a pixel belongs, and both
+images answer it: the differences of intensity and gradient are compared for the two surfaces and averaged in a window
+that ends at the image's edges (guided filter, He, Sun and Tang 2013; support weights are of Yoon and Kweon 2006).
+"""
+
+from __future__ import annotations
+
+from typing import Tuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatImage, Mask
+from ..imagery.sampling import mean_of_known
+from .parameters import MATCHING, EdgeParameters
+
+_STRIP = 1024  # columns of a list that is folded to an image: OpenCV's maps may have no more than 32767 to a side
+
+
+def correct_depth_edges(
+    disparity: FloatImage,
+    image: FloatImage,
+    other: FloatImage,
+    towards: Tuple[float, float],
+    height_sign: float,
+    parameters: EdgeParameters = MATCHING.edges,
+) -> FloatImage:
+    """Disparities without outliers, and with depth edges where the images have them.
+
+    Parameters
+    ----------
+    disparity : (H, W) px, of ``image``; NaN where there is none, and it stays so.
+    image, other : (H, W) and (H, V) intensity in 0..1, rows aligned.
+    towards : factor and offset, so that column + factor * disparity + offset is the column of ``other``.
+    height_sign : +1 if greater disparities are higher ground, -1 if lower.
+    """
+    known = np.isfinite(disparity)
+    height = _without_gaps(np.float32(height_sign) * disparity, known, parameters.gap_window_px)
+    surface = cv2.medianBlur(height, parameters.median_px)
+    upper, lower, near = _surfaces(surface, parameters)
+    near &= known
+    chosen = surface
+    if near.any():
+        a, b = np.nan_to_num(image), np.nan_to_num(other)
+        rows, columns = np.nonzero(near)
+        cost = _Cost(a, b, rows, columns, towards, parameters)
+        evidence = np.zeros_like(surface)
+        evidence[near] = cost.of(height_sign * upper[near]) - cost.of(height_sign * lower[near])
+        chosen = np.where(near, np.where(_guided(a, evidence, parameters) < 0, upper, lower), surface)
+    return np.where(known, np.float32(height_sign) * chosen, np.float32(np.nan)).astype(np.float32)
+
+
+def _mean(image: FloatImage, size: int) -> FloatImage:
+    mean: FloatImage = cv2.blur(image, (size, size), borderType=cv2.BORDER_REFLECT)
+    return mean
+
+
+def _without_gaps(surface: FloatImage, known: Mask, window_px: int) -> FloatImage:
+    """Unknown pixels take the mean of the known ones around them."""
+    if known.all():
+        return surface
+    around, _ = mean_of_known(surface, known, lambda image: _mean(image, window_px), 1e-3)
+    return np.where(known, surface, around).astype(np.float32)
+
+
+def _surfaces(surface: FloatImage, parameters: EdgeParameters) -> Tuple[FloatImage, FloatImage, Mask]:
+    """The upper and the lower surface around each pixel, its own value being one of them; and where there are two."""
+    window = np.ones((2 * parameters.reach_px + 1, 2 * parameters.reach_px + 1), np.uint8)
+    top, bottom = cv2.dilate(surface, window), cv2.erode(surface, window)
+    near = top - bottom > parameters.step_px
+    on_top = surface > (top + bottom) / 2
+    above, some_above = _mean_where(surface, near & on_top, parameters.surface_window_px)
+    below, some_below = _mean_where(surface, near & ~on_top, parameters.surface_window_px)
+    upper, lower = np.where(on_top, surface, above), np.where(on_top, below, surface)
+    return upper, lower, near & some_above & some_below & (upper - lower > parameters.step_px)
+
+
+def _mean_where(surface: FloatImage, chosen: Mask, window_px: int) -> Tuple[FloatImage, Mask]:
+    """The mean of the chosen pixels around each pixel, and whether there are any."""
+    mean, share = mean_of_known(surface, chosen, lambda image: _mean(image, window_px), 1e-3)
+    return mean, share > 0.5 / window_px**2
+
+
+class _Cost:
+    """The cost 0..1 of disparities of chosen pixels: how much the images differ at the places that they give."""
+
+    def __init__(
+        self,
+        image: FloatImage,
+        other: FloatImage,
+        rows: NDArray[np.intp],
+        columns: NDArray[np.intp],
+        towards: Tuple[float, float],
+        parameters: EdgeParameters,
+    ) -> None:
+        self._own, self._other, self._towards = _features(image)[rows, columns], _features(other), towards
+        self._rows, self._columns = rows.astype(np.float32), columns.astype(np.float32)
+        self._intensity, self._gradient = parameters.intensity_cap, parameters.gradient_cap
+
+    def of(self, disparity: FloatImage) -> FloatImage:
+        """(N,) costs of the pixels' disparities."""
+        factor, offset = (np.float32(value) for value in self._towards)
+        columns = _folded(self._columns + factor * disparity.astype(np.float32) + offset)
+        found = cv2.remap(
+            self._other, columns, _folded(self._rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        ).reshape(-1, 3)[: len(disparity)]
+        off = np.abs(self._own - found)
+        intensity = np.minimum(off[:, 0], np.float32(self._intensity)) / np.float32(2 * self._intensity)
+        gradient = np.minimum(off[:, 1] + off[:, 2], np.float32(self._gradient)) / np.float32(2 * self._gradient)
+        cost: FloatImage = intensity + gradient
+        return cost
+
+
+def _features(image: FloatImage) -> FloatImage:
+    """(H, W, 3) intensity and its gradient along columns and rows, for each px."""
+    across = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=0.125)
+    features: FloatImage = cv2.merge([image, across, cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=0.125)])
+    return features
+
+
+def _folded(values: FloatImage) -> FloatImage:
+    return np.pad(values, (0, -len(values) % _STRIP)).reshape(-1, _STRIP)
+
+
+def _guided(guide: FloatImage, values: FloatImage, parameters: EdgeParameters) -> FloatImage:
+    """Values averaged by the guided filter: the edges of the guide limit its window."""
+    side = parameters.window_px
+    mean_guide, mean_values = _mean(guide, side), _mean(values, side)
+    variance = _mean(guide * guide, side) - mean_guide * mean_guide
+    covariance = _mean(guide * values, side) - mean_guide * mean_values
+    slope = covariance / (variance + np.float32(parameters.contrast**2))
+    return _mean(slope, side) * guide + _mean(mean_values - slope * mean_guide, side)

@@ -1,0 +1,189 @@
+"""Coarse to fine: a reduced pair is matched over all altitudes, and what it finds is the prior of the fine matching.
+
+The *disparity prior* is a smooth disparity of the ground (not of its houses). The second image is resampled once, with
+the prior in the map: there the ground has a residual disparity of about zero, slopes are level, and the fine matcher
+searches tens of px whatever the relief. The prior also gives the ground's altitude, so that the RPCs can remove the
+vertical parallax that the pinhole model leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Optional, Tuple
+
+import cv2
+import numpy as np
+
+from ..arrays import FloatArray, FloatImage
+from ..geometry.interpolation import bilinear, interpolate_steps
+from ..imagery.parameters import WARPING
+from ..imagery.sampling import median_of_known, median_of_neighbours
+from ..imagery.warping import PixelMap
+from ..stereo.rectification import RectifiedPair
+from ..stereo.triangulation import PairGeometry
+from .disparity_map import PairMatcher
+from .parameters import MATCHING, MatchingParameters, PriorParameters
+
+STEP_PX = WARPING.node_step_px  # between the nodes of the resampled second image
+
+
+@dataclass(frozen=True)
+class DisparityPrior:
+    """A disparity of the ground on nodes, and the residual disparities to search around it.
+
+    ``nodes`` (m, n) lie ``STEP_PX`` apart in the frame of the resampled second image, whose column c stands for
+    the rectified column c - ``high``; bilinear between them. ``low`` and ``high`` are the least and greatest residual.
+    """
+
+    nodes: FloatArray
+    low: int
+    high: int
+
+    def second_original(self, pair: RectifiedPair, geometry: PairGeometry) -> FloatArray:
+        """(m, n, 2) original pixels of the second image from which the nodes are sampled.
+
+        The vertical parallax at the prior's altitude is removed.
+        """
+        rows, columns = (STEP_PX * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
+        columns -= self.high
+        height = geometry.height.on_grid(columns, rows, self.nodes)
+        row = rows[:, None] + geometry.vertical_parallax.on_grid(columns, rows, height)
+        return pair.second_original(np.stack([columns[None, :] - self.nodes, row], axis=-1))
+
+    def full_disparity(self, residual: FloatImage) -> FloatImage:
+        """Disparities (H, W) from residual ones: the prior's value is that of the column where the match was found."""
+        height, width = residual.shape
+        wide = (height, width + self.high - self.low + 1)
+        prior = interpolate_steps(self.nodes.astype(np.float32), wide, STEP_PX)
+        columns = np.arange(width, dtype=np.float32) + np.float32(self.high) - np.nan_to_num(residual)
+        left = np.clip(columns.astype(np.int32), 0, prior.shape[1] - 2)
+        share = columns - left.astype(np.float32)
+        flat = left + (np.arange(height, dtype=np.int32) * prior.shape[1])[:, None]
+        here, right = prior.ravel()[flat], prior.ravel()[flat + 1]
+        full: FloatImage = residual + here + (right - here) * share
+        return full
+
+
+def find_prior(
+    first: FloatImage,
+    second: FloatImage,
+    disparities: Tuple[int, int],
+    geometry: PairGeometry,
+    match: PairMatcher,
+    parameters: MatchingParameters = MATCHING,
+) -> Optional[DisparityPrior]:
+    """Match a pair at a reduced resolution; None where that does not narrow the search.
+
+    ``first``, ``second`` and ``disparities`` are as of a :class:`repm_qgis.matching.disparity_map.PairMatcher`; the
+    disparities must be whole multiples of the reduction.
+    """
+    p, (low, high) = parameters.prior, disparities
+    step_px = p.factor * p.cell_px
+    if high - low < p.least_span_px or min(first.shape) < step_px * 4:
+        return None
+    a, b = (reduced(image, p.factor) for image in (first, second))
+    found = match(a, b, (low // p.factor, high // p.factor), geometry.height_sign, parameters=parameters)
+    coarse = np.where(found.filled, np.float32(np.nan), found.disparity) * np.float32(p.factor)
+    ground = _ground(coarse, p)
+    if ground is None:
+        return None
+    ground = bounded_slope(ground, p.rise * step_px, p.fall * step_px)
+    ends = _ends(_residual(coarse, ground, p), geometry, p)
+    if ends[1] - ends[0] > p.least_gain * (high - low):
+        return None
+    return DisparityPrior(_nodes(ground, first.shape, ends, step_px), *ends)
+
+
+def reduced(image: FloatImage, factor: int) -> FloatImage:
+    """Means over ``factor`` x ``factor`` px; NaN where one of them is, and incomplete ones at the ends dropped."""
+    height, width = (n // factor for n in image.shape)
+    small: FloatImage = cv2.resize(
+        image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA
+    )
+    return small
+
+
+def _ground(coarse: FloatImage, parameters: PriorParameters) -> Optional[FloatArray]:
+    """Disparity of the ground in cells: medians of cells and of their neighbours, gaps filled, smoothed."""
+    cell, side = parameters.cell_px, parameters.median_cells
+    height, width = (n // cell for n in coarse.shape)
+    blocks = coarse[: height * cell, : width * cell].reshape(height, cell, width, cell)
+    cells = median_of_known(blocks.transpose(1, 3, 0, 2).reshape(cell * cell, height, width), cell)
+    if np.isfinite(cells).mean() < parameters.least_cells:
+        return None
+    ground = fill_gaps(median_of_neighbours(cells, side, side), parameters.gap_cells)
+    smooth: FloatImage = cv2.GaussianBlur(ground, (0, 0), parameters.smooth_cells, borderType=cv2.BORDER_REFLECT)
+    return smooth.astype(np.float64)
+
+
+def fill_gaps(cells: FloatImage, sigma: float) -> FloatImage:
+    """Gaps filled from their surroundings: Gaussian means that become wider, the narrowest that knows something."""
+    known = np.isfinite(cells)
+    value, weight = np.where(known, cells, np.float32(0)), known.astype(np.float32)
+    result, missing = value.copy(), ~known
+    while missing.any():
+        share = cv2.GaussianBlur(weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        total = cv2.GaussianBlur(value, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        near = missing & (share > 1e-3)
+        result[near] = total[near] / share[near]
+        missing &= ~near
+        sigma *= 2
+    return result
+
+
+def bounded_slope(ground: FloatArray, rise: float, fall: float) -> FloatArray:
+    """The mean of the lowest surface above and the highest below that rise and fall along rows by so much a step."""
+    above, below = ground.copy(), ground.copy()
+    columns = range(1, ground.shape[1])
+    for j in columns:
+        above[:, j] = np.maximum(above[:, j], above[:, j - 1] - fall)
+        below[:, j] = np.minimum(below[:, j], below[:, j - 1] + rise)
+    for j in reversed(columns):
+        above[:, j - 1] = np.maximum(above[:, j - 1], above[:, j] - rise)
+        below[:, j - 1] = np.minimum(below[:, j - 1], below[:, j] + fall)
+    return (above + below) / 2
+
+
+def _at(ground: FloatArray, columns: FloatArray, rows: FloatArray, step_px: int) -> FloatArray:
+    """Bilinear ground at fine columns and rows of one shape; it continues level beyond its border."""
+    u = np.clip((columns - (step_px - 1) / 2) / step_px, 0, ground.shape[1] - 1)
+    v = np.clip((rows - (step_px - 1) / 2) / step_px, 0, ground.shape[0] - 1)
+    return bilinear(ground, u, v)
+
+
+def _residual(coarse: FloatImage, ground: FloatArray, parameters: PriorParameters) -> FloatArray:
+    """(N,) differences of known coarse disparities from the ground at the column where the match lies."""
+    i, j = np.nonzero(np.isfinite(coarse))
+    factor, disparity = parameters.factor, coarse[i, j].astype(np.float64)
+    rows, columns = factor * i + (factor - 1) / 2, factor * j + (factor - 1) / 2
+    residual = np.zeros_like(disparity)
+    for _ in range(4):  # converges, because the slope of the ground is bounded
+        residual = disparity - _at(ground, columns - residual, rows, factor * parameters.cell_px)
+    return residual
+
+
+def _ends(residual: FloatArray, geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
+    """Least and greatest residual to search."""
+    low, high = np.percentile(residual, (parameters.tail_percent, 100 - parameters.tail_percent))
+    margin, above = parameters.margin_px, parameters.margin_px + parameters.above_m / geometry.metres_per_px
+    more = (margin, above) if geometry.height_sign > 0 else (above, margin)
+    return int(np.floor(low - more[0])), int(np.ceil(high + more[1]))
+
+
+def _nodes(ground: FloatArray, shape: Tuple[int, ...], ends: Tuple[int, int], step_px: int) -> FloatArray:
+    """(m, n) ground on the nodes of the resampled second image, the last at or beyond its last pixel."""
+    rows = np.arange(0, shape[0] + STEP_PX, STEP_PX, dtype=np.float64)
+    columns = np.arange(0, shape[1] + ends[1] - ends[0] + 1 + STEP_PX, STEP_PX, dtype=np.float64) - ends[1]
+    columns, rows = np.meshgrid(columns, rows)
+    return _at(ground, columns, rows, step_px)
+
+
+def sampled_on(nodes: FloatArray) -> PixelMap:
+    """The map of pixels whose values on the warping's own nodes are given."""
+
+    def to_source(points: FloatArray) -> FloatArray:
+        column, row = (np.rint(points[..., axis] / STEP_PX).astype(np.intp) for axis in (0, 1))
+        values: FloatArray = nodes[row, column]
+        return values
+
+    return to_source

@@ -1,0 +1,161 @@
+"""All numbers that matching chooses.
+
+"Chosen" means that no experiment is recorded. "Matching table" is the one of docs/benchmarks.md that changes one
+choice of the matcher at a time (``make bench-matching``); "subpixel table" is ``make bench-subpixel``, "masks table"
+``make bench-masks``. Intensities are 0..1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Tuple
+
+from ..altitudes import ALTITUDES
+from ..colmap.parameters import ColmapParameters
+from ..parameters import Parameters
+from ..stereo.parameters import StereoParameters
+
+
+@dataclass(frozen=True)
+class SgmParameters(Parameters):
+    """Semi-global matching (Hirschmueller 2008) in OpenCV's implementation, and the checks of its result."""
+
+    block_px: int = 1  # side of a block: 1 keeps steps sharp, and the noise is removed afterwards; matching table
+    p1: int = 12  # penalty of OpenCV's costs for a change of disparity by 1 px; matching table
+    p2: int = 48  # penalty for a greater change; matching table
+    paths: int = 3  # directions of aggregation, 3, 5 or 8: 3 are as good as 8 in a quarter of the time; matching table
+    prefilter_cap: int = 31  # of OpenCV's gradients, in its intensities of 0..255; chosen
+    left_right_px: float = 1.0  # by which the disparities of the two directions may differ; matching table
+    speckle_px: int = 80  # least pixels of a connected component; matching table
+    speckle_step_px: float = 1.0  # of disparity between neighbours of one component; chosen
+    tower_px: int = 12  # least pixels of a component that matches well: towers and chimneys; matching table
+    tower_score: float = 0.8  # correlation of such a component's pixels; chosen
+    score_window_px: int = 7  # side of the correlation window of the score; chosen
+    rim_px: int = 9  # window around pixels without data: block, pre-filter and median reach 4 px to each side
+
+
+@dataclass(frozen=True)
+class EdgeParameters(Parameters):
+    """Correction of depth edges (guided filter of He, Sun and Tang 2013)."""
+
+    median_px: int = 5  # side of the median that removes outliers first; chosen
+    reach_px: int = 5  # pixels on each side of a step that are assigned again; matching table
+    step_px: float = 1.5  # of disparity: a smaller difference is a slope; chosen
+    surface_window_px: int = 9  # window of the mean disparity of each of the two surfaces; matching table
+    gap_window_px: int = 15  # window of the mean that stands in for missing disparities; chosen
+    intensity_cap: float = 0.045  # greater differences of intensity count as this one; chosen
+    gradient_cap: float = 0.022  # the same for the gradient, for each px; chosen
+    window_px: int = 7  # of the guided filter; matching table
+    contrast: float = 0.02  # edges of the image that are much weaker do not limit the window; chosen
+
+
+@dataclass(frozen=True)
+class OcclusionParameters(Parameters):
+    """Which gaps are occlusions. An occlusion is as long as the disparity jumps (geometry of a pair)."""
+
+    step_px: float = 1.5  # of disparity: a smaller difference is a slope; as at depth edges
+    slack_px: float = 6.0  # by which a gap may be longer than the jump of disparity; chosen
+    factor: float = 1.6  # and by which factor; chosen
+    narrow_px: int = 8  # rows of a gap that matching leaves along edges in the rows' direction; matching table
+
+
+@dataclass(frozen=True)
+class SubpixelParameters(Parameters):
+    """Subpixel disparities: Gauss-Newton steps on the intensities (Lucas and Kanade 1981) and filters, in turns."""
+
+    operations: Tuple[str, ...] = ("step", "step", "median", "mean", "step", "mean", "step", "mean")
+    # Half-quadratic splitting (Geman and Yang 1995); the first steps leave the whole pixels that semi-global matching
+    # prefers before anything is averaged; matching table.
+    most_step_px: float = 0.3  # of a step; chosen
+    sigma_px: float = 1.2  # of the Gaussian window, which has 4 pi sigma^2 = 18 independent pixels; matching table
+    prior_px: float = 0.27  # standard deviation that semi-global matching leaves in such a window; subpixel table
+    least_noise: float = 1e-6  # variance of the intensity: below the noise of a sensor of 12 bits
+    median_px: int = 5  # side of the median; chosen
+    edge_px: float = 0.7  # the median moves nothing farther, because that would be an edge; matching table
+    smooth_sigma_px: float = 1.5  # of the bilateral filter (Tomasi and Manduchi 1998) in space; chosen
+    alike_sigma_px: float = 0.5  # the same in disparity; chosen
+    smooth_window_px: int = 7  # side of its window; chosen
+
+
+@dataclass(frozen=True)
+class ReliabilityParameters(Parameters):
+    """Which disparities the images do not support (water), and clouds; the masks table measures all of it."""
+
+    correlation_px: int = 7  # window of a correlation
+    support_px: int = 25  # window over which correlations are averaged
+    least_support: float = 0.3  # water has 0.1 to 0.2, the weakest hundredth of fields and mountains 0.55
+    own_px: int = 9  # a large window reaches over the shore: components grow where the average of this window
+    own_support: float = 0.5  # is less than this,
+    growth_px: int = 14  # by up to so much
+    least_px: int = 4000  # pixels of a component: smaller ones (32 m x 32 m at 0.5 m) are roofs, shadows, pools
+    endless_px: int = 20000  # larger ones (70 m x 70 m) are always removed: smoothness extends no height so far
+    scatter_px: float = 0.7  # a disparity scatters that differs by more from the mean around it,
+    scatter_window_px: int = 41  # in this window
+    scatter_share: float = 0.25  # of a component's disparities: plain roofs have 0.1 at most, water 0.45 and more
+    shore_px: int = 6  # removed around a component: the texture of a bank extends its height over the water
+    shore_window_px: int = 5  # where the average of this window
+    shore_support: float = 0.8  # is less than this
+    bright: float = 0.6  # intensity of a cloud
+    bright_share: float = 0.5  # of its pixels
+    cloud_m: float = 80.0  # above its surroundings: no white roof of the least size is so high
+    cloud_step_px: float = 2.0  # of disparity between neighbours: more ends a component
+    around_px: int = 30  # width of the surroundings
+    around_share: float = 0.8  # of the surroundings' ground, which must lie so far below
+    least_ground: float = 0.2  # share of the surroundings that must have a height
+
+
+@dataclass(frozen=True)
+class PriorParameters(Parameters):
+    """The disparity prior of the coarse level (docs/method.md, "Coarse to fine"). All values are chosen."""
+
+    factor: int = 4  # fine px for one coarse px, along each side
+    cell_px: int = 4  # coarse px of a cell of the prior, along each side: 16 fine px
+    range_margin_px: int = 6  # disparities searched beyond the altitudes of the tile
+    least_span_px: float = 48  # of disparities: a smaller search needs no prior
+    least_gain: float = 0.8  # a prior that leaves more than this share of the search is not used
+    least_cells: float = 0.05  # share of the cells that must have a disparity
+    median_cells: int = 5  # side of the median: houses are smaller, hills are not
+    rise: float = 0.7  # of disparity for each px along a row, at most: with 1 the second image would fold
+    fall: float = 1.75  # the same for a fall, which never folds it
+    smooth_cells: float = 1.0  # sigma of the smoothing of the cells
+    gap_cells: float = 2.0  # sigma of the first mean that fills gaps; each next one is twice as wide
+    tail_percent: float = 0.05  # of the coarse residuals at either end that may be wrong matches
+    margin_px: int = 8  # searched beyond what the coarse level found
+    above_m: float = ALTITUDES.prior_above_m
+
+
+@dataclass(frozen=True)
+class CoarseSurfaceParameters(Parameters):
+    """The coarse surface of a scene. All values are chosen; it takes 2 to 3 CPU seconds for 3 x 26 Mpx."""
+
+    factor: int = 8  # fine px for one coarse px, along each side
+    cell_px: int = 16  # fine px of a cell of the surface, along each side: two coarse ones
+    block_px: int = 6400  # side of what is matched at once: 800 coarse px
+    range_share: float = 0.15  # of the scene's altitude range, searched beyond each end: its margins may be too small
+    range_margin_px: int = 2  # coarse px of disparity searched beyond that
+    smallest_px: int = 16  # coarse px of a block's shorter side
+    least_score: float = 0.6  # of a disparity
+    median_cells: int = 5  # side of the median that removes wrong cells
+    least_neighbours: int = 8  # known cells of that square
+    least_share: float = 0.25  # of a tile's cells that must be known for its altitudes
+    least_cells: int = 4  # the same as a number
+    tail_percent: float = 0.2  # of the cells at either end that may be wrong
+    room_cells: float = 1.25  # m of height for each m of cell: what narrow valleys and ridges may lose
+
+
+@dataclass(frozen=True)
+class MatchingParameters(Parameters):
+    """All of matching, whichever backend."""
+
+    stereo: StereoParameters = StereoParameters()
+    sgm: SgmParameters = SgmParameters()
+    edges: EdgeParameters = EdgeParameters()
+    occlusions: OcclusionParameters = OcclusionParameters()
+    subpixel: SubpixelParameters = SubpixelParameters()
+    reliability: ReliabilityParameters = ReliabilityParameters()
+    prior: PriorParameters = PriorParameters()
+    coarse_surface: CoarseSurfaceParameters = CoarseSurfaceParameters()
+    colmap: ColmapParameters = ColmapParameters()
+
+
+MATCHING = MatchingParameters()

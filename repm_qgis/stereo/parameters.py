@@ -1,0 +1,21 @@
+"""All numbers that rectification and triangulation choose. "Chosen" means that no experiment is recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class StereoParameters(Parameters):
+    """Rectified pairs, and the tables from which heights and ground positions are interpolated."""
+
+    tile_margin_px: int = 32  # matched beyond a tile's border, so that neighbours agree along it; chosen
+    smallest_px: int = 48  # side of an image of a tile: nothing is matched in a smaller one; chosen
+    node_step_px: int = 32  # distance of the tables' nodes; each height map's record has their error, below 0.01 m
+    levels: int = 5  # altitudes from which the tables' parabolas are fitted; the same record
+    ground_points: int = 9  # along a side of the ground rectangle that a pair is rectified for; chosen
+
+
+STEREO = StereoParameters()
