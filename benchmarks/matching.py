@@ -7,6 +7,7 @@ height difference where the scene has a truth (pointing without ground control l
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import tempfile
@@ -22,8 +23,9 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.tables import publish, table  # noqa: E402
-from repm_qgis.dsm import fusion  # noqa: E402
 from repm_qgis.dsm.aggregation import aggregate  # noqa: E402
+from repm_qgis.dsm.fusion import grid_height_map  # noqa: E402
+from repm_qgis.dsm.parameters import FUSION  # noqa: E402
 from repm_qgis.evaluation.scoring import score  # noqa: E402
 from repm_qgis.geometry.cell_grid import CellGrid  # noqa: E402
 from repm_qgis.imagery.enhancement import view_stretch  # noqa: E402
@@ -76,7 +78,8 @@ class Case:
         height = self.geometry.height.on_grid(columns, rows, found.disparity.astype(np.float64))
         x, y = (part.on_grid(columns, rows, height) for part in (self.geometry.x, self.geometry.y))
         heights = HeightMap(x, y, height, found.score, found.filled)
-        layer = fusion._layer(self.grid, heights, self.geometry, self.task.scene.gsd_m)
+        metres, spacing = self.geometry.metres_per_px, self.task.scene.gsd_m
+        layer = grid_height_map(self.grid, heights, metres, spacing, FUSION)
         return aggregate([layer], "mean").height
 
     def score(self, parameters: MatchingParameters) -> List[float]:

@@ -160,7 +160,7 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers = [
-            _gridded(part, source.within(bounds), record.metres_per_px, task.scene.gsd_m, parameters)
+            grid_height_map(part, source.within(bounds), record.metres_per_px, task.scene.gsd_m, parameters)
             for source, record in zip(sources, task.records)
         ]
         fused = aggregate(layers, task.method, parameters)
@@ -171,7 +171,7 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
     return FusedCells(**whole)
 
 
-def _gridded(
+def grid_height_map(
     grid: CellGrid, heights: HeightMap, metres_per_px: float, spacing: float, parameters: FusionParameters
 ) -> HeightLayer:
     """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.

@@ -13,8 +13,6 @@ import numpy as np
 from ..arrays import FloatArray, FloatImage, Mask
 from .parameters import MATCHING, OcclusionParameters
 
-STEP_PX = MATCHING.occlusions.step_px
-
 
 def fill_occlusions(
     disparity: FloatImage,
