@@ -154,13 +154,10 @@ def triplet() -> List[str]:
 
 def timed_pointing(path: str, detector: str) -> Dict[str, Any]:
     """Ties and adjustment of a scene with seconds; ``detector`` is opencv or colmap, both on the CPU."""
-    from repm_qgis.sfm import keypoints
-
-    if detector != "opencv":
-        keypoints.best_detector = lambda *_: keypoints.ColmapSift("cpu")
+    keypoints = replace(POINTING.keypoints, colmap_on_cpu=detector == "colmap")
     scene = replace(SceneFile.load(path), refinement="polynomial")
     wall, before = time.perf_counter(), os.times()
-    found = pointed(scene)
+    found = pointed(scene, parameters=replace(POINTING, keypoints=keypoints))
     wall, after = time.perf_counter() - wall, os.times()
     pointing = {name: A.tolist() for name, A in found.adjusted.pointing.items()}
     cpu = sum(after[:4]) - sum(before[:4])

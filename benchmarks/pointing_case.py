@@ -20,6 +20,7 @@ from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import View, load_views
 from repm_qgis.sfm.ground_control import Gcp
 from repm_qgis.sfm.pair_selection import choose_pairs
+from repm_qgis.sfm.parameters import POINTING, PointingParameters
 from repm_qgis.sfm.pointing import Pointing, point_views
 from repm_qgis.simulation.rpc_fit import fit_rpc
 from repm_qgis.simulation.scene import SceneSpec, make_views, rpc_tags
@@ -117,10 +118,10 @@ def fitted(images: Sequence[str], workspace: Path) -> SceneFile:
     return replace(SceneFile.load(made["scene"]), refinement="polynomial")
 
 
-def pointed(scene: SceneFile, gcps: Sequence[Gcp] = (), model: str = "auto") -> Pointing:
+def pointed(scene: SceneFile, model: str = "auto", parameters: PointingParameters = POINTING) -> Pointing:
     pairs = choose_pairs(scene)
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
-    return point_views(scene, pairs, stretches, model, gcps, Silent())
+    return point_views(scene, pairs, stretches, model, (), Silent(), parameters=parameters)
 
 
 def shift_of(col: float, row: float) -> np.ndarray:

@@ -166,6 +166,8 @@ CPU_DETECTOR = OpenCvSift()
 
 def best_detector(parameters: KeypointParameters = POINTING.keypoints) -> Detector:
     """COLMAP's SIFT on the GPU where that works here, else OpenCV's on the CPU."""
+    if parameters.colmap_on_cpu:
+        return ColmapSift("cpu", parameters)
     installed = importlib.util.find_spec("pycolmap") is not None
     if installed and environment.cuda()["usable"] and answers("cuda", parameters):
         return ColmapSift("cuda", parameters)

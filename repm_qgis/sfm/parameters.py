@@ -59,6 +59,7 @@ class KeypointParameters(Parameters):
 
     contrast: float = 0.02  # least contrast of a keypoint over the layers of an octave, as OpenCV counts; chosen
     layers: int = 3  # of an octave (Lowe 2004)
+    colmap_on_cpu: bool = False  # COLMAP's SIFT without a GPU: more ties for more time; pointing tables, "Detectors"
     most_colmap: int = 32768  # keypoints of an image from COLMAP: above this number it keeps the coarse ones
     strength_window_px: int = 5  # window of the gradients that stand for the strength of COLMAP's keypoints; chosen
     gpu_workers: int = 4  # processes that share a GPU, each with a context of some hundred MiB there; chosen
