@@ -80,7 +80,8 @@ class ProjectiveFrame:
 
 def _mapped(matrix: FloatArray, points: FloatArray) -> FloatArray:
     homogeneous = np.asarray(points, dtype=np.float64) @ matrix[:, :3].T + matrix[:, 3]
-    return homogeneous[..., :3] / homogeneous[..., 3:]
+    mapped: FloatArray = homogeneous[..., :3] / homogeneous[..., 3:]
+    return mapped
 
 
 def _ray_slope(camera: PinholeCamera, origin: FloatArray) -> FloatArray:
@@ -89,7 +90,8 @@ def _ray_slope(camera: PinholeCamera, origin: FloatArray) -> FloatArray:
     ray = np.linalg.solve(camera.K @ camera.R, pixel)
     if abs(ray[2]) < 0.1 * np.linalg.norm(ray):
         raise RpcInvalidError("an image looks along the ground, not down at it: is it another image's RPC?")
-    return ray[:2] / ray[2]
+    slope: FloatArray = ray[:2] / ray[2]
+    return slope
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from ..progress import Progress
 from ..workspace import write_text
 from .parameters import COLMAP, PatchMatchParameters
 
-_ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 _POLL_S = 0.1
 _CONTEXT_BYTES = 600 << 20  # of CUDA itself
 # Bytes for each pixel, by the buffers that COLMAP 4.2 allocates. Reference: random states (twice, while they are
@@ -99,9 +99,13 @@ def bytes_allowed(gpu: Gpu, chosen: PatchMatchOptions, parameters: PatchMatchPar
 
 
 def run_patch_match(
-    workspace: str, options: Dict[str, Any], fusion: Optional[Dict[str, Any]], stop: threading.Event
+    workspace: str,
+    options: Dict[str, Any],
+    fusion: Optional[Dict[str, Any]],
+    stop: threading.Event,
+    root: Path = ROOT,
 ) -> None:
-    """Run patch match, and fusion if it has options, in a process of its own.
+    """Run patch match, and fusion if it has options, in a process of its own that finds the engine in ``root``.
 
     Raises DeviceError with COLMAP's own message where it fails, and Cancelled once ``stop`` is set.
     """
@@ -110,7 +114,7 @@ def run_patch_match(
     with open(log, "wb") as stream:
         process = subprocess.Popen(  # noqa: S603 - our own module, an argument list
             [sys.executable, "-m", "repm_qgis.colmap.process", job],
-            cwd=_ROOT,
+            cwd=root,
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,

@@ -229,7 +229,7 @@ def _fused(folder: str) -> FloatArray:
     """(N, 3) points that COLMAP's fusion has made; raises ImageError where they cannot be read."""
     path = os.path.join(folder, "fused.npy")
     try:
-        points = np.load(path, allow_pickle=False)
+        points: FloatArray = np.load(path, allow_pickle=False)
     except (OSError, ValueError) as error:
         raise ImageError(f"Cannot read COLMAP's fused points '{path}' ({error}): reconstruct again.") from error
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float64:

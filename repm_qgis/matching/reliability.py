@@ -96,7 +96,8 @@ def _unsupported(
     expected = (shown & ~matched.filled).astype(np.float32)
 
     def support(side: int) -> FloatImage:
-        return _box(score, side) / np.maximum(_box(expected, side), np.float32(1e-3))
+        mean: FloatImage = _box(score, side) / np.maximum(_box(expected, side), np.float32(1e-3))
+        return mean
 
     weak = shown & (support(parameters.support_px) < parameters.least_support)
     weak = _grown(weak, shown & (support(parameters.own_px) < parameters.own_support), parameters.growth_px)

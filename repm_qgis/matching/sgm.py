@@ -112,9 +112,10 @@ def _consistent(left: FloatImage, right: FloatImage, high: int, most_px: float) 
     rows = np.arange(left.shape[0])[:, None]
     columns = np.arange(left.shape[1], dtype=np.float32) - left + np.float32(high)
     target = np.rint(np.nan_to_num(columns, nan=-1.0)).astype(np.intp)
-    inside: Mask = (target >= 0) & (target < right.shape[1])
+    inside = (target >= 0) & (target < right.shape[1])
     with np.errstate(invalid="ignore"):
-        return inside & (np.abs(right[rows, np.where(inside, target, 0)] - left) <= most_px)
+        consistent: Mask = inside & (np.abs(right[rows, np.where(inside, target, 0)] - left) <= most_px)
+    return consistent
 
 
 def speckle_filter(

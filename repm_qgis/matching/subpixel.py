@@ -25,13 +25,11 @@ def subpixel_disparity(
     images show (half-quadratic splitting, Geman and Yang 1995). Unknown disparities stay unknown and have no weight.
     """
     step = _Step(first, second, high, _mean_of(np.isfinite(disparity), parameters.sigma_px), parameters)
-    operations = {
-        "step": step.moved,
-        "median": lambda image: _edge_preserving_median(image, parameters),
-        "mean": lambda image: _bilateral_mean(image, parameters),
-    }
-    for name in parameters.operations:
-        disparity = operations[name](disparity)
+    for operation in parameters.operations:
+        if operation == "step":
+            disparity = step.moved(disparity)
+        else:
+            disparity = (_edge_preserving_median if operation == "median" else _bilateral_mean)(disparity, parameters)
     return disparity
 
 
@@ -72,7 +70,8 @@ class _Step:
         covariance = mean(off * g) - mean_off * mean_g
         power = mean(g * g) - mean_g * mean_g
         noise = np.maximum(mean(off * off) - mean_off * mean_off, np.float32(self._parameters.least_noise))
-        return disparity - np.clip(covariance / (power + self._noise_share * noise), -most, most)
+        moved: FloatImage = disparity - np.clip(covariance / (power + self._noise_share * noise), -most, most)
+        return moved
 
 
 def _mean_of(known: Mask, sigma_px: float) -> Callable[[FloatImage], FloatImage]:

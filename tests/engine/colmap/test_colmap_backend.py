@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.colmap import runner as colmap_runner
 from repm_qgis.colmap import tile_matching
 from repm_qgis.colmap.depth_heights import depth_geometry
 from repm_qgis.colmap.parameters import COLMAP
 from repm_qgis.colmap.runner import (
+    ROOT,
     PatchMatchOptions,
     bytes_allowed,
     bytes_needed,
@@ -287,22 +287,22 @@ def test_stock_pycolmap_without_cuda_is_a_device_error(urban, tmp_path):
 
 
 @pytest.fixture
-def process(tmp_path, monkeypatch):
-    """process(code): what the engine starts runs this in COLMAP's place."""
+def process(tmp_path):
+    """process(code): where the engine is whose process runs this in COLMAP's place."""
 
     def make(code):
         (tmp_path / "repm_qgis" / "colmap").mkdir(parents=True)
         for name in ("repm_qgis/__init__.py", "repm_qgis/colmap/__init__.py"):
             (tmp_path / name).touch()
         (tmp_path / "repm_qgis" / "colmap" / "process.py").write_text(code)
-        monkeypatch.setattr(colmap_runner, "_ROOT", tmp_path)
+        return tmp_path
 
     return make
 
 
 def test_the_process_gets_its_job(tmp_path, process):
-    process("import shutil, sys\nshutil.copy(sys.argv[1], 'seen.json')\nprint('done')\n")
-    run_patch_match(str(tmp_path), {"gpu_index": "0", "depth_min": 1.0}, {"min_num_pixels": 2}, threading.Event())
+    root = process("import shutil, sys\nshutil.copy(sys.argv[1], 'seen.json')\nprint('done')\n")
+    run_patch_match(str(tmp_path), {"gpu_index": "0", "depth_min": 1.0}, {"min_num_pixels": 2}, threading.Event(), root)
     assert json.loads((tmp_path / "seen.json").read_text()) == {
         "workspace": str(tmp_path),
         "options": {"gpu_index": "0", "depth_min": 1.0},
@@ -312,18 +312,18 @@ def test_the_process_gets_its_job(tmp_path, process):
 
 
 def test_a_process_that_crashes_is_a_lost_gpu(tmp_path, process):
-    process("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
+    root = process("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
     with pytest.raises(DeviceError, match="GPU 2 was lost or refused the work \\('exit code -11'"):
-        run_patch_match(str(tmp_path), {"gpu_index": "2"}, None, threading.Event())
+        run_patch_match(str(tmp_path), {"gpu_index": "2"}, None, threading.Event(), root)
 
 
 def test_a_running_match_is_ended_by_cancel(tmp_path, process):
-    process("import time\ntime.sleep(60)\n")
+    root = process("import time\ntime.sleep(60)\n")
     stop = threading.Event()
     threading.Timer(0.5, stop.set).start()
     start = time.monotonic()
     with pytest.raises(Cancelled):
-        run_patch_match(str(tmp_path), {"gpu_index": "0"}, None, stop)
+        run_patch_match(str(tmp_path), {"gpu_index": "0"}, None, stop, root)
     assert time.monotonic() - start < 5
 
 
@@ -509,6 +509,6 @@ def test_the_process_says_what_is_wrong(tmp_path):
         [sys.executable, "-m", "repm_qgis.colmap.process", str(job)],
         capture_output=True,
         text=True,
-        cwd=colmap_runner._ROOT,
+        cwd=ROOT,
     )
     assert done.returncode and "no_such_option" in done.stderr
