@@ -1,18 +1,48 @@
-"""Point and polygon layers, written with OGR."""
+"""Vector layers, read and written with OGR."""
 
 from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any, Iterable, Mapping, Sequence, Tuple
+from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple
 
+import numpy as np
 from osgeo import gdal, ogr, osr
 
+from .arrays import FloatArray
 from .errors import WorkspaceError
 from .workspace import take_name, temporary_name
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
+
+
+def open_vector(path: str) -> Optional[gdal.Dataset]:
+    """A file or database of layers; None where it cannot be opened."""
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        return gdal.OpenEx(path, gdal.OF_VECTOR | gdal.OF_READONLY)
+    except RuntimeError:
+        return None
+    finally:
+        gdal.PopErrorHandler()
+
+
+def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatArray:
+    """(N, 2 + fields) x, y and numbers of the first layer's points that have them all, of at most ``most`` points.
+
+    Empty where the file cannot be read, or its layer lacks a field.
+    """
+    source, values = open_vector(path), []
+    if source is not None and source.GetLayerCount():
+        layer = source.GetLayer(0)
+        indices = [layer.GetLayerDefn().GetFieldIndex(name) for name in fields]
+        for feature, _ in zip(layer if min(indices) >= 0 else (), range(most)):
+            if all(feature.IsFieldSetAndNotNull(index) for index in indices):
+                point = feature.GetGeometryRef()
+                values.append((point.GetX(), point.GetY(), *map(feature.GetFieldAsDouble, indices)))
+        feature = layer = source = None  # noqa: F841 - in this order, or OGR's objects outlive their file
+    return np.array(values, dtype=np.float64).reshape(-1, 2 + len(fields))
 
 
 def write_layer(

@@ -7,17 +7,16 @@ from functools import lru_cache
 from typing import Any, List, Sequence
 
 import numpy as np
-from osgeo import ogr
 
 from ..arrays import FloatArray
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import apart_text
-from ..imagery.raster import quiet
 from ..progress import counted
 from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
 from ..sfm.parameters import POINTING
+from ..vector import read_points
 from . import charts
 from .gcp_accuracy import ErrorSummary
 from .report import Report, fixed
@@ -114,17 +113,17 @@ def _curves(report: Report, scene: Scene) -> None:
     if not len(found):
         return
     share = np.linspace(0, 100, len(found))
-    limit = float(np.percentile(found[:, :2], 98))
-    series = {"vendors' RPCs": (np.sort(found[:, 0]), share), "corrected": (np.sort(found[:, 1]), share)}
+    limit = float(np.percentile(found[:, 2:4], 98))
+    series = {"vendors' RPCs": (np.sort(found[:, 2]), share), "corrected": (np.sort(found[:, 3]), share)}
     labels, limits = ("residual of a tie point (px)", "tie points with less (%)"), (0.0, max(limit, 0.1))
     report.svg(
         charts.curves(series, *labels, xlim=limits, ylim=(0.0, 100.0)),
         "Tie points' residuals: the root mean square distance between measured and projected pixels.",
     )
-    row, azimuth = found[:, 2], np.radians(found[:, 3])
+    row, azimuth = found[:, 4], np.radians(found[:, 5])
     vectors = np.column_stack([row * np.sin(azimuth), -row * np.cos(azimuth)])
     report.svg(
-        charts.arrows(found[:, 4:] * (1, -1), vectors, "Vertical parallax after the correction", "px"),
+        charts.arrows(found[:, :2] * (1, -1), vectors, "Vertical parallax after the correction", "px"),
         "The vertical parallax that remains, at the tie points on the ground, north up (the layer of tie points has it "
         "in its field 'row'). Arrows in all directions are noise. Arrows that agree over a part of the scene are a "
         "trend, which POINTING=affine may remove.",
@@ -132,7 +131,7 @@ def _curves(report: Report, scene: Scene) -> None:
 
 
 def _read_ties(path: str) -> FloatArray:
-    """(N, 6) of the ties' layer: residual before and after, vertical parallax, its azimuth, x, y; empty without it."""
+    """(N, 6) of the ties' layer: x, y, residual before and after, vertical parallax, its azimuth; empty without it."""
     try:
         return _ties_of(path, os.stat(path).st_mtime_ns)
     except OSError:
@@ -141,23 +140,7 @@ def _read_ties(path: str) -> FloatArray:
 
 @lru_cache(maxsize=1)  # two pages of one run show them
 def _ties_of(path: str, changed_ns: int) -> FloatArray:
-    with quiet():
-        try:
-            source = ogr.Open(path)
-        except RuntimeError:
-            source = None
-        if source is None:
-            return np.empty((0, 6))
-        layer = source.GetLayer(0)
-        definition = layer.GetLayerDefn()
-        indices = [definition.GetFieldIndex(name) for name in ("before", "residual", "row", "direction")]
-        values = []
-        for feature, _ in zip(layer if min(indices) >= 0 else (), range(_MOST_TIES)):
-            if all(feature.IsFieldSetAndNotNull(index) for index in indices):
-                point = feature.GetGeometryRef()
-                values.append((*map(feature.GetFieldAsDouble, indices), point.GetX(), point.GetY()))
-        layer = source = None
-    return np.array(values, dtype=float).reshape(-1, 6)
+    return read_points(path, ("before", "residual", "row", "direction"), _MOST_TIES)
 
 
 def _pointing(report: Report, ties: PointingFigures) -> None:

@@ -8,12 +8,12 @@ from typing import List, Optional
 
 import numpy as np
 import pyproj
-from osgeo import gdal, ogr, osr
+from osgeo import ogr, osr
 
 from ..arrays import Bounds, FloatArray, FloatImage
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
-from ..imagery.raster import quiet
+from ..vector import open_vector
 from .coregistration import Alignment
 from .grids import Grid, HeightWarper, metres_per_unit
 
@@ -55,11 +55,7 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
     A line is named by its field ``name``, or else by its number. Raises InputTableError where there is no line.
     """
     file, _, name = path.partition("|layername=")
-    with quiet():
-        try:
-            source: Optional[gdal.Dataset] = gdal.OpenEx(file, gdal.OF_VECTOR)
-        except RuntimeError:
-            source = None
+    source = open_vector(file)
     layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
     if layer is None:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")

@@ -10,14 +10,14 @@ from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Seque
 
 import numpy as np
 import pyproj
-from osgeo import gdal, ogr
+from osgeo import ogr
 
 from ..arrays import FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
-from ..imagery.raster import quiet
 from ..scene import View
+from ..vector import open_vector
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
@@ -151,11 +151,7 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
 
 
 def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
-    with quiet():
-        try:
-            source = gdal.OpenEx(path, gdal.OF_VECTOR)
-        except RuntimeError:
-            source = None
+    source = open_vector(path)
     if source is None or source.GetLayerCount() < 1:
         raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
     layer = source.GetLayerByName(name) if name else source.GetLayer(0)
