@@ -8,7 +8,7 @@ import pytest
 from osgeo import gdal, ogr
 
 from repm_qgis.errors import WorkspaceError
-from repm_qgis.vector import write_layer
+from repm_qgis.vector import open_vector, read_points, write_layer
 
 FIELDS = {"name": str, "count": int, "height": float}
 
@@ -73,3 +73,12 @@ def test_an_exception_leaves_nothing_new_and_what_was_there(tmp_path):
     with pytest.raises(KeyError):
         write_layer(path, "EPSG:32631", ogr.wkbPoint, FIELDS, broken())
     assert os.listdir(tmp_path) == ["a.gpkg"] and open(path, "rb").read() == before
+
+
+def test_points_with_all_their_numbers_are_read(tmp_path):
+    path = write_layer(str(tmp_path / "a.gpkg"), "EPSG:32631", ogr.wkbPoint, FIELDS, features())
+    wanted = [[500000.0, 4800000.25, 0.0, 0.0], [500002.0, 4800000.25, 2.0, 1.0]]  # the second point has no height
+    assert read_points(path, ("count", "height")).tolist() == wanted
+    assert read_points(path, ("count",), most=2).shape == (2, 3)
+    assert read_points(path, ("absent",)).shape == read_points(str(tmp_path / "none.gpkg"), ("count",)).shape == (0, 3)
+    assert open_vector(str(tmp_path / "none.gpkg")) is None
