@@ -17,6 +17,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any, Optional
 
+from .errors import MissingPackageError
 from .memory import kernel_memory, physical_memory
 from .parallel import cores
 
@@ -216,6 +217,18 @@ def proj() -> dict[str, Any]:
         "grids": grids,
         "network": bool(network.is_network_enabled()),
     }
+
+
+def required_pycolmap(use: str, instead: str) -> Any:
+    """The module pycolmap; raises MissingPackageError, which names the use and what to choose instead, without it."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{use} the Python package 'pycolmap', which is not installed ({error}): run 'make setup' in the plugin's "
+            f"folder, or {instead}."
+        ) from error
+    return pycolmap
 
 
 def survey(folder: str = ".") -> dict[str, Any]:

@@ -13,22 +13,11 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 from typing import Any, Tuple
 
-from ..errors import MissingPackageError
+from ..environment import required_pycolmap
 from .formats import ExportFormat
 from .model import TileModel
 
 _GREY = (128, 128, 128)
-
-
-def require_pycolmap() -> None:
-    """Raises MissingPackageError where pycolmap is not installed."""
-    try:
-        import pycolmap  # noqa: F401
-    except ImportError as error:
-        raise MissingPackageError(
-            f"COLMAP models are written with the Python package 'pycolmap', which is not installed ({error}): run "
-            "'make setup' in the plugin's folder, or choose another FORMAT."
-        ) from error
 
 
 def write_colmap(model: TileModel, images: Tuple[str, ...], folder: Path) -> None:
@@ -38,19 +27,13 @@ def write_colmap(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
     made = pycolmap.Reconstruction()
     for number, (view, image) in enumerate(zip(model.views, images), start=1):
         K = view.corner_K
-        made.add_camera_with_trivial_rig(
-            pycolmap.Camera(
-                camera_id=number,
-                model="PINHOLE",
-                width=view.size[0],
-                height=view.size[1],
-                params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
-            )
-        )
+        params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        width, height = view.size
+        camera = pycolmap.Camera(camera_id=number, model="PINHOLE", width=width, height=height, params=params)
+        made.add_camera_with_trivial_rig(camera)
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t)
-        made.add_image_with_trivial_frame(
-            pycolmap.Image(image_id=number, camera_id=number, name=PurePosixPath(image).name), pose
-        )
+        shown = pycolmap.Image(image_id=number, camera_id=number, name=PurePosixPath(image).name)
+        made.add_image_with_trivial_frame(shown, pose)
     for xyz, residual in zip(model.points, model.residuals_px):
         number = made.add_point3D(xyz, pycolmap.Track(), _GREY)
         made.points3D[number].error = float(residual)
@@ -84,5 +67,5 @@ COLMAP = ExportFormat(
     ".png",
     write_colmap,
     mask=lambda image: f"masks/{PurePosixPath(image).name}.png",  # COLMAP looks for the image's whole name + .png
-    require=require_pycolmap,
+    require=lambda: required_pycolmap("COLMAP models are written with", "choose another FORMAT"),
 )

@@ -29,7 +29,7 @@ class ExportFormat:
     write: Callable[[TileModel, Tuple[str, ...], Path], None]
     mask: Callable[[str], str] = lambda image: ""
     prepare: Callable[[TileModel], TileModel] = lambda model: model
-    require: Callable[[], None] = lambda: None
+    require: Callable[[], object] = lambda: None
 
     def images(self, model: TileModel, bits: str) -> Tuple[str, ...]:
         """Relative paths of all views' images."""

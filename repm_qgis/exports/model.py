@@ -31,11 +31,11 @@ class ExportView:
     Attributes
     ----------
     camera : pixels of the exported image; K[0, 1] is 0, K[0, 0] and K[1, 1] are positive and need not be equal.
-    to_original : the exported image's pixels to the original's.
+    to_original : maps the exported image's pixels to the original's.
     size : width, height.
     depths : least and greatest depth of the ground that the image shows within the tile's altitudes, m.
     shift_px : (2,) how far relative pointing moved the principal point.
-    ground : (n, 3) what the image shows at the tile's lowest and highest altitude, in the frame.
+    ground : (n, 3) points that the image shows at the tile's lowest and highest altitude, in the frame.
     source : the refined 16-bit image with exactly these pixels; "" where it must be resampled.
     """
 
@@ -69,12 +69,12 @@ class ExportView:
 
     @property
     def depth_interval(self) -> float:
-        """The step in depth that is one pixel's footprint at the middle depth, m."""
+        """The step in depth: the footprint of one pixel at the middle depth, m."""
         return sum(self.depths) / 2 / float(np.sqrt(self.camera.K[0, 0] * self.camera.K[1, 1]))
 
     @property
     def depth_count(self) -> int:
-        """How many depths one interval apart, the least depth the first, reach the greatest depth."""
+        """The number of depths, one interval apart, from the least to the greatest depth."""
         return int(np.ceil((self.depths[1] - self.depths[0]) / self.depth_interval)) + 1
 
     def resampled(self, affinity: FloatArray, size: Size) -> "ExportView":
@@ -82,24 +82,19 @@ class ExportView:
         return self._seen_by(PinholeCamera(affinity @ self.camera.K, self.camera.R, self.camera.t), size)
 
     def centred(self) -> "ExportView":
-        """The view of the camera rotated towards the image's middle, with square pixels; only this is resampled."""
+        """The view of the camera rotated towards the image's middle, with square pixels."""
         return self._seen_by(*centred(self.camera, self.size))
 
     def _seen_by(self, camera: PinholeCamera, size: Size) -> "ExportView":
         """The view of another camera at the same projection centre."""
-        old = self.to_original
         here_from_there = self.camera.K @ self.camera.R @ np.linalg.inv(camera.K @ camera.R)
-        depths = self.depths
-        if not np.allclose(camera.R[2], self.camera.R[2], rtol=0, atol=1e-12):
-            depths = _range(camera, self.ground)
-        return replace(
-            self,
-            camera=camera,
-            size=size,
-            depths=depths,
-            source="",
-            to_original=lambda points: old(apply_homography(here_from_there, points)),
-        )
+        same_axis = np.allclose(camera.R[2], self.camera.R[2], rtol=0, atol=1e-12)
+        depths = self.depths if same_axis else _range(camera, self.ground)
+
+        def to_original(points: FloatArray) -> FloatArray:
+            return self.to_original(apply_homography(here_from_there, points))
+
+        return replace(self, camera=camera, size=size, depths=depths, source="", to_original=to_original)
 
 
 @dataclass(frozen=True)
@@ -147,17 +142,8 @@ def _export_view(scene: Scene, tile: Tile, name: str, refined: RefinedPinhole, i
     camera = refined.camera.moved(*-shift)
     places = np.concatenate([view.localise(original, altitude) for altitude in tile.altitudes])
     ground = scene.frame.from_geodetic(places[np.isfinite(places).all(axis=1)])
-    made = ExportView(
-        view=view,
-        camera=camera,
-        to_original=to_original.original_from_refined,
-        size=refined.size,
-        depths=_range(camera, ground),
-        error=refined.error,
-        shift_px=shift,
-        ground=ground,
-        source=image,
-    )
+    pixels, depths = to_original.original_from_refined, _range(camera, ground)
+    made = ExportView(view, camera, pixels, refined.size, depths, refined.error, shift, ground, image)
     if camera.K[1, 1] > 0:
         return made
     # A mirrored image has a negative focal length in K, which other software refuses: its rows are reversed.

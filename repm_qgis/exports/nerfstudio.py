@@ -33,17 +33,9 @@ def _mask(image: str) -> str:
 
 def _frame(view: ExportView, image: str) -> Dict[str, Any]:
     K = view.corner_K
-    return {
-        "file_path": image,
-        "mask_path": _mask(image),
-        "w": view.size[0],
-        "h": view.size[1],
-        "fl_x": float(K[0, 0]),
-        "fl_y": float(K[1, 1]),
-        "cx": float(K[0, 2]),
-        "cy": float(K[1, 2]),
-        "transform_matrix": world_from_opengl(view).tolist(),
-    }
+    files = {"file_path": image, "mask_path": _mask(image), "w": view.size[0], "h": view.size[1]}
+    intrinsics = zip(("fl_x", "fl_y", "cx", "cy"), map(float, (K[0, 0], K[1, 1], K[0, 2], K[1, 2])))
+    return {**files, **dict(intrinsics), "transform_matrix": world_from_opengl(view).tolist()}
 
 
 def write_nerfstudio(model: TileModel, images: Tuple[str, ...], folder: Path) -> None:

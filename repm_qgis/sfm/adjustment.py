@@ -394,12 +394,13 @@ class _Solution:
 
     @property
     def cover(self) -> Tuple[float, ...]:
-        """For each view that has ties, the lesser share of its width and height that they span."""
+        """For each view with ties, the share of its width or height that they span, whichever is smaller."""
         spans = []
         for i, view in enumerate(self.views):
             parts = [group.pixels[:, group.views.index(i)] for group in self.groups if i in group.views]
             if parts:
-                low, high = np.percentile(np.concatenate(parts), (2, 98), axis=0)
+                tail = self._parameters.cover_tail_percent
+                low, high = np.percentile(np.concatenate(parts), (tail, 100.0 - tail), axis=0)
                 spans.append(float(((high - low) / view.size).min()))
         return tuple(spans) or (0.0,)
 
@@ -408,21 +409,12 @@ class _Solution:
         for group in self.groups:
             ground[group.members] = group.ground
         pointing = {view.name: self._pointing(i) for i, view in enumerate(self.views)}
-        noise = self.control_noise_px if self.control else None
-        return Adjustment(
-            pointing,
-            self.model,
-            reason,
-            ground,
-            self._residuals(),
-            self.before,
-            self.rejected,
-            noise,
-            {view.name: view.size for view in self.views},
-        )
+        sizes = {view.name: view.size for view in self.views}
+        noise, residuals = self.control_noise_px if self.control else None, self._residuals()
+        return Adjustment(pointing, self.model, reason, ground, residuals, self.before, self.rejected, noise, sizes)
 
     def _pointing(self, i: int) -> FloatArray:
-        """(2, 3) affine map from the vendor's pixel to the real one."""
+        """(2, 3) affine map from the pixel of the vendor's RPC to the real one."""
         view, theta = self.views[i], self.corrections[i].reshape(2, -1)
         if self.model == "shift":
             return np.column_stack([np.eye(2), theta[:, 0]])

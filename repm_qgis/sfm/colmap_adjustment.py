@@ -20,7 +20,8 @@ import numpy as np
 
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import Bounds, FloatArray, Size
-from ..errors import EmptyResultError, MissingPackageError
+from ..environment import required_pycolmap
+from ..errors import EmptyResultError
 from ..geometry.centring import centred
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, projected_from_geodetic
@@ -78,7 +79,7 @@ def adjust_colmap(
 
     Raises MissingPackageError where pycolmap is not installed, EmptyResultError where no patch has enough ties.
     """
-    pycolmap = _pycolmap()
+    pycolmap = required_pycolmap("ADJUSTMENT colmap needs", "choose rpc")
     views = [view.with_pointing(np.eye(2, 3)) for view in scene.views]
     altitude = sum(scene.altitudes) / 2
     start = with_shifts(views, tracks, altitude, {view.name: np.zeros(2) for view in views}, "")
@@ -101,17 +102,6 @@ def adjust_colmap(
     ties = sum(patch.ties for patch in found)
     reason = f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches"
     return with_shifts(views, tracks, altitude, joined, reason)
-
-
-def _pycolmap() -> Any:
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise MissingPackageError(
-            f"ADJUSTMENT colmap needs the Python package 'pycolmap', which is not installed "
-            f"({error}): run 'make setup' in the plugin's folder, or choose rpc."
-        ) from error
-    return pycolmap
 
 
 def _tile_side(scene: Scene) -> float:
@@ -218,7 +208,7 @@ class _Model:
         return int(self._use.sum())
 
     def solve(self) -> Dict[int, FloatArray]:
-        """(2,) how far each view's principal point moves, px."""
+        """(2,) the move of each view's principal point, px."""
         parameters, scale = self._parameters, self._parameters.first_scale_px
         for _ in range(parameters.passes):
             residual = self._adjusted(scale)
@@ -280,20 +270,13 @@ class _Model:
             for i, pixel in pixels.items():
                 places[i].append(pixel + 0.5)
         for i, view in self._seen.items():
-            focal = view.camera.K[0, 0], view.camera.K[1, 1]
-            made.add_camera_with_trivial_rig(
-                pycolmap.Camera(
-                    camera_id=i + 1,
-                    model="PINHOLE",
-                    width=view.size[0],
-                    height=view.size[1],
-                    params=[*focal, *self._centre[i]],
-                )
-            )
-            made.add_image_with_trivial_frame(
-                pycolmap.Image(view.view.name, np.array(places[i]).reshape(-1, 2), i + 1, i + 1),
-                pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t),
-            )
+            params = [view.camera.K[0, 0], view.camera.K[1, 1], *self._centre[i]]
+            image = pycolmap.Image(view.view.name, np.array(places[i]).reshape(-1, 2), i + 1, i + 1)
+            pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t)
+            width, height = view.size
+            camera = pycolmap.Camera(camera_id=i + 1, model="PINHOLE", width=width, height=height, params=params)
+            made.add_camera_with_trivial_rig(camera)
+            made.add_image_with_trivial_frame(image, pose)
         for k in np.flatnonzero(self._use):
             track = pycolmap.Track([pycolmap.TrackElement(i + 1, place) for i, place in elements[k]])
             made.add_point3D_with_id(int(k) + 1, pycolmap.Point3D(xyz=self._points[k], track=track))

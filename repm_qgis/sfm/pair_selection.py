@@ -119,18 +119,9 @@ def _candidates(scene: Scene) -> List[ViewPair]:
     for first, second in combinations(scene.views, 2):
         shared = sum(first.name in tile.views and second.name in tile.views for tile in scene.tiles)
         if shared:
-            angle, ratio = convergence(first, second, scene.frame.lon, scene.frame.lat, altitude)
-            found.append(
-                ViewPair(
-                    first.name,
-                    second.name,
-                    angle,
-                    ratio,
-                    shared,
-                    _share(outlines[first.name], outlines[second.name], area),
-                    *_apart(scene, first, second),
-                )
-            )
+            angles = convergence(first, second, scene.frame.lon, scene.frame.lat, altitude)
+            share = _share(outlines[first.name], outlines[second.name], area)
+            found.append(ViewPair(first.name, second.name, *angles, shared, share, *_apart(scene, first, second)))
     return found
 
 

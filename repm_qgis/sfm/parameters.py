@@ -158,6 +158,7 @@ class AdjustmentParameters(Parameters):
     least_sigma_px: float = 0.05  # noise of tie points, at least
     affine_ties: int = 60  # fewer carry no affine correction
     affine_cover: float = 0.4  # share of an image's width and height that ties must span for one
+    cover_tail_percent: float = 2.0  # ties at either end that do not count for that span
     affine_control: int = 6  # control points that may ask for an affine correction where ties do not
     affine_gain: float = 0.9  # an affine correction must reduce the residuals below this share
     affine_limit: float = 3.0  # median residuals at which residuals are cut for the information criterion
