@@ -22,7 +22,7 @@ from benchmarks.tables import Details, Section, table
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
-from repm_qgis.imagery.acquisition import apart_text, moment, time_of_name
+from repm_qgis.imagery.acquisition import duration_text, moment, time_of_name
 from repm_qgis.progress import Silent
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene as SceneFile
@@ -300,7 +300,7 @@ def pair_selection() -> List[str]:
     rows = [
         [
             *(pair.first, pair.second, pair.angle_deg, pair.base_to_height, 100.0 * pair.share),
-            *(apart_text(pair.days), pair.sun_deg, pair_cost(pair)),
+            *(duration_text(pair.days), pair.sun_deg, pair_cost(pair)),
         ]
         for pair in pairs
     ]

@@ -4,7 +4,7 @@ An octree over a cube around the cloud. A node keeps one point of each of its 12
 to its eight children; a node with few points keeps them all. So every point is in exactly one node, and the upper nodes
 are an even sample of everything below.
 
-The cube's side is a power of two of the cloud's own steps (millimetres), and all is done on whole numbers: no point is
+The cube's side is a power of two of the cloud's own steps (millimetres), and all numbers are integers: no point is
 rounded again, and the same cloud gives the same files.
 
 References
@@ -274,20 +274,12 @@ class _Tree:
         cube, points = self._cube, self._statistics.count
         counts = dict(sorted(self._hierarchy.items(), key=lambda item: tuple(map(int, item[0].split("-")))))
         _write_json(self._folder / "ept-hierarchy" / "0-0-0-0.json", counts)
-        _write_json(
-            self._folder / "ept.json",
-            {
-                "version": "1.0.0",
-                "dataType": "laszip",
-                "hierarchyType": "json",
-                "span": 1 << _SPAN_BITS,
-                "points": points,
-                "bounds": cube.metres(cube.corner) + cube.metres(cube.corner + (1 << cube.bits)),
-                "boundsConforming": cube.metres(ends[0]) + cube.metres(ends[1]),
-                "schema": self._statistics.schema(cube),
-                "srs": _srs(crs),
-            },
-        )
+        about: Dict[str, Any] = {"version": "1.0.0", "dataType": "laszip", "hierarchyType": "json"}
+        about.update(span=1 << _SPAN_BITS, points=points)
+        about["bounds"] = cube.metres(cube.corner) + cube.metres(cube.corner + (1 << cube.bits))
+        about["boundsConforming"] = cube.metres(ends[0]) + cube.metres(ends[1])
+        about.update(schema=self._statistics.schema(cube), srs=_srs(crs))
+        _write_json(self._folder / "ept.json", about)
         low, high = np.percentile(self._sample, (2, 98))
         return EptFacts(points, len(counts), (float(low), float(high)))
 

@@ -29,7 +29,7 @@ class FuseTask:
 
     ``scene`` without its tiles; ``bounds`` are the tile's, ``window`` has the tile's cells in the whole ``grid``.
     ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. ``ortho_views`` are
-    those of the orthophoto, the most vertical first; ``cloud`` says whether points are wanted.
+    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept.
     """
 
     scene: Scene
@@ -48,7 +48,7 @@ class FuseTask:
 
 @dataclass(frozen=True)
 class FusedTile:
-    """A tile's own cells, and the points that agree with them (x, y, height, score) where a cloud is wanted.
+    """A tile's own cells, and the points that agree with them (x, y, height, score) if there is a cloud.
 
     ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
     within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.

@@ -129,19 +129,10 @@ def _write(path: str, lattice: _Lattice, vertices: int, faces: int) -> None:
 def _header(dataset: gdal.Dataset, vertices: int, faces: int) -> bytes:
     """MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT"."""
     heights = dataset.GetMetadataItem(TAG) or ELLIPSOID
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment crs: {dataset.GetProjection()}",
-        f"comment heights: metres above the {heights}",
-        f"element vertex {vertices}",
-        *(f"property double {axis}" for axis in "xyz"),
-        f"element face {faces}",
-        "property list uchar int vertex_indices",
-        "end_header",
-        "",
-    ]
-    return "\n".join(lines).encode("utf-8")
+    lines = ["ply", "format binary_little_endian 1.0", f"comment crs: {dataset.GetProjection()}"]
+    lines += [f"comment heights: metres above the {heights}", f"element vertex {vertices}"]
+    lines += [*(f"property double {axis}" for axis in "xyz"), f"element face {faces}"]
+    return "\n".join([*lines, "property list uchar int vertex_indices", "end_header", ""]).encode("utf-8")
 
 
 def _cells(heights: FloatImage) -> Tuple[IntArray, ...]:

@@ -74,7 +74,7 @@ def cloud_of(options: DsmFuseOptions, folder: str) -> Optional[str]:
 
 @dataclass(frozen=True)
 class _Products:
-    """The open files of the products, None for those that nobody wants; rasters hold the ``crop`` of the layout.
+    """The open files of the products, None for those that are not written; rasters hold the ``crop`` of the layout.
 
     ``whole`` has the heights of all tiles, ellipsoidal, where holes are filled: that needs heights of several tiles.
     """

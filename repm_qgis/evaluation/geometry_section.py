@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
-from ..imagery.acquisition import apart_text
+from ..imagery.acquisition import duration_text
 from ..progress import counted
 from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
@@ -41,7 +41,7 @@ def _pairs(report: Report, scene: Scene) -> None:
         overlap = overlap_percent(scene, pair.first, pair.second)
         accuracy = fixed(metres, POINTING.advice.matching_px * metres, decimals=2)
         figures = f"{pair.base_to_height:.2f}", f"{overlap:.0f}", *accuracy
-        times = apart_text(pair.days), "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.1f}°"
+        times = duration_text(pair.days), "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.1f}°"
         rows.append([pair.first, pair.second, f"{pair.angle_deg:.1f}°", *figures, *times])
     report.section("Pairs").table(
         "first | second | convergence | B/H | overlap, % | m of height per px | expected accuracy, m | taken apart | "

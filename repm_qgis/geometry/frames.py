@@ -54,14 +54,9 @@ class EnuFrame(Record):
     @property
     def _rotation(self) -> FloatArray:
         """(3, 3) rows are east, north and up in ECEF."""
-        lon, lat = np.radians(self.lon), np.radians(self.lat)
-        return np.array(
-            [
-                [-np.sin(lon), np.cos(lon), 0.0],
-                [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
-                [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
-            ]
-        )
+        (sin_lon, sin_lat), (cos_lon, cos_lat) = (f(np.radians([self.lon, self.lat])) for f in (np.sin, np.cos))
+        north = [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat]
+        return np.array([[-sin_lon, cos_lon, 0.0], north, [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat]])
 
     @property
     def _origin(self) -> FloatArray:

@@ -12,6 +12,8 @@ from ..arrays import FloatArray, Floats, IntArray, Mask
 from .cell_grid import CellGrid
 from .parameters import GRIDDING, GriddingParameters
 
+Parts = Tuple[IntArray, FloatArray, FloatArray, FloatArray]
+
 
 def surface_step(cell: float, parameters: GriddingParameters) -> float:
     """The difference in height, m, between points of a cell that belong to two surfaces."""
@@ -49,17 +51,13 @@ def grid_points(
         mixed = sums[2] / weights - heights**2 > (parameters.mixed * step) ** 2
     if mixed.any():
         parts = _splats_into(mixed, grid, points, footprint, parameters.surface_weight)
-        _largest_surfaces(*parts, step, heights, scores)
+        _largest_surfaces(parts, step, heights, scores)
     empty = weights < parameters.cell_weight
     heights[empty] = np.nan
     scores[empty] = np.nan
-    inner = np.s_[1:-1, 1:-1]
     shape = grid.shape[0] + 2, grid.shape[1] + 2
-    return (
-        heights.reshape(shape)[inner] + points.offset,
-        scores.reshape(shape)[inner].copy(),
-        weights.reshape(shape)[inner].copy(),
-    )
+    heights, scores, weights = (values.reshape(shape)[1:-1, 1:-1].copy() for values in (heights, scores, weights))
+    return heights + points.offset, scores, weights
 
 
 @dataclass(frozen=True)
@@ -86,14 +84,8 @@ def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, sc
     z = height.ravel()[known].astype(np.float64)
     # Squares of heights are summed: relative to the mean they keep their precision.
     offset = float(z.mean()) if z.size else 0.0
-    return _Points(
-        top * (grid.shape[1] + 2) + left,
-        column - left,
-        row - top,
-        z - offset,
-        np.nan_to_num(score.ravel()[known]).astype(np.float64),
-        offset,
-    )
+    cell, scores = top * (grid.shape[1] + 2) + left, np.nan_to_num(score.ravel()[known]).astype(np.float64)
+    return _Points(cell, column - left, row - top, z - offset, scores, offset)
 
 
 def _splats(
@@ -120,9 +112,7 @@ def _shares(after: FloatArray, footprint: float) -> Tuple[FloatArray, FloatArray
     return 1 - share, share
 
 
-def _splats_into(
-    mixed: Mask, grid: CellGrid, points: _Points, footprint: float, least_weight: float
-) -> Tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+def _splats_into(mixed: Mask, grid: CellGrid, points: _Points, footprint: float, least_weight: float) -> Parts:
     """(N,) cells, weights, heights and scores of all that points give to mixed cells, a point up to four times."""
     parts = []
     for cells, weight, chosen in _splats(grid, points, footprint):
@@ -132,20 +122,13 @@ def _splats_into(
     return cell, weights, heights, scores
 
 
-def _largest_surfaces(
-    cell: IntArray,
-    weight: FloatArray,
-    z: FloatArray,
-    score: FloatArray,
-    step: float,
-    heights: FloatArray,
-    scores: FloatArray,
-) -> None:
+def _largest_surfaces(parts: Parts, step: float, heights: FloatArray, scores: FloatArray) -> None:
     """Set the mixed cells' heights and scores to those of the surface with most weight, the upper where two have it.
 
     A surface is all points of the cell within a step in height. (Chains of points that lie close to each other would
     be joined by the wall between two surfaces.)
     """
+    cell, weight, z, score = parts
     if not cell.size:
         return
     # One number that sorts by cell, then height, with more than a step between the heights of two cells.

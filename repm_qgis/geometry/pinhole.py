@@ -7,6 +7,7 @@ local metric frame (ENU).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Tuple
 
 import numpy as np
 
@@ -68,6 +69,23 @@ def normaliser(points: FloatArray) -> FloatArray:
     return matrix
 
 
+def linear_transform(source: FloatArray, target: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    """(3, d+1) projective map of (N, d) to (N, 2) points by the normalised direct linear transform; singular values.
+
+    The design matrix's QR factor is decomposed instead of the matrix itself: same singular vectors, a hundredth of the
+    work. Raises RpcInvalidError where points are not finite.
+    """
+    T1, T2 = normaliser(source), normaliser(target)
+    X = np.column_stack([source, np.ones(len(source))]) @ T1.T
+    x = np.column_stack([target, np.ones(len(target))]) @ T2.T
+    zero = np.zeros_like(X)
+    design = np.concatenate([np.hstack([X, zero, -x[:, :1] * X]), np.hstack([zero, X, -x[:, 1:2] * X])])
+    if not np.isfinite(design).all():
+        raise RpcInvalidError("the RPC gives no finite pixels over the window and altitude range.")
+    _, values, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
+    return np.linalg.solve(T2, vectors[-1].reshape(3, -1) @ T1), values
+
+
 def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
     """Projection matrix by the normalised direct linear transform.
 
@@ -87,20 +105,11 @@ def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
 
     References
     ----------
-    Hartley and Zisserman, Multiple View Geometry, 2nd ed., algorithm 7.1. The design matrix's QR factor is
-    decomposed instead of the matrix itself: same singular vectors, a hundredth of the work.
+    Hartley and Zisserman, Multiple View Geometry, 2nd ed., algorithm 7.1.
     """
-    T3, T2 = normaliser(xyz_m), normaliser(col_row)
-    X = np.column_stack([xyz_m, np.ones(len(xyz_m))]) @ T3.T
-    x = np.column_stack([col_row, np.ones(len(col_row))]) @ T2.T
-    zero = np.zeros_like(X)
-    design = np.concatenate([np.hstack([X, zero, -x[:, :1] * X]), np.hstack([zero, X, -x[:, 1:2] * X])])
-    if not np.isfinite(design).all():
-        raise RpcInvalidError("the RPC gives no finite pixels over the window and altitude range.")
-    _, values, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
+    P, values = linear_transform(xyz_m, col_row)
     if values[-2] < 1e-12 * values[0]:
         raise RpcInvalidError("the window and altitude range are too small to determine a camera.")
-    P = np.linalg.solve(T2, vectors[-1].reshape(3, 4) @ T3)
     P /= np.linalg.norm(P[2, :3])
     depths = xyz_m @ P[2, :3] + P[2, 3]
     return P if np.median(depths) > 0 else -P

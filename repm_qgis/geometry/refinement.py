@@ -14,13 +14,12 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import OptionError, SceneError
 from .frames import EnuFrame
-from .pinhole import PinholeCamera, normaliser
+from .pinhole import PinholeCamera, linear_transform
 from .surface import Surface
 
 # Iterations end long before these limits: they only bound the time on points where a model fails.
-_INVERSE_STEPS = 20
+_STEPS = 20
 _INVERSE_TOLERANCE_PX = 1e-7
-_INTERSECTION_STEPS = 20
 _INTERSECTION_TOLERANCE_M = 1e-3  # 1e-5 px at the steepest parallax
 
 
@@ -77,7 +76,7 @@ class PolynomialMap:
         inverse = np.linalg.inv(linear)
         guess: FloatArray = (target - self.offset - self.coefficients[0]) @ inverse.T + self.offset
         error = np.full(target.shape[:-1], np.inf)
-        for _ in range(_INVERSE_STEPS):
+        for _ in range(_STEPS):
             residual = target - self.original_from_refined(guess)
             guess = guess + residual @ inverse.T
             error = np.abs(residual).max(axis=-1, initial=0.0)
@@ -94,13 +93,9 @@ class PolynomialMap:
         return PolynomialMap(self.order, self.offset - step, self.scale, coefficients)
 
     def to_mapping(self) -> dict[str, Any]:
-        return {
-            "kind": "polynomial",
-            "order": self.order,
-            "offset": self.offset.tolist(),
-            "scale": self.scale,
-            "coefficients": self.coefficients.tolist(),
-        }
+        offset, coefficients = self.offset.tolist(), self.coefficients.tolist()
+        facts = {"order": self.order, "offset": offset, "scale": self.scale, "coefficients": coefficients}
+        return {"kind": "polynomial", **facts}
 
 
 class SensorModel(Protocol):
@@ -139,7 +134,7 @@ class TerrainMap:
         centre, frame, surface = self.camera.centre, self.terrain.frame, self.terrain.surface
         # The frame's vertical is within a third of a degree of the local one: steps along it converge fast.
         distance = (surface.heights.mean() - frame.height - centre[2]) / rays[..., 2]
-        for _ in range(_INTERSECTION_STEPS):
+        for _ in range(_STEPS):
             ground = frame.to_geodetic(centre + distance[..., None] * rays)
             rise = surface.height(ground[..., 0], ground[..., 1]) - ground[..., 2]
             if not (np.abs(rise) > _INTERSECTION_TOLERANCE_M).any():
@@ -151,7 +146,7 @@ class TerrainMap:
         """(..., 2) original to (..., 2) refined pixels."""
         p = np.asarray(points, dtype=np.float64)
         height = np.full(p.shape[:-1], float(self.terrain.surface.heights.mean()))
-        for _ in range(_INTERSECTION_STEPS):
+        for _ in range(_STEPS):
             ground = self.terrain.sensor.localise(p, height)
             above = self.terrain.surface.height(ground[..., 0], ground[..., 1])
             rise = above - height
@@ -241,12 +236,6 @@ def fit_map(
 
 def _fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """Homography by the normalised direct linear transform (Hartley and Zisserman, algorithm 4.2)."""
-    T1, T2 = normaliser(source), normaliser(target)
-    X = np.column_stack([source, np.ones(len(source))]) @ T1.T
-    x = np.column_stack([target, np.ones(len(target))]) @ T2.T
-    zero = np.zeros_like(X)
-    design = np.concatenate([np.hstack([X, zero, -x[:, :1] * X]), np.hstack([zero, X, -x[:, 1:2] * X])])
-    _, _, vectors = np.linalg.svd(np.linalg.qr(design, mode="r"))
-    H = np.linalg.solve(T2, vectors[-1].reshape(3, 3) @ T1)
+    H, _ = linear_transform(source, target)
     homography: FloatArray = H / H[2, 2]
     return homography

@@ -1,1 +1,1 @@
-"""Windowed reading and writing of rasters, brightness, and warping."""
+"""Windowed reading and writing of rasters, the stretch of intensities, and warping."""

@@ -1,15 +1,15 @@
-"""When an image was taken: from the product's files beside it, its own metadata, or its name.
+"""When an image was taken: from the product's sidecar files, its own metadata, or its name.
 
 Best first:
 
-1. files beside it: Airbus's ``DIM_*.XML``, Maxar's ``.IMD`` and ``.XML``, Orfeo ToolBox's ``.geom``;
-2. what GDAL's readers of vendors' files found (``ACQUISITIONDATETIME`` in the domain IMAGERY);
+1. sidecar files: Airbus's ``DIM_*.XML``, Maxar's ``.IMD`` and ``.XML``, Orfeo ToolBox's ``.geom``;
+2. GDAL's readers of vendors' files (``ACQUISITIONDATETIME`` in the domain IMAGERY);
 3. a NITF's STDIDC and IDATIM, unless that is the constant that GDAL writes into files of its own;
-4. the name of the product, where the maker is known to write the time (UTC) into it.
+4. the name of the product, where the vendor is known to write the time (UTC) into it.
 
-TIFFTAG_DATETIME is not used: TIFF 6.0 defines it as the time when the *file* was made, in no time zone, and a wrong
-time is worse than none, which only leaves the choice of pairs to geometry. A time that cannot be read is unknown, never
-an error: nothing but advice and the choice of pairs rests on it.
+TIFFTAG_DATETIME is not used: TIFF 6.0 defines it as the time when the *file* was made, without a time zone, and a wrong
+time is worse than none: without times, pairs are chosen by geometry only. A time that cannot be read is unknown, never
+an error: only advice and the choice of pairs use it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from osgeo import gdal
 
 from ..errors import RpcError
 from ..rpc.formats import sidecar_text, xml_texts
-from ..rpc.readers import names_beside, product_of
+from ..rpc.readers import files_in_folder, product_of
 
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _FIRST_YEAR, _LAST_YEAR = 1972, 2100
@@ -45,7 +45,7 @@ _GEOM = re.compile(r"^support_data\.(time_range_start|image_date):\s*(\S{1,40})"
 
 
 def acquired(dataset: gdal.Dataset, path: str) -> str:
-    """When an opened image was taken, as ISO 8601 in UTC with milliseconds; "" where nothing tells."""
+    """When an opened image was taken, as ISO 8601 in UTC with milliseconds; "" where it is unknown."""
     for text in _candidates(dataset, path):
         found = moment(text)
         if found is not None:
@@ -56,8 +56,8 @@ def acquired(dataset: gdal.Dataset, path: str) -> str:
 def moment(text: str) -> Optional[datetime]:
     """A time in UTC from ISO 8601, ``CCYYMMDDhhmmss`` (more digits are fractions) or NITF 2.0's ``DDHHMMSSZMONYY``.
 
-    None for anything else, for days that the calendar lacks, and for years outside 1972 to 2100. A time without a zone
-    is UTC, as it is in all products we know.
+    None for anything else, for days that do not exist, and for years outside 1972 to 2100. A time without a zone is
+    UTC, as in all products that we know.
     """
     text = str(text)[:64].strip()
     old = _NITF20.fullmatch(text)
@@ -82,7 +82,7 @@ def moment(text: str) -> Optional[datetime]:
 
 
 def time_of_name(path: str) -> str:
-    """The time in a product's file name, in a form that :func:`moment` reads; "" where the name is of no known kind."""
+    """The time in a product's file name, in a form that :func:`moment` reads; "" for names of other kinds."""
     stem = Path(path).stem
     for pattern in _IN_NAMES:
         match = pattern.search(stem)
@@ -92,28 +92,23 @@ def time_of_name(path: str) -> str:
     return f"20{match[1]}{_MONTHS.index(match[2]) + 1:02d}{match[3]}{match[4]}" if match else ""
 
 
-def time_files_beside(path: str) -> List[str]:
-    """Files beside an image that may tell when it was taken, as they are named after it, whole products' first."""
+def time_sidecars(path: str) -> List[str]:
+    """Sidecar files that may state when an image was taken, by their names, those of whole products first."""
     image = Path(path)
     core, stem = product_of(image), image.stem
-    # Pleiades Neo's images name their band after what the product's own file is called.
-    wanted = [
-        f"DIM_{core}.XML",
-        f"DIM_{re.sub(r'_[A-Za-z-]+$', '', core)}.XML",
-        f"{stem}.IMD",
-        f"{stem}.XML",
-        f"{stem}.geom",
-    ]
-    there = names_beside(image)
+    # Names of Pleiades Neo's images have the band after the name that the product's own file has.
+    products = (core, re.sub(r"_[A-Za-z-]+$", "", core))
+    names = [*(f"DIM_{name}.XML" for name in products), *(f"{stem}{ending}" for ending in (".IMD", ".XML", ".geom"))]
+    there = files_in_folder(image)
     return [
         str(image.with_name(name))
-        for key in dict.fromkeys(name.lower() for name in wanted)
+        for key in dict.fromkeys(name.lower() for name in names)
         for name in there.get(key, ())
     ]
 
 
-def apart_text(days: Optional[float]) -> str:
-    """A time between two images as people say it; "unknown" for None."""
+def duration_text(days: Optional[float]) -> str:
+    """A time between two images in a suitable unit; "unknown" for None."""
     if days is None:
         return "unknown"
     for unit, seconds, most in (("s", 1, 120), ("min", 60, 120), ("h", 3600, 48)):
@@ -123,11 +118,11 @@ def apart_text(days: Optional[float]) -> str:
 
 
 def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
-    """Texts that may be the time, best first; the files are opened only as far as they are needed."""
-    for file in time_files_beside(path):
+    """Texts that may be the time, best first; files are opened only when they are needed."""
+    for file in time_sidecars(path):
         try:
             yield from _in_file(file)
-        except RpcError:  # too large, no text, no whole XML: then it tells nothing
+        except RpcError:  # too large, or not a text or XML
             continue
     yield dataset.GetMetadataItem("ACQUISITIONDATETIME", "IMAGERY") or ""
     for key in ("NITF_STDIDC_ACQUISITION_DATE", "NITF_IDATIM"):

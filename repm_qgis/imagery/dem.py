@@ -83,19 +83,10 @@ def make_surface(
         crs = _crs_of(dataset, path)
         with quiet():
             # Two-dimensional, so that GDAL does not shift the heights by itself.
-            warped = gdal.Warp(
-                "",
-                dataset,
-                format="MEM",
-                srcSRS=flat_crs(crs).to_wkt(),
-                dstSRS="EPSG:4326",
-                outputBounds=bounds,
-                width=width,
-                height=height,
-                resampleAlg="average",
-                dstNodata=NODATA,
-                outputType=gdal.GDT_Float32,
-            )
+            systems = {"srcSRS": flat_crs(crs).to_wkt(), "dstSRS": "EPSG:4326"}
+            grid = {"outputBounds": bounds, "width": width, "height": height, "resampleAlg": "average"}
+            kind = {"format": "MEM", "dstNodata": NODATA, "outputType": gdal.GDT_Float32}
+            warped = gdal.Warp("", dataset, **systems, **grid, **kind)
         if warped is None or not np.isfinite(read(warped)).any():
             raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does.")
         with quiet():
@@ -106,14 +97,8 @@ def make_surface(
     heights = np.where(np.isfinite(heights), heights, np.nanmean(heights))
     if vertical_part(crs):
         heights += _undulation(crs, path, bounds, (height, width))
-    return write(
-        target,
-        [heights.astype(np.float32)],
-        transform,
-        pyproj.CRS("EPSG:4326").to_wkt(),
-        descriptions=("height above the WGS 84 ellipsoid (m)",),
-        unit="m",
-    )
+    wkt, names = pyproj.CRS("EPSG:4326").to_wkt(), ("height above the WGS 84 ellipsoid (m)",)
+    return write(target, [heights.astype(np.float32)], transform, wkt, descriptions=names, unit="m")
 
 
 def _undulation(
@@ -149,11 +134,10 @@ def _window_values(dataset: gdal.Dataset, path: str, points: FloatArray, most: i
     cells = np.array(
         [gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in points if np.isfinite(x) and np.isfinite(y)]
     )
-    if not len(cells):
-        raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
-    low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(cells.max(axis=0)).astype(int) + 1, (dataset.RasterXSize, dataset.RasterYSize))
-    if (high <= low).any():
+    if len(cells):
+        low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - 1, 0)
+        high = np.minimum(np.ceil(cells.max(axis=0)).astype(int) + 1, (dataset.RasterXSize, dataset.RasterYSize))
+    if not len(cells) or (high <= low).any():
         raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
     window = Window.spanning(*map(int, (*low, *high)))
     values = read(dataset, window, 1, (min(window.width, most), min(window.height, most)))

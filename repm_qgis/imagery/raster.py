@@ -1,6 +1,6 @@
 """Opening, reading and writing rasters by window, with GDAL.
 
-Nothing here changes GDAL's global state: the engine may run inside somebody's desktop.
+Nothing here changes GDAL's global state: the engine may run inside QGIS.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def read(
         )
     nodata = handle.GetNoDataValue()
     result: FloatImage = values.astype(np.float32)
-    if handle.GetMaskFlags() & gdal.GMF_PER_DATASET:  # an alpha or mask band, in the file or beside it
+    if handle.GetMaskFlags() & gdal.GMF_PER_DATASET:  # an alpha or mask band, in the file or in a sidecar file
         with quiet():
             hidden = handle.GetMaskBand().ReadAsArray(col, row, width, height, *(size or ()))
         if hidden is not None:
@@ -159,6 +159,31 @@ class RasterWriter:
 
     def __init__(self, dataset: gdal.Dataset, path: str) -> None:
         self._dataset, self._path = dataset, path
+
+    def describe(
+        self,
+        geotransform: Optional[Sequence[float]],
+        crs_wkt: str,
+        nodata: Optional[float],
+        descriptions: Sequence[str],
+        metadata: Mapping[str, object],
+        unit: str,
+    ) -> None:
+        """Set the place on the ground, and the facts of all bands."""
+        if geotransform is not None:
+            self._dataset.SetGeoTransform(list(geotransform))
+        if crs_wkt:
+            self._dataset.SetProjection(crs_wkt)
+        if metadata:
+            self._dataset.SetMetadata({name: str(value) for name, value in metadata.items()})
+        for index in range(self._dataset.RasterCount):
+            handle = self._dataset.GetRasterBand(index + 1)
+            if nodata is not None:
+                handle.SetNoDataValue(nodata)
+            if index < len(descriptions):
+                handle.SetDescription(descriptions[index])
+            if unit:
+                handle.SetUnitType(unit)
 
     def write(self, values: NDArray[Any], col: int = 0, row: int = 0, band: int = 1, keep: bool = False) -> None:
         """Write (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError.
@@ -243,7 +268,7 @@ def created(
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
     writer = RasterWriter(_create(temporary, path, shape, dtype, bands, compress, own), path)
     try:
-        _describe(writer._dataset, geotransform, crs_wkt, nodata, descriptions, metadata, unit)
+        writer.describe(geotransform, crs_wkt, nodata, descriptions, metadata or {}, unit)
         yield writer
         writer.flush()
         writer.close()
@@ -260,15 +285,8 @@ def created(
 
 def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any]) -> None:
     """Copy a raster as a Cloud Optimized GeoTIFF, with overviews."""
-    options = [
-        "COMPRESS=DEFLATE",
-        "LEVEL=1",
-        f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}",
-        "OVERVIEWS=IGNORE_EXISTING",
-        "RESAMPLING=AVERAGE",
-        "BLOCKSIZE=256",
-        "BIGTIFF=IF_SAFER",
-    ]
+    options = ["COMPRESS=DEFLATE", "LEVEL=1", f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}"]
+    options += ["OVERVIEWS=IGNORE_EXISTING", "RESAMPLING=AVERAGE", "BLOCKSIZE=256", "BIGTIFF=IF_SAFER"]
     with opened(source) as dataset:
 
         def copy() -> Optional[bool]:
@@ -293,31 +311,6 @@ def _create(
     if dataset is None:
         raise WorkspaceError(f"Cannot write '{path}': {reason}. Choose a folder that can be written.")
     return dataset
-
-
-def _describe(
-    dataset: gdal.Dataset,
-    geotransform: Optional[Sequence[float]],
-    crs_wkt: str,
-    nodata: Optional[float],
-    descriptions: Sequence[str],
-    metadata: Optional[Mapping[str, object]],
-    unit: str,
-) -> None:
-    if geotransform is not None:
-        dataset.SetGeoTransform(list(geotransform))
-    if crs_wkt:
-        dataset.SetProjection(crs_wkt)
-    if metadata:
-        dataset.SetMetadata({name: str(value) for name, value in metadata.items()})
-    for index in range(1, dataset.RasterCount + 1):
-        handle = dataset.GetRasterBand(index)
-        if nodata is not None:
-            handle.SetNoDataValue(nodata)
-        if index <= len(descriptions):
-            handle.SetDescription(descriptions[index - 1])
-        if unit:
-            handle.SetUnitType(unit)
 
 
 def _meanings(dataset: gdal.Dataset) -> List[int]:

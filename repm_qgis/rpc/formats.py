@@ -1,9 +1,9 @@
-"""One parser a format of RPC files, chosen by what the file holds and never by its name.
+"""One parser for each format of RPC files, chosen by the content of the file and never by its name.
 
-Each parser turns a text into the texts of RPC00B's members under GDAL's names (``LINE_OFF`` ... ``SAMP_DEN_COEFF``);
-:func:`rpc_from_texts` makes numbers of them, in one place and strictly. All files are untrusted: sizes, lines, nesting
-and counts are bounded, XML declares no DOCTYPE and no entities, a member that is missing or there twice is an error,
-and a model that does not see its own centre is none.
+Each parser finds the texts of RPC00B's members under GDAL's names (``LINE_OFF`` ... ``SAMP_DEN_COEFF``);
+:func:`rpc_from_texts` converts them to numbers, in one place and strictly. All files are untrusted: sizes, lines,
+nesting and counts are bounded, XML must not declare a DOCTYPE or entities, a member that is missing or present twice is
+an error, and a model that does not project its own centre is rejected.
 
 Pixels of an :class:`~repm_qgis.rpc.model.Rpc` count from (0, 0) at the first pixel's centre. So do all formats here
 but DIMAP v2 (Pleiades, SPOT 6 and 7), which counts from 1; DIMAP v3 (Pleiades Neo) counts from 0 (GDAL issue 5716).
@@ -20,13 +20,17 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Seque
 import numpy as np
 from osgeo import gdal
 
+from ..arrays import FloatArray
 from ..errors import RpcInvalidError, RpcMissingError
 from .model import Rpc
 
+Node = List[Any]
+"""An XML node as GDAL gives it: [kind, text, child, child, ...]."""
 Texts = Dict[str, str]
-"""RPC00B's members under GDAL's names, as they stand in the file."""
+"""RPC00B's members under GDAL's names, as the file has them."""
 
-MAX_FILE_BYTES = 8 << 20  # Maxar's XML holds the orbit too
+# Bounds against hostile files, far above what real ones have.
+MAX_FILE_BYTES = 8 << 20  # Maxar's XML contains the orbit too
 _MAX_TEXT = 1 << 20
 _MAX_LINE = 4096
 _MAX_LINES = 20_000
@@ -37,22 +41,10 @@ _ROUND_TRIP_PX = 1e-3
 _REACH = 3.0  # of the ground's normalisers, for the middle half of the pixels; 1.02 is the most in the files we know
 
 # Our member, and GDAL's key for it.
-GDAL_KEYS = {
-    "row_off": "LINE_OFF",
-    "row_scale": "LINE_SCALE",
-    "col_off": "SAMP_OFF",
-    "col_scale": "SAMP_SCALE",
-    "lat_off": "LAT_OFF",
-    "lat_scale": "LAT_SCALE",
-    "lon_off": "LONG_OFF",
-    "lon_scale": "LONG_SCALE",
-    "height_off": "HEIGHT_OFF",
-    "height_scale": "HEIGHT_SCALE",
-    "row_num": "LINE_NUM_COEFF",
-    "row_den": "LINE_DEN_COEFF",
-    "col_num": "SAMP_NUM_COEFF",
-    "col_den": "SAMP_DEN_COEFF",
-}
+_GDAL_NAMES = {"row": "LINE", "col": "SAMP", "lat": "LAT", "lon": "LONG", "height": "HEIGHT"}
+GDAL_KEYS = {f"{ours}_{end}": f"{name}_{end.upper()}" for ours, name in _GDAL_NAMES.items() for end in ("off", "scale")}
+for _axis in ("row", "col"):
+    GDAL_KEYS.update({f"{_axis}_{part}": f"{_GDAL_NAMES[_axis]}_{part.upper()}_COEFF" for part in ("num", "den")})
 _SCALARS = tuple(key for key in GDAL_KEYS.values() if not key.endswith("COEFF"))
 _POLYNOMIALS = tuple(key for key in GDAL_KEYS.values() if key.endswith("COEFF"))
 _INVERSE = ("LAT_NUM_COEFF", "LAT_DEN_COEFF", "LONG_NUM_COEFF", "LONG_DEN_COEFF")
@@ -71,7 +63,7 @@ _FROM_RPC00A = (0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 7, 11, 14, 17, 12, 15, 18, 13, 16
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundRpc:
     """An RPC and the name of the format that it was read from."""
 
     rpc: Rpc
@@ -100,7 +92,7 @@ def rpc_from_texts(texts: Mapping[str, str], first_pixel: float = 0.0) -> Rpc:
 
 
 def _short(text: object) -> str:
-    """A text of a file as a message may show it: one line, printable, not long."""
+    """A text of a file as messages may show it: one line, printable, not long."""
     line = " ".join(str(text)[:400].split())[:60]
     return "".join(letter if letter.isprintable() else "?" for letter in line)
 
@@ -126,12 +118,12 @@ def _scalar(text: str, key: str) -> float:
 
 def _series(text: str, key: str) -> Tuple[float, ...]:
     if len(text) > 20 * _MAX_LINE:
-        raise RpcInvalidError(f"its {key} has {len(text)} characters, which twenty numbers never need.")
+        raise RpcInvalidError(f"its {key} has {len(text)} characters, more than twenty numbers need.")
     return tuple(_number(word, key) for word in text.split())
 
 
 def checked(rpc: Rpc) -> Rpc:
-    """The RPC itself, if its centre and the pixels around it can be found on the ground; raises RpcInvalidError."""
+    """The RPC itself, if its centre and the pixels around it can be localised; raises RpcInvalidError."""
     unit = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
     pixels = unit * [rpc.col_scale, rpc.row_scale] + [rpc.col_off, rpc.row_off]
     with np.errstate(all="ignore"):
@@ -141,21 +133,22 @@ def checked(rpc: Rpc) -> Rpc:
         areas = _signed_areas(ground)
     if not (error < _ROUND_TRIP_PX and reach.max() < _REACH and ((areas > 0).all() or (areas < 0).all())):
         raise RpcInvalidError(
-            "its numbers are no sensor model: the pixels around its centre are not found on the "
-            "ground around its centre."
+            "its numbers are not a sensor model: the pixels around its centre are not found on the ground around its "
+            "centre."
         )
     return rpc
 
 
-def _signed_areas(ground: np.ndarray) -> np.ndarray:
+def _signed_areas(ground: FloatArray) -> FloatArray:
     """Areas of the four cells between 3 x 3 ground points; a model that folds over gives both signs."""
     grid = ground[:, :2].reshape(3, 3, 2)
     right, down = grid[:-1, 1:] - grid[:-1, :-1], grid[1:, :-1] - grid[:-1, :-1]
-    return (right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]).ravel()
+    areas: FloatArray = (right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]).ravel()
+    return areas
 
 
 def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1) -> Iterator[Tuple[str, str]]:
-    """(name, twenty numbers) of polynomials that are given as NAME_first ... or, in one piece, as NAME."""
+    """(name, twenty numbers) of polynomials that are given as NAME_first ... or together as NAME."""
     for name in names:
         given = {
             int(key[len(name) + 1 :]): text
@@ -163,7 +156,7 @@ def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1
             if re.fullmatch(r"_\d{1,3}", key[len(name) :], re.ASCII) and key.startswith(name)
         }
         if name in found and given:
-            raise RpcInvalidError(f"its {name} is there in one piece and number by number.")
+            raise RpcInvalidError(f"its {name} is given both together and number by number.")
         if name in found:
             yield name, found[name]
             continue
@@ -180,7 +173,7 @@ def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1
 
 def _add(found: Dict[str, str], key: str, text: str) -> None:
     if key in found:
-        raise RpcInvalidError(f"its {key} is there twice.")
+        raise RpcInvalidError(f"its {key} is given twice.")
     found[key] = text
 
 
@@ -188,8 +181,8 @@ def _add(found: Dict[str, str], key: str, text: str) -> None:
 
 
 def _parse_key_value(text: str) -> Rpc:
-    """``LINE_OFF: 5124.00 pixels`` line by line; WHU-TLC adds the 80 coefficients of the inverse model, which we check
-    for being whole and leave alone, for ours is found from the forward one."""
+    """``LINE_OFF: 5124.00 pixels`` line by line. WHU-TLC adds the 80 coefficients of the inverse model: they must be
+    complete but are not used, because ours is found from the forward model."""
     found: Dict[str, str] = {}
     lines = text.splitlines()
     for number, line in enumerate(lines):
@@ -222,11 +215,11 @@ def _plain_index(key: str) -> str:
 
 
 def _refuse_correction(lines: Sequence[str]) -> None:
-    """Six affine numbers that some software appends to correct the RPC in the image; all zero is no correction."""
+    """Six affine numbers that some software appends to correct the RPC in the image; all zeros are no correction."""
     numbers = [word for line in lines for word in re.split(r"[\s:=]+", line) if _NUMBER.fullmatch(word)]
     if len(numbers) < 6 or any(_number(word, "RFM_CORRECTION_PARAMETERS") != 0 for word in numbers):
         raise RpcInvalidError(
-            "it has RFM_CORRECTION_PARAMETERS, which are not understood: remove them, or use the vendor's file."
+            "it has RFM_CORRECTION_PARAMETERS, which are not supported: remove them, or use the vendor's file."
         )
 
 
@@ -241,7 +234,7 @@ def _parse_geom(text: str) -> Rpc:
         if re.fullmatch(r"adjustment_\d+\.adj_param_\d+\.(parameter|center)", key):
             if not _NUMBER.fullmatch(value) or float(_number(value, key)) != 0:
                 raise RpcInvalidError(
-                    f"its {key} is '{_short(value)}': adjusted models are not understood, use the vendor's file."
+                    f"its {key} is '{_short(value)}': adjusted models are not supported, use the vendor's file."
                 )
         elif re.sub(r"_\d+$", "", key.upper()) in _SCALARS + _POLYNOMIALS + ("POLYNOMIAL_FORMAT",):
             _add(found, _plain_index(key.upper()), value)
@@ -257,17 +250,8 @@ def _parse_geom(text: str) -> Rpc:
 
 # --- DigitalGlobe's .RPB --------------------------------------------------------------------------------------------
 
-_MAXAR_SCALARS = {
-    f"{ours}_{end}": f"{theirs}{name}"
-    for ours, theirs in (("LINE", "line"), ("SAMP", "samp"), ("LAT", "lat"), ("LONG", "long"), ("HEIGHT", "height"))
-    for end, name in (("OFF", "Offset"), ("SCALE", "Scale"))
-}
-_MAXAR_SERIES = {
-    "LINE_NUM_COEFF": "lineNumCoef",
-    "LINE_DEN_COEFF": "lineDenCoef",
-    "SAMP_NUM_COEFF": "sampNumCoef",
-    "SAMP_DEN_COEFF": "sampDenCoef",
-}
+_MAXAR_SCALARS = {key: key.split("_")[0].lower() + ("Offset" if key.endswith("OFF") else "Scale") for key in _SCALARS}
+_MAXAR_SERIES = {key: f"{key[:4].lower()}{key[5:8].capitalize()}Coef" for key in _POLYNOMIALS}
 
 
 def _parse_rpb(text: str) -> Rpc:
@@ -275,15 +259,15 @@ def _parse_rpb(text: str) -> Rpc:
     head, begun, body = text.partition("BEGIN_GROUP")
     body, ended, tail = body.partition("END_GROUP")
     if not begun or not ended:
-        raise RpcInvalidError("its group IMAGE is not whole.")
+        raise RpcInvalidError("its group IMAGE is not complete.")
     if "BEGIN_GROUP" in tail or "BEGIN_GROUP" in body:
         raise RpcInvalidError("it has more than one group.")
     body = body.partition("\n")[2]
-    wanted = {theirs: ours for ours, theirs in {**_MAXAR_SCALARS, **_MAXAR_SERIES}.items()}
+    members = {theirs: ours for ours, theirs in {**_MAXAR_SCALARS, **_MAXAR_SERIES}.items()}
     texts: Texts = {}
     for statement in body.split(";"):
         key, equals, value = statement.partition("=")
-        ours = wanted.get(key.strip())
+        ours = members.get(key.strip())
         if not equals or ours is None:
             continue
         _add(texts, ours, _without_brackets(value.strip(), ours) if ours in _MAXAR_SERIES else value.strip())
@@ -292,18 +276,18 @@ def _parse_rpb(text: str) -> Rpc:
 
 def _without_brackets(value: str, key: str) -> str:
     if not (value.startswith("(") and value.endswith(")")):
-        raise RpcInvalidError(f"its {key} does not stand in brackets.")
+        raise RpcInvalidError(f"its {key} is not in brackets.")
     words = [word.split() for word in value[1:-1].split(",")]
     if any(len(word) != 1 for word in words):
-        raise RpcInvalidError(f"its {key} is not a list of numbers between commas.")
+        raise RpcInvalidError(f"its {key} is not a list of numbers with commas.")
     return " ".join(word[0] for word in words)
 
 
 # --- XML: Airbus's DIMAP and Maxar's ISD ----------------------------------------------------------------------------
 
 
-def _tree(text: str) -> list:
-    """GDAL's tree of a bounded XML text: [kind, text, child, child, ...]; raises RpcInvalidError."""
+def _tree(text: str) -> Node:
+    """GDAL's tree of a bounded XML text; raises RpcInvalidError."""
     if re.search(r"<!(?!--|\[CDATA\[)", text):
         raise RpcInvalidError("it declares a DOCTYPE or entities, which no RPC file needs.")
     if text.count("<") + text.count("=") > _MAX_XML_MARKS:
@@ -316,8 +300,8 @@ def _tree(text: str) -> list:
     gdal.ErrorReset()
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        # GDAL's parser takes characters apart into bytes, and its Python binding crashes on references to characters
-        # that are none (&#xD800;). All that we look for is plain ASCII.
+        # GDAL's parser splits characters into bytes, and its Python binding crashes on references to invalid
+        # characters (&#xD800;). All texts that we look for are plain ASCII.
         tree = gdal.ParseXMLString(text.encode("ascii", "replace").decode("ascii").replace("&", "?"))
         reason = gdal.GetLastErrorMsg()
     except (RuntimeError, SystemError, UnicodeError) as error:
@@ -325,17 +309,18 @@ def _tree(text: str) -> list:
     finally:
         gdal.PopErrorHandler()
     if not tree:
-        raise RpcInvalidError(f"it is not whole XML ({_short(reason)}).")
-    return tree
+        raise RpcInvalidError(f"it is not complete XML ({_short(reason)}).")
+    found: Node = tree
+    return found
 
 
-def _elements(node: list, name: Optional[str] = None) -> List[list]:
+def _elements(node: Node, name: Optional[str] = None) -> List[Node]:
     """The child elements of a node, those of one name or all."""
     return [child for child in node[2:] if child[0] == gdal.CXT_Element and name in (None, child[1].rpartition(":")[2])]
 
 
-def _anywhere(tree: list, name: str) -> List[list]:
-    """All elements of a name in a tree, whatever they stand in."""
+def _anywhere(tree: Node, name: str) -> List[Node]:
+    """All elements of a name in a tree, at any depth."""
     found, pending = [], [[gdal.CXT_Element, "", tree]]
     while pending:
         node = pending.pop()
@@ -344,15 +329,15 @@ def _anywhere(tree: list, name: str) -> List[list]:
     return found
 
 
-def _only(nodes: List[list], name: str) -> list:
+def _only(nodes: List[Node], name: str) -> Node:
     """The one element of its kind; raises RpcInvalidError where there is none, or more."""
     if len(nodes) != 1:
         raise RpcInvalidError(f"it has {len(nodes)} elements {name}: it must have one.")
     return nodes[0]
 
 
-def _leaf(node: list) -> str:
-    """An element's text; attributes are passed over, anything else in it makes it empty and so no number."""
+def _leaf(node: Node) -> str:
+    """An element's text, without attributes; with anything else in it, the text is empty and so not a number."""
     inside = [part for part in node[2:] if part[0] != gdal.CXT_Attribute]
     return inside[0][1] if len(inside) == 1 and inside[0][0] == gdal.CXT_Text else ""
 
@@ -360,8 +345,8 @@ def _leaf(node: list) -> str:
 def _parse_dimap(text: str) -> Rpc:
     """``RPC_*.XML`` of Pleiades and SPOT 6/7 (DIMAP v2) and of Pleiades Neo (DIMAP v3).
 
-    v2 calls the way from the ground to the image Inverse_Model, v3 GroundtoImage_Values. v2 counts pixels from 1, v3
-    from 0 (Airbus's word in GDAL issue 5716), whatever its validity domain starts with.
+    v2 calls the model from the ground to the image Inverse_Model, v3 GroundtoImage_Values. v2 counts pixels from 1, v3
+    from 0 (Airbus in GDAL issue 5716), whatever its validity domain starts with.
     """
     tree = _tree(text)
     model = _only(_anywhere(tree, "Global_RFM"), "Global_RFM")
@@ -394,9 +379,9 @@ def _parse_maxar(text: str) -> Rpc:
 
 
 def tile_size(path: str) -> Optional[Tuple[int, int]]:
-    """Columns and rows of the tiles that a DIMAP product is cut into, from its ``DIM_*.XML``; None where it says none.
+    """Columns and rows of the tiles that a DIMAP product is divided into, from its ``DIM_*.XML``; None without tiles.
 
-    Raises RpcInvalidError for a file that is no DIMAP, or whose tiles overlap.
+    Raises RpcInvalidError for a file that is not DIMAP, or whose tiles overlap.
     """
     tree = _tree(decoded(_content(path)))
     tilings = _anywhere(tree, "Regular_Tiling")
@@ -405,25 +390,19 @@ def tile_size(path: str) -> Optional[Tuple[int, int]]:
     tiling = _only(tilings, "Regular_Tiling")
     for name in ("OVERLAP_COL", "OVERLAP_ROW"):
         if any(_leaf(node).strip() not in ("0", "0.0") for node in _elements(tiling, name)):
-            raise RpcInvalidError(f"the tiles of '{os.path.basename(path)}' overlap, which is not understood.")
+            raise RpcInvalidError(f"the tiles of '{os.path.basename(path)}' overlap, which is not supported.")
     size = _only(_elements(tiling, "NTILES_SIZE"), "NTILES_SIZE")
     given = {part[1]: part[2][1] for part in size[2:] if part[0] == gdal.CXT_Attribute and len(part) > 2}
     numbers = [given.get(name, "") for name in ("ncols", "nrows")]
     if not all(re.fullmatch(r"[1-9]\d{0,6}", number) for number in numbers):
-        raise RpcInvalidError(f"the tile size in '{os.path.basename(path)}' is {numbers}, which is none.")
+        raise RpcInvalidError(f"the tile size in '{os.path.basename(path)}' is {numbers}, which is not a size.")
     return int(numbers[0]), int(numbers[1])
 
 
 # --- JSON of rpcm, S2P and the DFC2019 crops ------------------------------------------------------------------------
 
-_JSON_NAMES = {
-    f"{ours}_{end}": f"{theirs}_{name}"
-    for ours, theirs in (("LINE", "row"), ("SAMP", "col"), ("LAT", "lat"), ("LONG", "lon"), ("HEIGHT", "alt"))
-    for end, name in (("OFF", "offset"), ("SCALE", "scale"))
-}
-_JSON_NAMES.update(
-    {"LINE_NUM_COEFF": "row_num", "LINE_DEN_COEFF": "row_den", "SAMP_NUM_COEFF": "col_num", "SAMP_DEN_COEFF": "col_den"}
-)
+# rpcm's names: row_offset, alt_scale, col_num
+_JSON_NAMES = {key: re.sub("off$", "offset", member).replace("height", "alt") for member, key in GDAL_KEYS.items()}
 
 
 def _parse_json(text: str) -> Rpc:
@@ -434,12 +413,12 @@ def _parse_json(text: str) -> Rpc:
         if depth > _MAX_JSON_DEPTH:
             raise RpcInvalidError(f"its brackets nest deeper than {_MAX_JSON_DEPTH}, which no RPC file's do.")
     try:
-        # Numbers stay texts, so that they are judged where all numbers are.
+        # Numbers stay texts, so that all numbers are checked in one place.
         document = json.loads(text, object_pairs_hook=_unique, parse_int=str, parse_float=str, parse_constant=str)
     except RpcInvalidError:
         raise
     except (ValueError, RecursionError) as error:
-        raise RpcInvalidError(f"it is not whole JSON ({_short(error)}).") from error
+        raise RpcInvalidError(f"it is not complete JSON ({_short(error)}).") from error
     record = document.get("rpc", document) if isinstance(document, dict) else None
     if not isinstance(record, dict):
         raise RpcInvalidError("it is not the record of one RPC.")
@@ -476,7 +455,7 @@ def _json_text(value: Any, name: str, is_series: bool) -> str:
 class _Format:
     name: str
     mark: "re.Pattern[str]"
-    """Found in every file of the format, whole or damaged, and in none of another."""
+    """Found in every file of the format, also in damaged ones, and in no file of another."""
     parse: Callable[[str], Rpc]
 
 
@@ -497,7 +476,7 @@ FORMAT_NAMES = tuple(entry.name for entry in _FORMATS)
 
 
 def decoded(data: bytes) -> str:
-    """A file's text: UTF-8, UTF-16 with its mark, or Latin-1; raises RpcInvalidError for what is no text."""
+    """A file's text: UTF-8, UTF-16 with its mark, or Latin-1; raises RpcInvalidError where it is not a text."""
     try:
         if data.startswith((b"\xff\xfe", b"\xfe\xff")):
             return data.decode("utf-16")
@@ -506,7 +485,7 @@ def decoded(data: bytes) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-            raise RpcInvalidError("it says that it is UTF-16, and is not.") from None
+            raise RpcInvalidError("it is marked as UTF-16 but is not.") from None
         return data.decode("latin-1")
 
 
@@ -523,8 +502,8 @@ def _content(path: str) -> bytes:
     return data
 
 
-def parsed(data: bytes) -> Optional[Found]:
-    """The RPC in a file's content; None where it shows the marks of no format.
+def parsed(data: bytes) -> Optional[FoundRpc]:
+    """The RPC in a file's content; None where it has the mark of no format.
 
     Raises RpcInvalidError, with a sentence that starts with "it" or "its", where the format is known and the
     model wrong.
@@ -539,7 +518,7 @@ def parsed(data: bytes) -> Optional[Found]:
         return None
     if fitting[0].parse not in (_parse_dimap, _parse_maxar, _parse_json):
         _check_lines(text.splitlines())
-    return Found(checked(fitting[0].parse(text)), fitting[0].name)
+    return FoundRpc(checked(fitting[0].parse(text)), fitting[0].name)
 
 
 def _check_lines(lines: Sequence[str]) -> None:
@@ -549,8 +528,8 @@ def _check_lines(lines: Sequence[str]) -> None:
         raise RpcInvalidError(f"it has {len(lines)} lines: no RPC file has more than {_MAX_LINES}.")
 
 
-def read_sidecar(path: str) -> Optional[Found]:
-    """The RPC of a text file; None where it is none of the formats. Raises RpcInvalidError with the file's name."""
+def read_sidecar(path: str) -> Optional[FoundRpc]:
+    """The RPC of a text file; None where it has none of the formats. Raises RpcInvalidError with the file's name."""
     try:
         return parsed(_content(path))
     except RpcInvalidError as error:
@@ -561,7 +540,7 @@ def read_sidecar(path: str) -> Optional[Found]:
 
 
 def sidecar_text(path: str) -> str:
-    """The text of a vendor's file; raises RpcMissingError or RpcInvalidError where it has none, or too much."""
+    """The text of a vendor's file; raises RpcMissingError or RpcInvalidError where it has none or is too large."""
     return decoded(_content(path))
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import RpcInvalidError
+from ..records import Record
 
 _CHUNK = 1 << 14  # points a pass: 20 monomials of them stay in the second-level cache
-_LOCALISE_TOLERANCE_PX = 3e-8  # rounding of 40000 px images is some 1e-8 px: less would never be reached
+_LOCALISE_TOLERANCE_PX = 3e-8  # rounding in images of 40000 px is about 1e-8 px: less would never be reached
 _LOCALISE_STEPS = 20
 
 
@@ -44,7 +45,7 @@ def monomials(lon: FloatArray, lat: FloatArray, height: FloatArray, out: FloatAr
 
 
 @dataclass(frozen=True)
-class Rpc:
+class Rpc(Record):
     """One image's RPC: ten normalisers and four cubic polynomials of twenty coefficients.
 
     ``row_num / row_den`` give the normalised row, ``col_num / col_den`` the normalised column. Offsets and scales of
@@ -88,29 +89,18 @@ class Rpc:
             )
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> "Rpc":
-        """The inverse of :meth:`to_mapping`; raises RpcInvalidError for missing or wrong members."""
+    def from_mapping(cls, values: Mapping[str, Any]) -> Rpc:
+        """Raises RpcInvalidError for missing or wrong members."""
         try:
-            return cls(
-                **{
-                    name: tuple(map(float, values[name])) if name.endswith(("num", "den")) else float(values[name])
-                    for name in cls.__dataclass_fields__
-                }
-            )
+            return super().from_mapping(values)
+        except RpcInvalidError:
+            raise
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            if isinstance(error, RpcInvalidError):
-                raise
             raise RpcInvalidError(f"the RPC record is not complete ({error}).") from error
-
-    def to_mapping(self) -> dict[str, Any]:
-        """A JSON-able record of all members."""
-        return {
-            name: list(v) if isinstance(v := getattr(self, name), tuple) else v for name in self.__dataclass_fields__
-        }
 
     @property
     def height_range(self) -> tuple[float, float]:
-        """Lowest and highest height the RPC was made for, metres above the ellipsoid."""
+        """Lowest and highest height that the RPC was made for, metres above the ellipsoid."""
         return self.height_off - abs(self.height_scale), self.height_off + abs(self.height_scale)
 
     def shifted(self, col: float, row: float) -> "Rpc":
@@ -173,7 +163,6 @@ class Rpc:
     def _localise_part(self, pixels: FloatArray, heights: FloatArray) -> FloatArray:
         ground = np.empty((pixels.shape[0], 3))
         ground[:, 0], ground[:, 1], ground[:, 2] = self.lon_off, self.lat_off, heights
-        inverse = None
         error = np.full(pixels.shape[0], np.inf)
         for iteration in range(_LOCALISE_STEPS):
             residual = pixels - self.project(ground)
@@ -181,7 +170,7 @@ class Rpc:
             finite = np.isfinite(error)
             if not finite.any() or error[finite].max() < _LOCALISE_TOLERANCE_PX:
                 break
-            if iteration == 0:  # all begin at the same place
+            if iteration == 0:  # all start at the same place
                 inverse = self._inverse_jacobian(np.array([[self.lon_off, self.lat_off, self.height_off]]))
             elif iteration in (1, 6):
                 inverse = self._inverse_jacobian(ground)

@@ -1,17 +1,16 @@
-"""Finding an image's RPC: in its tags, in the files beside it, or in the file that the user names.
+"""Finding an image's RPC: in its tags, in its sidecar files, or in the file that the user names.
 
-:mod:`.formats` reads files; here it is decided which file belongs to the image, and to which pixels of it.
+:mod:`.formats` reads files; this module decides which file belongs to the image, and to which of its pixels.
 
-An image may be a crop of the product that its RPC file describes. Three things say so, and each is used where it holds:
+An image may be a crop of the product that its RPC file describes. There are three signs of that:
 
-* RPC tags inside an image are those of its own pixels: ``gdal_translate -srcwin`` moves them with the crop. They are
-  never moved again. A vendor's file that was copied beside such a crop differs from the tags by the crop's origin,
-  whole pixels: then the tags are right (GDAL itself would take the file).
-* An image without CRS whose geotransform is a shift in pixels, as Orfeo ToolBox and GDAL write for crops of images that
-  had one, is a window of the image that a file beside it describes: the file's RPC is moved by the shift, unless its
-  domain starts there already.
-* ``IMG_..._R2C1.TIF`` is a tile of an Airbus product, whose RPC is that of the whole image: it is moved by the tile
-  size in ``DIM_*.XML``, and refused without that file.
+* RPC tags inside an image are those of its own pixels: ``gdal_translate -srcwin`` shifts them with the crop. They are
+  never shifted again. A vendor's file that was copied next to such a crop differs from the tags by the crop's origin,
+  in whole pixels: then the tags are right (GDAL itself would use the file).
+* An image without a CRS whose geotransform is a shift in pixels, as Orfeo ToolBox and GDAL write for crops, is a window
+  of the image that its sidecar file describes: the file's RPC is shifted, unless its domain starts there already.
+* ``IMG_..._R2C1.TIF`` is a tile of an Airbus product, whose RPC is that of the whole image: it is shifted by the
+  tile size in ``DIM_*.XML``, and refused without that file.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ import numpy as np
 from osgeo import gdal
 
 from ..errors import RpcInvalidError, RpcMissingError
-from .formats import DIMAP, FORMAT_NAMES, Found, checked, read_sidecar, rpc_from_texts, tile_size
+from .formats import DIMAP, FORMAT_NAMES, FoundRpc, checked, read_sidecar, rpc_from_texts, tile_size
 from .model import Rpc
 
 _AGREE_PX = 0.5  # vendors round the same model to different digits in its different files
@@ -45,9 +44,9 @@ def rpc_of(dataset: gdal.Dataset, path: str, rpc_file: Optional[str] = None) -> 
     Raises
     ------
     RpcMissingError
-        With the list of places that were looked at; a projected product gets its own sentence.
+        With the list of places that were searched; a projected product gets its own sentence.
     RpcInvalidError
-        With the file's name, the number that is wrong, and what to do; also where two files beside the image disagree.
+        With the file's name, the number that is wrong, and what to do; also where two sidecar files disagree.
     """
     try:
         if rpc_file:
@@ -64,8 +63,8 @@ def rpc_of(dataset: gdal.Dataset, path: str, rpc_file: Optional[str] = None) -> 
             "order the Basic, Sensor or Primary level, which comes with RPCs."
         )
     raise RpcMissingError(
-        f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. Put the vendor's RPC file beside the image under "
-        "its original name, or name it in RPCS."
+        f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. Put the vendor's RPC file into the image's folder "
+        "under its original name, or name it in RPCS."
     )
 
 
@@ -86,11 +85,11 @@ def rpc_from_gdal(metadata: Mapping[str, str]) -> Rpc:
 # --- one file -------------------------------------------------------------------------------------------------------
 
 
-def _read(path: str) -> Found:
+def _read(path: str) -> FoundRpc:
     found = _tags_of_file(path) if _is_image(path) else read_sidecar(path)
     if found is None:
         raise RpcInvalidError(
-            f"'{os.path.basename(path)}' is no RPC file of a known format; tried: "
+            f"'{os.path.basename(path)}' is not an RPC file of a known format; tried: "
             f"{', '.join(FORMAT_NAMES)}, GeoTIFF, NITF and JPEG 2000 tags."
         )
     return found
@@ -106,16 +105,16 @@ def _is_image(path: str) -> bool:
         return False
 
 
-def _tags_of_file(path: str) -> Optional[Found]:
+def _tags_of_file(path: str) -> Optional[FoundRpc]:
     tags = _tags(path)
     try:
-        return Found(checked(rpc_from_texts(tags)), "tags") if tags else None
+        return FoundRpc(checked(rpc_from_texts(tags)), "tags") if tags else None
     except RpcInvalidError as error:
         raise RpcInvalidError(f"the RPC tags of '{os.path.basename(path)}' cannot be used: {error}") from error
 
 
 def _tags(path: str) -> Dict[str, str]:
-    """RPC metadata inside an image file, files beside it not looked at; empty where there is none."""
+    """RPC metadata inside an image file, without its sidecar files; empty where there is none."""
     dataset = None
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
@@ -134,19 +133,19 @@ def _tags(path: str) -> Dict[str, str]:
 
 
 def _from_metadata(dataset: gdal.Dataset) -> Optional[Rpc]:
-    """What GDAL knows: tags, and the side files of vendors that only GDAL reads."""
+    """The RPC that GDAL finds: tags, and the sidecar files of vendors that only GDAL reads."""
     metadata = dataset.GetMetadata("RPC")
     return checked(rpc_from_gdal(metadata)) if metadata else None
 
 
 def _from_sidecars(dataset: gdal.Dataset, path: str, tried: List[str]) -> Optional[Rpc]:
-    """The RPC of the files beside an image whose names say that they belong to it; None where there is none.
+    """The RPC of the sidecar files whose names belong to an image; None where there is none.
 
-    ``tried`` takes the names of all files that were opened. Raises RpcInvalidError where two of them, or one and the
-    image's tags, describe different models.
+    The names of all files that were opened are added to ``tried``. Raises RpcInvalidError where two of them, or one and
+    the image's tags, describe different models.
     """
     placed: List[Tuple[str, Rpc]] = []
-    for candidate in rpc_files_beside(path):
+    for candidate in rpc_sidecars(path):
         tried.append(os.path.basename(candidate))
         found = read_sidecar(candidate)
         if found is not None:
@@ -155,36 +154,27 @@ def _from_sidecars(dataset: gdal.Dataset, path: str, tried: List[str]) -> Option
         return None
     name, rpc = placed[0]
     for other_name, other in placed[1:]:
-        _agree(name, rpc, other_name, other)
+        _require_agreement(name, rpc, other_name, other)
     tags = _tags_of_file(path) if _is_image(path) else None
     if tags is not None:
         if _is_crop(tags.rpc, rpc):
             return tags.rpc
-        _agree(name, rpc, "the image's own tags", tags.rpc)
+        _require_agreement(name, rpc, "the image's own tags", tags.rpc)
     return rpc
 
 
-def rpc_files_beside(path: str) -> List[str]:
-    """Files beside an image that may hold its RPC, as they are named after it; upper and lower case are one.
+def rpc_sidecars(path: str) -> List[str]:
+    """Sidecar files that may contain an image's RPC, by their names; upper and lower case are the same.
 
-    Airbus's ``IMG_PHR1A_P_2012..._SEN_..._R1C1.TIF`` belongs to ``RPC_PHR1A_P_2012..._SEN_....XML``; others give their
-    file the image's own name.
+    Airbus's ``IMG_PHR1A_P_2012..._SEN_..._R1C1.TIF`` belongs to ``RPC_PHR1A_P_2012..._SEN_....XML``; others use
+    the image's own name.
     """
     image = Path(path)
     core, stem = product_of(image), image.stem
-    wanted = [
-        f"RPC_{core}.XML",
-        f"RPC_{core}_P.XML",
-        f"{stem}_RPC.XML",
-        f"{stem}.XML",
-        f"{stem}.RPB",
-        f"{stem}_RPC.TXT",
-        f"{stem}.RPC",
-        f"{stem}.geom",
-        f"{stem}.JSON",
-    ]
-    there = names_beside(image)
-    names = [name for key in dict.fromkeys(name.lower() for name in wanted) for name in there.get(key, ())]
+    possible = [f"RPC_{core}.XML", f"RPC_{core}_P.XML"]
+    possible += [stem + end for end in ("_RPC.XML", ".XML", ".RPB", "_RPC.TXT", ".RPC", ".geom", ".JSON")]
+    there = files_in_folder(image)
+    names = [name for key in dict.fromkeys(name.lower() for name in possible) for name in there.get(key, ())]
     return [str(image.with_name(name)) for name in names if name != image.name]
 
 
@@ -194,8 +184,8 @@ def product_of(image: Path) -> str:
     return re.sub(r"_R\d+C\d+$", "", core, flags=re.IGNORECASE)
 
 
-def names_beside(image: Path) -> Dict[str, List[str]]:
-    """Names of the files in an image's folder by their lower-case form; empty where it cannot be listed."""
+def files_in_folder(image: Path) -> Dict[str, List[str]]:
+    """Names of the files in an image's folder by their lower-case form; empty where the folder cannot be listed."""
     names: Dict[str, List[str]] = {}
     try:
         with os.scandir(image.parent) as entries:
@@ -209,8 +199,8 @@ def names_beside(image: Path) -> Dict[str, List[str]]:
     return {key: sorted(found) for key, found in names.items()}
 
 
-def _agree(name: str, rpc: Rpc, other_name: str, other: Rpc) -> None:
-    """Raises RpcInvalidError where two models see the ground around the first one's centre at different pixels."""
+def _require_agreement(name: str, rpc: Rpc, other_name: str, other: Rpc) -> None:
+    """Raises RpcInvalidError where two models project the ground around the first one's centre to different pixels."""
     unit = np.stack(np.meshgrid(*[[-0.5, 0.0, 0.5]] * 3), axis=-1).reshape(-1, 3)
     pixels = unit[:, :2] * [rpc.col_scale, rpc.row_scale] + [rpc.col_off, rpc.row_off]
     ground = rpc.localise(pixels, rpc.height_off + unit[:, 2] * rpc.height_scale)
@@ -219,16 +209,16 @@ def _agree(name: str, rpc: Rpc, other_name: str, other: Rpc) -> None:
         apart = np.abs(rpc.project(ground) - other.project(ground)).max(initial=0.0)
     if not apart <= _AGREE_PX:
         raise RpcInvalidError(
-            f"{name} and {other_name} differ by {apart:.3g} px: name the right one in RPCS (the "
-            "image itself stands for its tags), or remove the other."
+            f"{name} and {other_name} differ by {apart:.3g} px: name the right one in RPCS (the image itself stands "
+            "for its tags), or remove the other."
         )
 
 
 # --- which pixels ---------------------------------------------------------------------------------------------------
 
 
-def _placed(found: Found, dataset: gdal.Dataset, path: str) -> Rpc:
-    """A file's RPC, moved to the pixels of an image that is a tile or a crop of what the file describes."""
+def _placed(found: FoundRpc, dataset: gdal.Dataset, path: str) -> Rpc:
+    """A file's RPC, shifted to the pixels of an image that is a tile or a crop of the image that it describes."""
     if found.kind == "tags":
         return found.rpc
     rpc = found.rpc
@@ -238,13 +228,13 @@ def _placed(found: Found, dataset: gdal.Dataset, path: str) -> Rpc:
 
 
 def _tile_origin(image: Path) -> Tuple[int, int]:
-    """Column and row of a tile's first pixel in its Airbus product; (0, 0) for an image that is no tile."""
+    """Column and row of a tile's first pixel in its Airbus product; (0, 0) for an image that is not a tile."""
     match = re.search(r"_R(\d{1,4})C(\d{1,4})$", image.stem, flags=re.IGNORECASE)
     row, col = (int(match[1]), int(match[2])) if match else (1, 1)
     if (row, col) == (1, 1):
         return 0, 0
-    core, there = product_of(image), names_beside(image)
-    # Pleiades Neo's images name their band after what the product's own file is called.
+    core, there = product_of(image), files_in_folder(image)
+    # Names of Pleiades Neo's images have the band after the name that the product's own file has.
     for product in (core, re.sub(r"_[A-Za-z-]+$", "", core)):
         for name in there.get(f"dim_{product}.xml".lower(), ()):
             size = tile_size(str(image.with_name(name)))
@@ -252,7 +242,7 @@ def _tile_origin(image: Path) -> Tuple[int, int]:
                 return (col - 1) * size[0], (row - 1) * size[1]
     raise RpcInvalidError(
         f"the image is tile R{row}C{col} of its product and 'DIM_{core}.XML', which says where it "
-        "lies, is not beside it: put it there, or choose that file as the image."
+        "lies, is not in its folder: put it there, or choose that file as the image."
     )
 
 
@@ -260,7 +250,7 @@ def _crop_origin(dataset: gdal.Dataset, rpc: Rpc) -> Tuple[float, float]:
     """Column and row of an image's first pixel in the image that an RPC file describes.
 
     Taken from a geotransform that counts pixels: no CRS, steps of 1, and an origin inside the RPC's domain. (0, 0)
-    where there is none, or where the domain, moved with the crop, starts at the crop's origin already.
+    without one, or where the domain, which was shifted with the crop, starts at the crop's origin already.
     """
     transform = dataset.GetGeoTransform(can_return_null=True)
     if not transform or dataset.GetProjection():
@@ -279,12 +269,12 @@ def _crop_origin(dataset: gdal.Dataset, rpc: Rpc) -> Tuple[float, float]:
 
 
 def _is_crop(tags: Rpc, whole: Rpc) -> bool:
-    """Whether an image's tags are a file's RPC moved by whole pixels to the right and down, and nothing else."""
+    """Whether an image's tags are a file's RPC, only shifted by whole pixels to the right and down."""
     moved = np.array([whole.col_off - tags.col_off, whole.row_off - tags.row_off])
     if (moved < -_WHOLE_PX).any() or moved.max() < 1 - _WHOLE_PX or (np.abs(moved - moved.round()) > _WHOLE_PX).any():
         return False
     try:
-        _agree("", whole.shifted(*moved), "", tags)
+        _require_agreement("", whole.shifted(*moved), "", tags)
     except RpcInvalidError:
         return False
     return True

@@ -9,7 +9,7 @@ from osgeo import ogr
 
 from ..arrays import Bounds, FloatArray
 from ..geometry.footprints import bounds_of, box
-from ..imagery.acquisition import apart_text
+from ..imagery.acquisition import duration_text
 from ..progress import counted
 from ..records import PointingFigures, ViewPair
 from ..scene import Scene
@@ -127,7 +127,7 @@ def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
     """Pairs whose shadows differ."""
     high = parameters.building_m
     named = [
-        f"{pair.first} and {pair.second} ({apart_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: the "
+        f"{pair.first} and {pair.second} ({duration_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: the "
         f"shadow of a {high:.0f} m building ends {high * (pair.shadow or 0.0):.0f} m elsewhere)"
         for pair in pairs
         if _other_sun(pair, parameters)
@@ -149,7 +149,7 @@ def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]
     for pair in pairs:
         if pair.days is not None and not _other_sun(pair, parameters):
             if days_off_season(pair.days) > parameters.season_days or pair.days > parameters.old_days:
-                named.append(f"{pair.first} and {pair.second} ({apart_text(pair.days)})")
+                named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
     text = (
         f"Seasons or years lie between {_listed(named)}: fields, leaves, snow and building sites have changed, and "
         "cause gaps or wrong heights; take images of one pass, or leave one image out."

@@ -18,10 +18,10 @@ from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
-from ..imagery.acquisition import time_files_beside
+from ..imagery.acquisition import time_sidecars
 from ..options import EpmFitOptions, Extent
 from ..progress import Part, Progress, Recorder, counted
-from ..rpc.readers import rpc_files_beside
+from ..rpc.readers import rpc_sidecars
 from ..scene import Scene, Tile, TileView, View, load_views, reusable
 from ..sfm.altitude_range import altitude_range
 from ..vector import write_layer
@@ -66,8 +66,8 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
 def _key(options: EpmFitOptions) -> str:
     wanted = {k: v for k, v in options.to_json().items() if k not in ("workspace", "tiles", "report")}
     named = options.rpcs or ("",) * len(options.images)
-    beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_files_beside(image))]
-    beside += [path for image in options.images for path in time_files_beside(image) if path not in beside]
+    beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_sidecars(image))]
+    beside += [path for image in options.images for path in time_sidecars(image) if path not in beside]
     files = [
         file_identity(path)
         for path in (*options.images, *beside, *([options.dem] if options.dem else []), *filter(None, options.masks))

@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 import pytest
 from osgeo import gdal
 
-from repm_qgis.imagery.acquisition import acquired, apart_text, moment, time_files_beside, time_of_name
+from repm_qgis.imagery.acquisition import acquired, duration_text, moment, time_of_name, time_sidecars
 from repm_qgis.imagery.raster import opened
 
 DIM = """<?xml version="1.0"?><Dimap_Document><Dataset_Sources><Source_Identification><Strip_Source>
@@ -103,10 +103,10 @@ def test_names_of_products(name, expected):
 
 def test_files_of_the_product_come_first(tmp_path):
     image = tmp_path / "IMG_PHR1A_P_201304171037198_SEN_616226101-001_R1C2.TIF"
-    assert of(image) == "2013-04-17T10:37:19.800Z" and time_files_beside(str(image)) == []
+    assert of(image) == "2013-04-17T10:37:19.800Z" and time_sidecars(str(image)) == []
     dim = tmp_path / "DIM_PHR1A_P_201304171037198_SEN_616226101-001.XML"
     dim.write_text(DIM.replace("2013-04-17", "2014-05-18"))
-    assert time_files_beside(str(image)) == [str(dim)]
+    assert time_sidecars(str(image)) == [str(dim)]
     assert of(image, IMAGERY={"ACQUISITIONDATETIME": "2001-01-01 10:00:00"}) == "2014-05-18T10:37:19.800Z"
     dim.write_text(DIM.replace("IMAGING_DATE", "SOMETHING"))
     assert of(image, IMAGERY={"ACQUISITIONDATETIME": "2001-01-01 10:00:00"}) == "2001-01-01T10:00:00.000Z"
@@ -199,4 +199,4 @@ def test_real_files(shared_data, tmp_path, write_image):
     ],
 )
 def test_spans_as_people_say_them(days, text):
-    assert apart_text(days) == text
+    assert duration_text(days) == text

@@ -12,7 +12,7 @@ from osgeo import gdal
 from repm_qgis.errors import OptionError, RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
 from repm_qgis.options import EpmFitOptions, PipelineOptions
-from repm_qgis.rpc.readers import read_rpc_file, rpc_files_beside, rpc_of
+from repm_qgis.rpc.readers import read_rpc_file, rpc_of, rpc_sidecars
 from repm_qgis.scene import load_views
 from repm_qgis.simulation.scene import rpc_tags
 from repm_qgis.stages.epmfit import _key
@@ -179,7 +179,7 @@ def test_what_is_no_rpc_file_lists_the_formats(tmp_path):
         for words in ("tried", "DIMAP", "Maxar XML", "RPB", "OSSIM geom", "KEY: value", "JSON", "GeoTIFF"):
             assert words in message
     assert "it is not a text" in refused(tmp_path, b"LINE_NUM_COEFF_1: 5\0")
-    assert "it says that it is UTF-16" in refused(tmp_path, b"\xff\xfe\x00\xd8\x00")
+    assert "it is marked as UTF-16" in refused(tmp_path, b"\xff\xfe\x00\xd8\x00")
 
 
 def test_two_formats_in_one_file_are_ambiguous(tmp_path, synthetic_rpc):
@@ -208,19 +208,19 @@ def test_no_file_and_no_regular_file(tmp_path):
         ("IKONOS", "500.0 meters", "1e400 meters", "the RPC's height offset is inf"),
         ("IKONOS", "500.0 meters", "500.0 400.0 meters", "which is not a number"),
         ("IKONOS", "LAT_OFF: 43.6", "LAT_OFF: 143.6", "that is not on the Earth"),
-        ("IKONOS", "LINE_SCALE", "LINE_OFF", "its LINE_OFF is there twice"),
-        ("IKONOS", "LINE_NUM_COEFF_1: ", "LINE_NUM_COEFF: ", "in one piece and number by number"),
+        ("IKONOS", "LINE_SCALE", "LINE_OFF", "its LINE_OFF is given twice"),
+        ("IKONOS", "LINE_NUM_COEFF_1: ", "LINE_NUM_COEFF: ", "both together and number by number"),
         ("WHU-TLC", "LONG_DEN_COEFF_20: ", "X: ", "its LONG_DEN_COEFF_20 is missing"),
         ("WHU-TLC", "LAT_NUM_COEFF_3: ", "LAT_NUM_COEFF_3: x", "its LAT_NUM_COEFF is 'x"),
         ("RPB", "lineOffset", "lineOfset", "its LINE_OFF is missing"),
-        ("RPB", "END_GROUP", "END_GRUOP", "its group IMAGE is not whole"),
-        ("RPB", "lineNumCoef = (", "lineNumCoef = ", "does not stand in brackets"),
+        ("RPB", "END_GROUP", "END_GRUOP", "its group IMAGE is not complete"),
+        ("RPB", "lineNumCoef = (", "lineNumCoef = ", "is not in brackets"),
         ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0,", "col_num has 21 coefficients"),
-        ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0", "not a list of numbers between commas"),
-        ("DIMAP v2", "<Inverse_Model>", "<Inverse_Models>", "it is not whole XML"),
+        ("RPB", "sampNumCoef = (", "sampNumCoef = (1.0", "not a list of numbers with commas"),
+        ("DIMAP v2", "<Inverse_Model>", "<Inverse_Models>", "it is not complete XML"),
         ("DIMAP v2", "Inverse_Model>", "Invers_Model>", "0 elements Inverse_Model or GroundtoImage_Values"),
         ("DIMAP v2", "</Global_RFM>", "</Global_RFM><Global_RFM></Global_RFM>", "2 elements Global_RFM"),
-        ("DIMAP v2", "<LINE_OFF>", "<LINE_OFF>7</LINE_OFF><LINE_OFF>", "its LINE_OFF is there twice"),
+        ("DIMAP v2", "<LINE_OFF>", "<LINE_OFF>7</LINE_OFF><LINE_OFF>", "its LINE_OFF is given twice"),
         ("DIMAP v2", "<Dimap_Document", "<!DOCTYPE a><Dimap_Document", "declares a DOCTYPE or entities"),
         (
             "DIMAP v3",
@@ -238,15 +238,15 @@ def test_no_file_and_no_regular_file(tmp_path):
         ("Maxar XML", "LINENUMCOEF>", "LINENUMCOEFF>", "row_num has 0 coefficients"),
         ("Maxar XML", "LINEOFFSET>", "LINEOFFSETS>", "0 elements LINEOFFSET"),
         ("Maxar XML", "</RPB>", "</RPB><RPB/>", "2 elements RPB"),
-        ("OSSIM B", "parameter:  0", "parameter:  0.3", "adjusted models are not understood"),
+        ("OSSIM B", "parameter:  0", "parameter:  0.3", "adjusted models are not supported"),
         ("OSSIM B", "format:  B", "format:  C", "its polynomial_format is 'C'"),
         ("OSSIM B", "line_den_coeff_19", "line_den_coeff_20", "its LINE_DEN_COEFF_19 is missing"),
         ("JSON rpcm", '"row_scale"', '"row_off"', "its row_scale is missing"),
-        ("JSON rpcm", '"row_scale"', '"row_offset"', "its row_offset is there twice"),
+        ("JSON rpcm", '"row_scale"', '"row_offset"', "its row_offset is given twice"),
         ("JSON rpcm", '"row_offset": 18999.5', '"row_offset": true', "its row_offset is True, which is not a number"),
         ("JSON rpcm", '"row_offset": 18999.5', '"row_offset": NaN', "the RPC's row offset is nan"),
         ("JSON rpcm", '"col_num": [', '"col_num": [1.0,', "its col_num is not a list of 20 numbers"),
-        ("JSON rpcm", '"rpc": {', '"rpc": [{', "it is not whole JSON"),
+        ("JSON rpcm", '"rpc": {', '"rpc": [{', "it is not complete JSON"),
         ("JSON rpcm", '"width": 800', '"width": ' + "[" * 17, "nest deeper than 16"),
         ("JSON GDAL", '"LINE_OFF"', '"LINE_OF"', "its LINE_OFF is missing"),
     ),
@@ -268,7 +268,7 @@ def test_numbers_that_are_no_sensor_model(tmp_path, synthetic_rpc):
         {"row_num": (5.0,) + rpc.row_num[1:]},
     ):
         broken = type(rpc)(**{**vars(rpc), **changes})
-        assert "its numbers are no sensor model" in refused(tmp_path, key_value(broken))
+        assert "its numbers are not a sensor model" in refused(tmp_path, key_value(broken))
 
 
 def test_corrections_in_the_image_are_refused(tmp_path, synthetic_rpc):
@@ -316,7 +316,7 @@ def test_files_named_after_the_image_are_found(tmp_path, write_image, synthetic_
     image = write_image(tmp_path / "a.tif")
     sidecar = written(tmp_path, text(synthetic_rpc()), name)
     written(tmp_path, text(synthetic_rpc(lon=9.0)), "other_" + name)
-    assert rpc_files_beside(image) == [sidecar]
+    assert rpc_sidecars(image) == [sidecar]
     assert read(image) == synthetic_rpc()
 
 
@@ -451,7 +451,7 @@ def test_views_take_the_files_in_the_images_order(tmp_path, pair):
         load_views(images, ("", "nowhere.txt"))
     with pytest.raises(RpcInvalidError) as caught:
         load_views(images, (images[1], second))
-    assert "a.tif" in str(caught.value) and "'b.tif' is no RPC file of a known format" in str(caught.value)
+    assert "a.tif" in str(caught.value) and "'b.tif' is not an RPC file of a known format" in str(caught.value)
 
 
 @pytest.mark.parametrize(

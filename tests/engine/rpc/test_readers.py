@@ -192,7 +192,7 @@ def test_missing_rpc_lists_the_places(tmp_path, write_image):
         ".RPB",
         "_RPC.TXT",
         "scene.xml",
-        "Put the vendor's RPC file beside the image",
+        "Put the vendor's RPC file into the image's folder",
     ):
         assert words in text
 

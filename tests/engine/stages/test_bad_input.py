@@ -69,7 +69,7 @@ def bench(tmp_path, urban, write_image, told):
 def test_an_image_without_rpc(bench, tmp_path, write_image):
     path = write_image(tmp_path / "plain.tif", np.ones((200, 200), np.uint16))
     text = bench.fails(RpcMissingError, images=[bench.urban.images[0], path])
-    for words in (path, "Looked in", ".RPB", "_RPC.TXT", "Put the vendor's RPC file beside the image"):
+    for words in (path, "Looked in", ".RPB", "_RPC.TXT", "Put the vendor's RPC file into the image's folder"):
         assert words in text
     assert not os.path.exists(os.path.join(bench.workspace, "scene.json"))
 
