@@ -8,7 +8,7 @@
         <translation>Gegen Passpunkte prüfen</translation>
     </message>
     <message>
-        <source>How far points of known place are from where RPCs, corrected RPCs and a DSM put them.</source>
+        <source>How far points of known position are from where RPCs, corrected RPCs and a DSM put them.</source>
         <translation>Wie weit Punkte bekannter Lage von dort entfernt sind, wohin RPC, korrigierte RPC und ein DOM sie legen.</translation>
     </message>
     <message>
@@ -16,8 +16,8 @@
         <translation>Szene (für die Geometrie der Bilder)</translation>
     </message>
     <message>
-        <source>The scene.json of any stage; one that was reconstructed also shows what its pointing is worth.</source>
-        <translation>Die scene.json irgendeiner Stufe; eine rekonstruierte zeigt auch, was ihre Ausrichtung wert ist.</translation>
+        <source>The scene.json of any stage; a reconstructed scene also shows how accurate its pointing is.</source>
+        <translation>Die scene.json irgendeiner Stufe; eine rekonstruierte Szene zeigt auch, wie genau ihre Ausrichtung ist.</translation>
     </message>
     <message>
         <source>DSM (for the heights at the points)</source>
@@ -67,24 +67,24 @@
         <translation>Ausrichtung vor dem Vergleich</translation>
     </message>
     <message>
-        <source>none: as they lie; vertical: a constant offset in height is taken off; 3d: a shift in all three axes is taken off.</source>
-        <translation>none: wie sie liegen; vertical: ein konstanter Höhenversatz wird abgezogen; 3d: eine Verschiebung in allen drei Achsen wird abgezogen.</translation>
+        <source>none: no alignment; vertical: a constant offset in height is removed; 3d: a shift in all three axes is removed.</source>
+        <translation>none: keine Ausrichtung; vertical: ein konstanter Höhenversatz wird entfernt; 3d: eine Verschiebung in allen drei Achsen wird entfernt.</translation>
     </message>
     <message>
         <source>Thresholds of the completeness (m)</source>
         <translation>Schwellen der Vollständigkeit (m)</translation>
     </message>
     <message>
-        <source>The part of the reference's cells whose height is right to within each of these.</source>
-        <translation>Der Anteil der Referenzzellen, deren Höhe bis auf diese Werte stimmt.</translation>
+        <source>For each of these: the share of the reference's cells whose height is right to within it.</source>
+        <translation>Für jede dieser Schwellen: der Anteil der Zellen der Referenz, deren Höhe bis auf sie richtig ist.</translation>
     </message>
     <message>
         <source>Further DSMs for the same table</source>
         <translation>Weitere DOM für dieselbe Tabelle</translation>
     </message>
     <message>
-        <source>Other DSMs of the same ground, such as another program's: the report puts all side by side, each aligned for itself.</source>
-        <translation>Andere DOM desselben Geländes, etwa eines anderen Programms: Der Bericht stellt alle nebeneinander, jedes für sich ausgerichtet.</translation>
+        <source>Other DSMs of the same ground, such as another program's: the report shows all of them side by side, each aligned on its own.</source>
+        <translation>Weitere DOM desselben Gebiets, etwa von anderen Programmen: Der Bericht zeigt alle nebeneinander, jedes für sich ausgerichtet.</translation>
     </message>
     <message>
         <source>Class raster</source>
@@ -99,8 +99,8 @@
         <translation>Profillinien</translation>
     </message>
     <message>
-        <source>Lines to show the heights along, named by their field 'name'. Empty: twice through the middle.</source>
-        <translation>Linien, entlang derer die Höhen gezeigt werden, benannt nach ihrem Feld 'name'. Leer: zweimal durch die Mitte.</translation>
+        <source>Lines along which heights are shown, named by their field 'name'. Empty: two lines through the middle.</source>
+        <translation>Linien, entlang derer Höhen gezeigt werden, benannt nach ihrem Feld 'name'. Leer: zwei Linien durch die Mitte.</translation>
     </message>
     <message>
         <source>RMSE (m)</source>
@@ -130,8 +130,8 @@
         <translation>Höhen zu einem DOM fusionieren</translation>
     </message>
     <message>
-        <source>One DSM from the height maps of all pairs, without outliers, with its confidence.</source>
-        <translation>Ein DOM aus den Höhenkarten aller Paare, ohne Ausreißer, mit seiner Konfidenz.</translation>
+        <source>Makes one DSM from the height maps of all pairs, without outliers, and with its confidence.</source>
+        <translation>Ein DOM aus den Höhenkarten aller Paare, ohne Ausreißer und mit seiner Konfidenz.</translation>
     </message>
     <message>
         <source>Cells with a height (%)</source>
@@ -153,8 +153,8 @@
         <translation>QGIS {version}</translation>
     </message>
     <message>
-        <source>The report is on QGIS's own Python, the engine does not run: {reason}</source>
-        <translation>Der Bericht betrifft das Python von QGIS, die Engine läuft nicht: {reason}</translation>
+        <source>The engine does not run, so the report describes QGIS's own Python: {reason}</source>
+        <translation>Die Engine läuft nicht, daher beschreibt der Bericht das Python von QGIS: {reason}</translation>
     </message>
 </context>
 <context>
@@ -164,8 +164,8 @@
         <translation>Äquivalente Lochkameras anpassen</translation>
     </message>
     <message>
-        <source>Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.</source>
-        <translation>Lochkameras für Bilder mit RPC, Kachel für Kachel, und der Fehler, den das kostet.</translation>
+        <source>Fits pinhole cameras to images with RPCs, tile by tile, and measures the error that this causes.</source>
+        <translation>Passt Lochkameras an Bilder mit RPC an, Kachel für Kachel, und misst den Fehler, der dadurch entsteht.</translation>
     </message>
     <message>
         <source>Scene</source>
@@ -187,8 +187,8 @@
         <translation>Äquivalenten Fehler kartieren</translation>
     </message>
     <message>
-        <source>What the pinhole model costs one view, as a raster on the ground.</source>
-        <translation>Was das Lochkameramodell eine Ansicht kostet, als Raster am Boden.</translation>
+        <source>The error of the pinhole model in one view, as a raster on the ground.</source>
+        <translation>Der Fehler des Lochkameramodells in einer Ansicht, als Raster am Boden.</translation>
     </message>
     <message>
         <source>View (empty: the first)</source>
@@ -258,7 +258,7 @@
         <translation>Bit je Pixel</translation>
     </message>
     <message>
-        <source>8: PNG (JPEG for mvsnet), brightness stretched as for matching; 16: TIFF with the images' own values, which fewer programs read.</source>
+        <source>8: PNG (JPEG for mvsnet), intensity stretched as for matching; 16: TIFF with the images' own values, which fewer programs read.</source>
         <translation>8: PNG (JPEG für mvsnet), Helligkeit gestreckt wie für die Zuordnung; 16: TIFF mit den Werten der Bilder selbst, das weniger Programme lesen.</translation>
     </message>
     <message>
@@ -273,8 +273,8 @@
         <translation>DOM aus Satellitenbildern erzeugen</translation>
     </message>
     <message>
-        <source>The whole way: pinhole cameras, refinement, tie points, dense matching, fusion.</source>
-        <translation>Der ganze Weg: Lochkameras, Verfeinerung, Verknüpfungspunkte, dichte Zuordnung, Fusion.</translation>
+        <source>All stages in one run: pinhole cameras, refinement, tie points, dense matching, fusion.</source>
+        <translation>Alle Stufen in einem Lauf: Lochkameras, Verfeinerung, Verknüpfungspunkte, dichte Zuordnung, Fusion.</translation>
     </message>
     <message>
         <source>Scene</source>
@@ -319,11 +319,11 @@
         <translation>Rechnet die Kacheln jeder Ansicht auf das um, was ihre Lochkamera gesehen hätte.</translation>
     </message>
     <message>
-        <source>Equivalent error left, RMSE (px)</source>
+        <source>Remaining equivalent error, RMSE (px)</source>
         <translation>Verbleibender äquivalenter Fehler, RMSE (px)</translation>
     </message>
     <message>
-        <source>Equivalent error left, largest (px)</source>
+        <source>Remaining equivalent error, largest (px)</source>
         <translation>Verbleibender äquivalenter Fehler, größter (px)</translation>
     </message>
 </context>
@@ -362,19 +362,19 @@
         <translation>{name} „{path}“ ist nicht da: den Pfad prüfen.</translation>
     </message>
     <message>
-        <source>{name} '{path}' is no scene: choose the scene.json that the stage before wrote.</source>
-        <translation>{name} „{path}“ ist keine Szene: die scene.json wählen, die die Stufe davor geschrieben hat.</translation>
+        <source>{name} '{path}' is not a scene: choose the scene.json that the previous stage wrote.</source>
+        <translation>{name} „{path}“ ist keine Szene: die scene.json wählen, die die vorige Stufe geschrieben hat.</translation>
     </message>
     <message>
         <source>The layer '{layer}' of {name} is a raster: choose a vector layer or a table.</source>
         <translation>Der Layer '{layer}' von {name} ist ein Raster: Wählen Sie einen Vektorlayer oder eine Tabelle.</translation>
     </message>
     <message>
-        <source>{name} '{path}' cannot be read as a raster: check that the file is whole.</source>
+        <source>{name} '{path}' cannot be read as a raster: check that the file is complete.</source>
         <translation>{name} „{path}“ ist nicht als Raster lesbar: prüfen, ob die Datei vollständig ist.</translation>
     </message>
     <message>
-        <source>{name} is no parameter of {id} and has no effect: do you mean {near}?</source>
+        <source>{name} is not a parameter of {id} and has no effect: do you mean {near}?</source>
         <translation>{name} ist kein Parameter von {id} und bewirkt nichts: ist {near} gemeint?</translation>
     </message>
     <message>
@@ -397,23 +397,23 @@
         <translation>RPC-Dateien (leer: in den Bildern oder daneben)</translation>
     </message>
     <message>
-        <source>Only where the RPCs lie elsewhere: one file for each image, in the images' order.</source>
-        <translation>Nur wo die RPC anderswo liegen: eine Datei je Bild, in der Reihenfolge der Bilder.</translation>
+        <source>Only needed where the RPCs are in another place: one file for each image, in the order of the images.</source>
+        <translation>Nur nötig, wo die RPC anderswo liegen: eine Datei je Bild, in der Reihenfolge der Bilder.</translation>
     </message>
     <message>
-        <source>Masks of what is not to be used (empty: none)</source>
-        <translation>Masken dessen, was nicht verwendet werden soll (leer: keine)</translation>
+        <source>Masks of pixels that must not be used (empty: none)</source>
+        <translation>Masken von Pixeln, die nicht verwendet werden dürfen (leer: keine)</translation>
     </message>
     <message>
-        <source>One raster for each image, in the images' order, of the same size in columns and rows: pixels that are neither zero nor nodata (clouds, water) are left out of everything, tie points too. What an image's own mask or alpha band hides is left out anyway.</source>
-        <translation>Ein Raster je Bild, in der Reihenfolge der Bilder und mit ebenso vielen Spalten und Zeilen: Pixel, die weder null noch NoData sind (Wolken, Wasser), bleiben überall außen vor, auch bei den Verknüpfungspunkten. Was die eigene Maske oder der Alphakanal eines Bildes verdeckt, bleibt ohnehin außen vor.</translation>
+        <source>One raster for each image, in the order of the images and of the same size in columns and rows: pixels that are neither zero nor nodata (clouds, water) are not used at all, not even for tie points. The image's own mask or alpha band is always used.</source>
+        <translation>Ein Raster je Bild, in der Reihenfolge der Bilder und gleich groß in Spalten und Zeilen: Pixel, die weder null noch NoData sind (Wolken, Wasser), werden gar nicht verwendet, auch nicht für Verknüpfungspunkte. Die eigene Maske oder der Alphakanal eines Bildes gilt immer.</translation>
     </message>
     <message>
         <source>Ground control points</source>
         <translation>Passpunkte</translation>
     </message>
     <message>
-        <source>A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). A layer's geometry may stand for lon and lat.</source>
+        <source>A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). The geometry of a layer can replace lon and lat.</source>
         <translation>Eine CSV-Datei oder ein Punktlayer mit einer Zeile je Punkt und Bild: id, lon, lat, height, view (Dateiname des Bildes), col, row (die Mitte des ersten Pixels ist 0, 0), role (control oder check). Die Geometrie eines Layers kann lon und lat ersetzen.</translation>
     </message>
     <message>
@@ -437,16 +437,16 @@
         <translation>Korrektur der Ausrichtung der Bilder</translation>
     </message>
     <message>
-        <source>shift: one shift an image; affine: also stretched and turned; auto: affine where the tie points show a trend and span the images well enough to carry it.</source>
-        <translation>shift: eine Verschiebung je Bild; affine: auch gestreckt und gedreht; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken, um ihn zu tragen.</translation>
+        <source>shift: one shift for each image; affine: also scale, shear and rotation; auto: affine where the tie points show a trend and span the images well enough.</source>
+        <translation>shift: eine Verschiebung je Bild; affine: auch Maßstab, Scherung und Drehung; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken.</translation>
     </message>
     <message>
         <source>Adjustment of the pointing</source>
         <translation>Ausgleichung der Ausrichtung</translation>
     </message>
     <message>
-        <source>rpc: against the original RPCs, exact, takes control points and affine corrections; colmap: the paper's way, COLMAP moves the principal points of the pinhole cameras: shifts only, and no control points.</source>
-        <translation>rpc: gegen die ursprünglichen RPCs, exakt, mit Passpunkten und affinen Korrekturen; colmap: der Weg der Veröffentlichung, COLMAP verschiebt die Hauptpunkte der Lochkameras: nur Verschiebungen und keine Passpunkte.</translation>
+        <source>rpc: against the original RPCs, exact, with control points and affine corrections; colmap: as in the paper, COLMAP moves the principal points of the pinhole cameras: shifts only, and no control points.</source>
+        <translation>rpc: gegen die ursprünglichen RPC, exakt, mit Passpunkten und affinen Korrekturen; colmap: wie in der Veröffentlichung verschiebt COLMAP die Bildhauptpunkte der Lochkameras: nur Verschiebungen und keine Passpunkte.</translation>
     </message>
     <message>
         <source>Area (empty: all that two images see)</source>
@@ -469,8 +469,8 @@
         <translation>Grobes Höhenmodell (nur für das Modell terrain)</translation>
     </message>
     <message>
-        <source>The surface that the terrain model refines on; a DEM with cells of 30 m will do. Empty: the heights that the scene has already, where 'Reconstruct heights' has made some.</source>
-        <translation>Die Oberfläche, auf der das Modell terrain verfeinert; ein DEM mit Zellen von 30 m genügt. Leer: die Höhen, die die Szene schon hat, wo „Höhen rekonstruieren“ welche erzeugt hat.</translation>
+        <source>The surface on which the terrain model refines; a DEM with cells of 30 m is fine enough. Empty: the heights that the scene already has from 'Reconstruct heights'.</source>
+        <translation>Die Oberfläche, auf der das Geländemodell verfeinert; ein DGM mit 30-m-Zellen ist fein genug. Leer: die Höhen, die die Szene aus „Höhen rekonstruieren“ schon hat.</translation>
     </message>
     <message>
         <source>Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.</source>
@@ -489,23 +489,23 @@
         <translation>Kachelgröße (px, 0: automatisch)</translation>
     </message>
     <message>
-        <source>0 takes the largest tile that keeps the error under the budget, and fits memory.</source>
-        <translation>0 nimmt die größte Kachel, deren Fehler im Budget bleibt und die in den Speicher passt.</translation>
+        <source>0 means the largest tile whose error stays within the budget and which fits into memory.</source>
+        <translation>0 bedeutet die größte Kachel, deren Fehler im Budget bleibt und die in den Speicher passt.</translation>
     </message>
     <message>
         <source>Error budget (px)</source>
         <translation>Fehlerbudget (px)</translation>
     </message>
     <message>
-        <source>What the pinhole model may cost at most, as equivalent error in the image.</source>
-        <translation>Was das Lochkameramodell höchstens kosten darf, als äquivalenter Fehler im Bild.</translation>
+        <source>The equivalent error in the image that the pinhole model may have at most.</source>
+        <translation>Der äquivalente Fehler im Bild, den das Lochkameramodell höchstens haben darf.</translation>
     </message>
     <message>
         <source>Refinement model</source>
         <translation>Modell der Verfeinerung</translation>
     </message>
     <message>
-        <source>none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures the curvature of the image; terrain: cures the parallax of altitude too, on a coarse surface.</source>
+        <source>none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: removes the curvature of the image; terrain: removes the parallax of altitude too, on a coarse surface.</source>
         <translation>none: Lochkameras auf den Bildern, wie sie sind; homography: Ebene auf Ebene; polynomial: behebt die Krümmung des Bildes; terrain: behebt auch die Höhenparallaxe, auf einer groben Oberfläche.</translation>
     </message>
     <message>
@@ -513,8 +513,8 @@
         <translation>Grad des Polynoms</translation>
     </message>
     <message>
-        <source>2 is the paper's; 3 to 5 help only where the attitude of the satellite wobbles within a tile. Other models take no notice of it.</source>
-        <translation>2 ist der des Artikels; 3 bis 5 helfen nur, wo die Lage des Satelliten innerhalb einer Kachel schwankt. Andere Modelle beachten ihn nicht.</translation>
+        <source>2 is the paper's; 3 to 5 help only where the satellite's attitude changes quickly within a tile. Other models do not use it.</source>
+        <translation>2 ist der der Veröffentlichung; 3 bis 5 helfen nur, wo sich die Lage des Satelliten innerhalb einer Kachel schnell ändert. Andere Modelle verwenden ihn nicht.</translation>
     </message>
     <message>
         <source>Resampling of the refined images</source>
@@ -541,12 +541,12 @@
         <translation>Ein: Tiefen müssen auch zu denen der anderen Bilder passen, in einem zweiten, gleich langen Durchgang. Aus: halbe Zeit, mehr Ausreißer.</translation>
     </message>
     <message>
-        <source>COLMAP: only what its fusion keeps</source>
-        <translation>COLMAP: nur was seine Fusion behält</translation>
+        <source>COLMAP: only heights that its fusion keeps</source>
+        <translation>COLMAP: nur Höhen, die seine Fusion behält</translation>
     </message>
     <message>
-        <source>On: COLMAP's own fusion of the depth maps decides which heights go on to the DSM: two images must agree in place, depth and slope. Fewer heights, fewer outliers.</source>
-        <translation>Ein: COLMAPs eigene Fusion der Tiefenkarten entscheidet, welche Höhen ins DSM eingehen: Zwei Bilder müssen in Ort, Tiefe und Neigung übereinstimmen. Weniger Höhen, weniger Ausreißer.</translation>
+        <source>On: COLMAP's own fusion of the depth maps decides which heights the DSM uses: two images must agree in position, depth and slope. This gives fewer heights and fewer outliers.</source>
+        <translation>Ein: COLMAPs eigene Fusion der Tiefenkarten entscheidet, welche Höhen das DOM verwendet: Zwei Bilder müssen in Ort, Tiefe und Neigung übereinstimmen. Das ergibt weniger Höhen und weniger Ausreißer.</translation>
     </message>
     <message>
         <source>COLMAP: radius of the window (px)</source>
@@ -585,8 +585,8 @@
         <translation>Fusion der Höhen der Paare</translation>
     </message>
     <message>
-        <source>Of the heights that agree: mean has less noise, median is the paper's.</source>
-        <translation>Aus den Höhen, die übereinstimmen: mean rauscht weniger, median entspricht dem Aufsatz.</translation>
+        <source>How the heights that agree are combined: mean has less noise, median is the paper's.</source>
+        <translation>Wie die übereinstimmenden Höhen verbunden werden: mean rauscht weniger, median ist das Verfahren der Veröffentlichung.</translation>
     </message>
     <message>
         <source>Fill</source>
@@ -601,11 +601,11 @@
         <translation>Ausreißerradius (m, leer: automatisch, 0: aus)</translation>
     </message>
     <message>
-        <source>Points with too few neighbours within this distance are dropped.</source>
-        <translation>Punkte mit zu wenigen Nachbarn innerhalb dieser Entfernung fallen weg.</translation>
+        <source>Points with too few neighbours within this distance are removed.</source>
+        <translation>Punkte mit zu wenigen Nachbarn innerhalb dieser Entfernung werden entfernt.</translation>
     </message>
     <message>
-        <source>Most vertices of the mesh (0: one a cell)</source>
+        <source>Most vertices of the mesh (0: one for each cell)</source>
         <translation>Höchstens so viele Netzknoten (0: einer je Zelle)</translation>
     </message>
     <message>
@@ -617,8 +617,8 @@
         <translation>Szene</translation>
     </message>
     <message>
-        <source>The scene.json that the stage before wrote.</source>
-        <translation>Die scene.json, die die Stufe davor geschrieben hat.</translation>
+        <source>The scene.json that the previous stage wrote.</source>
+        <translation>Die scene.json, die die vorige Stufe geschrieben hat.</translation>
     </message>
     <message>
         <source>Workspace</source>
@@ -637,8 +637,8 @@
         <translation>Szene nach dieser Stufe</translation>
     </message>
     <message>
-        <source>What this stage makes is kept in this file's folder.</source>
-        <translation>Was diese Stufe erzeugt, liegt im Ordner dieser Datei.</translation>
+        <source>The results of this stage are kept in this file's folder.</source>
+        <translation>Die Ergebnisse dieser Stufe liegen im Ordner dieser Datei.</translation>
     </message>
     <message>
         <source>Tie points</source>
@@ -681,8 +681,8 @@
         <translation>DOM jedes Paares für sich</translation>
     </message>
     <message>
-        <source>A folder for the surface that each pair of images sees by itself, with its confidence: to see which pair an error comes from.</source>
-        <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich sieht, mit ihrer Güte: um zu sehen, von welchem Paar ein Fehler kommt.</translation>
+        <source>A folder for the surface that each pair of images gives on its own, with its confidence: to find out which pair an error comes from.</source>
+        <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich ergibt, mit ihrer Konfidenz: um zu finden, von welchem Paar ein Fehler kommt.</translation>
     </message>
     <message>
         <source>Equivalent error</source>
@@ -745,8 +745,8 @@
         <translation>Beispielbilder erzeugen</translation>
     </message>
     <message>
-        <source>Simulated tri-stereo images with RPCs of a surface that is known, to try and to measure.</source>
-        <translation>Simulierte Tri-Stereo-Bilder mit RPC von einer bekannten Oberfläche, zum Ausprobieren und zum Messen.</translation>
+        <source>Simulated tri-stereo images with RPCs of a known surface, to try the plugin and to measure its accuracy.</source>
+        <translation>Simulierte Tri-Stereo-Bilder mit RPC von einer bekannten Oberfläche, um das Plugin auszuprobieren und seine Genauigkeit zu messen.</translation>
     </message>
     <message>
         <source>Landscape</source>

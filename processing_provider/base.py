@@ -177,9 +177,9 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         if not os.path.exists(value):
             return self.tr("{name} '{path}' is not there: check its path.").format(name=definition.name(), path=value)
         if not value.lower().endswith(".json"):
-            return self.tr("{name} '{path}' is no scene: choose the scene.json that the stage before wrote.").format(
-                name=definition.name(), path=value
-            )
+            return self.tr(
+                "{name} '{path}' is not a scene: choose the scene.json that the previous stage wrote."
+            ).format(name=definition.name(), path=value)
         return ""
 
     def _check_files(self, name: str, value: object, context: QgsProcessingContext) -> str:
@@ -197,7 +197,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if isinstance(item, str) and not os.path.exists(item):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
             if isinstance(item, str) and not _is_raster(item):
-                return self.tr("{name} '{path}' cannot be read as a raster: check that the file is whole.").format(
+                return self.tr("{name} '{path}' cannot be read as a raster: check that the file is complete.").format(
                     name=name, path=item
                 )
         return ""
@@ -210,7 +210,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             near = difflib.get_close_matches(name.upper(), known, 1)
             if name not in known and near:
                 feedback.pushWarning(
-                    self.tr("{name} is no parameter of {id} and has no effect: do you mean {near}?").format(
+                    self.tr("{name} is not a parameter of {id} and has no effect: do you mean {near}?").format(
                         name=name, id=self.id(), near=near[0]
                     )
                 )

@@ -23,7 +23,7 @@ class CheckGcps(RepmAlgorithm):
         return self.tr("Check against ground control points")
 
     def shortDescription(self) -> str:
-        return self.tr("How far points of known place are from where RPCs, corrected RPCs and a DSM put them.")
+        return self.tr("How far points of known position are from where RPCs, corrected RPCs and a DSM put them.")
 
     def parameters(self) -> list:
         scene = QgsProcessingParameterFile(
@@ -37,9 +37,7 @@ class CheckGcps(RepmAlgorithm):
             parameters.gcps(optional=False),
             parameters.helped(
                 scene,
-                self.tr(
-                    "The scene.json of any stage; one that was reconstructed also shows what its pointing is worth."
-                ),
+                self.tr("The scene.json of any stage; a reconstructed scene also shows how accurate its pointing is."),
             ),
             parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
             parameters.gcp_datum(),

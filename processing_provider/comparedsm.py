@@ -47,8 +47,8 @@ class CompareDsm(RepmAlgorithm):
                 "align",
                 self.tr("Alignment before the comparison"),
                 self.tr(
-                    "none: as they lie; vertical: a constant offset in height is taken off; 3d: a "
-                    "shift in all three axes is taken off."
+                    "none: no alignment; vertical: a constant offset in height is removed; 3d: a shift in all three "
+                    "axes is removed."
                 ),
             ),
             parameters.helped(
@@ -57,7 +57,7 @@ class CompareDsm(RepmAlgorithm):
                     self.tr("Thresholds of the completeness (m)"),
                     "; ".join(f"{height:g}" for height in CompareDsmOptions.option("thresholds").default),
                 ),
-                self.tr("The part of the reference's cells whose height is right to within each of these."),
+                self.tr("For each of these: the share of the reference's cells whose height is right to within it."),
             ),
             parameters.helped(
                 parameters.Rasters(
@@ -67,8 +67,8 @@ class CompareDsm(RepmAlgorithm):
                     optional=True,
                 ),
                 self.tr(
-                    "Other DSMs of the same ground, such as another program's: the report puts all side by side, "
-                    "each aligned for itself."
+                    "Other DSMs of the same ground, such as another program's: the report shows all of them side by "
+                    "side, each aligned on its own."
                 ),
             ),
             parameters.helped(
@@ -83,7 +83,8 @@ class CompareDsm(RepmAlgorithm):
                     "PROFILES", self.tr("Profile lines"), [QgsProcessing.SourceType.TypeVectorLine], optional=True
                 ),
                 self.tr(
-                    "Lines to show the heights along, named by their field 'name'. Empty: twice through the middle."
+                    "Lines along which heights are shown, named by their field 'name'. Empty: two lines through the "
+                    "middle."
                 ),
             ),
             *(parameters.product(self.ID, name) for name in ("error", "report")),

@@ -20,7 +20,7 @@ class DsmFuse(RepmAlgorithm):
         return self.tr("Fuse heights into a DSM")
 
     def shortDescription(self) -> str:
-        return self.tr("One DSM from the height maps of all pairs, without outliers, with its confidence.")
+        return self.tr("Makes one DSM from the height maps of all pairs, without outliers, and with its confidence.")
 
     def parameters(self) -> list:
         return [

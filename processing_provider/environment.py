@@ -35,6 +35,8 @@ class Environment(RepmAlgorithm):
             if feedback.isCanceled():
                 raise
             feedback.pushWarning(
-                self.tr("The report is on QGIS's own Python, the engine does not run: {reason}").format(reason=error)
+                self.tr("The engine does not run, so the report describes QGIS's own Python: {reason}").format(
+                    reason=error
+                )
             )
             return engine.run_here(self.ID, options, feedback)

@@ -20,7 +20,9 @@ class EpmFit(RepmAlgorithm):
         return self.tr("Fit equivalent pinhole cameras")
 
     def shortDescription(self) -> str:
-        return self.tr("Pinhole cameras for images with RPCs, tile by tile, and the error that this costs.")
+        return self.tr(
+            "Fits pinhole cameras to images with RPCs, tile by tile, and measures the error that this causes."
+        )
 
     def parameters(self) -> list:
         return [

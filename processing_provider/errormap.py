@@ -21,7 +21,7 @@ class ErrorMap(RepmAlgorithm):
         return self.tr("Map the equivalent error")
 
     def shortDescription(self) -> str:
-        return self.tr("What the pinhole model costs one view, as a raster on the ground.")
+        return self.tr("The error of the pinhole model in one view, as a raster on the ground.")
 
     def parameters(self) -> list:
         return [

@@ -59,7 +59,7 @@ class ExportCameras(RepmAlgorithm):
                     "bits",
                     self.tr("Bits of a pixel"),
                     self.tr(
-                        "8: PNG (JPEG for mvsnet), brightness stretched as for matching; 16: TIFF with the images' own "
+                        "8: PNG (JPEG for mvsnet), intensity stretched as for matching; 16: TIFF with the images' own "
                         "values, which fewer programs read."
                     ),
                 )

@@ -144,7 +144,7 @@ def rpcs() -> QgsProcessingParameterDefinition:
                 QgsProcessing.SourceType.TypeFile,
                 optional=True,
             ),
-            tr("Only where the RPCs lie elsewhere: one file for each image, in the images' order."),
+            tr("Only needed where the RPCs are in another place: one file for each image, in the order of the images."),
         )
     )
 
@@ -154,14 +154,14 @@ def masks() -> QgsProcessingParameterDefinition:
         helped(
             QgsProcessingParameterMultipleLayers(
                 "MASKS",
-                tr("Masks of what is not to be used (empty: none)"),
+                tr("Masks of pixels that must not be used (empty: none)"),
                 QgsProcessing.SourceType.TypeFile,
                 optional=True,
             ),
             tr(
-                "One raster for each image, in the images' order, of the same size in columns and rows: pixels that are "
-                "neither zero nor nodata (clouds, water) are left out of everything, tie points too. What an image's own "
-                "mask or alpha band hides is left out anyway."
+                "One raster for each image, in the order of the images and of the same size in columns and rows: "
+                "pixels that are neither zero nor nodata (clouds, water) are not used at all, not even for tie "
+                "points. The image's own mask or alpha band is always used."
             ),
         )
     )
@@ -171,9 +171,9 @@ def gcps(optional: bool = True) -> QgsProcessingParameterDefinition:
     return helped(
         Points("GCPS", tr("Ground control points"), [QgsProcessing.SourceType.TypeVector], optional=optional),
         tr(
-            "A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's "
-            "file name), col, row (the first pixel's centre is 0, 0), role (control or check). A layer's geometry may "
-            "stand for lon and lat."
+            "A CSV file or point layer with one row for each point and image: id, lon, lat, height, view "
+            "(the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). "
+            "The geometry of a layer can replace lon and lat."
         ),
     )
 
@@ -188,8 +188,8 @@ def gcp_datum() -> QgsProcessingParameterDefinition:
                 optional=True,
             ),
             tr(
-                "EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773. Its grid must be installed: the "
-                "Environment report names what is missing."
+                "EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773. Its grid must be installed: "
+                "the Environment report names what is missing."
             ),
         )
     )
@@ -214,8 +214,8 @@ def pointing() -> QgsProcessingParameterDefinition:
             "pointing",
             tr("Correction of the images' pointing"),
             tr(
-                "shift: one shift an image; affine: also stretched and turned; auto: affine where the "
-                "tie points show a trend and span the images well enough to carry it."
+                "shift: one shift for each image; affine: also scale, shear and rotation; auto: affine where the "
+                "tie points show a trend and span the images well enough."
             ),
         )
     )
@@ -228,9 +228,9 @@ def adjustment() -> QgsProcessingParameterDefinition:
             "adjustment",
             tr("Adjustment of the pointing"),
             tr(
-                "rpc: against the original RPCs, exact, takes control points and affine corrections; "
-                "colmap: the paper's way, COLMAP moves the principal points of the pinhole cameras: "
-                "shifts only, and no control points."
+                "rpc: against the original RPCs, exact, with control points and affine corrections; colmap: as "
+                "in the paper, COLMAP moves the principal points of the pinhole cameras: shifts only, and no "
+                "control points."
             ),
         )
     )
@@ -257,8 +257,8 @@ def surface() -> QgsProcessingParameterDefinition:
     return helped(
         Raster("DEM", tr("Coarse elevation model (terrain model only)"), optional=True),
         tr(
-            "The surface that the terrain model refines on; a DEM with cells of 30 m will do. Empty: the heights that "
-            "the scene has already, where 'Reconstruct heights' has made some."
+            "The surface on which the terrain model refines; a DEM with cells of 30 m is fine enough. Empty: "
+            "the heights that the scene already has from 'Reconstruct heights'."
         ),
     )
 
@@ -278,7 +278,7 @@ def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
                 EpmFitOptions,
                 "tile_size",
                 tr("Tile size (px, 0: automatic)"),
-                tr("0 takes the largest tile that keeps the error under the budget, and fits memory."),
+                tr("0 means the largest tile whose error stays within the budget and which fits into memory."),
             )
         ),
         advanced(
@@ -286,7 +286,7 @@ def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
                 EpmFitOptions,
                 "error_budget",
                 tr("Error budget (px)"),
-                tr("What the pinhole model may cost at most, as equivalent error in the image."),
+                tr("The equivalent error in the image that the pinhole model may have at most."),
             )
         ),
     ]
@@ -298,8 +298,9 @@ def model() -> QgsProcessingParameterDefinition:
         "model",
         tr("Refinement model"),
         tr(
-            "none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: cures "
-            "the curvature of the image; terrain: cures the parallax of altitude too, on a coarse surface."
+            "none: pinhole cameras on the images as they are; homography: plane to plane; polynomial: "
+            "removes the curvature of the image; terrain: removes the parallax of altitude too, on a coarse "
+            "surface."
         ),
     )
 
@@ -310,8 +311,8 @@ def order() -> QgsProcessingParameterDefinition:
         "order",
         tr("Order of the polynomial"),
         tr(
-            "2 is the paper's; 3 to 5 help only where the attitude of the satellite wobbles within a tile. "
-            "Other models take no notice of it."
+            "2 is the paper's; 3 to 5 help only where the satellite's attitude changes quickly within a "
+            "tile. Other models do not use it."
         ),
     )
 
@@ -358,10 +359,10 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
             switch(
                 ReconstructOptions,
                 "colmap_fusion",
-                tr("COLMAP: only what its fusion keeps"),
+                tr("COLMAP: only heights that its fusion keeps"),
                 tr(
-                    "On: COLMAP's own fusion of the depth maps decides which heights go on to the DSM: two "
-                    "images must agree in place, depth and slope. Fewer heights, fewer outliers."
+                    "On: COLMAP's own fusion of the depth maps decides which heights the DSM uses: two images must "
+                    "agree in position, depth and slope. This gives fewer heights and fewer outliers."
                 ),
             )
         ),
@@ -410,7 +411,7 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 DsmFuseOptions,
                 "method",
                 tr("Fusion of the pairs' heights"),
-                tr("Of the heights that agree: mean has less noise, median is the paper's."),
+                tr("How the heights that agree are combined: mean has less noise, median is the paper's."),
             )
         ),
         advanced(
@@ -430,14 +431,14 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 DsmFuseOptions,
                 "outlier_radius",
                 tr("Outlier radius (m, empty: automatic, 0: off)"),
-                tr("Points with too few neighbours within this distance are dropped."),
+                tr("Points with too few neighbours within this distance are removed."),
             )
         ),
         advanced(
             number(
                 DsmFuseOptions,
                 "mesh_vertices",
-                tr("Most vertices of the mesh (0: one a cell)"),
+                tr("Most vertices of the mesh (0: one for each cell)"),
                 tr("Where the DSM has more cells, the mesh takes every second (third, ...) row and column."),
             )
         ),
@@ -449,7 +450,7 @@ def scene(label: Optional[str] = None) -> QgsProcessingParameterDefinition:
         QgsProcessingParameterFile(
             "SCENE", label or tr("Scene"), QgsProcessingParameterFile.Behavior.File, fileFilter=SCENE_FILTER
         ),
-        tr("The scene.json that the stage before wrote."),
+        tr("The scene.json that the previous stage wrote."),
     )
 
 

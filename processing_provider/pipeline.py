@@ -23,7 +23,7 @@ class Pipeline(RepmAlgorithm):
         return self.tr("Make a DSM from satellite images")
 
     def shortDescription(self) -> str:
-        return self.tr("The whole way: pinhole cameras, refinement, tie points, dense matching, fusion.")
+        return self.tr("All stages in one run: pinhole cameras, refinement, tie points, dense matching, fusion.")
 
     def parameters(self) -> list:
         dsm, *extras = parameters.dsm_products()

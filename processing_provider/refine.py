@@ -33,6 +33,6 @@ class Refine(RepmAlgorithm):
 
     def extra_outputs(self) -> list:
         return [
-            QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error left, RMSE (px)")),
-            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error left, largest (px)")),
+            QgsProcessingOutputNumber("RMSE", self.tr("Remaining equivalent error, RMSE (px)")),
+            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Remaining equivalent error, largest (px)")),
         ]

@@ -24,7 +24,9 @@ class SampleData(RepmAlgorithm):
         return self.tr("Make sample images")
 
     def shortDescription(self) -> str:
-        return self.tr("Simulated tri-stereo images with RPCs of a surface that is known, to try and to measure.")
+        return self.tr(
+            "Simulated tri-stereo images with RPCs of a known surface, to try the plugin and to measure its accuracy."
+        )
 
     def parameters(self) -> list:
         return [

@@ -82,7 +82,7 @@ PRODUCTS = (
         form=SCENE,
         wanted=ALWAYS,
         filter=SCENES,
-        help="What this stage makes is kept in this file's folder.",
+        help="The results of this stage are kept in this file's folder.",
     ),
     Product(
         stage="reconstruct",
@@ -91,7 +91,7 @@ PRODUCTS = (
         form=SCENE,
         wanted=ALWAYS,
         filter=SCENES,
-        help="What this stage makes is kept in this file's folder.",
+        help="The results of this stage are kept in this file's folder.",
     ),
     Product(
         stage="reconstruct",
@@ -121,8 +121,8 @@ PRODUCTS = (
         option="view_heights",
         title="DSM of each pair alone",
         form=FOLDER,
-        help="A folder for the surface that each pair of images sees by itself, with its confidence: to see which pair "
-        "an error comes from.",
+        help="A folder for the surface that each pair of images gives on its own, with its confidence: to "
+        "find out which pair an error comes from.",
     ),
     Product(stage="errormap", option="output", title="Equivalent error", form=RASTER, wanted=ALWAYS, style="error"),
     Product(stage="exportcameras", option="folder", title="Folder", form=FOLDER, wanted=ALWAYS),

@@ -164,7 +164,7 @@ def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sampl
         "has no height maps",
         "Reconstruct heights",
     )
-    one_sentence(message_of("dsmfuse", {"SCENE": sample["images"][0], "OUTPUT": out}, feedback), "is no scene")
+    one_sentence(message_of("dsmfuse", {"SCENE": sample["images"][0], "OUTPUT": out}, feedback), "is not a scene")
     one_sentence(
         message_of("refine", {"SCENE": scene, "MODEL": "terrain", "OUTPUT_SCENE": str(tmp_path / "s.json")}, feedback),
         "MODEL is 'terrain'",
@@ -197,7 +197,7 @@ def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path)
     )
     assert fine
     assert feedback.heard["warning"] == [
-        "ERROR_BUGDET is no parameter of repm:epmfit and has no effect: do you mean ERROR_BUDGET?"
+        "ERROR_BUGDET is not a parameter of repm:epmfit and has no effect: do you mean ERROR_BUDGET?"
     ]
 
 
