@@ -86,7 +86,7 @@ class OpenCvSift:
     def detect(self, grey: ByteImage, mask: ByteImage, most: int, choose: Choice = everything) -> Keypoints:
         """The ``most`` keypoints with the strongest contrast, for ``choose``."""
         # Without the precise doubling of the image, all keypoints lie a quarter of a pixel too far right and below.
-        sift = cv2.SIFT_create(  # type: ignore[attr-defined]  # missing in OpenCV's stubs
+        sift = cv2.SIFT_create(
             most,
             nOctaveLayers=self.parameters.layers,
             contrastThreshold=self.parameters.contrast,
