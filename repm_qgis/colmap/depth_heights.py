@@ -30,7 +30,7 @@ class DepthGeometry:
     """Heights and ground positions of the pixels of a reference image.
 
     ``height`` takes column, row, 1 / depth to metres above the ellipsoid, ``x`` and ``y`` take column, row, height to
-    coordinates of ``crs``. ``metres_per_px`` is the height for one px in the source with the most parallax, which has
+    coordinates of a CRS. ``metres_per_px`` is the height for one px in the source with the most parallax, which has
     the number ``best``; ``error_m`` is the largest error of the three tables at their levels, and
     ``vertical_parallax_px`` the largest distance between a source's pinhole pixel and the RPC's at the best depth.
     """
@@ -38,7 +38,6 @@ class DepthGeometry:
     height: NodeTable
     x: NodeTable
     y: NodeTable
-    crs: str
     metres_per_px: float
     best: int
     error_m: float
@@ -75,7 +74,7 @@ def depth_geometry(
     y, error_y = NodeTable.fit(columns, rows, z, xy[..., 1])
     best = int(np.argmax(parallax))
     metres = (tile.altitudes[1] - tile.altitudes[0]) / max(parallax[best], 1e-9)
-    return DepthGeometry(height, x, y, crs, metres, best, max(error_h, error_x, error_y), left_px)
+    return DepthGeometry(height, x, y, metres, best, max(error_h, error_x, error_y), left_px)
 
 
 def _inverse_depths(

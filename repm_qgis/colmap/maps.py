@@ -1,29 +1,27 @@
-"""COLMAP's depth and normal maps: ``WIDTH&HEIGHT&CHANNELS&`` in ASCII, then float32, little-endian, channel by channel.
+"""COLMAP's depth maps: ``WIDTH&HEIGHT&1&`` in ASCII, then float32, little-endian, row by row.
 
-https://colmap.github.io/format.html (dense reconstruction). A depth is along the optical axis, 0 where there is none;
-a normal is a unit vector in the camera's frame that points towards the camera.
+https://colmap.github.io/format.html (dense reconstruction). A depth is along the optical axis, 0 where there is none.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage
+from ..arrays import FloatImage, Size
 from ..errors import ImageError
 
 _HEADER = re.compile(rb"(\d{1,6})&(\d{1,6})&(\d{1,2})&")
 _HEADER_BYTES = 24
 
 
-def read_map(path: str, size: Tuple[int, int], channels: int = 1) -> FloatImage:
-    """Read a map that must have this size (width, height) and number of channels.
+def read_map(path: str, size: Size) -> FloatImage:
+    """Read a (height, width) map that must have this size.
 
-    Returns (height, width) for one channel, else (height, width, channels). Raises ImageError for a file that is
-    missing, no such map, truncated or of another size; the values are read only if the header agrees.
+    Raises ImageError for a file that is missing, no such map, truncated or of another size; the values are read only if
+    the header agrees.
     """
     width, height = size
     try:
@@ -32,12 +30,12 @@ def read_map(path: str, size: Tuple[int, int], channels: int = 1) -> FloatImage:
             found = _HEADER.match(start)
             if found is None:
                 raise ImageError(f"'{path}' is no map of COLMAP (it begins with {start[:12]!r}): reconstruct again.")
-            if tuple(map(int, found.groups())) != (width, height, channels):
+            if tuple(map(int, found.groups())) != (width, height, 1):
                 raise ImageError(
                     f"The map '{path}' has {' x '.join(g.decode() for g in found.groups())} values, the "
-                    f"image {width} x {height} x {channels}: reconstruct again."
+                    f"image {width} x {height} x 1: reconstruct again."
                 )
-            expected = found.end() + 4 * width * height * channels
+            expected = found.end() + 4 * width * height
             if os.fstat(stream.fileno()).st_size != expected:
                 raise ImageError(f"The map '{path}' is damaged (it should have {expected} bytes): reconstruct again.")
             stream.seek(found.end())
@@ -46,5 +44,4 @@ def read_map(path: str, size: Tuple[int, int], channels: int = 1) -> FloatImage:
         raise
     except OSError as error:
         raise ImageError(f"Cannot read the map '{path}' ({error.strerror or error}): reconstruct again.") from error
-    layers = values.astype(np.float32).reshape(channels, height, width)
-    return layers[0] if channels == 1 else np.moveaxis(layers, 0, -1)
+    return values.astype(np.float32).reshape(height, width)

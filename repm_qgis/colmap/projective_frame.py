@@ -43,10 +43,6 @@ class ProjectiveFrame:
         """(..., 3) east, north, up to (..., 3) of this frame."""
         return _mapped(self.matrix, enu_m)
 
-    def to_enu(self, points: FloatArray) -> FloatArray:
-        """(..., 3) of this frame to (..., 3) east, north, up."""
-        return _mapped(np.linalg.inv(self.matrix), points)
-
     def camera(self, camera: PinholeCamera) -> PinholeCamera:
         """K', R', t' of P T^-1: the same pixels, mostly with a skew; K'[1, 1] < 0 where the image is mirrored."""
         return factorise(camera.P @ np.linalg.inv(self.matrix))

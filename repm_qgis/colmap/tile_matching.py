@@ -194,7 +194,7 @@ def _height_map(
     except EmptyResultError:
         return None
     image = images[numbers[name]]
-    depth = read_map(map_path(folder, "depth", numbers[name], task.options.geometric), reference.size)
+    depth = read_map(map_path(folder, numbers[name], task.options.geometric), reference.size)
     if task.options.fusion:
         depth = _fused_only(depth, reference, _fused(folder), task.parameters.patch_match.fused_depth_share)
     depth = np.where(_surrounded(image, task.options.window_radius) & (depth > 0), depth, np.float32(np.nan))

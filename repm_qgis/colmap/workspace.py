@@ -29,7 +29,6 @@ from .parameters import COLMAP, TrackParameters
 from .projective_frame import FrameView, TileFrame
 
 _GREY = np.array([128, 128, 128], dtype=np.uint8)
-_KINDS = {"depth": ("depth_maps", 1), "normal": ("normal_maps", 3)}
 
 
 def image_name(index: int) -> str:
@@ -37,11 +36,10 @@ def image_name(index: int) -> str:
     return f"{index:04d}.png"
 
 
-def map_path(folder: str, kind: str, index: int, geometric: bool) -> str:
-    """The file of a view's map in a workspace; ``kind`` is depth or normal."""
-    return os.path.join(
-        folder, "stereo", _KINDS[kind][0], f"{image_name(index)}.{'geometric' if geometric else 'photometric'}.bin"
-    )
+def map_path(folder: str, index: int, geometric: bool) -> str:
+    """The file of a view's depth map in a workspace."""
+    kind = "geometric" if geometric else "photometric"
+    return os.path.join(folder, "stereo", "depth_maps", f"{image_name(index)}.{kind}.bin")
 
 
 def view_intensity(view: FrameView, stretch: Stretch) -> FloatImage:

@@ -8,11 +8,10 @@ that ends at the image's edges (guided filter, He, Sun and Tang 2013; support we
 
 from __future__ import annotations
 
-from typing import Tuple
+from typing import Callable, Tuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
@@ -45,12 +44,11 @@ def correct_depth_edges(
     near &= known
     chosen = surface
     if near.any():
-        a, b = np.nan_to_num(image), np.nan_to_num(other)
-        rows, columns = np.nonzero(near)
-        cost = _Cost(a, b, rows, columns, towards, parameters)
+        guide = np.nan_to_num(image)
+        cost = _cost_of(guide, np.nan_to_num(other), near, towards, parameters)
         evidence = np.zeros_like(surface)
-        evidence[near] = cost.of(height_sign * upper[near]) - cost.of(height_sign * lower[near])
-        chosen = np.where(near, np.where(_guided(a, evidence, parameters) < 0, upper, lower), surface)
+        evidence[near] = cost(height_sign * upper[near]) - cost(height_sign * lower[near])
+        chosen = np.where(near, np.where(_guided(guide, evidence, parameters) < 0, upper, lower), surface)
     return np.where(known, np.float32(height_sign) * chosen, np.float32(np.nan)).astype(np.float32)
 
 
@@ -85,34 +83,25 @@ def _mean_where(surface: FloatImage, chosen: Mask, window_px: int) -> Tuple[Floa
     return mean, share > 0.5 / window_px**2
 
 
-class _Cost:
-    """The cost 0..1 of disparities of chosen pixels: how much the images differ at the places that they give."""
+def _cost_of(
+    image: FloatImage, other: FloatImage, near: Mask, towards: Tuple[float, float], parameters: EdgeParameters
+) -> Callable[[FloatImage], FloatImage]:
+    """A function that takes (N,) disparities of the pixels ``near`` to costs 0..1: how much the images differ there."""
+    places, features = np.nonzero(near), _features(other)
+    rows, columns = (place.astype(np.float32) for place in places)
+    own, (factor, offset) = _features(image)[places], (np.float32(value) for value in towards)
+    intensity_cap, gradient_cap = parameters.intensity_cap, parameters.gradient_cap
 
-    def __init__(
-        self,
-        image: FloatImage,
-        other: FloatImage,
-        rows: NDArray[np.intp],
-        columns: NDArray[np.intp],
-        towards: Tuple[float, float],
-        parameters: EdgeParameters,
-    ) -> None:
-        self._own, self._other, self._towards = _features(image)[rows, columns], _features(other), towards
-        self._rows, self._columns = rows.astype(np.float32), columns.astype(np.float32)
-        self._intensity, self._gradient = parameters.intensity_cap, parameters.gradient_cap
+    def cost(disparity: FloatImage) -> FloatImage:
+        there = _folded(columns + factor * disparity.astype(np.float32) + offset)
+        found = cv2.remap(features, there, _folded(rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        off = np.abs(own - found.reshape(-1, 3)[: len(disparity)])
+        intensity = np.minimum(off[:, 0], np.float32(intensity_cap)) / np.float32(2 * intensity_cap)
+        gradient = np.minimum(off[:, 1] + off[:, 2], np.float32(gradient_cap)) / np.float32(2 * gradient_cap)
+        total: FloatImage = intensity + gradient
+        return total
 
-    def of(self, disparity: FloatImage) -> FloatImage:
-        """(N,) costs of the pixels' disparities."""
-        factor, offset = (np.float32(value) for value in self._towards)
-        columns = _folded(self._columns + factor * disparity.astype(np.float32) + offset)
-        found = cv2.remap(
-            self._other, columns, _folded(self._rows), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        ).reshape(-1, 3)[: len(disparity)]
-        off = np.abs(self._own - found)
-        intensity = np.minimum(off[:, 0], np.float32(self._intensity)) / np.float32(2 * self._intensity)
-        gradient = np.minimum(off[:, 1] + off[:, 2], np.float32(self._gradient)) / np.float32(2 * self._gradient)
-        cost: FloatImage = intensity + gradient
-        return cost
+    return cost
 
 
 def _features(image: FloatImage) -> FloatImage:

@@ -69,7 +69,7 @@ class PairGeometry:
     """Heights and ground positions of the pixels of a rectified first image.
 
     ``height`` takes column, row, disparity (first minus second column, px) to metres above the ellipsoid, ``x`` and
-    ``y`` take column, row, height to coordinates of ``crs``, ``vertical_parallax`` to the row of the second image minus
+    ``y`` take column, row, height to coordinates of a CRS, ``vertical_parallax`` to the row of the second image minus
     that of the first (px: what the pinhole model leaves; ``vertical_parallax_px`` is the largest). ``disparities`` is
     the range over the altitudes, ``metres_per_px`` the height for one px of disparity, ``error_m`` the largest error
     of the first three tables at their levels.
@@ -79,7 +79,6 @@ class PairGeometry:
     x: NodeTable
     y: NodeTable
     vertical_parallax: NodeTable
-    crs: str
     disparities: Tuple[float, float]
     metres_per_px: float
     error_m: float
@@ -152,7 +151,6 @@ def pair_geometry(
         x,
         y,
         parallax,
-        crs,
         (float(disparity.min()), float(disparity.max())),
         1.0 / max(slope, 1e-9),
         max(error_h, error_x, error_y),

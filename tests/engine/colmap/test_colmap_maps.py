@@ -11,9 +11,8 @@ from repm_qgis.errors import ImageError
 from tests.engine.colmap.emulation import write_map
 
 
-def values(channels=1):
-    made = np.random.default_rng(0).normal(size=(7, 11, channels)).astype(np.float32)
-    return made[..., 0] if channels == 1 else made
+def values():
+    return np.random.default_rng(0).normal(size=(7, 11)).astype(np.float32)
 
 
 def test_colmap_reads_what_is_written_and_writes_what_is_read(tmp_path):
@@ -24,15 +23,6 @@ def test_colmap_reads_what_is_written_and_writes_what_is_read(tmp_path):
     np.testing.assert_array_equal(theirs.to_array(), values())
     theirs.write(str(tmp_path / "again.bin"))
     np.testing.assert_array_equal(read_map(str(tmp_path / "again.bin"), (11, 7)), values())
-
-
-def test_channels_follow_each_other(tmp_path):
-    """As COLMAP's C++ has them; how its fusion reads normals: test_colmap_workspace."""
-    path = tmp_path / "normal.bin"
-    write_map(str(path), values(3))
-    expected = b"11&7&3&" + b"".join(values(3)[..., i].astype("<f4").tobytes() for i in range(3))
-    assert path.read_bytes() == expected
-    np.testing.assert_array_equal(read_map(str(path), (11, 7), 3), values(3))
 
 
 @pytest.mark.parametrize(

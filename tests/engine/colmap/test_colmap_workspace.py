@@ -8,6 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 
+from repm_qgis.colmap.projective_frame import ProjectiveFrame
 from repm_qgis.colmap.workspace import image_name, map_path, view_intensity, write_workspace
 from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.enhancement import view_stretch
@@ -94,8 +95,9 @@ def test_masked_pixels_are_none(made, tmp_path, write_image):
 def write_maps(folder, index, view, depth, normal=(0.0, 0.0, 1.0)):
     """A view's depths, with one normal of the world where there are any."""
     normals = np.where(depth[..., None] > 0, view.camera.R @ np.array(normal), 0.0)
-    write_map(map_path(folder, "depth", index, True), depth)
-    write_map(map_path(folder, "normal", index, True), normals)
+    path = map_path(folder, index, True)
+    write_map(path, depth)
+    write_map(path.replace("depth_maps", "normal_maps"), normals)
 
 
 def fused(folder, **options):
@@ -133,7 +135,7 @@ def test_fusion_of_true_depths_is_the_true_surface(request, made, kind, tmp_path
     for index, view in enumerate(tile.views):
         write_maps(folder, index, view, depths_of(scene, tile, view, true_heights(scene, tile, view, truth)))
     points = fused(folder)
-    ground = scene.frame.to_geodetic(tile.frame.to_enu(points))
+    ground = scene.frame.to_geodetic(ProjectiveFrame(np.linalg.inv(tile.frame.matrix)).from_enu(points))
     x, y = projected_from_geodetic(scene.crs, ground).T
     error = ground[:, 2] - surface_at(truth, x, y)
     error = error[np.isfinite(error)]

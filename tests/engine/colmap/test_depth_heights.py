@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from repm_qgis.colmap.depth_heights import depth_geometry
-from repm_qgis.colmap.projective_frame import FrameView, TileFrame, tile_frame
+from repm_qgis.colmap.projective_frame import FrameView, ProjectiveFrame, TileFrame, tile_frame
 from repm_qgis.errors import EmptyResultError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.stereo.parameters import STEREO
@@ -36,7 +36,8 @@ def test_a_float32_depth_gives_its_height_back_through_t(case, tile):
         camera = view.camera
         depth = camera.depth(there).astype(np.float32)
         rays = np.column_stack([camera.project(there), np.ones(len(points))]) @ np.linalg.inv(camera.K).T
-        back = tile.frame.to_enu((rays * depth.astype(np.float64)[:, None] - camera.t) @ camera.R)
+        to_enu = ProjectiveFrame(np.linalg.inv(tile.frame.matrix)).from_enu
+        back = to_enu((rays * depth.astype(np.float64)[:, None] - camera.t) @ camera.R)
         assert np.abs(case.scene.frame.to_geodetic(back)[:, 2] - points[:, 2]).max() < 0.01
         assert np.abs(back - enu).max() < 0.01
 
