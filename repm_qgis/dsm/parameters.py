@@ -93,9 +93,7 @@ class FusionParameters(Parameters):
     error: ExpectedErrorParameters = ExpectedErrorParameters()
     orthophoto: OrthophotoParameters = OrthophotoParameters()
     ept: EptParameters = EptParameters()
-    step_px: float = (
-        MATCHING.occlusions.step_px
-    )  # of disparity: higher steps hide ground; as in matching, where occlusions are filled
+    step_px: float = MATCHING.occlusions.step_px  # of disparity: higher steps hide ground, as where matching fills it
     covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen
     feather_cells: int = 8  # over which tiles change into each other on both sides of a seam; chosen
     block_cells: int = 512  # side of what is fused at once; bounds the memory

@@ -218,8 +218,8 @@ def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional
         return None
     xs, ys = grid.centres()
     lon_lat = geodetic_from_projected(crs, np.array([(x, y) for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])]))
-    west, south, east, north = map(float, (*lon_lat.min(axis=0), *lon_lat.max(axis=0)))
-    return load_surface(make_surface(scene.dem, (west, south, east, north), grid.cell, f"{folder}/dem.tif"))
+    bounds = Bounds(*map(float, (*lon_lat.min(axis=0), *lon_lat.max(axis=0))))
+    return load_surface(make_surface(scene.dem, bounds, grid.cell, f"{folder}/dem.tif"))
 
 
 def _on_cells(surface: Surface, grid: CellGrid, crs: str) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import FloatArray, FloatImage, Window
+from ..arrays import Bounds, FloatArray, FloatImage, Window
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, geodetic_from_projected, vertical_part
 from ..geometry.interpolation import on_lattice
@@ -68,9 +68,7 @@ def _to_ellipsoid(crs: pyproj.CRS, path: str, x: FloatArray, y: FloatArray) -> F
     return result
 
 
-def make_surface(
-    path: str, bounds: Tuple[float, float, float, float], cell_m: float, target: str, parameters: DemParameters = DEM
-) -> str:
+def make_surface(path: str, bounds: Bounds, cell_m: float, target: str, parameters: DemParameters = DEM) -> str:
     """A coarse surface from a DEM, written as a GeoTIFF in longitude, latitude and ellipsoidal heights.
 
     ``bounds`` are west, south, east, north in degrees; cells are averages over about ``cell_m``; gaps are filled
@@ -101,9 +99,7 @@ def make_surface(
     return write(target, [heights.astype(np.float32)], transform, wkt, descriptions=names, unit="m")
 
 
-def _undulation(
-    crs: pyproj.CRS, path: str, bounds: Tuple[float, float, float, float], shape: Tuple[int, int]
-) -> FloatArray:
+def _undulation(crs: pyproj.CRS, path: str, bounds: Bounds, shape: Tuple[int, int]) -> FloatArray:
     """The metres to add to a DEM's heights; geoids are smooth."""
     transformer = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True)
 
