@@ -203,7 +203,10 @@ class FusionFacts(Record):
 
 @dataclass(frozen=True)
 class StageRecord(Record):
-    """A finished stage in a scene's history: what it was made from, how long it took, and its warnings."""
+    """A finished stage in a scene's history: what it was made from, how long it took, and its warnings.
+
+    ``parameters`` are those that were not the defaults.
+    """
 
     stage: str
     fingerprint: str
@@ -211,3 +214,4 @@ class StageRecord(Record):
     seconds: float
     options: Dict[str, Any]
     warnings: Tuple[str, ...] = ()
+    parameters: Dict[str, Any] = dataclasses.field(default_factory=dict)

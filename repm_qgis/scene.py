@@ -189,10 +189,18 @@ class Scene(Record):
         return self.path.parent / f"{self.path.stem}_{kind}"
 
     def recorded(
-        self, stage: str, key: str, options: Mapping[str, Any], seconds: float, warnings: Sequence[str] = ()
+        self,
+        stage: str,
+        key: str,
+        options: Mapping[str, Any],
+        seconds: float,
+        warnings: Sequence[str] = (),
+        parameters: Optional[Dict[str, Any]] = None,
     ) -> "Scene":
         """The scene with a finished stage in its history, where it replaces an earlier record of the same stage."""
-        record = StageRecord(stage, key, __version__, round(seconds, 3), dict(options), tuple(warnings))
+        record = StageRecord(
+            stage, key, __version__, round(seconds, 3), dict(options), tuple(warnings), parameters or {}
+        )
         return replace(self, history=(*(entry for entry in self.history if entry.stage != record.stage), record))
 
     def record_of(self, stage: str) -> Optional[StageRecord]:

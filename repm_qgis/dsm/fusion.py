@@ -13,6 +13,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.gridding import grid_points, surface_step
 from ..geometry.interpolation import on_lattice
 from ..matching.backends import height_source
+from ..matching.parameters import MATCHING, MatchingParameters
 from ..records import HeightMapRecord
 from ..scene import Scene, View
 from ..stereo.height_maps import HeightMap, HeightSource
@@ -44,6 +45,7 @@ class FuseTask:
     ortho_views: Tuple[View, ...] = ()
     cloud: bool = False
     parameters: FusionParameters = FUSION
+    matching: MatchingParameters = MATCHING
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     """Grid each height map, aggregate, remove outliers, and cut the result to the tile's own cells."""
     wide = task.window.grown(task.parameters.feather_cells, task.grid.size)
     grid = task.grid.part(wide)
-    sources = [height_source(task.scene, task.bounds, record, task.crs) for record in task.records]
+    sources = [height_source(task.scene, task.bounds, record, task.crs, task.matching) for record in task.records]
     fused = _fuse_blocks(task, grid, sources)
     if task.fill == "none":
         fused = fused.without(fused.filled)

@@ -6,11 +6,14 @@ The names here are those of the Processing algorithms and of ``python -m repm_qg
 from __future__ import annotations
 
 import importlib
-from typing import Any, Mapping
+from typing import TYPE_CHECKING, Any, Callable, Mapping, Optional
 
 from .. import options as _options
 from ..errors import OptionError
 from ..progress import Progress
+
+if TYPE_CHECKING:  # QGIS asks for the options alone
+    from .parameters import EngineParameters
 
 STAGES: dict[str, type[_options.Options]] = {
     "epmfit": _options.EpmFitOptions,
@@ -27,13 +30,16 @@ STAGES: dict[str, type[_options.Options]] = {
 }
 
 
-def run_stage(name: str, options: Mapping[str, Any], progress: Progress) -> dict[str, Any]:
+def run_stage(
+    name: str, options: Mapping[str, Any], progress: Progress, parameters: Optional[EngineParameters] = None
+) -> dict[str, Any]:
     """Run a stage by name with options as a JSON object, and give its results as a JSON object.
 
-    Raises OptionError for an unknown stage or a bad option, and whatever RepmError the stage raises.
+    ``parameters`` are for studies of the pipeline and its stages, which keep what differs from the defaults in their
+    fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, and whatever RepmError the stage raises.
     """
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)
-    result: dict[str, Any] = importlib.import_module(f"{__name__}.{name}").run(checked, progress)
-    return result
+    run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
+    return run(checked, progress) if parameters is None else run(checked, progress, parameters)

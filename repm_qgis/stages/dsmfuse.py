@@ -16,6 +16,7 @@ from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.mesh import write_mesh
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
+from ..dsm.parameters import FusionParameters
 from ..dsm.products import DsmLayout, cloud_of, write_products
 from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import height_limits, write_style
@@ -28,9 +29,10 @@ from ..progress import Part, Progress
 from ..records import FusionFacts
 from ..scene import Scene, Tile
 from ..workspace import ensure_folder, temporary_name
+from .parameters import ENGINE, EngineParameters
 
 
-def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
@@ -43,10 +45,12 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:
         require_ept_place(options.ept)
-    layout = DsmLayout.of(scene, tiles, crs, datum, options.resolution or _round_cell(2.0 * scene.gsd_m))
-    radius = (
-        automatic_radius(layout.grid.cell, scene.gsd_m) if options.outlier_radius is None else options.outlier_radius
+    layout = DsmLayout.of(
+        scene, tiles, crs, datum, options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m)
     )
+    radius = options.outlier_radius
+    if radius is None:
+        radius = automatic_radius(layout.grid.cell, scene.gsd_m, parameters.fusion.outliers)
     options = replace(options, outlier_radius=radius)
     rows, columns = layout.grid.shape
     progress.info(
@@ -58,15 +62,15 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
     folder = temporary_name(str(scene.path.with_name("fusion")))
     try:
         ensure_folder(folder)
-        facts, needed = _fused(options, scene, tiles, layout, folder, Part(progress, 0.0, share))
+        facts, needed = _fused(options, parameters, scene, tiles, layout, folder, Part(progress, 0.0, share))
         cloud = cloud_of(options, folder) if facts.points else None
-        shown = _write_for_display(options, cloud, datum.file_crs(crs), progress)
+        shown = _write_for_display(options, cloud, datum.file_crs(crs), parameters.fusion, progress)
         for index, pair in enumerate(pairs):
             low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
-            _one_pair(options, pair, scene, tiles, layout, folder, Part(progress, low, high))
+            _one_pair(options, parameters, pair, scene, tiles, layout, folder, Part(progress, low, high))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    _log(facts, radius, needed, options, progress)
+    _log(facts, radius, needed, options, parameters, progress)
     progress.step(1.0, "DSM fused")
     return {
         "output": options.output,
@@ -83,6 +87,7 @@ def run(options: DsmFuseOptions, progress: Progress) -> Dict[str, Any]:
 
 def _fused(
     options: DsmFuseOptions,
+    parameters: EngineParameters,
     scene: Scene,
     tiles: List[Tile],
     layout: DsmLayout,
@@ -104,6 +109,8 @@ def _fused(
             radius=options.outlier_radius or 0.0,
             ortho_views=views,
             cloud=bool(options.cloud or options.ept),
+            parameters=parameters.fusion,
+            matching=parameters.matching,
         )
         for tile, window in zip(tiles, layout.windows)
     ]
@@ -114,7 +121,7 @@ def _fused(
         progress,
         lambda work: f"fusing {work[0].records[0].tile}",
     )
-    facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, stored, folder)
+    facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, stored, folder, parameters.fusion)
     for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
         if path:
             write_style(kind, path)
@@ -128,6 +135,7 @@ def _pairs(tiles: List[Tile]) -> List[Tuple[str, str]]:
 
 def _one_pair(
     options: DsmFuseOptions,
+    parameters: EngineParameters,
     pair: Tuple[str, str],
     scene: Scene,
     tiles: List[Tile],
@@ -157,6 +165,7 @@ def _one_pair(
     try:
         _fused(
             alone,
+            parameters,
             scene,
             [tile for tile, _ in own],
             replace(layout, windows=tuple(window for _, window in own)),
@@ -193,18 +202,20 @@ def _round_cell(cell: float) -> float:
     return float(f"{cell:.2g}")
 
 
-def _write_for_display(options: DsmFuseOptions, cloud: Optional[str], crs: str, progress: Progress) -> Dict[str, Any]:
+def _write_for_display(
+    options: DsmFuseOptions, cloud: Optional[str], crs: str, parameters: FusionParameters, progress: Progress
+) -> Dict[str, Any]:
     """What is made of the finished cloud and DSM, in the DSM's colours."""
     made: Dict[str, Any] = {"ept": None, "mesh": None}
     if options.ept and cloud:
-        tree = write_ept(cloud, options.ept, crs, progress)
+        tree = write_ept(cloud, options.ept, crs, progress, parameters=parameters.ept)
         write_style("ept", f"{options.ept}/ept.json", height_limits(options.output))
         progress.info(f"EPT of {tree.points} points in {tree.nodes} nodes.")
         made["ept"] = options.ept
     elif options.ept:
         progress.warn("No matched point lies on the DSM: the EPT is not written.")
     if options.mesh:
-        mesh = write_mesh(options.output, options.mesh, options.mesh_vertices, progress)
+        mesh = write_mesh(options.output, options.mesh, options.mesh_vertices, progress, parameters)
         write_style("mesh", options.mesh, height_limits(options.output))
         thinned = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
         progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{thinned}.")
@@ -212,7 +223,14 @@ def _write_for_display(options: DsmFuseOptions, cloud: Optional[str], crs: str, 
     return made
 
 
-def _log(facts: FusionFacts, radius: float, needed: List[int], options: DsmFuseOptions, progress: Progress) -> None:
+def _log(
+    facts: FusionFacts,
+    radius: float,
+    needed: List[int],
+    options: DsmFuseOptions,
+    parameters: EngineParameters,
+    progress: Progress,
+) -> None:
     """What was filtered and filled, in the log."""
     if radius > 0:
         asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
@@ -232,7 +250,7 @@ def _log(facts: FusionFacts, radius: float, needed: List[int], options: DsmFuseO
             f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured: ask for "
             "CONFIDENCE to see which (band 4)."
         )
-    if facts.valid_percent < 20:
+    if facts.valid_percent < parameters.tiles.few_cells_percent:
         progress.warn(
             f"Only {facts.valid_percent:.0f} % of the cells have a height: look at the confidence and at "
             "the reconstruction's report before you use this DSM."

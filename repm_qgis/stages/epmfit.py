@@ -26,19 +26,17 @@ from ..scene import Scene, Tile, TileView, View, load_views, reusable
 from ..sfm.altitude_range import altitude_range
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
-
-_TILE_SIZES = (1300, 1200, 1000, 800)
-"""Sides of automatic tiles in px: larger ones match no faster (their margins are 5 %) and take more memory."""
+from .parameters import ENGINE, EngineParameters, TileParameters
 
 
-def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Read the RPCs, find area and altitudes, lay tiles, fit cameras; gives the scene, the TILES layer, the report."""
     start = time.monotonic()
     folder = ensure_folder(options.workspace)
     scene_path = str(folder / "scene.json")
     tiles_path = options.tiles or str(folder / "tiles.gpkg")
     report_path = options.report or str(folder / "equivalent_error.html")
-    key = _key(options)
+    key = _key(options, parameters)
     scene = reusable(scene_path, "epmfit", key)
     if scene is not None:
         progress.info(
@@ -47,8 +45,9 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
         )
     else:
         notes = Recorder(progress)
-        scene = _fit(options, notes)
-        scene = scene.recorded("epmfit", key, options.to_json(), time.monotonic() - start, notes.warnings)
+        scene = _fit(options, parameters, notes)
+        seconds, changes = time.monotonic() - start, parameters.changes()
+        scene = scene.recorded("epmfit", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(scene_path)
     write_tiles(scene, tiles_path)
     fit_report(scene).write(report_path)
@@ -63,7 +62,7 @@ def run(options: EpmFitOptions, progress: Progress) -> Dict[str, Any]:
     }
 
 
-def _key(options: EpmFitOptions) -> str:
+def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
     wanted = {k: v for k, v in options.to_json().items() if k not in ("workspace", "tiles", "report")}
     named = options.rpcs or ("",) * len(options.images)
     beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_sidecars(image))]
@@ -72,10 +71,10 @@ def _key(options: EpmFitOptions) -> str:
         file_identity(path)
         for path in (*options.images, *beside, *([options.dem] if options.dem else []), *filter(None, options.masks))
     ]
-    return fingerprint("epmfit", wanted, files)
+    return fingerprint("epmfit", wanted, files, *parameters.in_fingerprint())
 
 
-def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
+def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs, options.masks)
     progress.info(
         "; ".join(
@@ -86,7 +85,7 @@ def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
     )
     crs = _crs(options, views)
     search = _common_heights(views)
-    area = _area(views, crs, search, options)
+    area = _area(views, crs, search, options, parameters.tiles)
     altitudes, source = altitude_range(
         views,
         crs,
@@ -95,14 +94,16 @@ def _fit(options: EpmFitOptions, progress: Progress) -> Scene:
         (options.altitude_min, options.altitude_max),
         options.dem,
         Part(progress, 0.0, 0.6),
+        parameters.pointing.sweep,
+        parameters.altitudes,
     )
     progress.info(f"Altitudes {altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid (from: {source}).")
-    area = _area(views, crs, altitudes, options)
+    area = _area(views, crs, altitudes, options, parameters.tiles)
     xmin, ymin, xmax, ymax = bounds_of(area)
     lon, lat = geodetic_from_projected(crs, np.array([(xmin + xmax) / 2, (ymin + ymax) / 2]))
     frame = EnuFrame(float(lon), float(lat), 0.0)
     scene = Scene(views, frame, crs, area.ExportToWkt(), altitudes, (), dem=options.dem or "")
-    size = options.tile_size or _automatic_size(scene, area, options.error_budget, progress)
+    size = options.tile_size or _automatic_size(scene, area, options.error_budget, parameters.tiles, progress)
     scene = replace(scene, tiles=_tiles(scene, lay_tiles(area, size * scene.gsd_m), progress))
     progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
@@ -128,14 +129,17 @@ def _common_heights(views: Sequence[View]) -> Tuple[float, float]:
     return low, high
 
 
-def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], options: EpmFitOptions) -> ogr.Geometry:
+def _area(
+    views: Sequence[View], crs: str, altitudes: Altitudes, options: EpmFitOptions, parameters: TileParameters
+) -> ogr.Geometry:
     """The ground that two views see at some altitude of the range, within the extent asked for."""
     outlines = [
         [projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views]
-        for z in np.linspace(*altitudes, 5)
+        for z in np.linspace(*altitudes, parameters.area_altitudes)
     ]
     area = seen_twice(outlines)
-    if area.IsEmpty() or area.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
+    least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
+    if area.IsEmpty() or area.GetArea() < least:
         places = "; ".join(
             f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views
         )
@@ -144,7 +148,7 @@ def _area(views: Sequence[View], crs: str, altitudes: Tuple[float, float], optio
         return area
     wanted = _extent(options, options.extent, crs)
     common = area.Intersection(wanted)
-    if common is None or common.IsEmpty() or common.GetArea() < (64 * min(v.gsd_m for v in views)) ** 2:
+    if common is None or common.IsEmpty() or common.GetArea() < least:
         back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
         raise OverlapError(
             f"EXTENT {_range_text(options.extent)} ({options.extent_crs}) lies outside what two images see: "
@@ -169,7 +173,9 @@ def _extent(options: EpmFitOptions, extent: Extent, crs: str) -> ogr.Geometry:
         raise OptionError("EXTENT", options.extent, f"cannot be brought into {crs} ({error})") from error
 
 
-def _automatic_size(scene: Scene, area: ogr.Geometry, budget: float, progress: Progress) -> int:
+def _automatic_size(
+    scene: Scene, area: ogr.Geometry, budget: float, parameters: TileParameters, progress: Progress
+) -> int:
     """The largest tile whose refined equivalent error keeps to the budget at the area's centre and ends."""
     xmin, ymin, xmax, ymax = bounds_of(area)
     places = [(xmin + f * (xmax - xmin), ymin + f * (ymax - ymin)) for f in (0.5, 0.1, 0.9)]
@@ -184,7 +190,7 @@ def _automatic_size(scene: Scene, area: ogr.Geometry, budget: float, progress: P
         ]
         return max(errors, default=0.0)
 
-    size, error = largest_within(budget, _TILE_SIZES, error_of)
+    size, error = largest_within(budget, parameters.sizes_px, error_of)
     if error > budget:
         progress.warn(
             f"Even tiles of {size} px leave {error:.2f} px of equivalent error after refinement (budget "

@@ -18,28 +18,29 @@ from ..scene import Scene, load_views
 from ..sfm.ground_control import read_gcps
 from ..workspace import ensure_folder
 from . import dsmfuse, epmfit, reconstruct, refine
+from .parameters import ENGINE, EngineParameters
 
 _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
 """How far the whole has come when each stage ends."""
 
 
-def run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Run all stages; gives every product, and the seconds of each stage."""
     with kept_workers():
-        return _run(options, progress)
+        return _run(options, progress, parameters)
 
 
-def _run(options: PipelineOptions, progress: Progress) -> Dict[str, Any]:
+def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> Dict[str, Any]:
     _check_early(options)
     seconds: Dict[str, float] = {}
     begin = 0.0
 
-    def stage(name: str, title: str, work: Callable[[Any, Progress], Dict[str, Any]], own: Any) -> Dict[str, Any]:
+    def stage(name: str, title: str, work: Callable[..., Dict[str, Any]], own: Any) -> Dict[str, Any]:
         nonlocal begin
         start = time.monotonic()
         part = Part(progress, begin, _SHARES[name], title)
         part.step(0.0, "begins")
-        result = work(own, part)
+        result = work(own, part, parameters)
         begin, seconds[name] = _SHARES[name], round(time.monotonic() - start, 3)
         return result
 

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, Optional, Sequence
 
 from osgeo import ogr
 
-from ..altitudes import ALTITUDES
+from ..altitudes import AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
@@ -30,12 +30,11 @@ from ..sfm.tie_patches import covered_by_ties
 from ..sfm.vertical_parallax import largest_parallax
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
+from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
 
-_LEAST_SHARE = 0.01  # of matched pixels: below that, nothing was reconstructed
 
-
-def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
     start = time.monotonic()
     backends = resolve(options.backend)
@@ -53,6 +52,7 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         control,
         [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
         *backends[0].settings(options),
+        *parameters.in_fingerprint(),
     )
     beside = Path(options.output_scene)
     ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
@@ -66,15 +66,17 @@ def run(options: ReconstructOptions, progress: Progress) -> Dict[str, Any]:
         )
     else:
         notes = Recorder(progress)
-        pairs = choose_pairs(scene)
+        pairs = choose_pairs(scene, parameters.pointing.pairs)
         scene = replace(scene, path=beside, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
         _log_pairs(scene, notes)
-        stretches = {view.name: view_stretch(view.image, view.band, view.mask) for view in scene.views}
-        scene = _pointed(scene, stretches, options, Part(notes, 0.0, 0.35))
-        scene = _with_coarse_surface(scene, stretches, backends[0], options, Part(notes, 0.35, 0.4))
-        job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder))
-        scene = _matched(job, backends, Part(notes, 0.4, 1.0))
-        done = scene.recorded("reconstruct", key, options.to_json(), time.monotonic() - start, notes.warnings)
+        stretches = {v.name: view_stretch(v.image, v.band, v.mask, parameters.stretch) for v in scene.views}
+        scene = _pointed(scene, stretches, options, parameters, Part(notes, 0.0, 0.35))
+        scene = _with_coarse_surface(scene, stretches, backends[0], options, parameters, Part(notes, 0.35, 0.4))
+        matching = parameters.matching
+        job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder), matching)
+        scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 1.0))
+        seconds, changes = time.monotonic() - start, parameters.changes()
+        done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
         done.save(options.output_scene)
     reconstruct_report(done).write(report_path)
     progress.step(1.0, "heights reconstructed")
@@ -104,7 +106,13 @@ def _complete(scene: Scene, folder: Path) -> bool:
     return all(file.exists() and file.parent.resolve() == folder.resolve() for file in files)
 
 
-def _pointed(scene: Scene, stretches: Dict[str, Stretch], options: ReconstructOptions, progress: Progress) -> Scene:
+def _pointed(
+    scene: Scene,
+    stretches: Dict[str, Stretch],
+    options: ReconstructOptions,
+    parameters: EngineParameters,
+    progress: Progress,
+) -> Scene:
     """The scene with its views pointed and its tiles' altitudes narrowed by the tie points, which are written."""
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
@@ -113,38 +121,53 @@ def _pointed(scene: Scene, stretches: Dict[str, Stretch], options: ReconstructOp
             "where the vendors put it; fill the fields view, col and row of points with the role control."
         )
     found = point_views(
-        scene, scene.pairs, stretches, options.pointing, gcps, progress, options.workers, options.adjustment
+        scene,
+        scene.pairs,
+        stretches,
+        options.pointing,
+        gcps,
+        progress,
+        options.workers,
+        options.adjustment,
+        parameters.pointing,
+        parameters.altitudes,
     )
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
-    for text in advice(scene, scene.pairs, found.figures):
+    for text in advice(scene, scene.pairs, found.figures, parameters.pointing):
         progress.warn(text)
-    return _narrowed(scene, found.altitudes)
+    return _narrowed(scene, lambda bounds: found.altitudes(bounds, parameters.pointing), parameters.altitudes)
 
 
-def _narrowed(scene: Scene, found: Callable[[Bounds], Optional[Altitudes]]) -> Scene:
+def _narrowed(scene: Scene, found: Callable[[Bounds], Optional[Altitudes]], parameters: AltitudeParameters) -> Scene:
     """The scene with the altitudes that were found for each tile, and headroom; its own where none were found."""
 
     def narrowed(tile: Tile) -> Tile:
         ends = found(tile.bounds)
-        return replace(tile, altitudes=scene.altitudes if ends is None else ALTITUDES.around_ground(*ends))
+        return replace(tile, altitudes=scene.altitudes if ends is None else parameters.around_ground(*ends))
 
     return scene.with_tiles(narrowed)
 
 
 def _with_coarse_surface(
-    scene: Scene, stretches: Dict[str, Stretch], backend: Backend, options: ReconstructOptions, progress: Progress
+    scene: Scene,
+    stretches: Dict[str, Stretch],
+    backend: Backend,
+    options: ReconstructOptions,
+    parameters: EngineParameters,
+    progress: Progress,
 ) -> Scene:
     """The scene with altitudes of the coarse surface, where ties do not cover it or the refinement needs it."""
-    if covered_by_ties(scene) and not options.own_surface:
+    if covered_by_ties(scene, parameters.pointing.patches) and not options.own_surface:
         return scene
     names = [(pair.first, pair.second) for pair in scene.pairs]
-    surface = coarse_surface(scene, names, stretches, pair_matcher(backend), options.workers, progress)
-    scene = _narrowed(scene, surface.altitudes)
+    match = pair_matcher(backend)
+    surface = coarse_surface(scene, names, stretches, match, options.workers, progress, parameters.matching)
+    scene = _narrowed(scene, surface.altitudes, parameters.altitudes)
     if not options.own_surface:
         return scene
     source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
-    return refined_tiles(with_surface(scene, source, progress), progress)
+    return refined_tiles(with_surface(scene, source, parameters, progress), progress)
 
 
 def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: FloatArray) -> None:
@@ -173,24 +196,24 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
     write_style("tie_points", scene.tie_points)
 
 
-def _matched(job: MatchingJob, backends: Sequence[Backend], progress: Progress) -> Scene:
+def _matched(job: MatchingJob, backends: Sequence[Backend], parameters: TileParameters, progress: Progress) -> Scene:
     """Match all pairs over all tiles; gives the scene with the height maps."""
     records = match_scene(job, backends, progress)
     reused = sum(bool(record and record.reused) for record in records)
     if reused:
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
-    _check(records, progress)
+    _check(records, parameters, progress)
     kept = [replace(record, reused=False) for record in records if record and record.valid]
     return job.scene.with_tiles(
         lambda tile: replace(tile, heights=tuple(record for record in kept if record.tile == tile.id))
     )
 
 
-def _check(records: Sequence[Optional[HeightMapRecord]], progress: Progress) -> None:
+def _check(records: Sequence[Optional[HeightMapRecord]], parameters: TileParameters, progress: Progress) -> None:
     made = [record for record in records if record]
     pixels = sum(record.pixels for record in made)
     valid = sum(record.valid for record in made)
-    if valid < max(1000, _LEAST_SHARE * pixels):
+    if valid < max(parameters.least_matched, parameters.least_matched_share * pixels):
         raise EmptyResultError(
             f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs. "
             "Are the altitudes right, and do the images show the same ground without clouds?"

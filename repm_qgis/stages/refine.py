@@ -19,19 +19,16 @@ from ..options import RefineOptions
 from ..progress import Progress, Recorder
 from ..scene import Scene, reusable
 from ..workspace import file_identity, fingerprint
-
-_SURFACE_PX = 48
-"""Cells of the coarse surface, px of the finest image: finer would carry roofs into it, which rays may meet twice."""
+from .parameters import ENGINE, EngineParameters
 
 
-def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Refine all tiles; gives the refined scene and the report."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
     dem = file_identity(options.dem) if options.dem else None
-    key = fingerprint(
-        "refine", scene.fingerprint, options.model, options.order, options.kernel, dem, options.write_images
-    )
+    chosen = options.model, options.order, options.kernel, dem, options.write_images
+    key = fingerprint("refine", scene.fingerprint, *chosen, *parameters.in_fingerprint())
     report_path = options.report or str(Path(options.output_scene).with_name("refinement.html"))
     done = reusable(options.output_scene, "refine", key)
     if done is not None:
@@ -39,8 +36,9 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
         scene = done
     else:
         notes = Recorder(progress)
-        scene = _refine(replace(scene, path=Path(options.output_scene)), options, notes)
-        scene = scene.recorded("refine", key, options.to_json(), time.monotonic() - start, notes.warnings)
+        scene = _refine(replace(scene, path=Path(options.output_scene)), options, parameters, notes)
+        seconds, changes = time.monotonic() - start, parameters.changes()
+        scene = scene.recorded("refine", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(options.output_scene)
     refine_report(scene).write(report_path)
     errors = [view.refined.error for tile in scene.tiles for view in tile.views.values() if view.refined]
@@ -58,18 +56,17 @@ def run(options: RefineOptions, progress: Progress) -> Dict[str, Any]:
     }
 
 
-def _refine(scene: Scene, options: RefineOptions, progress: Progress) -> Scene:
+def _refine(scene: Scene, options: RefineOptions, parameters: EngineParameters, progress: Progress) -> Scene:
     scene = replace(scene, refinement=options.model, order=options.order)
     if options.model == "terrain":
-        scene = with_surface(scene, _source(scene, options), progress)
+        scene = with_surface(scene, _source(scene, options, parameters), parameters, progress)
     return refined_tiles(scene, progress, options.kernel if options.write_images else None)
 
 
-def with_surface(scene: Scene, source: str, progress: Progress) -> Scene:
+def with_surface(scene: Scene, source: str, parameters: EngineParameters, progress: Progress) -> Scene:
     """The scene with the terrain model, whose surface is made from the heights in a raster."""
-    surface = make_surface(
-        source, lon_lat_bounds(scene), _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "surface.tif")
-    )
+    cell, path = parameters.tiles.surface_px * scene.gsd_m, str(scene.folder("surface") / "surface.tif")
+    surface = make_surface(source, lon_lat_bounds(scene, parameters.fusion), cell, path)
     heights = load_surface(surface).heights
     progress.info(
         f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
@@ -97,12 +94,13 @@ def refined_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None
     return replace(scene, tiles=tuple(tiles))
 
 
-def _source(scene: Scene, options: RefineOptions) -> str:
+def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters) -> str:
     """The raster that the coarse surface comes from: the DEM that is given, else the scene's own heights."""
     if options.dem:
         return options.dem
     if any(tile.heights for tile in scene.tiles):
-        return surface_of_heights(scene, _SURFACE_PX * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif"))
+        cell, path = parameters.tiles.surface_px * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif")
+        return surface_of_heights(scene, cell, path, parameters.fusion)
     raise OptionError(
         "MODEL",
         options.model,

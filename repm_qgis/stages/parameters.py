@@ -1,0 +1,47 @@
+"""All parameters of the method: those of every package, and those of the stages themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, List, Tuple
+
+from ..altitudes import AltitudeParameters
+from ..dsm.parameters import FusionParameters
+from ..imagery.parameters import StretchParameters
+from ..matching.parameters import MatchingParameters
+from ..parameters import Parameters
+from ..sfm.parameters import PointingParameters
+
+
+@dataclass(frozen=True)
+class TileParameters(Parameters):
+    """How the ground is divided, and when a stage has nothing to go on with. All values but the sizes are chosen."""
+
+    sizes_px: Tuple[int, ...] = (1300, 1200, 1000, 800)  # automatic ones; larger match no faster and take more memory
+    least_overlap_px: int = 64  # side of the smallest area that two images must share
+    area_altitudes: int = 5  # of the range, at which the images' footprints are intersected
+    surface_px: int = 48  # cells of the terrain model's surface: finer ones carry roofs, which rays may meet twice
+    least_matched: int = 1000  # pixels with a height: below that, nothing was reconstructed
+    least_matched_share: float = 0.01  # the same as a share of all pixels
+    cell_gsd: float = 2.0  # side of an automatic cell of the DSM in ground sampling distances
+    few_cells_percent: float = 20.0  # a DSM with heights in fewer cells is worth a warning
+
+
+@dataclass(frozen=True)
+class EngineParameters(Parameters):
+    """Everything that a study may vary: it gives ``replace(ENGINE, ...)`` to :func:`repm_qgis.stages.run_stage`."""
+
+    tiles: TileParameters = TileParameters()
+    altitudes: AltitudeParameters = AltitudeParameters()
+    stretch: StretchParameters = StretchParameters()
+    pointing: PointingParameters = PointingParameters()
+    matching: MatchingParameters = MatchingParameters()
+    fusion: FusionParameters = FusionParameters()
+
+    def in_fingerprint(self) -> List[Any]:
+        """What a fingerprint has of the parameters: nothing of the defaults."""
+        changes = self.changes()
+        return [changes] if changes else []
+
+
+ENGINE = EngineParameters()
