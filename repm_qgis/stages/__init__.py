@@ -36,7 +36,8 @@ def run_stage(
     """Run a stage by name with options as a JSON object, and give its results as a JSON object.
 
     ``parameters`` are for studies of the pipeline and its stages, which keep what differs from the defaults in their
-    fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, and whatever RepmError the stage raises.
+    fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, and whatever RepmError the stage
+    raises.
     """
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
