@@ -43,7 +43,7 @@ _WINDOWS = os.name == "nt"
 
 
 class FeedbackProgress:
-    """The engine's Progress, told to QGIS."""
+    """The engine's Progress, shown by QGIS."""
 
     def __init__(self, feedback: QgsProcessingFeedback) -> None:
         self._feedback, self._text, self._percent = feedback, "", 0.0

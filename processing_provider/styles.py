@@ -1,4 +1,4 @@
-"""How results look on the map: the style that the engine wrote beside each of them, grouped by scene, in order."""
+"""How results look on the map: with the style file of each of them, grouped by scene, in order."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _tr(text: str) -> str:
 class LayerStyler(QgsProcessingLayerPostProcessorInterface):
     """Styles a result once QGIS has put it on the map, and puts it in its place among those of its scene.
 
-    Processing does not look for styles beside its results, and loads them in no order of ours.
+    Processing does not look for style files of its results, and does not load them in our order.
     """
 
     _alive: list[LayerStyler] = []  # QGIS does not own post-processors: without a reference Python would drop them
@@ -95,7 +95,7 @@ def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> QgsLayerTreeLayer:
 
 
 def _group(parent: QgsLayerTreeGroup, name: str) -> QgsLayerTreeGroup:
-    """The group of that name: the layer's own, or one beside it, which is made where there is none."""
+    """The group of that name: the one that holds the layer, or one next to it, which is made where there is none."""
     if parent.parent() is not None and parent.name() == name:
         return parent
     for child in parent.children():
@@ -118,9 +118,9 @@ def _index(group: QgsLayerTreeGroup, node: QgsLayerTreeNode, order: int) -> int:
 
 
 def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
-    """The style file beside a result, written now where its stage wrote none; "" where that fails."""
-    beside = os.path.splitext(path)[0] + ".qml"
-    if not os.path.exists(beside):
+    """A result's style file, written now where its stage wrote none; "" where that fails."""
+    style = os.path.splitext(path)[0] + ".qml"
+    if not os.path.exists(style):
         from ..repm_qgis.errors import RepmError
 
         try:
@@ -130,7 +130,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
         except (RepmError, ImportError) as error:  # the result is there all the same
             feedback.pushWarning(f"'{os.path.basename(path)}' has no style: {error}")
             return ""
-    return beside
+    return style
 
 
 def style_layer(

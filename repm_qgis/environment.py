@@ -131,7 +131,7 @@ class Gpu:
 
 
 # CUDA's driver is asked by itself: it respects CUDA_VISIBLE_DEVICES, needs no nvidia-smi, and a device whose memory can
-# be told has taken a context, which is what a lost or reserved one refuses.
+# be read has a context, which is what a lost or reserved one refuses.
 _DRIVER = """
 import ctypes, json, sys
 cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")

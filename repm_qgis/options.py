@@ -156,7 +156,7 @@ class Options(metaclass=_ByName):
 class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
 
-    ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is to be found in or beside the image;
+    ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is in the image or in a sidecar file;
     empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels that are
     neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
     ``extent`` is xmin, ymin, xmax, ymax in ``extent_crs`` (any PROJ text); None takes all that two images see.
@@ -264,11 +264,11 @@ class ExportCamerasOptions(Options):
 class ReconstructOptions(Options):
     """Tie points, relative pointing and dense matching.
 
-    ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them beside the
-    scene. ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical
-    CRS; "" is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or
-    COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0 means one a core. ``memory``
-    in MiB bounds what the workers take together, 0 means three quarters of what is free.
+    ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them next to the scene.
+    ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical CRS; ""
+    is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or COLMAP's
+    of principal points (shifts only, and without ground control). ``workers`` 0 means one for each core. ``memory`` in
+    MiB bounds what the workers take together, 0 means three quarters of what is free.
     ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
     colmap's.
     ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
@@ -412,7 +412,8 @@ class CompareDsmOptions(Options):
 
     ``align`` removes a vertical offset, or a 3-D shift, first. ``thresholds`` in metres, for the completeness.
     ``others`` are further DSMs for the same table, each aligned for itself; ``classes`` is a raster whose values errors
-    are told apart by; ``profiles`` is a line layer to cut all surfaces along, None = twice through the middle.
+    are grouped by; ``profiles`` is a line layer along which all surfaces are shown, None = two lines through the
+    middle.
     """
 
     dsm: str = given()

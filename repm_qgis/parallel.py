@@ -1,4 +1,4 @@
-"""Tasks over the cores of this machine: same results whatever the number of workers."""
+"""Tasks on the cores of this machine: the results do not depend on the number of workers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's mallopt (malloc.h)
 _POLL_S = 0.3
 _FEW = 3
-"""Up to so many tasks a pool costs more than it gives: the task's own threads use the cores instead."""
+"""With so few tasks, starting processes costs more than it gains: the task's own threads use the cores instead."""
 
 
 def cores() -> int:

@@ -8,7 +8,7 @@ from typing import Any, Dict, Iterator, List, Tuple
 RASTER, POINTS, POLYGONS, FILE = "raster", "points", "polygons", "file"
 FOLDER = "folder"  # files are written into it, others may be there
 BUILT_FOLDER = "built folder"  # written under another name, and renamed once it is whole
-SCENE = "scene"  # a file whose products lie in folders beside it
+SCENE = "scene"  # a file whose products lie in folders next to it
 
 ALWAYS, UNLESS_SKIPPED, ON_REQUEST = "always", "unless skipped", "on request"
 
@@ -161,7 +161,7 @@ def product(stage: str, option: str) -> Product:
 
 
 def forms() -> Dict[str, str]:
-    """What each option that names a product is, whatever the stage; a scene that is read has its products beside it."""
+    """What each option that names a product is, whatever the stage; the products of an input scene lie next to it."""
     return {"scene": SCENE, **{each.option: each.form for each in PRODUCTS}}
 
 

@@ -1,4 +1,4 @@
-"""How a stage tells what it is doing, and learns that it should stop."""
+"""How a stage reports what it is doing, and learns that it should stop."""
 
 from __future__ import annotations
 
@@ -62,27 +62,21 @@ class Part:
         self._whole.check_cancelled()
 
 
-class Recorder:
+class Recorder(Part):
     """Passes everything on, and keeps the warnings and notes for a report."""
 
     def __init__(self, whole: Progress) -> None:
-        self._whole = whole
+        super().__init__(whole, 0.0, 1.0)
         self.notes: list[str] = []
         self.warnings: list[str] = []
 
-    def step(self, fraction: float, text: str = "") -> None:
-        self._whole.step(fraction, text)
-
     def info(self, text: str) -> None:
         self.notes.append(text)
-        self._whole.info(text)
+        super().info(text)
 
     def warn(self, text: str) -> None:
         self.warnings.append(text)
-        self._whole.warn(text)
-
-    def check_cancelled(self) -> None:
-        self._whole.check_cancelled()
+        super().warn(text)
 
 
 class JsonLines:

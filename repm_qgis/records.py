@@ -163,7 +163,7 @@ class PointingFigures(Record):
 
     ``before_px`` and ``after_px`` are the ties' median residuals. ``shifts_px`` are the corrections (column, row) at
     the images' centres. ``ties_by_tile`` and ``ties_by_part`` (north-west, north, ...) count ties on the ground.
-    ``control_noise_px`` is the control points' standard deviation, None where they do not tell it;
+    ``control_noise_px`` is the control points' standard deviation, None where it cannot be estimated;
     ``height_uncertainty_m`` is two standard deviations of the absolute height, None with ground control.
     """
 

@@ -1,6 +1,6 @@
-"""The scene: the only thing that stages hand to each other, read and written only here.
+"""The scene: the only thing that one stage hands to the next, read and written only here.
 
-A scene is a JSON file with a schema number; what a stage makes lies in folders beside it, named after it.
+A scene is a JSON file with a schema number; a stage's products lie in folders next to it that have its name.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class View(Record):
 
     ``pointing`` (2, 3) is the affine map from the pixel the vendor's RPC gives to the pixel where the ground point
     is really seen; the identity until relative pointing is known. ``acquired`` is when the image was taken, ISO 8601 in
-    UTC, "" where nothing tells. ``mask`` is a raster of the image's size whose pixels that are neither zero nor nodata
+    UTC, "" where it is unknown. ``mask`` is a raster of the image's size whose pixels that are neither zero nor nodata
     are not to be used, "" where there is none.
     """
 
@@ -56,7 +56,7 @@ class View(Record):
 
     @property
     def time(self) -> Optional[datetime]:
-        """When the image was taken; None where nothing tells."""
+        """When the image was taken; None where it is unknown."""
         return moment(self.acquired)
 
     @property
@@ -185,7 +185,7 @@ class Scene(Record):
         return replace(self, tiles=tuple(map(change, self.tiles)))
 
     def folder(self, kind: str) -> Path:
-        """Where products of a kind lie: beside the scene's file, named after it."""
+        """The folder of one kind of products: next to the scene's file, with its name."""
         return self.path.parent / f"{self.path.stem}_{kind}"
 
     def recorded(
@@ -208,7 +208,7 @@ class Scene(Record):
         return next((entry for entry in self.history if entry.stage == stage), None)
 
     def save(self, path: str) -> str:
-        """Write the scene, whole or not at all; its products are looked for beside the new place once it is read."""
+        """Write the scene, completely or not at all."""
         document = {"format": "repm-scene", "schema": SCHEMA, "engine": __version__, **self.to_mapping()}
         del document["path"]
         return write_text(str(path), json.dumps(document, indent=1, allow_nan=False))
@@ -273,7 +273,7 @@ def _document(path: str) -> Dict[str, Any]:
 
 
 def origin(path: str) -> Tuple[str, str]:
-    """The workspace in which a scene began, and its first image; "" for what its file does not tell."""
+    """The workspace in which a scene began, and its first image; "" for what its file does not contain."""
     try:
         document = _document(path)
         first: Mapping[str, Any] = next(
@@ -316,7 +316,7 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
             rpc = rpc_of(dataset, path, rpc_file)
             width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
             when = acquired(dataset, path)
-        with opened_masked(path, mask):  # a mask that does not fit is told now, not in a worker later
+        with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
             mask = os.path.abspath(mask) if os.path.exists(mask) else mask
         if min(width, height) < 64:
             raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")

@@ -31,7 +31,7 @@ def ensure_folder(path: str) -> Path:
 
 
 def temporary_name(path: str) -> str:
-    """A name beside ``path`` to write to before renaming; its folder is made, its extension kept.
+    """A name in the folder of ``path`` to write to before renaming, with the same extension; the folder is made.
 
     The name is the same for every attempt, so that what a killed run left behind is overwritten by the next.
     """
@@ -41,7 +41,7 @@ def temporary_name(path: str) -> str:
 
 
 def drop_temporary(path: str) -> None:
-    """Remove what a process that was ended half-way has left of the file it was writing."""
+    """Remove the half-written file of a process that was ended."""
     _temporary(Path(path)).unlink(missing_ok=True)
 
 
@@ -50,7 +50,7 @@ def _temporary(target: Path) -> Path:
 
 
 def take_name(temporary: str, path: str) -> None:
-    """Give a whole file its name; raises WorkspaceError where the name is taken by a folder, say."""
+    """Give a complete file its name; raises WorkspaceError where that fails, as where a folder has the name."""
     try:
         os.replace(temporary, path)
     except OSError as error:
@@ -124,7 +124,7 @@ def _take_place(temporary: Path, target: Path, old: Path) -> None:
 
 
 def file_identity(path: str) -> list[Any]:
-    """What tells a file apart from a changed one without reading it all: path, size and time of change."""
+    """What distinguishes a file from a changed one without reading it: path, size and time of change."""
     try:
         status = os.stat(path)
     except OSError:

@@ -65,11 +65,11 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
 def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
     wanted = {k: v for k, v in options.to_json().items() if k not in ("workspace", "tiles", "report")}
     named = options.rpcs or ("",) * len(options.images)
-    beside = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_sidecars(image))]
-    beside += [path for image in options.images for path in time_sidecars(image) if path not in beside]
+    sidecars = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_sidecars(image))]
+    sidecars += [path for image in options.images for path in time_sidecars(image) if path not in sidecars]
     files = [
         file_identity(path)
-        for path in (*options.images, *beside, *([options.dem] if options.dem else []), *filter(None, options.masks))
+        for path in (*options.images, *sidecars, *([options.dem] if options.dem else []), *filter(None, options.masks))
     ]
     return fingerprint("epmfit", wanted, files, *parameters.in_fingerprint())
 

@@ -77,7 +77,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     if not count:
         raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
     rmse = float(np.sqrt(squares / count))
-    # One range for the map before and the map after refinement: colours must tell which is better.
+    # One range for the map before and the map after refinement: their colours can then be compared.
     write_style("error", options.output, (0.0, max(tile.views[view.name].error.max for tile in tiles)))
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:

@@ -54,10 +54,10 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         *backends[0].settings(options),
         *parameters.in_fingerprint(),
     )
-    beside = Path(options.output_scene)
-    ties_path = options.tie_points or str(beside.with_name("tie_points.gpkg"))
-    report_path = str(beside.with_name("reconstruction.html"))
-    folder = ensure_folder(options.heights or str(beside.parent / f"{beside.stem}_heights"))
+    place = Path(options.output_scene)
+    ties_path = options.tie_points or str(place.with_name("tie_points.gpkg"))
+    report_path = str(place.with_name("reconstruction.html"))
+    folder = ensure_folder(options.heights or str(place.parent / f"{place.stem}_heights"))
     done = reusable(options.output_scene, "reconstruct", key)
     if done is not None and _complete(done, folder) and Path(ties_path).exists():
         progress.info(
@@ -67,7 +67,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene, parameters.pointing.pairs)
-        scene = replace(scene, path=beside, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
+        scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
         _log_pairs(scene, notes)
         stretches = {v.name: view_stretch(v.image, v.band, v.mask, parameters.stretch) for v in scene.views}
         scene = _pointed(scene, stretches, options, parameters, Part(notes, 0.0, 0.35))
