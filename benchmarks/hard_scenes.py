@@ -5,23 +5,19 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import sys
 from pathlib import Path
 from typing import Any, Callable, Sequence
 
 import numpy as np
 from scipy import ndimage
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from repm_qgis.arrays import Bounds  # noqa: E402
-from repm_qgis.progress import Silent  # noqa: E402
-from repm_qgis.simulation.gcps import common_square  # noqa: E402
-from repm_qgis.simulation.render import render_view  # noqa: E402
-from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, surface_bounds, write_truth  # noqa: E402
-from repm_qgis.simulation.sensor import PushbroomView  # noqa: E402
-from repm_qgis.simulation.surface import Ground, SimulatedSurface, Sun, fractal  # noqa: E402
+from repm_qgis.arrays import Bounds
+from repm_qgis.progress import Silent
+from repm_qgis.simulation.gcps import common_square
+from repm_qgis.simulation.render import render_view
+from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, surface_bounds, write_truth
+from repm_qgis.simulation.sensor import PushbroomView
+from repm_qgis.simulation.surface import Ground, SimulatedSurface, Sun, fractal
 
 MORNING = Sun(azimuth_deg=105.0, elevation_deg=28.0)
 AFTERNOON = Sun(azimuth_deg=245.0, elevation_deg=32.0)
@@ -79,7 +75,7 @@ def _plant(ground: Ground, rng: np.random.Generator, count: int, terrain: np.nda
 
 
 def another_season(surface: SimulatedSurface, seed: int, inverted: float = 0.5) -> SimulatedSurface:
-    """Fields of some 45 m of which each has another brightness, and a share of them their contrast inverted."""
+    """Fields of some 45 m, each with another intensity, and a share of them with inverted contrast."""
     rng = np.random.default_rng([seed, 10])
     rows, cols = surface.radiance.shape
     side = _FIELD_M / surface.cell

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
@@ -14,14 +15,15 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
+from benchmarks.matching import MatchedPair, changed
 from benchmarks.programs import QGIS, repm
 from benchmarks.runner import CORES, Cost, Failed, alone, few, is_quick, measured, pipeline, say, stage
 from benchmarks.scenes import CACHE, Scene, made_once, quick_size, simulated, zy3
 from benchmarks.scoring import bounds_of, heights_of, nmad, scores, shares
 from benchmarks.tables import Section, table
-from repm_qgis.imagery.parameters import WARPING
 from repm_qgis.imagery.raster import created
 from repm_qgis.imagery.warping import sample_array
+from repm_qgis.matching.pair_backend import match_pair_over_tile
 from repm_qgis.rpc import Rpc
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.simulation.rpc_fit import fit_rpc
@@ -101,18 +103,16 @@ def whole() -> List[str]:
 
 
 def one_tile(job: Dict[str, Any], folder: str, corrected: bool) -> str:
-    """The DSM of one tile; ``corrected``: with the vertical parallax corrected on the coarse surface (the default)."""
-    if not corrected:
-        from repm_qgis.matching.disparity_prior import DisparityPrior
-
-        DisparityPrior.second_original = _second_as_the_model_leaves_it  # a process of its own: nothing to restore
-    return pipeline(folder=folder, **job)["output"]
-
-
-def _second_as_the_model_leaves_it(guide: Any, pair: Any, _: Any) -> np.ndarray:
-    rows, columns = (WARPING.node_step_px * np.arange(n, dtype=np.float64) for n in guide.nodes.shape)
-    columns, rows = np.meshgrid(columns - guide.high, rows)
-    return pair.second_original(np.stack([columns - guide.nodes, rows], axis=-1))
+    """The DSM of one tile; ``corrected``: without vertical parallax at the coarse level's altitude (the default)."""
+    made = pipeline(folder=folder, **job)
+    if corrected:
+        return made["output"]
+    scene = SceneFile.load(made["scene"])
+    task = MatchedPair(scene, (0, 1)).task
+    left = changed(prior={"remove_parallax": False})
+    record = match_pair_over_tile(replace(task, parameters=left, path=f"{folder}/left.tif"))
+    path = scene.with_tiles(lambda tile: replace(tile, heights=(record,))).save(f"{folder}/left.json")
+    return stage("dsmfuse", scene=path, output=f"{folder}/left_dsm.tif", resolution=job["resolution"])["output"]
 
 
 def models() -> List[str]:

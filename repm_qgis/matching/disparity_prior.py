@@ -39,15 +39,16 @@ class DisparityPrior:
     low: int
     high: int
 
-    def second_original(self, pair: RectifiedPair, geometry: PairGeometry) -> FloatArray:
+    def second_original(self, pair: RectifiedPair, geometry: PairGeometry, remove_parallax: bool = True) -> FloatArray:
         """(m, n, 2) original pixels of the second image from which the nodes are sampled.
 
-        The vertical parallax at the prior's altitude is removed.
+        ``remove_parallax`` removes the vertical parallax at the prior's altitude.
         """
         rows, columns = (STEP_PX * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
         columns -= self.high
         height = geometry.height.on_grid(columns, rows, self.nodes)
-        row = rows[:, None] + geometry.vertical_parallax.on_grid(columns, rows, height)
+        parallax = geometry.vertical_parallax.on_grid(columns, rows, height)
+        row = rows[:, None] + (parallax if remove_parallax else np.zeros_like(parallax))
         return pair.second_original(np.stack([columns[None, :] - self.nodes, row], axis=-1))
 
     def full_disparity(self, residual: FloatImage) -> FloatImage:

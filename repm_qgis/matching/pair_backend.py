@@ -189,7 +189,7 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
     prior = find_prior(first, second, search, geometry, task.backend.pair_matcher, task.parameters)
     if prior is None:
         return SampledPair(first, second, search, second, search, None)
-    original = sampled_on(prior.second_original(pair, geometry))
+    original = sampled_on(prior.second_original(pair, geometry, task.parameters.prior.remove_parallax))
     resampled = _intensity(task, 1, original, (width + prior.high - prior.low, height))
     return SampledPair(first, second, search, resampled, (prior.low, prior.high), prior)
 

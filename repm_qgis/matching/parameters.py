@@ -122,6 +122,7 @@ class PriorParameters(Parameters):
     tail_percent: float = 0.05  # of the coarse residuals at either end that may be wrong matches
     margin_px: int = 8  # searched beyond what the coarse level found
     above_m: float = ALTITUDES.prior_above_m
+    remove_parallax: bool = True  # the vertical parallax at the prior's altitude; table "What refinement gains"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ small components that do not match well. Then come subpixel disparities and the 
 
 from __future__ import annotations
 
-from typing import Tuple
+from typing import Callable, Tuple
 
 import cv2
 import numpy as np
@@ -24,6 +24,10 @@ _STEPS = 16  # OpenCV's units for each px of disparity; it also searches whole m
 _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
 
 
+def intensity_bytes(image: FloatImage) -> ByteImage:
+    return (np.nan_to_num(image, nan=0.0) * 255).astype(np.uint8)
+
+
 def match(
     first: FloatImage,
     second: FloatImage,
@@ -31,13 +35,18 @@ def match(
     height_sign: float,
     relief_displacement: float = 0.0,
     parameters: MatchingParameters = MATCHING,
+    to_bytes: Callable[[FloatImage], ByteImage] = intensity_bytes,
+    correct_edges: Callable[..., FloatImage] = correct_depth_edges,
 ) -> DisparityMap:
-    """Disparities of a rectified pair, as :class:`repm_qgis.matching.disparity_map.PairMatcher` describes."""
+    """Disparities of a rectified pair, as :class:`repm_qgis.matching.disparity_map.PairMatcher` describes.
+
+    Studies may give other images to OpenCV (``to_bytes``) and correct depth edges by another function.
+    """
     low, high = disparities
     sgm, edges = parameters.sgm, parameters.edges
-    a, b = _grey(first), _grey(second)
-    left = correct_depth_edges(_left_to_right(a, b, low, high, sgm), first, second, (-1.0, high), height_sign, edges)
-    right = correct_depth_edges(_right_to_left(a, b, low, high, sgm), second, first, (1.0, -high), height_sign, edges)
+    a, b = to_bytes(first), to_bytes(second)
+    left = correct_edges(_left_to_right(a, b, low, high, sgm), first, second, (-1.0, high), height_sign, edges)
+    right = correct_edges(_right_to_left(a, b, low, high, sgm), second, first, (1.0, -high), height_sign, edges)
     first, second = _without_rim(first, sgm.rim_px), _without_rim(second, sgm.rim_px)
     left[~np.isfinite(first)] = np.nan
     disparity = np.where(_consistent(left, right, high, sgm.left_right_px), left, np.float32(np.nan))
@@ -54,10 +63,6 @@ def match(
 
 
 BACKEND = PairBackend("sgm", match)
-
-
-def _grey(image: FloatImage) -> ByteImage:
-    return (np.nan_to_num(image, nan=0.0) * 255).astype(np.uint8)
 
 
 def _without_rim(image: FloatImage, rim_px: int) -> FloatImage:
