@@ -198,7 +198,7 @@ def parallax_on_ground(path: str, reference: str) -> np.ndarray:
 def smooth_pair(side: int) -> List[str]:
     """A pair of ``side`` px over rolling ground with a noise texture, sampled from one painted ground plane.
 
-    Cheap, and true to the RPCs: a pixel's brightness is the texture where its ray meets the ground, which is found by
+    Cheap, and true to the RPCs: a pixel's intensity is the texture where its ray meets the ground, which is found by
     a fixed point. Kept in the cache.
     """
     folder = CACHE / f"smooth_{side}"

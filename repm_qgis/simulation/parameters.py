@@ -24,7 +24,7 @@ class LightParameters(Parameters):
     sky_loss_per_m: float = 0.035  # share of the sky lost for each metre that the surroundings stand higher
     least_sky: float = 0.35  # share of the sky that the deepest place sees
     wall_albedo: float = 0.3  # of walls without an albedo of their own; they see half the sky
-    window_tone: float = 0.55  # brightness of windows, as a share of the wall's
+    window_tone: float = 0.55  # radiance of windows, as a share of the wall's
     storey_m: Tuple[float, float] = (3.0, 1.2)  # height of a storey, and of the wall below its windows
     window_m: Tuple[float, float] = (2.6, 1.3)  # from window to window, and the wall between them
 
