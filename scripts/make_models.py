@@ -11,17 +11,11 @@ import sys
 
 from qgis.core import (
     QgsApplication,
-    QgsProcessing,
     QgsProcessingModelAlgorithm,
     QgsProcessingModelChildAlgorithm,
     QgsProcessingModelChildParameterSource,
     QgsProcessingModelOutput,
     QgsProcessingModelParameter,
-    QgsProcessingParameterCrs,
-    QgsProcessingParameterExtent,
-    QgsProcessingParameterMultipleLayers,
-    QgsProcessingParameterNumber,
-    QgsProcessingParameterRasterLayer,
 )
 from qgis.PyQt.QtCore import QPointF
 
@@ -30,25 +24,9 @@ Source = QgsProcessingModelChildParameterSource
 
 
 def _inputs() -> list:
-    images = QgsProcessingParameterMultipleLayers(
-        "IMAGES", "Satellite images with RPCs", QgsProcessing.SourceType.TypeRaster
-    )
-    images.setMinimumNumberInputs(2)
-    return [
-        images,
-        QgsProcessingParameterExtent("EXTENT", "Area (empty: all that two images see)", optional=True),
-        QgsProcessingParameterRasterLayer("DEM", "Coarse elevation model", optional=True),
-        QgsProcessingParameterNumber(
-            "RESOLUTION",
-            "DSM resolution (m, 0: twice the ground sampling distance)",
-            QgsProcessingParameterNumber.Type.Double,
-            0.0,
-            False,
-            0.0,
-            1000.0,
-        ),
-        QgsProcessingParameterCrs("CRS", "CRS of the results (empty: the scene's UTM zone)", optional=True),
-    ]
+    """The model's own parameters are those of repm:pipeline."""
+    pipeline = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
+    return [pipeline.parameterDefinition(name).clone() for name in ("IMAGES", "EXTENT", "DEM", "RESOLUTION", "CRS")]
 
 
 def _child(
