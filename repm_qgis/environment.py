@@ -101,7 +101,7 @@ def _is_root() -> bool:
     return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
-def _ask(code: str) -> str:
+def fresh_answer(code: str) -> str:
     """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure."""
     try:
         done = subprocess.run(
@@ -154,7 +154,7 @@ def gpus() -> list[Gpu]:
     try:
         return [
             Gpu(int(index), str(name), int(total), int(free))
-            for index, name, total, free in json.loads(_ask(_DRIVER) or "[]")
+            for index, name, total, free in json.loads(fresh_answer(_DRIVER) or "[]")
         ]
     except (ValueError, TypeError):
         return []
@@ -163,7 +163,7 @@ def gpus() -> list[Gpu]:
 def _built_with_cuda() -> bool:
     return (
         importlib.util.find_spec("pycolmap") is not None
-        and _ask("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
+        and fresh_answer("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
     )
 
 

@@ -65,7 +65,7 @@ def test_memory_and_cores_agree_with_the_kernel(found):
 def test_cuda_needs_a_build_and_a_device(monkeypatch):
     for built in (True, False):
         for devices in ([], [environment.Gpu(0, "NVIDIA X", 80 << 30, 79 << 30)]):
-            monkeypatch.setattr(environment, "_ask", lambda code, built=built: str(built))
+            monkeypatch.setattr(environment, "fresh_answer", lambda code, built=built: str(built))
             monkeypatch.setattr(environment, "gpus", lambda devices=devices: devices)
             usable, found = built and bool(devices), environment.cuda()
             assert (found["built"], found["usable"]) == (built, usable) and environment.cuda_usable() == usable
@@ -107,13 +107,13 @@ def test_devices_are_those_that_give_a_context(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("answer", ("", "nonsense", "[[1, 2]]", "{}", '[["a", "b", "c", "d"]]'))
 def test_a_driver_that_answers_nonsense_is_none(monkeypatch, answer):
-    monkeypatch.setattr(environment, "_ask", lambda code: answer)
+    monkeypatch.setattr(environment, "fresh_answer", lambda code: answer)
     assert environment.gpus() == []
 
 
 def test_a_package_that_crashes_when_imported_does_not_end_the_survey():
-    assert environment._ask("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)") == ""
-    assert environment._ask("print('yes')") == "yes"
+    assert environment.fresh_answer("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)") == ""
+    assert environment.fresh_answer("print('yes')") == "yes"
 
 
 def test_proj_grids_are_looked_for_where_proj_looks(found, tmp_path, monkeypatch):
