@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-large bench-clouds bench-confidence bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-subpixel bench-views lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-large bench-clouds bench-confidence bench-cuda bench-epm bench-fusion bench-masks bench-matching bench-pointing bench-real bench-subpixel bench-views identity lint package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -56,8 +56,13 @@ bench-cuda: setup ## COLMAP's PatchMatch on a CUDA GPU beside sgm (writes docs/b
 bench-clouds: setup ## point clouds for display and meshes: CPU, memory, size (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks/clouds.py
 
-lint: setup ## ruff over everything
+lint: setup ## ruff's rules and format over everything, and types of the engine (mypy, strict)
 	@$(PYTHON) -m ruff check .
+	@$(PYTHON) -m ruff format --check --quiet . || { echo "lint: run '$(PYTHON) -m ruff format .'"; exit 1; }
+	@$(PYTHON) -m mypy
+
+identity: setup ## whether this checkout makes the same results as revision BASE (default HEAD), to the byte
+	@$(PYTHON) benchmarks/identity.py $(BASE)
 
 package: ## dist/repm-VERSION.zip for "Install from ZIP"
 	@/usr/bin/env python3 scripts/package dist
