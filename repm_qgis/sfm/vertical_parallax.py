@@ -48,7 +48,8 @@ def vertical_parallax(
     parallax = np.sqrt(2.0) * (across * residual).sum(axis=1)
     step = across[:, :2] / np.linalg.norm(across[:, :2], axis=1, keepdims=True)
     ends = [frame.from_geodetic(views[0].localise(base[0] + k * step, ground[:, 2])) for k in (0.0, 1.0)]
-    east, north = (ends[1] - ends[0])[:, :2].T
+    # numpy may take strided columns by another routine, as memory happens to lie, with another last bit.
+    east, north = np.ascontiguousarray((ends[1] - ends[0])[:, :2].T)
     return parallax, np.degrees(np.arctan2(east, north)) % 360.0
 
 
