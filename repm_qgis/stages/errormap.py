@@ -34,12 +34,8 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     view = scene.view(options.view) if options.view else scene.views[0]
     altitude = sum(scene.altitudes) / 2 if options.altitude is None else options.altitude
     if not scene.altitudes[0] - 1.0 <= altitude <= scene.altitudes[1] + 1.0:
-        raise OptionError(
-            "ALTITUDE",
-            altitude,
-            f"must lie in the scene's range, {scene.altitudes[0]:.0f} to "
-            f"{scene.altitudes[1]:.0f} m above the ellipsoid: cameras were fitted there",
-        )
+        limits = "{:.0f} to {:.0f} m above the ellipsoid".format(*scene.altitudes)
+        raise OptionError("ALTITUDE", altitude, f"must lie in the scene's range, {limits}: cameras were fitted there")
     tiles = [tile for tile in scene.tiles if view.name in tile.views]
     if not tiles:
         raise OptionError("VIEW", view.name, "sees none of the scene's tiles: choose another view")
@@ -47,6 +43,8 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     cell = max(scene.gsd_m, float(f"{max(whole[2] - whole[0], whole[3] - whole[1]) / _CELLS:.1g}"))
     grid = CellGrid.covering(whole, cell)
     squares, count, worst = 0.0, 0, 0.0
+    refinement = scene.refinement or "uncorrected"
+    metadata = {"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude, "REPM_REFINEMENT": refinement}
     with created(
         options.output,
         grid.shape,
@@ -56,11 +54,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
         pyproj.CRS.from_user_input(scene.crs).to_wkt(),
         descriptions=_BANDS,
         unit="px",
-        metadata={
-            "REPM_VIEW": view.name,
-            "REPM_ALTITUDE_M": altitude,
-            "REPM_REFINEMENT": scene.refinement or "uncorrected",
-        },
+        metadata=metadata,
     ) as raster:
         for index, tile in enumerate(tiles):
             progress.check_cancelled()
@@ -83,8 +77,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     if options.report:
         errormap_report(scene, view, options.output, rmse, worst, altitude).write(options.report)
     progress.info(
-        f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px "
-        f"({scene.refinement or 'uncorrected'})."
+        f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px ({refinement})."
     )
     progress.step(1.0, "error mapped")
     return {"output": options.output, "report": options.report, **facts}
