@@ -40,7 +40,9 @@ def _ground_behind(height: Floats, displacement: Tuple[float, float], step_m: fl
     to_column, to_row = -displacement[0] / reach, -displacement[1] / reach
     along_rows = _steps(height, int(np.sign(to_column)), 0, abs(displacement[0]), step_m)
     along_columns = _steps(height, 0, int(np.sign(to_row)), abs(displacement[1]), step_m)
-    row, column, jump, ground = (np.concatenate(parts) for parts in zip(along_rows, along_columns))
+    row, column = (np.concatenate((along_rows[i], along_columns[i])) for i in (0, 1))
+    jump = np.concatenate((along_rows[2], along_columns[2]))
+    ground = np.concatenate((along_rows[3], along_columns[3]))
     count = np.rint(reach * jump).astype(np.int64)
     before = [np.rint((count + 1) * share).astype(np.int64) for share in (to_row, to_column)]
     rise = _rise(height, row - before[0], column - before[1], ground)
