@@ -47,7 +47,8 @@ def _ground_behind(height: Floats, displacement: Tuple[float, float], step_m: fl
     before = [np.rint((count + 1) * share).astype(np.int64) for share in (to_row, to_column)]
     rise = _rise(height, row - before[0], column - before[1], ground)
     level = np.abs(rise) <= step_m
-    row, column, ground, count, rise = (part[level] for part in (row, column, ground, count, rise / (count + 1)))
+    row, column, count = (part[level] for part in (row, column, count))
+    ground, rise = ground[level], rise[level] / (count + 1)
     # The nearest step decides: it is written last.
     for i in range(int(count.max(initial=0)) - 1, -1, -1):
         far = np.flatnonzero(count > i)
