@@ -48,14 +48,14 @@ def _ground_behind(height: Floats, displacement: Tuple[float, float], step_m: fl
     rise = _rise(height, row - before[0], column - before[1], ground)
     level = np.abs(rise) <= step_m
     row, column, count = (part[level] for part in (row, column, count))
-    ground, rise = ground[level], rise[level] / (count + 1)
+    ground, slope = ground[level], rise[level] / (count + 1)
     # The nearest step decides: it is written last.
     for i in range(int(count.max(initial=0)) - 1, -1, -1):
         far = np.flatnonzero(count > i)
         r, c = row[far] + int(np.rint(i * to_row)), column[far] + int(np.rint(i * to_column))
         inside = (r >= 0) & (r < height.shape[0]) & (c >= 0) & (c < height.shape[1])
         far, r, c = far[inside], r[inside], c[inside]
-        continued = ground[far] + (i + 1) * rise[far]
+        continued = ground[far] + (i + 1) * slope[far]
         with np.errstate(invalid="ignore"):
             above = height[r, c] - continued > step_m
         low[r[above], c[above]] = continued[above]
