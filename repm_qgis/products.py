@@ -50,6 +50,7 @@ class Product:
 
     ``wanted``: whether it is written always, unless the user skips it, or on request. ``style`` is its kind of layer,
     "" for none, ``layer`` the layer's name where that is not the title. ``filter`` are a file's types in dialogs.
+    ``maker`` is the module of :mod:`repm_qgis.dsm` that makes it from the finished DSM, "" where its stage does.
     """
 
     stage: str
@@ -60,6 +61,7 @@ class Product:
     style: str = ""
     layer: str = ""
     filter: str = ""
+    maker: str = ""
     help: str = ""
 
 
@@ -113,9 +115,10 @@ PRODUCTS = (
         form=BUILT_FOLDER,
         style="ept",
         layer="Point cloud",
+        maker="ept",
         help="A folder of its own with the points as Entwine point tiles, which every QGIS shows.",
     ),
-    Product(stage="dsmfuse", option="mesh", title="Mesh", form=FILE, style="mesh", filter="PLY (*.ply)"),
+    Product(stage="dsmfuse", option="mesh", title="Mesh", form=FILE, style="mesh", filter="PLY (*.ply)", maker="mesh"),
     Product(
         stage="dsmfuse",
         option="view_heights",
@@ -158,6 +161,11 @@ def products_of(stage: str) -> List[Product]:
 
 def product(stage: str, option: str) -> Product:
     return next(each for each in products_of(stage) if each.option == option)
+
+
+def not_requested(stage: str) -> Dict[str, Any]:
+    """The options of what a stage writes on request, all of them left out."""
+    return {each.option: None for each in products_of(stage) if each.wanted == ON_REQUEST}
 
 
 def forms() -> Dict[str, str]:

@@ -27,6 +27,7 @@ from ..arrays import FloatArray, IntArray
 from ..errors import EmptyResultError, WorkspaceError
 from ..progress import Progress, Silent
 from ..workspace import whole_folder
+from .derived import FinishedDsm
 from .parameters import FUSION, EptParameters
 from .point_cloud import required_laspy
 
@@ -128,6 +129,16 @@ class EptFacts:
     points: int
     nodes: int
     height_range: Tuple[float, float]
+
+
+def make(finished: FinishedDsm, folder: str, progress: Progress) -> Optional[str]:
+    """The points of a finished DSM as EPT; gives its ``ept.json``, None where no point lies on the DSM."""
+    if finished.cloud is None:
+        progress.warn("No matched point lies on the DSM: the EPT is not written.")
+        return None
+    tree = write_ept(finished.cloud, folder, finished.crs, progress, parameters=finished.parameters.ept)
+    progress.info(f"EPT of {tree.points} points in {tree.nodes} nodes.")
+    return f"{folder}/ept.json"
 
 
 def write_ept(

@@ -17,6 +17,7 @@ from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery.raster import opened, read
 from ..progress import Progress, Silent
 from ..workspace import whole_file
+from .derived import FinishedDsm
 from .parameters import FUSION, FusionParameters
 
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
@@ -73,6 +74,15 @@ class _Lattice:
 
     def vertices(self) -> int:
         return sum(int(np.isfinite(block).sum()) for _, block in self.rows())
+
+
+def make(finished: FinishedDsm, path: str, progress: Progress) -> Optional[str]:
+    """The surface of a finished DSM as a PLY; gives its path."""
+    options = finished.options
+    mesh = write_mesh(options.output, path, options.mesh_vertices, progress, finished.parameters)
+    thinned = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
+    progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{thinned}.")
+    return path
 
 
 def write_mesh(

@@ -8,15 +8,14 @@ import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 from ..arrays import Window
-from ..dsm.ept import require_ept_place, write_ept
+from ..dsm.derived import FinishedDsm, make_derived
+from ..dsm.ept import require_ept_place
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
-from ..dsm.mesh import write_mesh
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
-from ..dsm.parameters import FusionParameters
 from ..dsm.products import DsmLayout, cloud_of, write_products
 from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import height_limits, write_style
@@ -25,6 +24,7 @@ from ..geometry.vertical import HeightDatum
 from ..memory import fusing_mib, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
+from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress
 from ..records import FusionFacts
 from ..scene import Scene, Tile
@@ -64,7 +64,12 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         ensure_folder(folder)
         facts, needed = _fused(options, parameters, scene, tiles, layout, folder, Part(progress, 0.0, share))
         cloud = cloud_of(options, folder) if facts.points else None
-        shown = _write_for_display(options, cloud, datum.file_crs(crs), parameters.fusion, progress)
+        made: Dict[str, Any] = {product.option: getattr(options, product.option) for product in products_of("dsmfuse")}
+        finished = FinishedDsm(options, cloud, datum.file_crs(crs), parameters.fusion)
+        for product, path, file in make_derived(finished, progress):
+            made[product.option] = path if file else None
+            if file and product.style:
+                write_style(product.style, file, height_limits(options.output))
         for index, pair in enumerate(pairs):
             low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
             _one_pair(options, parameters, pair, scene, tiles, layout, folder, Part(progress, low, high))
@@ -73,12 +78,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     _log(facts, radius, needed, options, parameters, progress)
     progress.step(1.0, "DSM fused")
     return {
-        "output": options.output,
-        "confidence": options.confidence,
-        "ortho": options.ortho,
-        "cloud": options.cloud,
-        **shown,
-        "view_heights": options.view_heights,
+        **made,
         "vertical_datum": datum.name,
         "seconds": round(time.monotonic() - start, 3),
         **facts.to_mapping(),
@@ -122,9 +122,9 @@ def _fused(
         lambda work: f"fusing {work[0].records[0].tile}",
     )
     facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, stored, folder, parameters.fusion)
-    for kind, path in (("dsm", options.output), ("confidence", options.confidence), ("ortho", options.ortho)):
-        if path:
-            write_style(kind, path)
+    for product, path in paths_of(products_of("dsmfuse"), options):
+        if product.style and not product.maker:
+            write_style(product.style, path)
     return facts, [tile.needed for tile in stored]
 
 
@@ -151,17 +151,8 @@ def _one_pair(
     own = [(tile, window) for tile, window in own if tile.heights]
     name = re.sub(r"[^\w.-]", "_", "_".join(pair))
     target = ensure_folder(str(options.view_heights))
-    alone = replace(
-        options,
-        output=str(target / f"{name}.tif"),
-        confidence=str(target / f"{name}_confidence.tif"),
-        fill="none",
-        ortho=None,
-        cloud=None,
-        ept=None,
-        mesh=None,
-        view_heights=None,
-    )
+    files = {"output": str(target / f"{name}.tif"), "confidence": str(target / f"{name}_confidence.tif")}
+    alone = replace(options, **{**not_requested("dsmfuse"), **files, "fill": "none"})
     try:
         _fused(
             alone,
@@ -200,27 +191,6 @@ def _workers(
 def _round_cell(cell: float) -> float:
     """Two significant digits: a cell of 1.0 m, not of 1.0122 m."""
     return float(f"{cell:.2g}")
-
-
-def _write_for_display(
-    options: DsmFuseOptions, cloud: Optional[str], crs: str, parameters: FusionParameters, progress: Progress
-) -> Dict[str, Any]:
-    """What is made of the finished cloud and DSM, in the DSM's colours."""
-    made: Dict[str, Any] = {"ept": None, "mesh": None}
-    if options.ept and cloud:
-        tree = write_ept(cloud, options.ept, crs, progress, parameters=parameters.ept)
-        write_style("ept", f"{options.ept}/ept.json", height_limits(options.output))
-        progress.info(f"EPT of {tree.points} points in {tree.nodes} nodes.")
-        made["ept"] = options.ept
-    elif options.ept:
-        progress.warn("No matched point lies on the DSM: the EPT is not written.")
-    if options.mesh:
-        mesh = write_mesh(options.output, options.mesh, options.mesh_vertices, progress, parameters)
-        write_style("mesh", options.mesh, height_limits(options.output))
-        thinned = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
-        progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{thinned}.")
-        made["mesh"] = options.mesh
-    return made
 
 
 def _log(
