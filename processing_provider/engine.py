@@ -112,7 +112,7 @@ def find_python() -> str:
     """
     chosen = settings.engine_python()
     if chosen:
-        if not _is_program(chosen):
+        if not is_program(chosen):
             raise QgsProcessingException(
                 f"The engine interpreter '{chosen}' is not a program: correct or clear it in Settings > Options > "
                 "Processing > Providers > REPM (or the variable REPM_ENGINE_PYTHON)."
@@ -120,7 +120,7 @@ def find_python() -> str:
         return chosen
     candidates = _candidates()
     for path in candidates:
-        if _is_program(path):
+        if is_program(path):
             return path
     raise QgsProcessingException(
         f"No Python was found to run the engine (looked for {', '.join(candidates)}): run scripts/setup in "
@@ -158,7 +158,7 @@ def _candidates() -> list[str]:
     return [os.path.join(PLUGIN_FOLDER, ".venv", "bin", "python"), *dict.fromkeys(own)]
 
 
-def _is_program(path: str) -> bool:
+def is_program(path: str) -> bool:
     return os.path.isfile(path) and os.access(path, os.X_OK)
 
 
