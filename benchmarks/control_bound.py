@@ -7,8 +7,8 @@ from typing import Any, List, Sequence
 import numpy as np
 
 from benchmarks.pointing_case import Case, numeric_moves
-from repm_qgis.evaluation.metrics import NMAD_FACTOR
 from repm_qgis.geometry.frames import EnuFrame
+from repm_qgis.imagery.sampling import NMAD_FACTOR
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.ground_control import Gcp
 from repm_qgis.sfm.pointing import Pointing

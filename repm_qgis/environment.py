@@ -101,7 +101,7 @@ def _is_root() -> bool:
     return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
-def fresh_answer(code: str) -> str:
+def fresh_answer(code: str, seconds: float = _ASK_SECONDS) -> str:
     """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure."""
     try:
         done = subprocess.run(
@@ -109,7 +109,7 @@ def fresh_answer(code: str) -> str:
             stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            timeout=_ASK_SECONDS,
+            timeout=seconds,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired):

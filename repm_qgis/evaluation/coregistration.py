@@ -21,8 +21,7 @@ import numpy as np
 
 from ..arrays import FloatArray, FloatImage, Floats, IntArray
 from ..errors import EmptyResultError
-from ..imagery.sampling import mean_of_known
-from .metrics import nmad
+from ..imagery.sampling import mean_of_known, nmad
 from .parameters import COREGISTRATION, CoregistrationParameters
 
 Patch = Tuple[Floats, Floats]

@@ -15,11 +15,11 @@ from pyproj import CRS, Transformer
 
 from ..arrays import FloatArray, Mask
 from ..geometry.frames import EnuFrame, flat_crs, vertical_part
+from ..imagery.sampling import nmad
 from ..progress import counted
 from ..scene import View
 from ..sfm.ground_control import Gcp, intersect
 from .grids import Grid, HeightWarper, metres_per_unit
-from .metrics import NMAD_FACTOR, nmad
 from .parameters import GCPS, GcpParameters
 
 COLUMNS = {
@@ -47,7 +47,7 @@ class ErrorSummary:
         """Of signed errors of any shape; NaN are left out, and no value at all gives NaN."""
         size = np.abs(values[np.isfinite(values)])
         if not size.size:
-            return cls(0, float("nan"), float("nan"), float("nan"))
+            return cls(0, *[float("nan")] * 3)
         return cls(size.size, float(np.median(size)), float(np.sqrt(np.mean(size**2))), float(size.max()))
 
 
@@ -86,11 +86,8 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
     plain = [view.with_pointing(np.eye(2, 3)) for view in views]
     found.residuals["rpc"] = [_residuals(gcp, plain) for gcp in found.gcps]
     found.errors["rpc"] = _located(found.gcps, [plain] * len(found.gcps))
-    control = {
-        gcp.id: residual
-        for gcp, residual in zip(found.gcps, found.residuals["rpc"])
-        if gcp.role == "control" and residual
-    }
+    seen = [(gcp, residual) for gcp, residual in zip(found.gcps, found.residuals["rpc"]) if residual]
+    control = {gcp.id: residual for gcp, residual in seen if gcp.role == "control"}
     found.wrong = wrong_control(control, parameters)
     good = {name: residual for name, residual in control.items() if name not in found.wrong}
     found.shifts = _shifts(good)
@@ -118,7 +115,7 @@ def wrong_control(residuals: Dict[str, Dict[str, FloatArray]], parameters: GcpPa
         values = np.array([residuals[name][view] for name in seen])
         for name, distance in zip(seen, np.hypot(*(values - np.median(values, axis=0)).T)):
             size[name] = max(size[name], float(distance))
-    typical = NMAD_FACTOR * float(np.median(list(size.values()) or [0.0]))
+    typical = nmad(np.array(list(size.values()) or [0.0]), 0.0)
     limit = max(parameters.wrong_px, parameters.wrong_times * typical)
     return tuple(name for name in residuals if size[name] > limit)
 
@@ -139,9 +136,8 @@ def _shifts(residuals: Dict[str, Dict[str, FloatArray]], without: str = "") -> D
 
 def _shifted(views: Sequence[View], shifts: Dict[str, FloatArray]) -> List[View]:
     """The views that have a shift, with it."""
-    return [
-        view.with_pointing(np.column_stack([np.eye(2), shifts[view.name]])) for view in views if view.name in shifts
-    ]
+    known = [view for view in views if view.name in shifts]
+    return [view.with_pointing(np.column_stack([np.eye(2), shifts[view.name]])) for view in known]
 
 
 def _located(gcps: Sequence[Gcp], views: Sequence[Sequence[View]]) -> FloatArray:
@@ -219,7 +215,7 @@ def _warn_of_geoid(found: GcpAccuracy, parameters: GcpParameters) -> None:
     if len(up) >= 3:
         middle = float(np.median(up))
         if abs(middle) > max(parameters.geoid_m, parameters.geoid_times * nmad(up)):
-            found.warnings.append(
+            text = (
                 f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid: "
-                "check GCP_DATUM and the DSM's vertical datum."
             )
+            found.warnings.append(text + "check GCP_DATUM and the DSM's vertical datum.")

@@ -23,14 +23,9 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..arrays import Floats, IntArray
+from ..imagery.sampling import NMAD_FACTOR, nmad
 
-NMAD_FACTOR = 1.4826
 THRESHOLDS_M = (1.0, 2.5, 5.0)
-
-
-def nmad(values: Floats) -> float:
-    """The normalised median absolute deviation of finite values; inf where there are none."""
-    return NMAD_FACTOR * float(np.median(np.abs(values - np.median(values)))) if values.size else math.inf
 
 
 @dataclass(frozen=True)

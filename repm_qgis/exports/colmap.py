@@ -49,14 +49,9 @@ def _write_database(model: Any, path: Path) -> None:
     opened: Any = getattr(pycolmap.Database, "open", pycolmap.Database)
     database = opened(str(path))
     try:
-        for things, write in (
-            (model.cameras, database.write_camera),
-            (model.rigs, database.write_rig),
-            (model.frames, database.write_frame),
-            (model.images, database.write_image),
-        ):
-            for thing in things.values():
-                write(thing, True)
+        for kind in ("camera", "rig", "frame", "image"):
+            for thing in getattr(model, f"{kind}s").values():
+                getattr(database, f"write_{kind}")(thing, True)
     finally:
         database.close()
 

@@ -95,10 +95,8 @@ def encode(plain: str, path: Path) -> None:
             except (RuntimeError, AttributeError) as error:  # AttributeError: a GDAL without the driver
                 reason = str(error)
         if reason or not os.path.exists(temporary):
-            raise WorkspaceError(
-                f"Cannot write '{path}' ({reason or 'no reason given'}): is the disk full, or does GDAL lack its "
-                f"{driver} driver?"
-            )
+            why = f"({reason or 'no reason given'}): is the disk full, or does GDAL lack its {driver} driver?"
+            raise WorkspaceError(f"Cannot write '{path}' {why}")
         take_name(temporary, str(path))
     finally:
         for leftover in (temporary, plain):

@@ -25,17 +25,10 @@ _SIDE_STEP = 64  # the network halves its features several times
 def square_pixels(model: TileModel) -> TileModel:
     """The model with one focal length a view (the larger one, which loses nothing) and one image size for all views."""
     scales = [max(np.diag(view.camera.K)[:2]) / np.diag(view.camera.K)[:2] for view in model.views]
-    sides = [
-        -(-int(np.ceil(max(view.size[axis] * scale[axis] for view, scale in zip(model.views, scales)))) // _SIDE_STEP)
-        * _SIDE_STEP
-        for axis in (0, 1)
-    ]
-    return replace(
-        model,
-        views=tuple(
-            view.resampled(np.diag([*scale, 1.0]), (sides[0], sides[1])) for view, scale in zip(model.views, scales)
-        ),
-    )
+    largest = np.max([np.array(view.size) * scale for view, scale in zip(model.views, scales)], axis=0)
+    width, height = (-(-int(np.ceil(side)) // _SIDE_STEP) * _SIDE_STEP for side in largest)
+    resampled = (v.resampled(np.diag([*scale, 1.0]), (width, height)) for v, scale in zip(model.views, scales))
+    return replace(model, views=tuple(resampled))
 
 
 def camera_text(view: ExportView, index: int) -> str:
@@ -53,6 +46,8 @@ def write_whutlc(model: TileModel, images: Tuple[str, ...], folder: Path) -> Non
         write_text(str(folder / "camera" / str(index) / f"{model.tile.id}.txt"), camera_text(view, index))
 
 
-WHUTLC = ExportFormat(
-    "whutlc", lambda model, index: f"image/{index}/{model.tile.id}", ".png", write_whutlc, prepare=square_pixels
-)
+def _image(model: TileModel, index: int) -> str:
+    return f"image/{index}/{model.tile.id}"
+
+
+WHUTLC = ExportFormat("whutlc", _image, ".png", write_whutlc, prepare=square_pixels)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame
+from ..imagery.sampling import nmad
 from ..scene import View
 from .control_noise import ControlEquations, contradicts, first_noise, robust_weight, suspects, variance_component
 from .graph import components
@@ -98,17 +99,11 @@ def tracks_from(matches: Sequence[PairMatches]) -> List[Track]:
         pixels.setdefault(node, pixel)
         return node
 
-    edges = [
-        (node_of(match.first, a), node_of(match.second, b))
-        for match in matches
-        for a, b in zip(match.first_px, match.second_px)
-    ]
+    pairs = ((match, a, b) for match in matches for a, b in zip(match.first_px, match.second_px))
+    edges = [(node_of(match.first, a), node_of(match.second, b)) for match, a, b in pairs]
     joined = components(list(pixels), edges)
-    return [
-        Track({node[0]: pixels[node] for node in nodes})
-        for nodes in joined
-        if len({node[0] for node in nodes}) == len(nodes) >= 2
-    ]
+    consistent = [nodes for nodes in joined if len({node[0] for node in nodes}) == len(nodes) >= 2]
+    return [Track({node[0]: pixels[node] for node in nodes}) for nodes in consistent]
 
 
 def adjust(
@@ -139,12 +134,11 @@ def adjust(
     """
     if model not in MODELS:
         raise OptionError("POINTING", model, f"must be one of {', '.join(MODELS)}")
+    names = ("shift", "affine") if model == "auto" else (model,)
+    solved = [_Solution(views, tracks, altitude, name, gcps, parameters).solved() for name in names]
     if model != "auto":
-        return _Solution(views, tracks, altitude, model, gcps, parameters).solved().adjustment("asked for")
-    shift, affine = (
-        _Solution(views, tracks, altitude, name, gcps, parameters).solved() for name in ("shift", "affine")
-    )
-    better, reason = _compared(shift, affine, parameters.adjustment)
+        return solved[0].adjustment("asked for")
+    better, reason = _compared(solved[0], solved[1], parameters.adjustment)
     return better.adjustment(reason)
 
 
@@ -159,9 +153,8 @@ def _compared(shift: "_Solution", affine: "_Solution", parameters: AdjustmentPar
     """Shift or affine, and why. Control points count beside the ties, because no tie shows a tilt of the whole."""
     cover = min(shift.cover)
     if len(shift.tracks) < parameters.affine_ties or cover < parameters.affine_cover:
-        return shift, (
-            f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides carry no affine correction"
-        )
+        few = f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides"
+        return shift, f"{few} carry no affine correction"
     # Points that either model rejects count for neither.
     good = [gcp for gcp in shift.control if gcp in affine.control]
     limit = parameters.affine_limit * shift.typical_px
@@ -234,10 +227,8 @@ class _Solution:
         while True:
             self.control = [gcp for k, gcp in enumerate(everyone) if k not in outside]
             self._solve(_tukey)
-            known = self._covariance, self.control_noise_px, self._redundancy
-            wrong = [
-                k for k in outside if contradicts(self._equations(everyone[k]), *known, len(everyone), self._noise)
-            ]
+            known = self._covariance, self.control_noise_px, self._redundancy, len(everyone), self._noise
+            wrong = [k for k in outside if contradicts(self._equations(everyone[k]), *known)]
             if len(wrong) == len(outside):
                 break
             outside = wrong
@@ -326,7 +317,7 @@ class _Solution:
         sizes = [np.linalg.norm(reduced, axis=1) / math.sqrt(max(reduced.shape[1] - 3, 1)) for reduced, _ in parts]
         sigma = self._parameters.least_sigma_px
         if sizes:
-            sigma = max(1.4826 * float(np.median(np.concatenate(sizes))), sigma)
+            sigma = max(nmad(np.concatenate(sizes), 0.0), sigma)
         for group, (reduced, design), size in zip(self.groups, parts, sizes):
             weighted = design * weights(size, sigma, self._parameters)[:, None, None]
             columns = np.concatenate([np.arange(i * p, (i + 1) * p) for i in group.views])
@@ -340,9 +331,8 @@ class _Solution:
     ) -> None:
         """Set the control points' noise and its redundancy."""
         residuals = [point.after(step) for point in control]
-        self._redundancy = sum(
-            point.redundancy(self._covariance, self.control_noise_px, part) for point, part in zip(control, share)
-        )
+        known = self._covariance, self.control_noise_px
+        self._redundancy = sum(point.redundancy(*known, part) for point, part in zip(control, share))
         if robust:
             self.control_noise_px = first_noise(residuals, self._noise)
         else:

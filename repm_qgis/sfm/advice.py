@@ -79,10 +79,8 @@ def _geometry(pair: ViewPair, gsd_m: float, parameters: PointingParameters) -> L
             "only; add an image from farther away, or leave one of the two out."
         ]
     if pair.base_to_height > parameters.pairs.wide:
-        return [
-            f"{names} look from very different directions {angles}: walls and trees will not match; add an image from "
-            "between."
-        ]
+        wide = f"{names} look from very different directions {angles}"
+        return [f"{wide}: walls and trees will not match; add an image from between."]
     return []
 
 
@@ -90,10 +88,8 @@ def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Views that no pair uses."""
     used = {name for pair in pairs for name in (pair.first, pair.second)}
     names = [view.name for view in scene.views if view.name not in used]
-    text = (
-        f"{_listed(names)}: not used, because no other image of the same ground looks from a direction at least 3 "
-        "degrees away; leave it out, or add an image from farther away."
-    )
+    why = "no other image of the same ground looks from a direction at least 3 degrees away"
+    text = f"{_listed(names)}: not used, because {why}; leave it out, or add an image from farther away."
     return [text] if names else []
 
 
@@ -111,16 +107,10 @@ def _groups(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
 
 def _at_night(scene: Scene) -> List[str]:
     """Times at which no satellite takes pictures."""
-    names = []
-    for view in scene.views:
-        sun = sun_over(scene, view)
-        if sun is not None and sun[1] <= 0:
-            names.append(f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)")
-    text = (
-        f"{_listed(names)}: the sun had set at the time in the product's files, so that only its date was used; check "
-        "the sidecar files of the image."
-    )
-    return [text] if names else []
+    suns = ((view, sun_over(scene, view)) for view in scene.views)
+    names = [f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)" for view, sun in suns if sun is not None and sun[1] <= 0]
+    text = "the sun had set at the time in the product's files, so that only its date was used"
+    return [f"{_listed(names)}: {text}; check the sidecar files of the image."] if names else []
 
 
 def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:

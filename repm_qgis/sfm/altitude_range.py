@@ -118,10 +118,8 @@ def sweep_patches(bounds: Bounds, gsd: float, parameters: SweepParameters) -> Li
 
 def _middle(patch: Bounds) -> Bounds:
     """The inner quarter of a patch."""
-    xmin, ymin, xmax, ymax = patch
-    return Bounds(
-        0.75 * xmin + 0.25 * xmax, 0.75 * ymin + 0.25 * ymax, 0.25 * xmin + 0.75 * xmax, 0.25 * ymin + 0.75 * ymax
-    )
+    low, high = np.array(patch[:2]), np.array(patch[2:])
+    return Bounds(*map(float, (*(0.75 * low + 0.25 * high), *(0.25 * low + 0.75 * high))))
 
 
 def _sweep_patch(sweep: _Sweep, patch: Bounds, shift: Tuple[int, int]) -> Tuple[FloatArray, FloatArray]:
@@ -140,16 +138,15 @@ def _sweep_patch(sweep: _Sweep, patch: Bounds, shift: Tuple[int, int]) -> Tuple[
     return best_altitude, np.where(inner, best_score, -1.0)
 
 
-def _reduced_pair(
-    sweep: _Sweep, patch: Bounds
-) -> Tuple[Tuple[int, int], FloatArray, Optional[Tuple["_Reduced", "_Reduced"]]]:
+def _reduced_pair(sweep: _Sweep, patch: Bounds) -> Tuple[Tuple[int, int], FloatArray, Optional[List[_Reduced]]]:
     """A patch's shape in cells, the lattice of its longitudes and latitudes, and its images (None: not both see it)."""
     cell = max(sweep.first.gsd_m, sweep.second.gsd_m) * sweep.parameters.reduction
     shape = (max(8, int((patch[3] - patch[1]) / cell)), max(8, int((patch[2] - patch[0]) / cell)))
     u, v = np.linspace(patch[0], patch[2], 9), np.linspace(patch[3], patch[1], 9)
     lon_lat = geodetic_from_projected(sweep.crs, np.stack(np.meshgrid(u, v), axis=-1))
-    first, second = (_Reduced.of(view, sweep, patch) for view in (sweep.first, sweep.second))
-    return shape, lon_lat, None if first is None or second is None else (first, second)
+    images = [_Reduced.of(view, sweep, patch) for view in (sweep.first, sweep.second)]
+    known = [image for image in images if image is not None]
+    return shape, lon_lat, known if len(known) == 2 else None
 
 
 @dataclass(frozen=True)
@@ -195,10 +192,10 @@ def _correlation(a: FloatImage, b: FloatImage, shift: Tuple[int, int], parameter
     middle_a, middle_b = a[known].mean(), b[known].mean()
     found = window_statistics(a - middle_a, b - middle_b, known, lambda part: box_mean(part, parameters.window_radius))
     noise = parameters.least_contrast
-    flat = (found.variance_a < noise * (found.mean_a + middle_a) ** 2) | (
-        found.variance_b < noise * (found.mean_b + middle_b) ** 2
-    )
-    return np.where(flat | (found.share < parameters.least_known), np.float32(-1), found.correlation())
+    poor = found.share < parameters.least_known
+    poor |= found.variance_a < noise * (found.mean_a + middle_a) ** 2
+    poor |= found.variance_b < noise * (found.mean_b + middle_b) ** 2
+    return np.where(poor, np.float32(-1), found.correlation())
 
 
 def _pointing_shift(sweep: _Sweep, patches: Sequence[Bounds]) -> Tuple[int, int]:
@@ -256,10 +253,8 @@ def altitude_range(
     if dem:
         low, high, known = dem_range(dem, crs, bounds)
         if not known:
-            progress.warn(
-                f"The DEM '{dem}' does not state its vertical datum: its heights are taken as metres above the WGS 84 "
-                "ellipsoid."
-            )
+            unknown = f"The DEM '{dem}' does not state its vertical datum"
+            progress.warn(f"{unknown}: its heights are taken as metres above the WGS 84 ellipsoid.")
         found, source = altitudes.around_dem(low, high), "DEM"
     else:
         swept = sweep_altitudes(views, crs, bounds, search, progress, parameters, altitudes)
@@ -273,10 +268,9 @@ def altitude_range(
             found, source = search, "RPC"
         else:
             found, source = swept.altitudes, "images"
-    low = found[0] if given[0] is None else given[0]
-    high = found[1] if given[1] is None else given[1]
+    low, high = (end if own is None else own for end, own in zip(found, given))
     if low >= high:
         option, value = ("ALTITUDE_MIN", low) if given[0] is not None else ("ALTITUDE_MAX", high)
-        ground = f"the ground lies between {found[0]:.0f} and {found[1]:.0f} m"
-        raise OptionError(option, value, f"leaves no range: {ground}")
+        ends = f"{found[0]:.0f} and {found[1]:.0f} m"
+        raise OptionError(option, value, f"leaves no range: the ground lies between {ends}")
     return (float(low), float(high)), source

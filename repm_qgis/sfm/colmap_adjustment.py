@@ -27,6 +27,7 @@ from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography
+from ..imagery.sampling import nmad
 from ..progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import grown, refined_view
@@ -85,7 +86,9 @@ def adjust_colmap(
     start = with_shifts(views, tracks, altitude, {view.name: np.zeros(2) for view in views}, "")
     xy = projected_from_geodetic(scene.crs, start.ground)
     found = []
-    parts = clusters(xy, np.arange(len(tracks)), _tile_side(scene), parameters.alignment.gap)
+    # Over a patch of the size of the largest tile, one camera for each view is good enough.
+    side = max(max(t.bounds[2] - t.bounds[0], t.bounds[3] - t.bounds[1]) for t in scene.tiles)
+    parts = clusters(xy, np.arange(len(tracks)), side, parameters.alignment.gap)
     for number, members in enumerate(parts):
         progress.check_cancelled()
         progress.step(number / len(parts), "COLMAP's bundle adjustment")
@@ -94,19 +97,12 @@ def adjust_colmap(
         if shifts is not None:
             found.append(shifts)
     if not found:
-        raise EmptyResultError(
-            f"No patch of the scene has {parameters.colmap.least_ties} tie points for COLMAP's adjustment: choose "
-            "ADJUSTMENT rpc, or an EXTENT with more texture."
-        )
+        few = f"No patch of the scene has {parameters.colmap.least_ties} tie points for COLMAP's adjustment"
+        raise EmptyResultError(f"{few}: choose ADJUSTMENT rpc, or an EXTENT with more texture.")
     joined = dict(zip((view.name for view in views), _joined(found, len(views), parameters.colmap.least_rank)))
     ties = sum(patch.ties for patch in found)
     reason = f"principal points by COLMAP's bundle adjustment of {ties} ties in {len(found)} patches"
     return with_shifts(views, tracks, altitude, joined, reason)
-
-
-def _tile_side(scene: Scene) -> float:
-    """The largest side of a tile, m: over a patch of this size one camera for each view is good enough."""
-    return max(max(t.bounds[2] - t.bounds[0], t.bounds[3] - t.bounds[1]) for t in scene.tiles)
 
 
 @dataclass(frozen=True)
@@ -195,8 +191,7 @@ class _Model:
         places: FloatArray,
         parameters: ColmapAdjustmentParameters,
     ) -> None:
-        self._parameters = parameters
-        self._pycolmap, self._seen, self._measured = pycolmap, seen, measured
+        self._pycolmap, self._seen, self._measured, self._parameters = pycolmap, seen, measured, parameters
         self._points = np.array([self._triangulated(pixels, place) for pixels, place in zip(measured, places)])
         self._use = np.ones(len(measured), dtype=bool)
         # COLMAP counts pixels from the corner of the first one.
@@ -212,14 +207,11 @@ class _Model:
         parameters, scale = self._parameters, self._parameters.first_scale_px
         for _ in range(parameters.passes):
             residual = self._adjusted(scale)
-            sigma = max(1.4826 * float(np.median(residual[self._use])), parameters.least_sigma_px)
+            sigma = max(nmad(residual[self._use], 0.0), parameters.least_sigma_px)
             self._use = residual < parameters.wrong * sigma
             scale = parameters.cauchy * sigma
-        return {
-            i: self._centre[i] - self._start[i]
-            for i in self._seen
-            if any(i in pixels for pixels, use in zip(self._measured, self._use) if use)
-        }
+        used = {i for pixels, use in zip(self._measured, self._use) if use for i in pixels}
+        return {i: self._centre[i] - self._start[i] for i in self._seen if i in used}
 
     def _triangulated(self, pixels: Dict[int, FloatArray], fallback: FloatArray) -> FloatArray:
         """(3,) the point triangulated from known poses; that of the RPCs where COLMAP finds none."""
@@ -248,16 +240,14 @@ class _Model:
 
     def _options(self, scale_px: float) -> Any:
         options = self._pycolmap.BundleAdjustmentOptions()
-        options.refine_focal_length = False
-        options.refine_extra_params = False
         options.refine_principal_point = True
-        options.refine_rig_from_world = False
+        options.refine_focal_length = options.refine_extra_params = options.refine_rig_from_world = False
         options.print_summary = False
         options.ceres.loss_function_type = self._pycolmap.LossFunctionType.CAUCHY
         options.ceres.loss_function_scale = scale_px
-        options.ceres.solver_options.num_threads = 1  # sums in one order, for the same result every time
-        options.ceres.solver_options.gradient_tolerance = 1e-10
-        options.ceres.solver_options.function_tolerance = 1e-12
+        solver = options.ceres.solver_options
+        solver.num_threads = 1  # sums in one order, for the same result every time
+        solver.gradient_tolerance, solver.function_tolerance = 1e-10, 1e-12
         return options
 
     def _reconstruction(self) -> Any:

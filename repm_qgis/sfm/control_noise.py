@@ -16,6 +16,7 @@ from typing import List, Sequence
 import numpy as np
 
 from ..arrays import FloatArray
+from ..imagery.sampling import nmad
 from .parameters import ControlParameters
 
 
@@ -38,7 +39,7 @@ class ControlEquations:
 
 def first_noise(residuals: Sequence[FloatArray], parameters: ControlParameters) -> float:
     """A coordinate's standard deviation from the median of all residuals, px: gross errors do not change it."""
-    return max(1.4826 * float(np.median(np.abs(np.concatenate(list(residuals))))), parameters.least_noise_px)
+    return max(nmad(np.concatenate(list(residuals)), 0.0), parameters.least_noise_px)
 
 
 def variance_component(residuals: Sequence[FloatArray], redundancy: float, parameters: ControlParameters) -> float:
@@ -73,7 +74,7 @@ def contradicts(
     number of all, because the probability of a false alarm is that of a whole table.
     """
     off = point.misclosure
-    if _largest(off) < parameters.wrong_px:
+    if np.linalg.norm(off.reshape(-1, 2), axis=1).max() < parameters.wrong_px:
         return False
     expected = noise_px**2 * np.eye(len(off)) + point.design @ covariance @ point.design.T
     statistic = float(off @ np.linalg.solve(expected, off)) / len(off)
@@ -94,8 +95,3 @@ def f_quantile(probability: float, first: float, second: float) -> float:
 
 def _size(residual: FloatArray) -> float:
     return float(np.sqrt(np.mean(residual**2)))
-
-
-def _largest(residual: FloatArray) -> float:
-    """The longest of a point's residual vectors."""
-    return float(np.linalg.norm(residual.reshape(-1, 2), axis=1).max())

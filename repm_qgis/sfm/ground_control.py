@@ -67,31 +67,26 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     file, layer = points_file(path)
     rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
     points: Dict[str, Gcp] = {}
-    names = {
-        alias: view.name for view in views or () for alias in (view.name, Path(view.image).name, Path(view.image).stem)
-    }
+    aliases = [(view.name, Path(view.image).name, Path(view.image).stem) for view in views or ()]
+    names = {alias: known[0] for known in aliases for alias in known}
     for line, row in rows:
         gcp = _point(path, line, row)
+        at = f"'{path}', row {line}: point '{gcp.id}'"
         known = points.setdefault(gcp.id, gcp)
         if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
-            raise InputTableError(
-                f"'{path}', row {line}: point '{gcp.id}' has another place or role than in an earlier row; give each "
-                "point one place and one role."
-            )
+            text = "has another place or role than in an earlier row; give each point one place and one role."
+            raise InputTableError(f"{at} {text}")
         view = str(row.get("view") or "").strip()
         if not view or views is None:
             continue
         if view not in names:
-            raise InputTableError(
-                f"'{path}', row {line}: point '{gcp.id}' was measured in '{view}', which is none of the images "
-                f"({', '.join(v.name for v in views)}); use the images' file names."
-            )
+            known_views = ", ".join(v.name for v in views)
+            text = f"was measured in '{view}', which is none of the images ({known_views}); use the images' file names."
+            raise InputTableError(f"{at} {text}")
         pixel = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
         if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
-            raise InputTableError(
-                f"'{path}', row {line}: point '{gcp.id}' has another pixel in '{view}' than in an earlier row; give "
-                "each point one row for each image."
-            )
+            text = f"has another pixel in '{view}' than in an earlier row; give each point one row for each image."
+            raise InputTableError(f"{at} {text}")
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
     return _ellipsoidal(list(points.values()), vertical, path)
@@ -103,9 +98,8 @@ def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
         raise InputTableError(f"'{path}', row {line}: the field 'id' is empty; name every point.")
     role = str(row.get("role") or "control").strip().lower()
     if role not in ROLES:
-        raise InputTableError(
-            f"'{path}', row {line}: the role of point '{identity}' is '{role}'; it must be control or check."
-        )
+        text = f"the role of point '{identity}' is '{role}'; it must be control or check."
+        raise InputTableError(f"'{path}', row {line}: {text}")
     lon, lat, height = (_number(path, line, row, name) for name in ("lon", "lat", "height"))
     if not (-360 <= lon <= 360 and -90 <= lat <= 90 and -12000 < height < 10000):
         raise InputTableError(
@@ -144,10 +138,8 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
     needed = [name for name in ("id", "lon", "lat", "height") if not (with_place and name in ("lon", "lat"))]
     missing = [name for name in needed if name not in fields]
     if missing:
-        raise InputTableError(
-            f"'{path}' lacks the field{'s' if len(missing) > 1 else ''} {', '.join(missing)}; a table of points needs "
-            f"{', '.join(FIELDS)}."
-        )
+        fields_missing = f"field{'s' if len(missing) > 1 else ''} {', '.join(missing)}"
+        raise InputTableError(f"'{path}' lacks the {fields_missing}; a table of points needs {', '.join(FIELDS)}.")
 
 
 def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
@@ -190,10 +182,8 @@ def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> 
         )
     heights = np.asarray(group.transformers[0].transform(*places.T)[2])
     if not np.isfinite(heights).all():
-        raise InputTableError(
-            f"PROJ's grid for {name} does not cover all points of '{path}': check their places, or give heights above "
-            "the ellipsoid."
-        )
+        uncovered = f"PROJ's grid for {name} does not cover all points of '{path}'"
+        raise InputTableError(f"{uncovered}: check their places, or give heights above the ellipsoid.")
     return [replace(gcp, height=float(height)) for gcp, height in zip(gcps, heights)]
 
 

@@ -8,8 +8,6 @@ retrieval, 2012) and pixels that count from the centre of the first one, (0, 0).
 from __future__ import annotations
 
 import importlib.util
-import subprocess
-import sys
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -86,12 +84,8 @@ class OpenCvSift:
     def detect(self, grey: ByteImage, mask: ByteImage, most: int, choose: Choice = everything) -> Keypoints:
         """The ``most`` keypoints with the strongest contrast, for ``choose``."""
         # Without the precise doubling of the image, all keypoints lie a quarter of a pixel too far right and below.
-        sift = cv2.SIFT_create(
-            most,
-            nOctaveLayers=self.parameters.layers,
-            contrastThreshold=self.parameters.contrast,
-            enable_precise_upscale=True,
-        )
+        layers, contrast = self.parameters.layers, self.parameters.contrast
+        sift = cv2.SIFT_create(most, layers, contrastThreshold=contrast, enable_precise_upscale=True)
         points = sift.detect(grey, mask)
         if not points:
             return Keypoints(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32))
@@ -197,20 +191,9 @@ def answers(device: str, parameters: KeypointParameters = POINTING.keypoints) ->
     """Whether a device passes the self-test, in a process of its own, because a faulty driver may end it."""
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).resolve().parents[2])!r}); "
-        f"from repm_qgis.sfm.keypoints import ColmapSift, self_test; sys.exit(not self_test(ColmapSift({device!r})))"
+        f"from repm_qgis.sfm.keypoints import ColmapSift, self_test; print(self_test(ColmapSift({device!r})))"
     )
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=parameters.answer_s,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return done.returncode == 0
+    return environment.fresh_answer(code, parameters.answer_s).endswith("True")
 
 
 def self_test(detector: Detector, parameters: KeypointParameters = POINTING.keypoints) -> bool:

@@ -33,11 +33,8 @@ def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> L
     usable = [c for c in candidates if c.base_to_height >= parameters.least_base_to_height]
     if not usable:
         angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
-        angles = angles or "they share no tile"
-        raise EmptyResultError(
-            f"No pair of images can measure heights ({angles}): choose images with lines of sight at least 3 degrees "
-            "apart."
-        )
+        why = f"No pair of images can measure heights ({angles or 'they share no tile'})"
+        raise EmptyResultError(f"{why}: choose images with lines of sight at least 3 degrees apart.")
     if len(scene.views) <= parameters.all_up_to:
         return sorted(usable, key=lambda pair: abs(math.log(pair.base_to_height / parameters.best_base_to_height)))
     unknown = usual_change(usable, parameters)
@@ -63,12 +60,10 @@ def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters =
     prediction model", ISPRS Journal of Photogrammetry and Remote Sensing 154 (2019): of over 1000 pairs of one place,
     those with angles of 15 to 25 degrees still differ much in accuracy; the difference of the suns decides.
     """
-    cost = change_cost(pair, parameters)
-    return (
-        abs(math.log(pair.angle_deg / parameters.best_deg))
-        - math.log(max(pair.share, parameters.least_share))
-        + (unknown if cost is None else cost)
-    )
+    change = change_cost(pair, parameters)
+    overlap = math.log(max(pair.share, parameters.least_share))
+    angle = abs(math.log(pair.angle_deg / parameters.best_deg))
+    return angle - overlap + (unknown if change is None else change)
 
 
 def is_good(pair: ViewPair, parameters: PairParameters = POINTING.pairs) -> bool:
@@ -110,10 +105,8 @@ def sun_over(scene: Scene, view: View) -> Optional[Tuple[float, float]]:
 def _candidates(scene: Scene) -> List[ViewPair]:
     """All pairs that share a tile."""
     altitude = sum(scene.altitudes) / 2
-    outlines = {
-        view.name: geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size, altitude)))
-        for view in scene.views
-    }
+    places = {view.name: footprint(view.localise, view.size, altitude) for view in scene.views}
+    outlines = {name: geometry_of(projected_from_geodetic(scene.crs, place)) for name, place in places.items()}
     area = ogr.CreateGeometryFromWkt(scene.area) if scene.area else None
     found: List[ViewPair] = []
     for first, second in combinations(scene.views, 2):

@@ -12,6 +12,7 @@ from ..arrays import Altitudes, Bounds, FloatArray
 from ..errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
+from ..imagery.sampling import nmad
 from ..progress import Part, Progress
 from ..records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..scene import Scene, View
@@ -19,7 +20,7 @@ from .adjustment import Adjustment, Track, adjust, tracks_from
 from .advice import ties_by_part, ties_by_tile
 from .colmap_adjustment import adjust_colmap
 from .ground_control import Gcp, intersect
-from .keypoints import with_best_detector
+from .keypoints import Detector, with_best_detector
 from .parameters import POINTING, PointingParameters
 from .tie_alignment import align_ties
 from .tie_points import PairMatches, find_ties
@@ -69,10 +70,11 @@ def point_views(
     Raises EmptyResultError with the counts where the ties are too few.
     """
     names = [(pair.first, pair.second) for pair in pairs]
-    part = Part(progress, 0.0, 0.7)
-    matches, detector = with_best_detector(
-        lambda best: find_ties(scene, names, stretches, part, workers, best, parameters), progress, parameters.keypoints
-    )
+
+    def find(detector: Detector) -> List[PairMatches]:
+        return find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, detector, parameters)
+
+    matches, detector = with_best_detector(find, progress, parameters.keypoints)
     part = Part(progress, 0.7, 0.95)
     tracks = align_ties(scene, tracks_from(matches), stretches, part, workers, parameters.alignment)
     if len(tracks) < parameters.least_tracks:
@@ -126,7 +128,7 @@ def _pair_figures(
         count=len(after[key]),
         before_px=_median(before[key]),
         after_px=_median(np.abs(after[key])),
-        spread_px=1.4826 * _median(np.abs(after[key] - _median(after[key]))),
+        spread_px=nmad(after[key]) if len(after[key]) else 0.0,
     )
 
 
@@ -136,12 +138,9 @@ def _median(values: FloatArray) -> float:
 
 def _gcp_figures(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustment) -> Tuple[GcpFigures, ...]:
     """Where the corrected views put the control points that they see."""
-    offsets = [(gcp, intersect(gcp, views)) for gcp in gcps]
-    return tuple(
-        GcpFigures(gcp.id, gcp.role, gcp.id in adjusted.rejected, *map(float, offset))
-        for gcp, offset in offsets
-        if offset is not None
-    )
+    offsets = ((gcp, intersect(gcp, views)) for gcp in gcps)
+    seen = [(gcp.id, gcp.role, offset) for gcp, offset in offsets if offset is not None]
+    return tuple(GcpFigures(name, role, name in adjusted.rejected, *map(float, offset)) for name, role, offset in seen)
 
 
 def _height_uncertainty(

@@ -26,7 +26,7 @@ from ..progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import grown, rectified_pair
 from ..stereo.rectification import RectifiedPair
-from .adjustment import Track
+from .adjustment import Track, track_pixels
 from .parameters import POINTING, AlignmentParameters
 
 Indices = NDArray[np.intp]
@@ -70,7 +70,7 @@ def align_ties(
             for other in seen[number][1:]:
                 pairs.setdefault((seen[number][0], other), []).append(int(number))
         bounds = Bounds(*map(float, (*xy[members].min(axis=0), *xy[members].max(axis=0))))
-        pixels = {pair: (_pixels(tracks, pair[0], own), _pixels(tracks, pair[1], own)) for pair, own in pairs.items()}
+        pixels = {(a, b): (track_pixels(tracks, a, own), track_pixels(tracks, b, own)) for (a, b), own in pairs.items()}
         tasks.append(_AlignTask(lean, bounds, dict(sorted(pairs.items())), pixels, stretches, parameters))
     aligned: Dict[Tuple[int, str], FloatArray] = {}
     for found in run_tasks(_align_patch, tasks, workers, progress, lambda _: "aligning tie points"):
@@ -83,18 +83,13 @@ def align_ties(
     return result
 
 
-def _pixels(tracks: Sequence[Track], name: str, numbers: Sequence[int]) -> FloatArray:
-    """(n, 2) the pixels of tracks in a view."""
-    return np.array([tracks[k].pixels[name] for k in numbers])
-
-
 def _places(scene: Scene, tracks: Sequence[Track], seen: Sequence[List[str]]) -> FloatArray:
     """(N, 2) approximate places of tracks in the scene's CRS: their first pixel at the middle altitude."""
     xy = np.empty((len(tracks), 2))
     for view in scene.views:
         own = [number for number, names in enumerate(seen) if names[0] == view.name]
         if own:
-            pixels = _pixels(tracks, view.name, own)
+            pixels = track_pixels(tracks, view.name, own)
             xy[own] = projected_from_geodetic(scene.crs, view.localise(pixels, sum(scene.altitudes) / 2))
     return xy
 
@@ -153,10 +148,8 @@ def _registered(
     size = (int(extent[0]) + margin, int(extent[1]) + margin)
     h_first, h_second = (translation(*-corner) @ h for corner, h in zip(corners, (pair.h_first, pair.h_second)))
     frames = RectifiedPair(pair.first, pair.second, h_first, h_second, size)
-    first, second = (
-        _evened(view, stretch, to_original, size, parameters)
-        for view, stretch, to_original in zip(views, stretches, (frames.first_original, frames.second_original))
-    )
+    images = zip(views, stretches, (frames.first_original, frames.second_original))
+    first, second = (_evened(*image, size, parameters) for image in images)
     here, there = (points.astype(np.float32)[:, None] for points in (a - corners[0], b - corners[1]))
     found, status, error = _aligned(first, second, here, there, parameters)
     back, returned, _ = _aligned(second, first, found, here, parameters)
@@ -171,17 +164,10 @@ def _aligned(
     source: ByteImage, target: ByteImage, points: FloatImage, start: FloatImage, parameters: AlignmentParameters
 ) -> Tuple[FloatImage, ByteImage, FloatImage]:
     """(N, 1, 2) positions in the target, (N,) whether found, (N,) mean difference of the neighbourhoods."""
-    found = cv2.calcOpticalFlowPyrLK(
-        source,
-        target,
-        points,
-        start.copy(),
-        winSize=(parameters.window_px,) * 2,
-        maxLevel=0,
-        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, parameters.iterations, parameters.stop_px),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        minEigThreshold=parameters.least_texture,
-    )
+    window, flags = (parameters.window_px,) * 2, cv2.OPTFLOW_USE_INITIAL_FLOW
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, parameters.iterations, parameters.stop_px)
+    guess, least = start.copy(), parameters.least_texture
+    found = cv2.calcOpticalFlowPyrLK(source, target, points, guess, None, None, window, 0, stop, flags, least)
     places, status, error = (np.asarray(part) for part in found)
     return places, status[:, 0], error[:, 0]
 

@@ -70,11 +70,8 @@ def _places(corner: FloatArray, step: FloatArray, side: float, most: int) -> Lis
         return list(np.linspace(low, low + length - side, min(math.ceil(length / side), most)))
 
     width, height = min(side, step[0]), min(side, step[1])
-    places = [
-        Bounds(float(x), float(y), float(x + width), float(y + height))
-        for x in starts(corner[0], step[0])
-        for y in starts(corner[1], step[1])
-    ]
+    corners = [(x, y) for x in starts(corner[0], step[0]) for y in starts(corner[1], step[1])]
+    places = [Bounds(float(x), float(y), float(x + width), float(y + height)) for x, y in corners]
     middle = corner + step / 2
     return sorted(places, key=lambda p: math.hypot((p[0] + p[2]) / 2 - middle[0], (p[1] + p[3]) / 2 - middle[1]))
 

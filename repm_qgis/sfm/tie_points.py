@@ -123,8 +123,7 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
 
 def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Features]:
     """Keypoints and descriptors of a view over a patch; None where it shows too little."""
-    scene = task.scene
-    parameters = task.parameters
+    scene, parameters = task.scene, task.parameters
     camera = refined_view(scene, view, grown(task.bounds, parameters.margin_px * scene.gsd_m), scene.altitudes)
     if camera is None:
         return None
@@ -257,10 +256,8 @@ def consistent_matches(first: str, second: str, parts: Sequence[PairMatches], pa
     """
     if not parts:
         return PairMatches(first, second, np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
-    a, b, parallax = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("first_px", "second_px", "vertical_parallax_px")
-    )
+    names = ("first_px", "second_px", "vertical_parallax_px")
+    a, b, parallax = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     patch = np.repeat(np.arange(len(parts)), [len(part.first_px) for part in parts])
     off = parallax - parallax_trend(a, parallax, parameters)
     kept = np.zeros(len(parallax), dtype=bool)

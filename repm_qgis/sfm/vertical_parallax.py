@@ -37,9 +37,8 @@ def vertical_parallax(
     enu = frame.from_geodetic(ground)
     base = [view.project(ground) for view in views]
     moved = [frame.to_geodetic(enu + delta) for delta in np.eye(3)]
-    jacobian = np.concatenate(
-        [np.stack([view.project(place) - at for place in moved], axis=-1) for view, at in zip(views, base)], axis=1
-    )
+    parts = [np.stack([view.project(place) - at for place in moved], axis=-1) for view, at in zip(views, base)]
+    jacobian = np.concatenate(parts, axis=1)
     across = np.linalg.svd(jacobian)[0][:, :, 3]
     # The sign makes "down" (or right, where the parallax runs along columns) in the first image positive.
     leading = np.take_along_axis(across[:, :2], np.abs(across[:, :2]).argmax(axis=1)[:, None], axis=1)

@@ -13,7 +13,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import OptionError
 from ..workspace import write_text
-from .parameters import SIMULATION, ControlParameters
+from .parameters import SIMULATION, SimulatedGcpParameters
 from .render import RayCaster
 from .sensor import PushbroomView
 from .surface import SimulatedSurface
@@ -23,7 +23,7 @@ def common_square(
     surface: SimulatedSurface,
     views: Sequence[PushbroomView],
     step: int,
-    parameters: ControlParameters = SIMULATION.control,
+    parameters: SimulatedGcpParameters = SIMULATION.control,
 ) -> Tuple[int, int, int]:
     """The largest square around the surface's middle that lies inside every image at every height.
 
@@ -79,7 +79,7 @@ def choose_gcps(
     square: Tuple[int, int, int],
     step: int,
     seed: int,
-    parameters: ControlParameters = SIMULATION.control,
+    parameters: SimulatedGcpParameters = SIMULATION.control,
 ) -> List[SimulatedGcp]:
     """Flat, visible places spread over the common square, measured in the real sensor with noise.
 

@@ -62,7 +62,7 @@ class VendorParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class ControlParameters(Parameters):
+class SimulatedGcpParameters(Parameters):
     """Places and errors of ground control points."""
 
     fields: Tuple[int, int] = (4, 3)  # columns and rows of fields of the common square, with one point in each
@@ -98,7 +98,7 @@ class SimulationParameters(Parameters):
     render: RenderParameters = RenderParameters()
     rpc_fit: RpcFitParameters = RpcFitParameters()
     vendor: VendorParameters = VendorParameters()
-    control: ControlParameters = ControlParameters()
+    control: SimulatedGcpParameters = SimulatedGcpParameters()
     town: TownParameters = TownParameters()
 
 
