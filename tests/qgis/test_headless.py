@@ -15,6 +15,7 @@ import pytest
 from osgeo import gdal
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+IMAGE = ROOT / "docs" / "pictures" / "toolbox.png"  # a raster that is there
 
 
 def said(done):
@@ -81,7 +82,7 @@ def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, sta
         (["repm:errormap", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
         (["repm:dsmfuse", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
         (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif"], "DSM 'gone.tif' is not there"),
-        (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone.tif", "THRESHOLDS=high"], "THRESHOLDS is 'high'"),
+        (["repm:comparedsm", "--", f"DSM={IMAGE}", f"REFERENCE={IMAGE}", "THRESHOLDS=high"], "THRESHOLDS is 'high'"),
     ],
 )
 def test_user_errors_are_one_sentence_and_code_1(headless, tmp_path, words, sentence):

@@ -30,7 +30,8 @@ def crs_of(vertical):
 @pytest.fixture(params=["", "EGM96"])
 def ept(request, tmp_path):
     """A slope that rises to the east, as EPT of several levels: folder and points."""
-    from repm_qgis.dsm import ept as module
+    from repm_qgis.dsm.ept import write_ept
+    from repm_qgis.dsm.parameters import EptParameters
     from repm_qgis.dsm.point_cloud import created_cloud
 
     numbers = np.random.default_rng(0)
@@ -38,11 +39,8 @@ def ept(request, tmp_path):
     z = 100 + (x - WEST) / 2
     with created_cloud(str(tmp_path / "c.laz"), crs_of(request.param), (WEST, NORTH, 0)) as cloud:
         cloud.write(x, y, z, np.ones(len(x)))
-    kept, module._LEAF = module._LEAF, 3000
-    try:
-        facts = module.write_ept(str(tmp_path / "c.laz"), str(tmp_path / "e"), crs_of(request.param))
-    finally:
-        module._LEAF = kept
+    files = str(tmp_path / "c.laz"), str(tmp_path / "e")
+    facts = write_ept(*files, crs_of(request.param), parameters=EptParameters(leaf=3000))
     assert facts.nodes > 10
     return tmp_path / "e", np.column_stack([x, y, z])
 

@@ -457,7 +457,7 @@ def test_the_pipeline_hands_the_adjustment_on(urban, told, tmp_path, monkeypatch
     class Enough(Exception):
         pass
 
-    def stopped(options, progress):
+    def stopped(options, progress, parameters):
         raise Enough(options.adjustment, options.pointing)
 
     monkeypatch.setattr(pipeline.reconstruct, "run", stopped)

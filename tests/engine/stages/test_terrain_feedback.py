@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from repm_qgis.imagery.sampling import sample
 from repm_qgis.matching import sgm
 from repm_qgis.matching.coarse_surface import coarse_surface
 from repm_qgis.scene import Scene
-from repm_qgis.stages import reconstruct, run_stage
+from repm_qgis.sfm.tie_patches import covered_by_ties
+from repm_qgis.stages import run_stage
+from repm_qgis.stages.parameters import ENGINE
 
 
 def true_heights(scene, x, y):
@@ -54,16 +57,19 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
     assert found.altitudes((west - 5000, south, west - 4000, north)) is None
 
 
-def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(
-    mountains, mountains_run, told, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(reconstruct, "covered_by_ties", lambda scene: False)
+def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mountains, told, tmp_path):
+    """Parameters that search the small scene in patches, as a large one: its ties do not cover the tiles."""
+    patches = replace(ENGINE.pointing.patches, whole_px=150, least_px=130, most_px=130)
+    parameters = replace(ENGINE, pointing=replace(ENGINE.pointing, patches=patches))
     fitted = run_stage("epmfit", {"images": mountains.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     made = run_stage(
-        "reconstruct", {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1}, told()
+        "reconstruct",
+        {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1},
+        told(),
+        parameters,
     )
     scene = Scene.load(made["output_scene"])
-    assert scene.refinement == "polynomial" and len(scene.tiles) >= 4
+    assert not covered_by_ties(scene, patches) and scene.refinement == "polynomial" and len(scene.tiles) >= 4
     spans = []
     for tile in scene.tiles:
         low, high = true_range(mountains, tile.bounds)
