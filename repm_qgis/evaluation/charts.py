@@ -79,11 +79,8 @@ def curves(
     if len(known) == 0:
         return _nothing(title)
     plot = _Plot(xlim or _range(known[:, 0]), ylim or _range(known[:, 1], pad=0.05), xlabel, ylabel)
-    lines = [
-        (COLOURS[index % len(COLOURS)], _points(np.column_stack([plot.x(part[:, 0]), plot.y(part[:, 1])]), 2))
-        for index, points in enumerate(data)
-        for part in _runs(points)
-    ]
+    parts = [(COLOURS[index % len(COLOURS)], part) for index, points in enumerate(data) for part in _runs(points)]
+    lines = [(colour, _points(np.column_stack([plot.x(x), plot.y(y)]), 2)) for colour, (x, y) in parts]
     legend, more = _legend(list(series), plot) if len(data) > 1 else ([], None)
     return draw("curves", title=title, plot=plot, lines=lines, legend=legend, more=more)
 
@@ -108,16 +105,9 @@ def footprints(polygons: Mapping[str, ArrayLike], area: Optional[ArrayLike] = No
     coloured = [(COLOURS[i % len(COLOURS)], name, drawn(points)) for i, (name, points) in enumerate(shapes.items())]
     legend = [(colour, _short(name)) for colour, name, _ in coloured] + [("currentColor", "area")] * bool(len(ground))
     length = _nice_length(metres_per_px * 140)
-    return draw(
-        "footprints",
-        title=title,
-        height=max(height, 140.0),
-        area=drawn(ground),
-        shapes=coloured,
-        legend=legend,
-        bar=length / metres_per_px,
-        bar_text=f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m",
-    )
+    bar_text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
+    bar = {"bar": length / metres_per_px, "bar_text": bar_text, "height": max(height, 140.0)}
+    return draw("footprints", title=title, area=drawn(ground), shapes=coloured, legend=legend, **bar)
 
 
 def arrows(
@@ -144,17 +134,11 @@ def arrows(
     start = (at[pick] - low) * zoom + (20.0, _TOP)
     end = start + by[pick] * grow * zoom
     key = _nice_length(typical)
-    return draw(
-        "arrows",
-        title=title,
-        height=span[1] * zoom + _TOP + 44,
-        box=span * zoom,
-        shafts="".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(start, end)),
-        starts=start,
-        names=[(names[k], a, b) for k, (a, b) in zip(pick, start)] if names else [],
-        bar=key * grow * zoom,
-        bar_text=f"{key:g} {unit} · {len(pick)} of {len(at)} vectors",
-    )
+    shafts = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for (a, b), (c, d) in zip(start, end))
+    named = [(names[k], a, b) for k, (a, b) in zip(pick, start)] if names else []
+    bar = {"bar": key * grow * zoom, "bar_text": f"{key:g} {unit} · {len(pick)} of {len(at)} vectors"}
+    size = {"height": span[1] * zoom + _TOP + 44, "box": span * zoom}
+    return draw("arrows", title=title, shafts=shafts, starts=start, names=named, **size, **bar)
 
 
 def colour_bar(colours: Sequence[str], low: float, high: float, unit: str = "") -> Drawing:
@@ -162,7 +146,7 @@ def colour_bar(colours: Sequence[str], low: float, high: float, unit: str = "") 
     values = ticks(low, high, 5)
     marks = [(16.0 + (v - low) / ((high - low) or 1.0) * 360.0, _label(v, values)) for v in values]
     stops = [(i / (len(colours) - 1), colour) for i, colour in enumerate(colours)]
-    return draw("colour_bar", key=_next_id(), stops=stops, marks=marks, unit=unit)
+    return draw("colour_bar", key=f"d{next(_IDS)}", stops=stops, marks=marks, unit=unit)
 
 
 @dataclass
@@ -174,7 +158,7 @@ class _Plot:
     xlabel: str
     ylabel: str
     left, right, top, bottom = 62, 622, _TOP, 272
-    clip: str = field(default_factory=lambda: _next_id())
+    clip: str = field(default_factory=lambda: f"d{next(_IDS)}")
 
     def __post_init__(self) -> None:
         self.xlim, self.ylim = _opened(self.xlim), _opened(self.ylim)
@@ -199,10 +183,6 @@ def _nothing(title: str) -> Drawing:
     return draw("nothing", title=title)
 
 
-def _next_id() -> str:
-    return f"d{next(_IDS)}"
-
-
 def _range(values: FloatArray, pad: float = 0.0) -> Pair:
     low, high = float(values.min()), float(values.max())
     extra = (high - low) * pad
@@ -224,9 +204,9 @@ def _finite(points: ArrayLike) -> FloatArray:
 
 
 def _runs(points: FloatArray) -> List[FloatArray]:
-    """Unbroken stretches of finite points, each (n >= 2, 2)."""
+    """The x and y, (2, n >= 2), of unbroken stretches of finite points."""
     parts = np.split(points, np.flatnonzero(~np.isfinite(points).all(1)))
-    return [part for part in map(_finite, parts) if len(part) >= 2]
+    return [part.T for part in map(_finite, parts) if len(part) >= 2]
 
 
 def _points(places: FloatArray, decimals: int) -> str:

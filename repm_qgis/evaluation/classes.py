@@ -46,11 +46,9 @@ class ErrorsByClass:
 
     def _collector(self, value: float) -> ErrorCollector:
         if value != round(value) or (int(value) not in self._collectors and len(self._collectors) >= _MOST_CLASSES):
-            raise ImageError(
-                f"The class raster '{self._grid.path}' has the value {value:g}, which is no whole number or the "
-                f"{_MOST_CLASSES + 1}st value: give a raster of at most {_MOST_CLASSES} whole numbers, such as a land "
-                "cover map or a mask."
-            )
+            why = f"has the value {value:g}, which is no whole number or the {_MOST_CLASSES + 1}st value"
+            remedy = f"give a raster of at most {_MOST_CLASSES} whole numbers, such as a land cover map or a mask"
+            raise ImageError(f"The class raster '{self._grid.path}' {why}: {remedy}.")
         return self._collectors.setdefault(int(value), ErrorCollector.of_part(self._thresholds))
 
     def _at(self, cells: Grid) -> FloatArray:

@@ -80,9 +80,9 @@ def compare(
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
     metrics = work.total.metrics()
     if metrics.cells == 0:
+        text = f"the reference '{grid.path}' has heights in {metrics.reference_cells} cells, '{source.path}' in none"
         raise EmptyResultError(
-            f"No cell has a height in both rasters: the reference '{grid.path}' has heights in "
-            f"{metrics.reference_cells} cells, '{source.path}' in none of them; choose a reference that covers the DSM."
+            f"No cell has a height in both rasters: {text} of them; choose a reference that covers the DSM."
         )
     along = HeightWarper(reference, grid)
     return Comparison(
@@ -214,13 +214,10 @@ def _patches(
 def _sample_windows(grid: Grid, common: Bounds, parameters: ComparisonParameters) -> List[Window]:
     """The overlap in one window, or where that is large, patches at full resolution spread evenly over it."""
     x, y = common[::2] * 2, np.repeat(common[1::2], 2)
-    column, row = grid.to_cells(np.array(x), y)
-    whole = Window.spanning(
-        max(0, math.floor(column.min())),
-        max(0, math.floor(row.min())),
-        min(grid.size[0], math.ceil(column.max())),
-        min(grid.size[1], math.ceil(row.max())),
-    )
+    places = grid.to_cells(np.array(x), y)
+    low = (max(0, math.floor(place.min())) for place in places)
+    high = (min(most, math.ceil(place.max())) for most, place in zip(grid.size, places))
+    whole = Window.spanning(*low, *high)
     if whole.width * whole.height <= parameters.sample_cells:
         return [whole]
     side, count = parameters.patch_cells, parameters.patches
@@ -240,8 +237,7 @@ def _cell_metres(grid: Grid) -> Tuple[float, float]:
     if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
         raise ImageError(f"The reference '{grid.path}' is not georeferenced: give it a place on the ground first.")
     if abs(c) > 1e-9 * abs(b) or abs(e) > 1e-9 * abs(f):
-        raise ImageError(
-            f"The reference '{grid.path}' has a rotated grid: bring it north up first (Raster > Projections > Warp)."
-        )
+        rotated = f"The reference '{grid.path}' has a rotated grid"
+        raise ImageError(f"{rotated}: bring it north up first (Raster > Projections > Warp).")
     per_unit = metres_per_unit(grid)
     return b * per_unit[0], -f * per_unit[1]

@@ -108,14 +108,9 @@ def _input_rows(found: Comparison) -> List[List[str]]:
     def column(grid: Grid) -> Tuple[str, ...]:
         x0, y0, x1, y1 = grid.bounds
         digits = 6 if flat_crs(grid.crs).is_geographic else 1
-        return (
-            grid.path,
-            flat_crs(grid.crs).name,
-            vertical_part(grid.crs) or "not stated",
-            f"{grid.size[0]} × {grid.size[1]} cells",
-            f"{abs(grid.transform[1]):g} × {abs(grid.transform[5]):g}",
-            f"x {x0:.{digits}f}..{x1:.{digits}f}, y {y0:.{digits}f}..{y1:.{digits}f}",
-        )
+        size, cell = "{} × {} cells".format(*grid.size), f"{abs(grid.transform[1]):g} × {abs(grid.transform[5]):g}"
+        extent = f"x {x0:.{digits}f}..{x1:.{digits}f}, y {y0:.{digits}f}..{y1:.{digits}f}"
+        return grid.path, flat_crs(grid.crs).name, vertical_part(grid.crs) or "not stated", size, cell, extent
 
     names = ("File", "CRS", "Vertical datum", "Size", "Cell", "Extent")
     return [[name, a, b] for name, a, b in zip(names, column(found.dsm), column(found.reference))]
@@ -127,13 +122,9 @@ def _alignment(page: Report, found: Comparison) -> None:
     if a.method == "none":
         return
     page.paragraph("This was added to the DSM before comparing. Add the same to move the DSM onto the reference.")
-    rows = [
-        ["dx, to the east", f"{a.dx:+.3f} m"],
-        ["dy, to the north", f"{a.dy:+.3f} m"],
-        ["dz, up", f"{a.dz:+.3f} m"],
-        ["NMAD before", f"{a.nmad_before:.3f} m"],
-        ["NMAD after", f"{a.nmad_after:.3f} m"],
-    ]
+    shifts = zip(("dx, to the east", "dy, to the north", "dz, up"), (a.dx, a.dy, a.dz))
+    rows = [[name, f"{shift:+.3f} m"] for name, shift in shifts]
+    rows += [["NMAD before", f"{a.nmad_before:.3f} m"], ["NMAD after", f"{a.nmad_after:.3f} m"]]
     page.table("Shift | Value", rows, f"Estimated from {a.cells} cells.")
 
 

@@ -221,10 +221,10 @@ def _require_relief(normal: FloatArray, scale: float, count: int, parameters: Co
     relief = float(np.linalg.eigvalsh(normal[:2, :2] / weight - np.outer(mean, mean))[0])
     independent = max(count / parameters.independent, 1.0)
     if relief < 1e-8 or scale / math.sqrt(relief * independent) > parameters.most_uncertain:
+        slopes = f"its slopes vary by only {math.sqrt(max(relief, 0)):.2g} m per cell"
         raise EmptyResultError(
-            f"The ground has too little relief for a 3-D alignment: its slopes vary by only "
-            f"{math.sqrt(max(relief, 0)):.2g} m per cell, and the noise is {scale:.2g} m in {count} "
-            "cells. Set ALIGN to vertical, or compare over a larger area."
+            f"The ground has too little relief for a 3-D alignment: {slopes}, and the noise is {scale:.2g} m in "
+            f"{count} cells. Set ALIGN to vertical, or compare over a larger area."
         )
 
 
@@ -299,7 +299,6 @@ def _differences(patches: Sequence[Patch], shift: FloatArray, parameters: Coregi
 
 def _require_cells(difference: Floats, parameters: CoregistrationParameters) -> None:
     if difference.size < parameters.least_cells:
-        raise EmptyResultError(
-            f"Only {difference.size} cells have a height in both the DSM and the reference, and an "
-            f"alignment needs {parameters.least_cells}: choose a reference that covers more of the DSM."
-        )
+        few = f"Only {difference.size} cells have a height in both the DSM and the reference, and an alignment"
+        remedy = "choose a reference that covers more of the DSM"
+        raise EmptyResultError(f"{few} needs {parameters.least_cells}: {remedy}.")

@@ -60,10 +60,11 @@ def _errors_by_altitude(view: View, scene: Scene) -> Curves:
     curves = {"uncorrected": fitted.camera.project(grid.enu) - grid.pixels, "polynomial": after - grid.pixels}
     levels = np.linspace(*scene.altitudes, _LEVELS)
     nearest = np.abs(grid.ground[:, 2:] - levels).argmin(axis=1)
-    return {
-        model: (levels, np.array([np.sqrt((error[nearest == k] ** 2).sum(axis=1).mean()) for k in range(_LEVELS)]))
-        for model, error in curves.items()
-    }
+
+    def rmse(error: FloatArray) -> FloatArray:
+        return np.array([np.sqrt((error[nearest == k] ** 2).sum(axis=1).mean()) for k in range(_LEVELS)])
+
+    return {model: (levels, rmse(error)) for model, error in curves.items()}
 
 
 def add_error_study(report: Report, scene: Scene) -> None:
@@ -73,11 +74,8 @@ def add_error_study(report: Report, scene: Scene) -> None:
     for view in scene.views:
         terrain = scene.terrain(view.rpc)  # the model is measured only where there is a surface
         models = _MODELS + (("terrain",) if terrain is not None else ())
-        found = [
-            _errors_by_model(view, scene, tile.views[view.name].window, tile.altitudes, models, terrain)
-            for tile in tiles
-            if view.name in tile.views
-        ]
+        seen = [(tile.views[view.name].window, tile.altitudes) for tile in tiles if view.name in tile.views]
+        found = [_errors_by_model(view, scene, *tile, models, terrain) for tile in seen]
         for model in found[0] if found else ():
             errors = np.array([(e.samp_rmse, e.line_rmse, e.rmse) for e in (entry[model] for entry in found)])
             largest = max(entry[model].max for entry in found)
@@ -89,11 +87,7 @@ def add_error_study(report: Report, scene: Scene) -> None:
         "measured within 10 m of the surface.",
     )
     view = scene.views[0]
-    report.svg(
-        charts.curves(_errors_by_size(view, scene), "side of the window, px", "RMSE, px"),
-        f"Equivalent error against image size, middle of {view.name}.",
-    )
-    report.svg(
-        charts.curves(_errors_by_altitude(view, scene), "altitude, m", "RMSE, px"),
-        f"Equivalent error against altitude, all of {view.name}.",
-    )
+    by_size = charts.curves(_errors_by_size(view, scene), "side of the window, px", "RMSE, px")
+    report.svg(by_size, f"Equivalent error against image size, middle of {view.name}.")
+    by_altitude = charts.curves(_errors_by_altitude(view, scene), "altitude, m", "RMSE, px")
+    report.svg(by_altitude, f"Equivalent error against altitude, all of {view.name}.")

@@ -27,12 +27,8 @@ def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
     _arrows(page, found)
     _points(page, found)
     _residuals(page, found)
-    inputs = {
-        "Points": options.gcps,
-        "Their heights": options.gcp_datum or "above the WGS 84 ellipsoid",
-        "Scene": options.scene,
-        "DSM": options.dsm,
-    }
+    heights = options.gcp_datum or "above the WGS 84 ellipsoid"
+    inputs = {"Points": options.gcps, "Their heights": heights, "Scene": options.scene, "DSM": options.dsm}
     page.section("Inputs").facts([(name, value) for name, value in inputs.items() if value])
     return page
 
@@ -69,20 +65,14 @@ def _notes(found: GcpAccuracy) -> str:
     """How to read the columns that are there."""
     notes = ""
     if "compensated" in found.errors:
-        notes += (
-            " With compensation, each control point is located with the shifts of the other control points only, so "
-            "that no point confirms itself."
-        )
+        notes += " With compensation, each control point is located with the shifts of the other control points only,"
+        notes += " so that no point confirms itself."
     if any(gcp.pixels and gcp.role == "control" for gcp in found.gcps):
-        notes += (
-            " Where the control points were used to make the scene's pointing or the DSM, only check points are "
-            "independent of them."
-        )
+        notes += " Where the control points were used to make the scene's pointing or the DSM, only check points are"
+        notes += " independent of them."
     if "rpc" in found.errors and "dsm" in found.errors:
-        notes += (
-            " A height that is located from the images has the noise of the point's own few measured pixels; the "
-            "DSM's height does not."
-        )
+        notes += " A height that is located from the images has the noise of the point's own few measured pixels;"
+        notes += " the DSM's height does not."
     return notes
 
 
@@ -109,10 +99,8 @@ def _arrows(page: Report, found: GcpAccuracy) -> None:
         vectors = found.errors[column][:, :2] * (1, -1)
         if np.isfinite(vectors).all(axis=1).sum() >= 2:
             names = [gcp.id for gcp in found.gcps] if len(found.gcps) <= _MOST_LABELS else []
-            page.svg(
-                charts.arrows(flat, vectors, COLUMNS[column], "m", labels=names),
-                "Planimetric errors of the points, north up, from the true place to the place found.",
-            )
+            drawing = charts.arrows(flat, vectors, COLUMNS[column], "m", labels=names)
+            page.svg(drawing, "Planimetric errors of the points, north up, from the true place to the place found.")
 
 
 def _points(page: Report, found: GcpAccuracy) -> None:

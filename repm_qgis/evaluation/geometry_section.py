@@ -57,10 +57,8 @@ def _pairs(report: Report, scene: Scene) -> None:
 def overlap_percent(scene: Scene, first: str, second: str) -> float:
     """What two views' footprints have in common at the middle altitude, in % of the smaller one."""
     middle = sum(scene.altitudes) / 2
-    shapes = [
-        geometry_of(projected_from_geodetic(scene.crs, footprint(view.localise, view.size, middle)))
-        for view in (scene.view(first), scene.view(second))
-    ]
+    places = [footprint(view.localise, view.size, middle) for view in (scene.view(first), scene.view(second))]
+    shapes = [geometry_of(projected_from_geodetic(scene.crs, place)) for place in places]
     common = shapes[0].Intersection(shapes[1])
     smaller = min(shape.GetArea() for shape in shapes)
     return 100.0 * common.GetArea() / smaller if common is not None and smaller > 0 else 0.0
@@ -74,14 +72,9 @@ def _metres_per_px(scene: Scene, pair: ViewPair) -> float:
 
 
 def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
-    report.section("Tie points").facts(
-        [
-            ("Tie points", ties.count),
-            ("Median residual", f"{ties.before_px:.2f} px before, {ties.after_px:.2f} px after the correction"),
-            ("Keypoints", ties.detector),
-            ("Matcher", scene.backend),
-        ]
-    )
+    residual = f"{ties.before_px:.2f} px before, {ties.after_px:.2f} px after the correction"
+    facts = [("Tie points", ties.count), ("Median residual", residual)]
+    report.section("Tie points").facts([*facts, ("Keypoints", ties.detector), ("Matcher", scene.backend)])
     rows = []
     for pair in ties.pairs:
         figures = f"{pair.before_px:+.2f}", *fixed(pair.after_px, pair.spread_px)
@@ -95,12 +88,8 @@ def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
     )
     tiles = [list(entry) for entry in ties.ties_by_tile.items()]
     if len(tiles) > 1:
-        report.table(
-            "tile | tie points around it",
-            tiles,
-            "Ties are counted within the tile, or within a fifth of the scene where that is more.",
-            most=_MOST_TILES,
-        )
+        caption = "Ties are counted within the tile, or within a fifth of the scene where that is more."
+        report.table("tile | tie points around it", tiles, caption, most=_MOST_TILES)
     if ties.ties_by_part:
         counts = list(ties.ties_by_part.values())
         report.table(list(ties.ties_by_part), [counts], "Tie points in each ninth of the area.")
@@ -116,10 +105,8 @@ def _curves(report: Report, scene: Scene) -> None:
     limit = float(np.percentile(found[:, 2:4], 98))
     series = {"vendors' RPCs": (np.sort(found[:, 2]), share), "corrected": (np.sort(found[:, 3]), share)}
     labels, limits = ("residual of a tie point (px)", "tie points with less (%)"), (0.0, max(limit, 0.1))
-    report.svg(
-        charts.curves(series, *labels, xlim=limits, ylim=(0.0, 100.0)),
-        "Tie points' residuals: the root mean square distance between measured and projected pixels.",
-    )
+    drawing = charts.curves(series, *labels, xlim=limits, ylim=(0.0, 100.0))
+    report.svg(drawing, "Tie points' residuals: the root mean square distance between measured and projected pixels.")
     row, azimuth = found[:, 4], np.radians(found[:, 5])
     vectors = np.column_stack([row * np.sin(azimuth), -row * np.cos(azimuth)])
     report.svg(
@@ -165,11 +152,9 @@ def _absolute(report: Report, ties: PointingFigures) -> None:
         )
     points, rejected = ties.gcps, ties.rejected_gcps
     if rejected:
-        report.warning(
-            f"{counted(len(rejected), 'control point')} contradicted all others and took no part in the adjustment: "
-            f"{', '.join(rejected)}.",
-            "check their coordinates, the datum of their heights, and the measured pixels.",
-        )
+        points_text = f"{counted(len(rejected), 'control point')} contradicted all others and took no part in"
+        remedy = "check their coordinates, the datum of their heights, and the measured pixels."
+        report.warning(f"{points_text} the adjustment: {', '.join(rejected)}.", remedy)
     if not points:
         return
     if ties.control_noise_px is not None:

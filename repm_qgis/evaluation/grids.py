@@ -50,23 +50,18 @@ class Grid:
     def crs(self) -> CRS:
         """Raises ImageError where the raster has no CRS, or one that PROJ does not know."""
         if not self.wkt:
-            raise ImageError(
-                f"'{self.path}' has no coordinate reference system: assign the right one "
-                "(Raster > Projections > Assign projection) and try again."
-            )
+            remedy = "assign the right one (Raster > Projections > Assign projection) and try again."
+            raise ImageError(f"'{self.path}' has no coordinate reference system: {remedy}")
         try:
             return CRS.from_user_input(self.wkt)
         except CRSError as error:
-            raise ImageError(
-                f"The coordinate reference system of '{self.path}' is not understood ({error}): "
-                "assign the right one and try again."
-            ) from error
+            unknown = f"The coordinate reference system of '{self.path}' is not understood ({error})"
+            raise ImageError(f"{unknown}: assign the right one and try again.") from error
 
     @property
     def bounds(self) -> Bounds:
-        x, y = self.to_ground(
-            np.array([0, self.size[0], 0, self.size[0]]), np.array([0, 0, self.size[1], self.size[1]])
-        )
+        width, height = self.size
+        x, y = self.to_ground(np.array([0, width, 0, width]), np.array([0, 0, height, height]))
         return Bounds(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
     def to_ground(self, column: Any, row: Any) -> Tuple[Any, Any]:
@@ -166,11 +161,9 @@ class HeightWarper:
     def cells_ratio(self) -> float:
         """How many cells of the DSM one target cell is wide."""
         x0, y0, x1, y1 = self._target.bounds
-        middle = (x0 + x1) / 2, (y0 + y1) / 2
+        u, v = (x0 + x1) / 2, (y0 + y1) / 2
         _, b, c, _, e, f = self._target.transform
-        x, y = self._to_source.transform(
-            [middle[0], middle[0] + b, middle[0] + c], [middle[1], middle[1] + e, middle[1] + f]
-        )
+        x, y = self._to_source.transform([u, u + b, u + c], [v, v + e, v + f])
         column, row = self._source.to_cells(np.asarray(x), np.asarray(y))
         ratio = max(np.hypot(column[i] - column[0], row[i] - row[0]) for i in (1, 2))
         return float(ratio) if np.isfinite(ratio) and ratio > 0 else 1.0
@@ -186,9 +179,8 @@ class HeightWarper:
         # Both bands go through the same kernel. The second one becomes the share of it that had heights, and with that
         # the level that filled the holes is removed again.
         level = np.float32(heights[good].mean())
-        warped, share = self._warp(
-            [np.where(good, heights, level), good.astype(np.float32)], self._source.window(window), cells
-        )
+        bands = [np.where(good, heights, level), good.astype(np.float32)]
+        warped, share = self._warp(bands, self._source.window(window), cells)
         beside = (share >= self._least_share) & (np.abs(share - 1) > 1e-5)
         warped[beside] = level + (warped[beside] - level) / share[beside]
         warped[share < self._least_share] = np.nan
@@ -237,10 +229,9 @@ class HeightWarper:
         with raster.quiet():
             done = gdal.Warp(outputs, inputs, resampleAlg="bilinear", errorThreshold=0.02)
         if not done:
-            raise ImageError(
-                f"'{self._source.path}' could not be resampled onto the grid of '{self._target.path}' "
-                f"({gdal.GetLastErrorMsg() or 'GDAL gave no reason'}): check both rasters' CRS."
-            )
+            failed = f"'{self._source.path}' could not be resampled onto the grid of '{self._target.path}'"
+            reason = gdal.GetLastErrorMsg() or "GDAL gave no reason"
+            raise ImageError(f"{failed} ({reason}): check both rasters' CRS.")
         result = [outputs.GetRasterBand(index).ReadAsArray() for index in range(1, len(bands) + 1)]
         inputs = outputs = done = None  # noqa: F841 - closes them
         return result
@@ -252,18 +243,15 @@ class HeightWarper:
             return None
         if ours is None or theirs is None:
             silent = self._source if ours is None else self._target
-            self.warnings.append(
-                f"'{silent.path}' does not state its vertical datum; its heights are taken to be in the other raster's "
-                f"({ours or theirs})."
-            )
+            unknown = f"'{silent.path}' does not state its vertical datum"
+            self.warnings.append(f"{unknown}; its heights are taken to be in the other raster's ({ours or theirs}).")
             return None
         return self._best_operation(source, target, ours, theirs)
 
     def _best_operation(self, source: CRS, target: CRS, from_name: str, to_name: str) -> Transformer:
-        west, south, east, north = Transformer.from_crs(self._target_flat, 4326, always_xy=True).transform_bounds(
-            *self._target.bounds, densify_pts=5
-        )
-        group, missing = vertical_operations(source, target, (west, south, east, north))
+        to_geodetic = Transformer.from_crs(self._target_flat, 4326, always_xy=True)
+        place = to_geodetic.transform_bounds(*self._target.bounds, densify_pts=5)
+        group, missing = vertical_operations(source, target, place)
         if not group.transformers:
             grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ has no transformation"
             raise ImageError(
@@ -272,10 +260,10 @@ class HeightWarper:
                 "'projsync --file NAME'), or transform both to one vertical datum first."
             )
         if not group.best_available:
-            self.warnings.append(
-                f"Heights are transformed from {from_name} to {to_name} less accurately than possible "
-                f"({group.transformers[0].description}), because a PROJ grid is missing: {', '.join(missing)}."
+            poor = (
+                f"less accurately than possible ({group.transformers[0].description}), because a PROJ grid is missing"
             )
+            self.warnings.append(f"Heights are transformed from {from_name} to {to_name} {poor}: {', '.join(missing)}.")
         return group.transformers[0]
 
     def _vertical_at(self, vertical: Transformer, cells: Grid, height: float) -> Tuple[float, FloatArray]:
@@ -286,10 +274,8 @@ class HeightWarper:
         low, high = (np.asarray(vertical.transform(x, y, np.full(81, h))[2]) for h in (height, height + 100.0))
         scale = (high - low) / 100.0
         if not np.isfinite(low).all():
-            raise ImageError(
-                f"Heights of '{self._source.path}' cannot be transformed to the vertical datum of "
-                f"'{self._target.path}' everywhere: a PROJ grid does not cover the place."
-            )
+            task = f"'{self._source.path}' cannot be transformed to the vertical datum of '{self._target.path}'"
+            raise ImageError(f"Heights of {task} everywhere: a PROJ grid does not cover the place.")
         return float(np.mean(scale)), upsample_grid((low - scale * height).reshape(9, 9), (rows, columns))
 
 

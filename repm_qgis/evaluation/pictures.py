@@ -134,9 +134,8 @@ def png_bytes(picture: NDArray[Any]) -> bytes:
     try:
         copy = gdal.GetDriverByName("PNG").CreateCopy(name, memory, options=[_PNG_LEVEL])
         if copy is None:
-            raise ImageError(
-                "GDAL could not make a PNG in memory: check that its PNG driver is there (gdalinfo --formats)."
-            )
+            remedy = "check that its PNG driver is there (gdalinfo --formats)"
+            raise ImageError(f"GDAL could not make a PNG in memory: {remedy}.")
         copy = None  # noqa: F841 - closes and flushes the file
         stream = gdal.VSIFOpenL(name, "rb")
         data = bytes(gdal.VSIFReadL(1, gdal.VSIStatL(name).size, stream))

@@ -59,16 +59,14 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
     layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
     if layer is None:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
-    lines = [
-        ProfileLine(_name_of(feature, number), corners)
-        for number, feature in zip(range(1, _MOST_LINES + 1), layer)
-        for corners in [_corners(feature.GetGeometryRef(), layer.GetSpatialRef(), reference)]
-        if len(corners) > 1
-    ]
+    lines = []
+    for number, feature in zip(range(1, _MOST_LINES + 1), layer):
+        corners = _corners(feature.GetGeometryRef(), layer.GetSpatialRef(), reference)
+        if len(corners) > 1:
+            lines.append(ProfileLine(_name_of(feature, number), corners))
     if not lines:
-        raise InputTableError(
-            f"'{path}' has no line among its first {_MOST_LINES} features: give a line layer, or leave PROFILES empty."
-        )
+        none = f"'{path}' has no line among its first {_MOST_LINES} features"
+        raise InputTableError(f"{none}: give a line layer, or leave PROFILES empty.")
     return lines
 
 

@@ -114,20 +114,14 @@ def pipeline_report(
 
 def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     values, cell = pictures.preview(path, 800)
-    report.png(
-        pictures.png_bytes(pictures.shaded_relief(values, cell)),
-        "The DSM, shaded from the north-west, north up. White: no height was matched there.",
-    )
+    picture = pictures.png_bytes(pictures.shaded_relief(values, cell))
+    report.png(picture, "The DSM, shaded from the north-west, north up. White: no height was matched there.")
     limits = pictures.percentile_range(values)
     report.svg(charts.colour_bar(pictures.RAMPS["elevation"], *limits, f"m above the {datum}"))
-    report.facts(
-        [
-            ("Cell size", f"{facts.resolution:g} m"),
-            ("Cells with a height", f"{facts.valid} of {facts.cells} ({facts.valid_percent:.1f} %)"),
-            ("Heights", f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"),
-            ("CRS", facts.crs),
-        ]
-    )
+    known = f"{facts.valid} of {facts.cells} ({facts.valid_percent:.1f} %)"
+    heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
+    figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
+    report.facts([*figures, ("Heights", heights), ("CRS", facts.crs)])
 
 
 def _map(report: Report, values: FloatImage, limits: Tuple[float, float], caption: str, unit: str = "") -> None:
@@ -160,17 +154,11 @@ def _inputs(report: Report, scene: Scene) -> None:
     )
     middle = sum(scene.altitudes) / 2
     outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}
-    report.svg(
-        charts.footprints(outlines, _outline(scene.area)),
-        f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is processed.",
-    )
-    report.facts(
-        [
-            ("Coordinate reference system", scene.crs),
-            ("Altitudes", f"{scene.altitudes[0]:.0f} to {scene.altitudes[1]:.0f} m above the WGS 84 ellipsoid"),
-            ("Tiles", len(scene.tiles)),
-        ]
-    )
+    caption = f"Footprints at {middle:.0f} m above the ellipsoid, north up, and the area that is processed."
+    report.svg(charts.footprints(outlines, _outline(scene.area)), caption)
+    altitudes = "{:.0f} to {:.0f} m above the WGS 84 ellipsoid".format(*scene.altitudes)
+    facts = [("Coordinate reference system", scene.crs), ("Altitudes", altitudes), ("Tiles", len(scene.tiles))]
+    report.facts(facts)
 
 
 def _taken(scene: Scene, view: View) -> List[str]:
@@ -209,10 +197,6 @@ def _errors(report: Report, scene: Scene) -> None:
 def _reconstruction(report: Report, scene: Scene) -> None:
     """Pairs, ties, pointing, and what was matched."""
     add_geometry(report, scene)
-    _height_maps(report, scene)
-
-
-def _height_maps(report: Report, scene: Scene) -> None:
     rows = []
     for tile in scene.tiles:
         for record in tile.heights:

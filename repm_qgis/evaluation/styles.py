@@ -94,21 +94,13 @@ def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
 def _filled(template: str, ramp: str, low: float, high: float) -> str:
     """A raster's template with the range, and the ramp's colours spread over it."""
     colours = [",".join(map(str, rgb(colour))) + ",255" for colour in RAMPS[ramp]]
-    decimals = int(np.clip(2 - math.floor(math.log10(high - low)), 0, 8))
-    shares = [i / (len(colours) - 1) for i in range(len(colours))]
-    heights = [low + (high - low) * i / (len(colours) - 1) for i in range(len(colours))]
-    places = {
-        "@min@": f"{low:.10g}",
-        "@max@": f"{high:.10g}",
-        "@precision@": str(decimals),
-        "@first@": colours[0],
-        "@last@": colours[-1],
-        "@stops@": ":".join(f"{share:.6g};{colour}" for share, colour in list(zip(shares, colours))[1:-1]),
-        "@items@": "\n".join(
-            f'          <item value="{value:.10g}" color="{colour}" alpha="255" label="{value + 0.0:.{decimals}f}"/>'
-            for value, colour in zip(heights, RAMPS[ramp])
-        ),
-    }
-    for place, value in places.items():
-        template = template.replace(place, value)
+    decimals, last = int(np.clip(2 - math.floor(math.log10(high - low)), 0, 8)), len(colours) - 1
+    stops = ":".join(f"{i / last:.6g};{colours[i]}" for i in range(1, last))
+    items = [
+        f'          <item value="{value:.10g}" color="{colour}" alpha="255" label="{value + 0.0:.{decimals}f}"/>'
+        for value, colour in zip((low + (high - low) * i / last for i in range(last + 1)), RAMPS[ramp])
+    ]
+    places = {"min": f"{low:.10g}", "max": f"{high:.10g}", "precision": str(decimals), "stops": stops}
+    for place, value in {**places, "first": colours[0], "last": colours[-1], "items": "\n".join(items)}.items():
+        template = template.replace(f"@{place}@", value)
     return template
