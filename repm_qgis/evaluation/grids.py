@@ -260,10 +260,9 @@ class HeightWarper:
                 "'projsync --file NAME'), or transform both to one vertical datum first."
             )
         if not group.best_available:
-            poor = (
-                f"less accurately than possible ({group.transformers[0].description}), because a PROJ grid is missing"
-            )
-            self.warnings.append(f"Heights are transformed from {from_name} to {to_name} {poor}: {', '.join(missing)}.")
+            poor = f"less accurately than possible ({group.transformers[0].description}), because a PROJ grid"
+            task = f"Heights are transformed from {from_name} to {to_name}"
+            self.warnings.append(f"{task} {poor} is missing: {', '.join(missing)}.")
         return group.transformers[0]
 
     def _vertical_at(self, vertical: Transformer, cells: Grid, height: float) -> Tuple[float, FloatArray]:

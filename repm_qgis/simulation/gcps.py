@@ -133,7 +133,8 @@ def _seen_at(caster: RayCaster, ground: FloatArray, visible_m: float) -> Optiona
     pixel: FloatArray = caster.view.project(ground[None])[0]
     if pixel.min() < 0 or (pixel > np.array(caster.view.size) - 1).any():
         return None
-    return pixel if abs(caster.heights_at(pixel[None])[0] - ground[2]) < visible_m else None
+    height = caster.cast(pixel[:1], pixel[1:])[1][0, 0]
+    return pixel if abs(height - ground[2]) < visible_m else None
 
 
 def write_gcps(path: str, gcps: Sequence[SimulatedGcp]) -> None:

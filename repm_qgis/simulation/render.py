@@ -55,10 +55,6 @@ class RayCaster:
         flat = rays.flat()
         return rays, self._descend(flat, start.reshape(-1)).reshape(start.shape)
 
-    def heights_at(self, col_row: FloatArray) -> FloatArray:
-        """(N,) heights at which single pixels (N, 2) see the surface."""
-        return np.array([self.cast(np.array([c]), np.array([r]))[1][0, 0] for c, r in np.asarray(col_row)])
-
     def _step(self, rays: Rays, cells: float) -> float:
         """Metres of height in which no ray moves by more than ``cells``."""
         slant = float(np.hypot(rays.right, rays.down).max()) / rays.span

@@ -7,7 +7,7 @@ Photogrammetric Engineering & Remote Sensing 67 (12), 2001: the terrain-independ
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 import numpy as np
 
@@ -40,12 +40,9 @@ def virtual_grid(
         step = inset * (high - low) / max(count - 1, 1)
         return np.linspace(low + step, high - step, count)
 
-    col, row, height = np.meshgrid(
-        axis(-0.5, size[0] - 0.5, nodes[0]),
-        axis(-0.5, size[1] - 0.5, nodes[1]),
-        axis(heights[0], heights[1], nodes[2]),
-        indexing="ij",
-    )
+    ends = ((-0.5, size[0] - 0.5), (-0.5, size[1] - 0.5), heights)
+    axes = (axis(low, high, count) for (low, high), count in zip(ends, nodes))
+    col, row, height = np.meshgrid(*axes, indexing="ij")
     return np.stack([col.ravel(), row.ravel()], axis=1), height.ravel()
 
 
@@ -71,22 +68,11 @@ def fit_rpc(
     terms = monomials(lon, lat, height, np.empty((20, ground.shape[0]))).T
     col, row = ((pixels - pixel_offset) / pixel_scale).T
     (col_num, col_den), (row_num, row_den) = (_rational(terms, value, parameters) for value in (col, row))
-    rpc = Rpc(
-        row_off=pixel_offset[1],
-        row_scale=pixel_scale[1],
-        col_off=pixel_offset[0],
-        col_scale=pixel_scale[0],
-        lat_off=offset[1],
-        lat_scale=scale[1],
-        lon_off=offset[0],
-        lon_scale=scale[0],
-        height_off=offset[2],
-        height_scale=scale[2],
-        row_num=tuple(row_num),
-        row_den=tuple(row_den),
-        col_num=tuple(col_num),
-        col_den=tuple(col_den),
-    )
+    names = ("lon", "lat", "height", "col", "row")
+    fields: Dict[str, Any] = {f"{name}_off": off for name, off in zip(names, (*offset, *pixel_offset))}
+    fields.update({f"{name}_scale": one for name, one in zip(names, (*scale, *pixel_scale))})
+    fields.update(row_num=tuple(row_num), row_den=tuple(row_den), col_num=tuple(col_num), col_den=tuple(col_den))
+    rpc = Rpc(**fields)
     dense = (2 * nodes[0] + 1, 2 * nodes[1] + 1, 2 * nodes[2] + 1)
     check, check_height = virtual_grid(size, heights, dense, inset=0.3)
     error = np.linalg.norm(rpc.project(localise(check, check_height)) - check, axis=1)

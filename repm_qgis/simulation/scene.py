@@ -143,9 +143,8 @@ def write_image(
     """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
     _drop_sidecar(path)
     shape, names = view.size[::-1], ("panchromatic",)
-    with created(
-        path, shape, np.dtype(np.uint16), 1, None, "", nodata=None, descriptions=names, compress=False
-    ) as dataset:
+    frame = shape, np.dtype(np.uint16), 1, None, ""
+    with created(path, *frame, nodata=None, descriptions=names, compress=False) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
         for first, strip in render_view(surface, view, seed, progress, parameters.render):
             dataset.write(strip, 0, first)
@@ -160,17 +159,9 @@ def write_truth(path: str, surface: SimulatedSurface, square: Tuple[int, int, in
     west = surface.west + col * surface.cell - cell / 2
     north = surface.north - row * surface.cell + cell / 2
     _drop_sidecar(path)
-    with created(
-        path,
-        (count, count),
-        np.dtype(np.float32),
-        1,
-        (west, cell, 0.0, north, 0.0, -cell),
-        reference.ExportToWkt(),
-        descriptions=("height above the WGS 84 ellipsoid (m)",),
-        unit="m",
-        metadata={"VERTICAL_DATUM": "WGS 84 ellipsoid"},
-    ) as dataset:
+    frame = (count, count), np.dtype(np.float32), 1, (west, cell, 0.0, north, 0.0, -cell), reference.ExportToWkt()
+    names, metadata = ("height above the WGS 84 ellipsoid (m)",), {"VERTICAL_DATUM": "WGS 84 ellipsoid"}
+    with created(path, *frame, descriptions=names, unit="m", metadata=metadata) as dataset:
         for first in range(0, count, _STRIP_ROWS):
             last = min(first + _STRIP_ROWS, count)
             rows = slice(row + first * step, row + (last - 1) * step + 1, step)

@@ -43,9 +43,7 @@ class Sensor:
     wobble_rad: float = 1e-6  # amplitude of the oscillation of each attitude angle
     wobble_periods_s: Tuple[float, ...] = (3.1, 5.3, 11.7)
     distortion_px: float = 0.8  # bend of the detector line at its ends
-    blur_px: float = (
-        0.57  # standard deviation of the point spread; with the pixel's aperture, an MTF of 0.13 at Nyquist
-    )
+    blur_px: float = 0.57  # deviation of the point spread; with the pixel's aperture, an MTF of 0.13 at Nyquist
     read_noise_dn: float = 3.0
     photon_gain: float = 0.05
     bits: int = 12
@@ -82,17 +80,12 @@ class PushbroomView:
     line_period_s: float
     phases: Tuple[Tuple[float, ...], ...]
 
-    @property
-    def _rate(self) -> float:
-        """The orbit's angular rate, rad / s."""
-        return math.sqrt(EARTH_GM / self.radius_m**3)
-
     def _time(self, row: FloatArray) -> FloatArray:
         return (np.asarray(row, dtype=np.float64) - (self.size[1] - 1) / 2) * self.line_period_s
 
     def _axes(self, time: FloatArray) -> Tuple[FloatArray, FloatArray]:
         """(N, 3) unit vectors at times: outwards to the satellite, and forward."""
-        angle = (self._rate * time)[:, None]
+        angle = (math.sqrt(EARTH_GM / self.radius_m**3) * time)[:, None]
         up, along = np.array(self.up), np.array(self.along)
         return up * np.cos(angle) + along * np.sin(angle), along * np.cos(angle) - up * np.sin(angle)
 
@@ -166,10 +159,8 @@ class PushbroomView:
         time = self._time(pixels[:, 1])
         up, along = self._axes(time)
         sight = ground - up * self.radius_m
-        orbital = np.stack(
-            [np.einsum("ni,ni->n", sight, along), sight @ np.array(self.across), -np.einsum("ni,ni->n", sight, up)],
-            axis=1,
-        )
+        ahead, below = np.einsum("ni,ni->n", sight, along), -np.einsum("ni,ni->n", sight, up)
+        orbital = np.stack([ahead, sight @ np.array(self.across), below], axis=1)
         body = orbital @ np.array(self.orbital_from_body)
         body = body - np.cross(self._wobble(time), body)
         forward, right = self._detector(pixels[:, 0])
@@ -223,19 +214,8 @@ def aim(
     sight = ground - up * orbit
     distance = float(np.linalg.norm(sight))
     sight = np.array([sight @ along, sight @ across, -(sight @ up)]) / distance
-    rate = math.sqrt(EARTH_GM / orbit**3)
+    line_period = look.gsd_m / (math.sqrt(EARTH_GM / orbit**3) * radius)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (3, len(sensor.wobble_periods_s)))
-    return PushbroomView(
-        name=name,
-        sensor=sensor,
-        look=look,
-        size=size,
-        along=tuple(along),
-        across=tuple(across),
-        up=tuple(up),
-        radius_m=orbit,
-        orbital_from_body=tuple(map(tuple, _camera_axes(sight))),
-        ifov_rad=look.gsd_m / distance,
-        line_period_s=look.gsd_m / (rate * radius),
-        phases=tuple(map(tuple, phases)),
-    )
+    frame = tuple(along), tuple(across), tuple(up)
+    turned, wobble = (tuple(map(tuple, rows)) for rows in (_camera_axes(sight), phases))
+    return PushbroomView(name, sensor, look, size, *frame, orbit, turned, look.gsd_m / distance, line_period, wobble)

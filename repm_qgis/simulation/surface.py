@@ -18,6 +18,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from .parameters import SIMULATION, LightParameters
 
 Area = Tuple[slice, slice]
+Shape = Tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class SimulatedSurface:
         return float(self.height.min()), float(self.height.max())
 
 
-def _corners(shape: Tuple[int, ...], col: FloatArray, row: FloatArray) -> Tuple[IntArray, FloatArray, FloatArray]:
+def _corners(shape: Shape, col: FloatArray, row: FloatArray) -> Tuple[IntArray, FloatArray, FloatArray]:
     """Flat index of the upper left node, and the fractions right and down, of positions clamped to the grid."""
     col = np.clip(col, 0, shape[1] - 1.001)
     row = np.clip(row, 0, shape[0] - 1.001)
@@ -89,10 +90,7 @@ def interpolate(values: FloatImage, col: FloatArray, row: FloatArray, wall: floa
     return np.where(spread > wall, nearest, smooth)
 
 
-# Noise -----------------------------------------------------------------------------------------------------------
-
-
-def _doubled(values: FloatImage, shape: Tuple[int, ...]) -> FloatImage:
+def _doubled(values: FloatImage, shape: Shape) -> FloatImage:
     """Twice as many rows and columns by quadratic B-spline subdivision along both axes, cut to ``shape``."""
     for axis in (0, 1):
         values = np.moveaxis(values, axis, 0)
@@ -105,12 +103,7 @@ def _doubled(values: FloatImage, shape: Tuple[int, ...]) -> FloatImage:
 
 
 def fractal(
-    rng: np.random.Generator,
-    shape: Tuple[int, ...],
-    cell: float,
-    longest: float,
-    shortest: float = 0.0,
-    roughness: float = 1.0,
+    rng: np.random.Generator, shape: Shape, cell: float, longest: float, shortest: float = 0.0, roughness: float = 1.0
 ) -> FloatImage:
     """Band-limited fractal noise (rows, columns) of zero mean and unit standard deviation.
 
@@ -130,9 +123,6 @@ def fractal(
             values += amplitude * rng.standard_normal(shapes[octave], dtype=np.float32)
     values -= values.mean(dtype=np.float64)
     return values / np.float32(max(values.std(dtype=np.float64), 1e-12))
-
-
-# Light -----------------------------------------------------------------------------------------------------------
 
 
 def _shifted(values: FloatImage, right: float, down: float) -> FloatImage:
@@ -172,25 +162,17 @@ def slopes(height: FloatImage, cell: float, edges: bool) -> Tuple[FloatImage, Fl
     result = []
     for axis in (1, 0):
         step = np.diff(height, axis=axis) / np.float32(cell)
-        pad = [(0, 0), (0, 0)]
-        pad[axis] = (1, 0)
-        before = np.pad(step, pad, mode="edge")
-        pad[axis] = (0, 1)
-        after = np.pad(step, pad, mode="edge")
+        pads = ([side if k == axis else (0, 0) for k in (0, 1)] for side in ((1, 0), (0, 1)))
+        before, after = (np.pad(step, pad, mode="edge") for pad in pads)
         result.append(np.where(np.abs(before) < np.abs(after), before, after) if edges else 0.5 * (before + after))
     return result[0], result[1]
 
 
 def illuminate(
-    height: FloatImage,
-    albedo: FloatImage,
-    cell: float,
-    sun: Sun,
-    wall_m: float,
-    wall_albedo: FloatImage,
-    light: LightParameters = SIMULATION.light,
+    ground: Ground, sun: Sun, wall_m: float, light: LightParameters
 ) -> Tuple[FloatImage, FloatImage, FloatImage]:
     """Radiance, shade and facade of a :class:`SimulatedSurface` with given albedos (0..1), all (R, C) float32."""
+    height, cell = ground.height, ground.cell
     east, north, up = map(np.float32, sun.direction())
     walls = math.isfinite(wall_m)
     right, down = slopes(height, cell, walls)
@@ -204,13 +186,13 @@ def illuminate(
     surroundings = ndimage.uniform_filter(height, max(int(light.sky_window_m / cell) | 1, 3), mode="nearest")
     sky = np.clip(1.0 - light.sky_loss_per_m * np.maximum(surroundings - height, 0), light.least_sky, 1)
     sun_dn, haze_dn = np.float32(light.sun_dn), np.float32(light.haze_dn)
-    radiance = albedo * (lit * facing + np.float32(light.sky_share) * sky.astype(np.float32)) * sun_dn + haze_dn
+    radiance = ground.albedo * (lit * facing + np.float32(light.sky_share) * sky.astype(np.float32)) * sun_dn + haze_dn
     if not walls:
         return radiance, shade, np.zeros((1, 1), np.float32)
     soft = ndimage.gaussian_filter(height, max(1.5 / cell, 1.0), mode="nearest")
     right, down = slopes(soft, cell, False)
     facing = np.maximum(-(east * right - north * down), 0) / np.sqrt(right * right + down * down + np.float32(1e-6))
-    return radiance, shade, (wall_albedo * facing * sun_dn).astype(np.float32)
+    return radiance, shade, (ground.wall_albedo * facing * sun_dn).astype(np.float32)
 
 
 def facade_radiance(
@@ -260,5 +242,5 @@ class Ground:
 
     def finish(self, crs: str, sun: Sun, wall_m: float, light: LightParameters = SIMULATION.light) -> SimulatedSurface:
         """The surface in sunlight."""
-        images = illuminate(self.height, self.albedo, self.cell, sun, wall_m, self.wall_albedo, light)
+        images = illuminate(self, sun, wall_m, light)
         return SimulatedSurface(crs, self.west, self.north, self.cell, wall_m, self.height, *images, light)

@@ -16,7 +16,7 @@ from .parameters import SIMULATION, TownParameters
 from .surface import Area, Ground, fractal
 
 Place = Tuple[float, float]
-Finish = Tuple[float, float]
+Finish = Optional[Tuple[float, float]]
 Footprint = Tuple[Area, FloatArray, FloatArray, Mask]
 
 
@@ -190,13 +190,7 @@ class Town:
         self._ground.albedo[area] = np.where(inside, np.clip(tone, 0.02, 0.7), self._ground.albedo[area])
 
     def _flat(
-        self,
-        place: Place,
-        half: Place,
-        tall: float,
-        finish: Optional[Finish] = None,
-        boxes: int = 3,
-        rim_m: float = 0.6,
+        self, place: Place, half: Place, tall: float, finish: Finish = None, boxes: int = 3, rim_m: float = 0.6
     ) -> None:
         """A level roof with a parapet and a few boxes on it, ``tall`` metres above the terrain."""
         flats = self._parameters.flats
