@@ -130,6 +130,10 @@ def find_python() -> str:
 
 def backend_remedy(name: str) -> str:
     """What to do to make a backend run; "" where it can, or where the engine cannot be asked (it will say itself)."""
+    from ..repm_qgis.matching.backends import NEED_A_DEVICE
+
+    if name not in NEED_A_DEVICE:
+        return ""
     code = f"from repm_qgis.matching.backends import remedy; print(remedy({name!r}))"
     try:
         python = find_python()

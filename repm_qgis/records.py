@@ -90,14 +90,14 @@ class HeightMapRecord(Record):
     tile: str
     backend: str
     pair: Tuple[str, str]
-    file: str
-    size: Size
-    valid: int
-    filled: int
     metres_per_px: float
     vertical_parallax_px: float
     table_error_m: float
     altitudes: Altitudes
+    file: str = ""
+    size: Size = (0, 0)
+    valid: int = 0
+    filled: int = 0
     sources: Tuple[str, ...] = ()
     views: Tuple[str, ...] = ()
     bounds: Optional[Bounds] = None

@@ -24,6 +24,9 @@ from ..stereo.triangulation import NodeTable, nodes
 from .parameters import COLMAP, ColmapParameters
 from .projective_frame import FrameView, TileFrame
 
+Seen = Sequence[Tuple[Tuple[FloatArray, FloatArray], FloatArray]]
+"""For each source, how pixels move with the depth (:func:`_transfer`), and where its RPC says that they are."""
+
 
 @dataclass(frozen=True)
 class DepthGeometry:
@@ -59,15 +62,17 @@ def depth_geometry(
     """
     columns, rows = (nodes(n, stereo.node_step_px) for n in reference.size)
     z, r, c = np.meshgrid(np.linspace(*tile.altitudes, stereo.levels), rows, columns, indexing="ij")
-    pixels = np.stack([c, r], axis=-1)
-    ground = reference.view.localise(reference.to_original(pixels), z)
+    ground = reference.view.localise(reference.to_original(np.stack([c, r], axis=-1)), z)
     if not np.isfinite(ground).all():
         raise EmptyResultError(
             f"{reference.view.name} sees no ground within {tile.altitudes[0]:.0f} to "
             f"{tile.altitudes[1]:.0f} m: check ALTITUDE_MIN and ALTITUDE_MAX."
         )
-    steps = parameters.depth_steps
-    inverse, left_px, parallax = _inverse_depths(scene, tile, reference, sources, pixels, ground, steps)
+    camera = reference.camera
+    inverse = 1.0 / camera.depth(tile.frame.from_enu(scene.frame.from_geodetic(ground)))
+    rays = np.stack([c, r, np.ones_like(c)], axis=-1) @ np.linalg.inv(camera.K).T
+    seen = [(_transfer(camera, one.camera, rays), one.from_original(one.view.project(ground))) for one in sources]
+    inverse, left_px, parallax = _inverse_depths(inverse, seen, parameters.depth_steps)
     xy = projected_from_geodetic(crs, ground)
     height, error_h = NodeTable.fit(columns, rows, inverse, z)
     x, error_x = NodeTable.fit(columns, rows, z, xy[..., 0])
@@ -77,23 +82,8 @@ def depth_geometry(
     return DepthGeometry(height, x, y, metres, best, max(error_h, error_x, error_y), left_px)
 
 
-def _inverse_depths(
-    scene: Scene,
-    tile: TileFrame,
-    reference: FrameView,
-    sources: Sequence[FrameView],
-    pixels: FloatArray,
-    ground: FloatArray,
-    steps: int,
-) -> Tuple[FloatArray, float, List[float]]:
+def _inverse_depths(inverse: FloatArray, seen: Seen, steps: int) -> Tuple[FloatArray, float, List[float]]:
     """(levels, m, n) 1 / depth that fits the sources best, its largest residual in px, each source's parallax in px."""
-    camera = reference.camera
-    inverse = 1.0 / camera.depth(tile.frame.from_enu(scene.frame.from_geodetic(ground)))
-    rays = np.concatenate([pixels, np.ones(pixels.shape[:-1] + (1,))], axis=-1) @ np.linalg.inv(camera.K).T
-    seen = [
-        (_transfer(camera, source.camera, rays), source.from_original(source.view.project(ground)))
-        for source in sources
-    ]
     for _ in range(steps):
         top, bottom = np.zeros_like(inverse), np.zeros_like(inverse)
         for (still, moving), pixel in seen:

@@ -31,9 +31,9 @@ def read_map(path: str, size: Size) -> FloatImage:
             if found is None:
                 raise ImageError(f"'{path}' is no map of COLMAP (it begins with {start[:12]!r}): reconstruct again.")
             if tuple(map(int, found.groups())) != (width, height, 1):
+                its = " x ".join(number.decode() for number in found.groups())
                 raise ImageError(
-                    f"The map '{path}' has {' x '.join(g.decode() for g in found.groups())} values, the "
-                    f"image {width} x {height} x 1: reconstruct again."
+                    f"The map '{path}' has {its} values, the image {width} x {height} x 1: reconstruct again."
                 )
             expected = found.end() + 4 * width * height
             if os.fstat(stream.fileno()).st_size != expected:

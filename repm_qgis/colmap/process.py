@@ -34,16 +34,10 @@ def fuse(workspace: str, geometric: bool, values: Dict[str, Any]) -> None:
     options = pycolmap.StereoFusionOptions()
     for name, value in values.items():
         setattr(options, name, value)
-    found = pycolmap.stereo_fusion(
-        os.path.join(workspace, "fused.ply"),
-        workspace,
-        output_type="ply",
-        options=options,
-        input_type="geometric" if geometric else "photometric",
-    )
-    np.save(
-        os.path.join(workspace, "fused.npy"), np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
-    )
+    ply, kind = os.path.join(workspace, "fused.ply"), "geometric" if geometric else "photometric"
+    found = pycolmap.stereo_fusion(ply, workspace, output_type="ply", options=options, input_type=kind)
+    points = np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
+    np.save(os.path.join(workspace, "fused.npy"), points)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.pinhole import PinholeCamera, factorise
 from ..geometry.refinement import apply_homography, translation
 from ..scene import Scene, View
-from ..stereo.pairing import ground_points, grown, refined_view
+from ..stereo.pairing import ground_points, refined_view
 from ..stereo.parameters import STEREO, StereoParameters
 from .parameters import COLMAP, FrameParameters
 
@@ -51,12 +51,7 @@ class ProjectiveFrame:
     def over(
         cls, cameras: Sequence[PinholeCamera], ground_enu: FloatArray, parameters: FrameParameters = COLMAP.frame
     ) -> "ProjectiveFrame":
-        """The frame of a tile.
-
-        Parameters
-        ----------
-        cameras : of the views over the tile, in the ENU frame.
-        ground_enu : (N, 3) points that span the tile and its altitudes.
+        """The frame of a tile from its views' cameras and (N, 3) points that span the tile and its altitudes, all ENU.
 
         Raises RpcInvalidError where a camera looks along the ground.
         """
@@ -105,9 +100,8 @@ class FrameView:
 
     def to_original(self, points: FloatArray) -> FloatArray:
         """(..., 2) original pixels from those of this image: the only resampling."""
-        return self.refined.to_original.original_from_refined(
-            apply_homography(np.linalg.inv(self.from_refined), points)
-        )
+        refined = apply_homography(np.linalg.inv(self.from_refined), points)
+        return self.refined.to_original.original_from_refined(refined)
 
     def from_original(self, points: FloatArray) -> FloatArray:
         """(..., 2) pixels of this image from original ones."""
@@ -152,7 +146,7 @@ def tile_frame(
     stereo: StereoParameters = STEREO,
 ) -> Optional[TileFrame]:
     """The frame and the views of a ground rectangle with a margin; None where fewer than two of the views see it."""
-    wide = grown(bounds, stereo.tile_margin_px * scene.gsd_m)
+    wide = Bounds(*bounds).grown(stereo.tile_margin_px * scene.gsd_m)
     refined = {name: refined_view(scene, scene.view(name), wide, altitudes) for name in names}
     seen = {name: found for name, found in refined.items() if found is not None}
     if len(seen) < 2:

@@ -99,11 +99,7 @@ def bytes_allowed(gpu: Gpu, chosen: PatchMatchOptions, parameters: PatchMatchPar
 
 
 def run_patch_match(
-    workspace: str,
-    options: Dict[str, Any],
-    fusion: Optional[Dict[str, Any]],
-    stop: threading.Event,
-    root: Path = ROOT,
+    workspace: str, options: Dict[str, Any], fusion: Optional[Dict[str, Any]], stop: threading.Event, root: Path = ROOT
 ) -> None:
     """Run patch match, and fusion if it has options, in a process of its own that finds the engine in ``root``.
 

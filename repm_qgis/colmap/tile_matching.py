@@ -21,7 +21,7 @@ from ..environment import Gpu
 from ..errors import DeviceError, EmptyResultError, ImageError
 from ..imagery.correlation import window_statistics
 from ..imagery.enhancement import Stretch
-from ..imagery.warping import sample_array
+from ..imagery.warping import box_filter, sample_array
 from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
@@ -32,15 +32,7 @@ from .depth_heights import DepthGeometry, depth_geometry
 from .maps import read_map
 from .parameters import COLMAP, ColmapParameters
 from .projective_frame import FrameView, TileFrame, tile_frame
-from .runner import (
-    PatchMatchOptions,
-    Runner,
-    bytes_allowed,
-    bytes_needed,
-    colmap_options,
-    fusion_options,
-    on_gpus,
-)
+from .runner import PatchMatchOptions, Runner, bytes_allowed, bytes_needed, colmap_options, fusion_options, on_gpus
 from .workspace import map_path, view_intensity, write_workspace
 
 
@@ -124,26 +116,21 @@ def _parts(task: GpuTask, allowed: int) -> List[TileFrame]:
             return frames
         if count > 1 and min(min(view.size) for frame in frames for view in frame.views) <= smallest_px:
             break
-    raise DeviceError(
-        f"A GPU may use {allowed / 2**30:.2f} GiB, and even a small part of a tile takes "
-        f"{needed / 2**30:.2f} GiB: free its memory, or choose BACKEND sgm."
-    )
+    limit = f"A GPU may use {allowed / 2**30:.2f} GiB, and even a small part of a tile takes {needed / 2**30:.2f} GiB"
+    raise DeviceError(f"{limit}: free its memory, or choose BACKEND sgm.")
 
 
 def _divided(bounds: Bounds, count: int) -> List[Bounds]:
     """A rectangle in count x count equal ones."""
     x, y = np.linspace(bounds[0], bounds[2], count + 1), np.linspace(bounds[1], bounds[3], count + 1)
-    return [
-        Bounds(float(x[i]), float(y[j]), float(x[i + 1]), float(y[j + 1])) for j in range(count) for i in range(count)
-    ]
+    x, y = x.tolist(), y.tolist()
+    return [Bounds(x[i], y[j], x[i + 1], y[j + 1]) for j in range(count) for i in range(count)]
 
 
 def _sources(task: GpuTask, frame: TileFrame) -> Dict[str, Tuple[str, ...]]:
     """For each reference that sees the frame, its sources that do."""
-    seen = {view.view.name for view in frame.views}
-    found = {
-        name: tuple(other for other in others if other in seen) for name, others in task.sources.items() if name in seen
-    }
+    seen, given = {view.view.name for view in frame.views}, task.sources.items()
+    found = {name: tuple(other for other in others if other in seen) for name, others in given if name in seen}
     return {name: others for name, others in found.items() if others}
 
 
@@ -169,9 +156,8 @@ def _match_part(
         most, parameters = max(len(others) for others in sources.values()), task.parameters.patch_match
         options = colmap_options(task.options, frame.depths(task.scene), most, gpu.index, parameters)
         run(folder, options, fusion_options(parameters) if task.options.fusion else None, stop)
-        return [
-            _height_map(task, part, frame, images, name, others, folder, keys[name]) for name, others in sources.items()
-        ]
+        shown = (task, part, frame, images)
+        return [_height_map(*shown, name, others, folder, keys[name]) for name, others in sources.items()]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -198,20 +184,15 @@ def _height_map(
     if task.options.fusion:
         depth = _fused_only(depth, reference, _fused(folder), task.parameters.patch_match.fused_depth_share)
     depth = np.where(_surrounded(image, task.options.window_radius) & (depth > 0), depth, np.float32(np.nan))
-    shown = [images[numbers[other]] for other in others]
-    score = _score(image, shown, reference, sources, depth, task.parameters.score_window_px)
+    seen = [(source, images[numbers[other]]) for source, other in zip(sources, others)]
+    score = _score(image, reference, seen, depth, task.parameters.score_window_px)
     heights = _heights(geometry, depth, frame.altitudes, task.parameters.range_margin_px)
     heights[~np.isfinite(score)] = np.nan
     score[~np.isfinite(heights)] = np.nan
-    path = task.path(name, part)
     record = HeightMapRecord(
         tile=task.tile,
         backend="colmap",
         pair=(name, others[geometry.best]),
-        file=path,
-        size=reference.size,
-        valid=int(np.isfinite(heights).sum()),
-        filled=0,
         metres_per_px=geometry.metres_per_px,
         vertical_parallax_px=geometry.vertical_parallax_px,
         table_error_m=geometry.error_m,
@@ -221,8 +202,8 @@ def _height_map(
         bounds=frame.bounds,
         part=frame.bounds != task.bounds,
     )
-    write_height_map(path, key, record, heights.astype(np.float32), score, np.zeros(heights.shape, dtype=bool))
-    return record
+    filled = np.zeros(heights.shape, dtype=bool)
+    return write_height_map(task.path(name, part), key, record, heights.astype(np.float32), score, filled)
 
 
 def _fused(folder: str) -> FloatArray:
@@ -266,19 +247,14 @@ def _surrounded(image: FloatImage, radius: int) -> Mask:
 
 
 def _score(
-    image: FloatImage,
-    others: Sequence[FloatImage],
-    reference: FrameView,
-    sources: Sequence[FrameView],
-    depth: FloatImage,
-    window_px: int,
+    image: FloatImage, reference: FrameView, seen: Sequence[Tuple[FrameView, FloatImage]], depth: FloatImage, side: int
 ) -> FloatImage:
     """Correlation in 0..1 of each pixel's window with the source that agrees best; NaN where no source shows it."""
     best = np.full(depth.shape, np.nan, dtype=np.float32)
     rows, columns = np.indices(depth.shape)
-    for other, source in zip(others, sources):
+    for source, other in seen:
         warped = sample_array(other, transferred(reference, source, columns, rows, depth), "bilinear")
-        best = np.fmax(best, _correlation(image, warped, window_px))
+        best = np.fmax(best, _correlation(image, warped, side))
     return np.clip(best, 0, 1)
 
 
@@ -291,24 +267,14 @@ def transferred(
     return source.camera.project(world)
 
 
-def _correlation(a: FloatImage, b: FloatImage, window_px: int) -> FloatImage:
+def _correlation(a: FloatImage, b: FloatImage, side: int) -> FloatImage:
     """Correlation of windows, over the pixels that both images have; NaN at pixels that one has not."""
-    known = np.isfinite(a) & np.isfinite(b)
-
-    def window_mean(image: FloatImage) -> FloatImage:
-        mean: FloatImage = cv2.blur(image, (window_px, window_px), borderType=cv2.BORDER_REPLICATE)
-        return mean
-
-    return np.where(known, window_statistics(a, b, known, window_mean).correlation(), np.float32(np.nan))
+    known, mean = np.isfinite(a) & np.isfinite(b), box_filter(side, cv2.BORDER_REPLICATE)
+    return np.where(known, window_statistics(a, b, known, mean).correlation(), np.float32(np.nan))
 
 
 def tile_height_source(
-    scene: Scene,
-    bounds: Bounds,
-    record: HeightMapRecord,
-    crs: str,
-    parameters: ColmapParameters = COLMAP,
-    stereo: StereoParameters = STEREO,
+    scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, colmap: ColmapParameters, stereo: StereoParameters
 ) -> HeightSource:
     """A height map of a tile with these bounds, to be placed on the ground in any projected ``crs``.
 
@@ -316,11 +282,11 @@ def tile_height_source(
     SceneError where the file is missing, damaged or of another scene.
     """
     size, own = map_size(record.file), record.bounds or bounds
-    frame = tile_frame(scene, record.views, own, record.altitudes, parameters.frame, stereo)
+    frame = tile_frame(scene, record.views, own, record.altitudes, colmap.frame, stereo)
     names = (record.pair[0], *record.sources)
     views = [view for view in map(frame.view, names) if view is not None] if frame else []
     if frame is None or len(views) < len(names) or views[0].size != size:
         raise foreign_height_map(record, scene)
-    tables = depth_geometry(scene, frame, views[0], views[1:], crs, parameters, stereo)
+    tables = depth_geometry(scene, frame, views[0], views[1:], crs, colmap, stereo)
     part = (bounds, own) if record.part else None
     return HeightSource(record.file, tables.x, tables.y, size, record.altitudes, part)

@@ -12,7 +12,7 @@ its patch match and fusion use K with whole pixel numbers; so half a pixel more 
 from __future__ import annotations
 
 import os
-from typing import Any, List, Mapping, Sequence, Tuple
+from typing import Any, Mapping, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -56,28 +56,21 @@ def write_workspace(
     sources: Mapping[str, Sequence[str]],
     parameters: TrackParameters = COLMAP.tracks,
 ) -> None:
-    """Write all that COLMAP needs for a tile.
+    """Write all that COLMAP needs for a tile; raises WorkspaceError where files cannot be written.
 
-    Parameters
-    ----------
-    images : intensity in 0..1 of ``tile.views``, in their order; NaN becomes black, where nothing can be matched.
-    sources : for each reference view's name, the names of the views that it is matched with.
-
-    Raises WorkspaceError where files cannot be written.
+    ``images`` are the intensities in 0..1 of ``tile.views``; NaN becomes black, where nothing can be matched.
+    ``sources`` gives for each reference view's name the names of the views that it is matched with.
     """
     for name in ("images", "sparse", "stereo/depth_maps", "stereo/normal_maps", "stereo/consistency_graphs"):
         ensure_folder(os.path.join(folder, name))
     for index, pixels in enumerate(images):
         _write_png(os.path.join(folder, "images", image_name(index)), pixels)
     _reconstruction(scene, tile, parameters).write(os.path.join(folder, "sparse"))
-    numbers = {view.view.name: index for index, view in enumerate(tile.views)}
-    lines: List[str] = []
-    for name, others in sources.items():
-        lines += [image_name(numbers[name]), ", ".join(image_name(numbers[other]) for other in others)]
-    write_text(os.path.join(folder, "stereo", "patch-match.cfg"), "\n".join(lines) + "\n")
-    write_text(
-        os.path.join(folder, "stereo", "fusion.cfg"), "\n".join(image_name(numbers[name]) for name in sources) + "\n"
-    )
+    images_of = {view.view.name: image_name(index) for index, view in enumerate(tile.views)}
+    listed = {images_of[name]: ", ".join(images_of[other] for other in others) for name, others in sources.items()}
+    pairs = "".join(f"{image}\n{others}\n" for image, others in listed.items())
+    write_text(os.path.join(folder, "stereo", "patch-match.cfg"), pairs)
+    write_text(os.path.join(folder, "stereo", "fusion.cfg"), "\n".join(listed) + "\n")
 
 
 def _write_png(path: str, pixels: FloatImage) -> None:
@@ -98,20 +91,13 @@ def _reconstruction(scene: Scene, tile: TileFrame, parameters: TrackParameters) 
     places = np.cumsum(seen, axis=0) - 1  # a point's number among those that an image shows
     for index, view in enumerate(tile.views):
         K, number = view.camera.K, index + 1
-        made.add_camera_with_trivial_rig(
-            pycolmap.Camera(
-                camera_id=number,
-                model="PINHOLE",
-                width=view.size[0],
-                height=view.size[1],
-                params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]],
-            )
-        )
+        (width, height), numbers = view.size, [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        camera = pycolmap.Camera(camera_id=number, model="PINHOLE", width=width, height=height, params=numbers)
+        made.add_camera_with_trivial_rig(camera)
         pixels = view.camera.project(points[seen[:, index]])
-        made.add_image_with_trivial_frame(
-            pycolmap.Image(image_name(index), pixels.reshape(-1, 2), number, number),
-            pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t),
-        )
+        image = pycolmap.Image(image_name(index), pixels.reshape(-1, 2), number, number)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(view.camera.R), view.camera.t)
+        made.add_image_with_trivial_frame(image, pose)
     for point, row, place in zip(points, seen, places):
         elements = [pycolmap.TrackElement(int(index) + 1, int(place[index])) for index in np.flatnonzero(row)]
         made.add_point3D(point, pycolmap.Track(elements), _GREY)
@@ -124,8 +110,7 @@ def _tracks(scene: Scene, tile: TileFrame, parameters: TrackParameters) -> Tuple
     ground = ground_points(scene, tile.wide, levels, parameters.points)
     points = tile.frame.from_enu(scene.frame.from_geodetic(ground))
     pixels = [view.camera.project(points) for view in tile.views]
-    seen = np.stack(
-        [((p >= 0) & (p <= np.array(view.size) - 1)).all(axis=1) for p, view in zip(pixels, tile.views)], axis=1
-    )
+    inside = [((p >= 0) & (p <= np.array(view.size) - 1)).all(axis=1) for p, view in zip(pixels, tile.views)]
+    seen = np.stack(inside, axis=1)
     shared = seen.sum(axis=1) >= 2
     return points[shared], seen[shared]

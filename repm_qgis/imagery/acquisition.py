@@ -65,9 +65,7 @@ def moment(text: str) -> Optional[datetime]:
         century = "19" if int(old[6]) >= 72 else "20"
         text = f"{century}{old[6]}{_MONTHS.index(old[5]) + 1:02d}{old[1]}{old[2]}{old[3]}{old[4]}"
     match = _ISO.fullmatch(text) or _COMPACT.fullmatch(text)
-    if not match:
-        return None
-    if not _FIRST_YEAR <= int(match[1]) <= _LAST_YEAR:
+    if not match or not _FIRST_YEAR <= int(match[1]) <= _LAST_YEAR:
         return None
     try:
         year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
@@ -99,12 +97,8 @@ def time_sidecars(path: str) -> List[str]:
     # Names of Pleiades Neo's images have the band after the name that the product's own file has.
     products = (core, re.sub(r"_[A-Za-z-]+$", "", core))
     names = [*(f"DIM_{name}.XML" for name in products), *(f"{stem}{ending}" for ending in (".IMD", ".XML", ".geom"))]
-    there = files_in_folder(image)
-    return [
-        str(image.with_name(name))
-        for key in dict.fromkeys(name.lower() for name in names)
-        for name in there.get(key, ())
-    ]
+    there, keys = files_in_folder(image), dict.fromkeys(name.lower() for name in names)
+    return [str(image.with_name(name)) for key in keys for name in there.get(key, ())]
 
 
 def duration_text(days: Optional[float]) -> str:

@@ -15,13 +15,11 @@ from ..geometry.frames import flat_crs, geodetic_from_projected, vertical_part
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..workspace import file_identity
-from .parameters import DEM, DemParameters
+from .parameters import DEM
 from .raster import NODATA, opened, quiet, read, write
 
 
-def dem_range(
-    path: str, crs: str, bounds: Sequence[float], parameters: DemParameters = DEM
-) -> Tuple[float, float, bool]:
+def dem_range(path: str, crs: str, bounds: Sequence[float]) -> Tuple[float, float, bool]:
     """Lowest and highest height of a DEM within ``bounds`` (xmin, ymin, xmax, ymax in ``crs``).
 
     Returns the range in metres above the WGS 84 ellipsoid, and whether the DEM states its vertical datum: heights of a
@@ -35,7 +33,7 @@ def dem_range(
         dem_crs = _crs_of(dataset, path)
         flat = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(dem_crs), always_xy=True)
         x, y = flat.transform(lon_lat[:, 0], lon_lat[:, 1])
-        heights = _window_values(dataset, path, np.column_stack([x, y]), parameters.range_cells)
+        heights = _window_values(dataset, path, np.column_stack([x, y]), DEM.range_cells)
     low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
     vertical = vertical_part(dem_crs) is not None
     if vertical:
@@ -68,14 +66,14 @@ def _to_ellipsoid(crs: pyproj.CRS, path: str, x: FloatArray, y: FloatArray) -> F
     return result
 
 
-def make_surface(path: str, bounds: Bounds, cell_m: float, target: str, parameters: DemParameters = DEM) -> str:
+def make_surface(path: str, bounds: Bounds, cell_m: float, target: str) -> str:
     """A coarse surface from a DEM, written as a GeoTIFF in longitude, latitude and ellipsoidal heights.
 
     ``bounds`` are west, south, east, north in degrees; cells are averages over about ``cell_m``; gaps are filled
     from their border. Raises ImageError or OverlapError as :func:`dem_range` does. Returns ``target``.
     """
     extents = (bounds[2] - bounds[0], bounds[3] - bounds[1])
-    step = max(cell_m / 111000.0, *(extent / parameters.surface_cells for extent in extents))
+    step = max(cell_m / 111000.0, *(extent / DEM.surface_cells for extent in extents))
     width, height = (max(2, int(np.ceil(extent / step))) for extent in extents)
     with opened(path) as dataset:
         crs = _crs_of(dataset, path)
@@ -127,9 +125,8 @@ def _surface(path: str, *_: object) -> Surface:
 def _window_values(dataset: gdal.Dataset, path: str, points: FloatArray, most: int) -> FloatImage:
     """The DEM's cells within the bounding box of points (in its CRS), reduced to at most so many a side."""
     inverse = gdal.InvGeoTransform(dataset.GetGeoTransform())
-    cells = np.array(
-        [gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in points if np.isfinite(x) and np.isfinite(y)]
-    )
+    known = points[np.isfinite(points).all(axis=1)]
+    cells = np.array([gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in known])
     if len(cells):
         low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - 1, 0)
         high = np.minimum(np.ceil(cells.max(axis=0)).astype(int) + 1, (dataset.RasterXSize, dataset.RasterYSize))

@@ -48,7 +48,6 @@ def view_stretch(path: str, band: int, mask: str = "", parameters: StretchParame
         raise ImageError(f"'{path}' has only nodata in band {band}: choose another image, band or mask.")
     low, high = np.percentile(known, (parameters.low_percent, parameters.high_percent))
     if high <= low:
-        raise ImageError(
-            f"'{path}' has the same value ({low:g}) almost everywhere in band {band}: it shows nothing to match."
-        )
+        nearly = f"has the same value ({low:g}) almost everywhere in band {band}"
+        raise ImageError(f"'{path}' {nearly}: it shows nothing to match.")
     return Stretch(float(low), float(high), parameters.knee)

@@ -66,10 +66,12 @@ class MaskedImage:
         return str(self.image.GetDescription())
 
 
+Image = Union[gdal.Dataset, MaskedImage]
+
+
 @contextmanager
-def opened_masked(path: str, mask: str = "") -> Iterator[Union[gdal.Dataset, MaskedImage]]:
-    """An image opened for reading with its mask, if it has one; raises ImageError as :func:`opened`, and where the
-    mask is of another size."""
+def opened_masked(path: str, mask: str = "") -> Iterator[Image]:
+    """An image opened with its mask, if it has one; raises ImageError also for a mask of another size."""
     with opened(path) as image:
         if not mask:
             yield image
@@ -101,19 +103,12 @@ def opened(path: str) -> Iterator[gdal.Dataset]:
         dataset = None
 
 
-def read(
-    dataset: Union[gdal.Dataset, MaskedImage],
-    window: Optional[Window] = None,
-    band: int = 1,
-    size: Optional[Size] = None,
-) -> FloatImage:
+def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: Optional[Size] = None) -> FloatImage:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 
-    So do pixels that the file's own mask or alpha band hides, or a :class:`MaskedImage` excludes.
-
-    ``band`` 0 reads the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is.
-    ``size`` (width, height) reads it reduced, by averaging, from overviews where there are any. Raises ImageError for
-    a truncated or damaged file.
+    So do pixels that the file's own mask or alpha band hides, or a :class:`MaskedImage` excludes. ``band`` 0 reads
+    the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is. ``size`` (width, height) reads it reduced,
+    by averaging, from overviews where there are any. Raises ImageError for a truncated or damaged file.
     """
     if isinstance(dataset, MaskedImage):
         excluded = np.nan_to_num(read(dataset.mask, window, 1, size), nan=0.0) != 0

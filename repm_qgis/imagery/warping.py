@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, Optional, Tuple, Union
+from typing import Callable, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
-from osgeo import gdal
 
 from ..arrays import FloatArray, FloatImage, Size, Window
 from ..errors import ImageError
 from ..geometry.interpolation import interpolate_steps
-from .parameters import WARPING, WarpingParameters
-from .raster import MaskedImage, read
+from .parameters import WARPING
+from .raster import Image, read
 
 PixelMap = Callable[[FloatArray], FloatArray]
-Image = Union[gdal.Dataset, MaskedImage]
 
 _MAX_SIDE = 32000  # OpenCV's remap counts source pixels in 16 bits
 
@@ -23,74 +21,56 @@ KERNELS = {"bilinear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv
 _REACH = {"bilinear": 1, "cubic": 2, "lanczos": 4}  # pixels on either side that a kernel touches
 
 
-def source_positions(
-    to_source: PixelMap,
-    size: Size,
-    first_row: int = 0,
-    rows: Optional[int] = None,
-    parameters: WarpingParameters = WARPING,
-) -> FloatArray:
-    """(rows, width, 2) source positions of all pixels of an image of ``size`` (width, height).
+def box_filter(side: int, border: int = cv2.BORDER_REFLECT) -> Callable[[FloatImage], FloatImage]:
+    """A function that gives the means of squares of ``side`` px; ``border`` is how OpenCV continues the image."""
+    return lambda image: cv2.blur(image, (side, side), borderType=border)
+
+
+def source_positions(to_source: PixelMap, size: Size) -> FloatArray:
+    """(height, width, 2) source positions of all pixels of an image of ``size`` (width, height).
 
     The map is evaluated at nodes and interpolated bilinearly: the maps here are smooth (homographies and low
     polynomials over a tile).
     """
-    rows = size[1] - first_row if rows is None else rows
-    step = parameters.node_step_px
-    nodes = _nodes(to_source, size[0], first_row, rows, step)
-    return np.stack([interpolate_steps(nodes[..., axis], (rows, size[0]), step) for axis in (0, 1)], axis=-1)
+    nodes = _nodes(to_source, size[0], 0, size[1])
+    return np.stack([interpolate_steps(nodes[..., k], size[::-1], WARPING.node_step_px) for k in (0, 1)], axis=-1)
 
 
-def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int, step: int) -> FloatArray:
-    """(m, n, 2) exact source positions every ``step`` px, the last nodes at or beyond the last pixel."""
+def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatArray:
+    """(m, n, 2) exact source positions on nodes, the last ones at or beyond the last pixel."""
+    step = WARPING.node_step_px
     x = np.arange(0, width + step, step, dtype=np.float64)
     y = np.arange(first_row, first_row + rows + step, step, dtype=np.float64)
     return to_source(np.stack(np.meshgrid(x, y), axis=-1))
 
 
-def warp(
-    dataset: Image,
-    band: int,
-    to_source: PixelMap,
-    size: Size,
-    kernel: str = "bilinear",
-    parameters: WarpingParameters = WARPING,
-) -> FloatImage:
+def warp(dataset: Image, band: int, to_source: PixelMap, size: Size, kernel: str = "bilinear") -> FloatImage:
     """Resample an image: pixel p of the result takes the source's value at ``to_source(p)``.
 
     Returns (height, width) float32; NaN outside the source, and where the kernel touches nodata.
     """
-    width, height = size
-    result = np.full((height, width), np.nan, dtype=np.float32)
-    for row, strip in warp_strips(dataset, band, to_source, size, kernel, parameters):
+    result = np.full(size[::-1], np.nan, dtype=np.float32)
+    for row, strip in warp_strips(dataset, band, to_source, size, kernel):
         result[row : row + len(strip)] = strip
     return result
 
 
 def warp_strips(
-    dataset: Image,
-    band: int,
-    to_source: PixelMap,
-    size: Size,
-    kernel: str = "bilinear",
-    parameters: WarpingParameters = WARPING,
+    dataset: Image, band: int, to_source: PixelMap, size: Size, kernel: str = "bilinear"
 ) -> Iterator[Tuple[int, FloatImage]]:
     """:func:`warp` by strips of rows, for images that do not fit into memory: first row and pixels of each."""
     width, height = size
-    for row in range(0, height, parameters.strip_rows):
-        rows = min(parameters.strip_rows, height - row)
-        nodes = _nodes(to_source, width, row, rows, parameters.node_step_px)
-        yield row, _warp_strip(dataset, band, nodes, (rows, width), kernel, parameters)
+    for row in range(0, height, WARPING.strip_rows):
+        rows = min(WARPING.strip_rows, height - row)
+        yield row, _warp_strip(dataset, band, _nodes(to_source, width, row, rows), (rows, width), kernel)
 
 
-def _warp_strip(
-    dataset: Image, band: int, nodes: FloatArray, shape: Tuple[int, int], kernel: str, parameters: WarpingParameters
-) -> FloatImage:
+def _warp_strip(dataset: Image, band: int, nodes: FloatArray, shape: Tuple[int, int], kernel: str) -> FloatImage:
     """One strip, in blocks of columns: each block reads only what its own nodes span."""
     result = np.full(shape, np.nan, dtype=np.float32)
-    step = parameters.node_step_px
-    for col in range(0, shape[1], parameters.block_columns):
-        columns = min(parameters.block_columns, shape[1] - col)
+    step = WARPING.node_step_px
+    for col in range(0, shape[1], WARPING.block_columns):
+        columns = min(WARPING.block_columns, shape[1] - col)
         own = nodes[:, col // step : -(-(col + columns) // step) + 1]
         window = _window(dataset, own, kernel)
         if window is None:
@@ -123,12 +103,8 @@ def _window(dataset: Image, positions: FloatArray, kernel: str) -> Optional[Wind
 
 def sample_source(dataset: Image, band: int, positions: FloatArray, kernel: str) -> FloatImage:
     """Values of an image at (rows, columns, 2) positions; only the window that they span is read."""
-    inside = np.where(
-        ((positions > -1) & (positions < (dataset.RasterXSize, dataset.RasterYSize))).all(axis=-1, keepdims=True),
-        positions,
-        np.nan,
-    )
-    window = _window(dataset, inside, kernel)
+    inside = ((positions > -1) & (positions < (dataset.RasterXSize, dataset.RasterYSize))).all(axis=-1, keepdims=True)
+    window = _window(dataset, np.where(inside, positions, np.nan), kernel)
     if window is None:
         return np.full(positions.shape[:2], np.nan, dtype=np.float32)
     return sample_array(read(dataset, window, band), positions - window[:2], kernel)

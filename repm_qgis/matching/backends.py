@@ -4,14 +4,15 @@ A backend turns the tiles of a scene into height maps. Two kinds are in use: a m
 :class:`repm_qgis.matching.pair_backend.PairBackend` runs over all tiles and pairs (``sgm``), and one that matches all
 views of a tile together (``colmap``). A third kind, a cost volume, is a pair matcher whose function aggregates the
 volume, selects the disparities, and calls the same steps as ``sgm`` after that. A new backend is a module with an
-object ``BACKEND``, a line in ``_MODULES`` here, and its name in ``options.BACKENDS``.
+object ``BACKEND``, a line in ``_MODULES`` here, and its name in ``options.BACKENDS``. This module imports nothing that
+QGIS may lack, so that the dialogs can ask it.
 """
 
 from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 from ..arrays import Bounds
 from ..errors import DeviceError
@@ -21,12 +22,16 @@ from ..progress import Part, Progress
 from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
-from .disparity_map import PairMatcher
 from .parameters import MATCHING, MatchingParameters
+
+if TYPE_CHECKING:
+    from .disparity_map import PairMatcher
 
 _AUTO = "auto"
 _MODULES = {"colmap": "repm_qgis.matching.colmap_backend", "sgm": "repm_qgis.matching.sgm"}
 """Where each backend's object ``BACKEND`` is; ``auto`` takes the first usable one, and the next where that fails."""
+NEED_A_DEVICE = frozenset({"colmap"})
+"""The backends that may be unable to run: only these must be asked for a remedy."""
 
 
 @dataclass(frozen=True)

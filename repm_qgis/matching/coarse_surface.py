@@ -26,7 +26,7 @@ from ..imagery.warping import sample_array, source_positions
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
-from ..stereo.pairing import grown, rectified_pair
+from ..stereo.pairing import rectified_pair
 from ..stereo.triangulation import pair_geometry
 from .disparity_map import PairMatcher
 from .parameters import MATCHING, CoarseSurfaceParameters, MatchingParameters
@@ -107,7 +107,7 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     scene, (first, second) = task.scene, (task.scene.view(name) for name in (task.first, task.second))
     room = p.range_share * (scene.altitudes[1] - scene.altitudes[0])
     altitudes = scene.altitudes[0] - room, scene.altitudes[1] + room
-    pair = rectified_pair(scene, first, second, grown(task.bounds, 2 * p.cell_px * scene.gsd_m), altitudes, stereo)
+    pair = rectified_pair(scene, first, second, task.bounds.grown(2 * p.cell_px * scene.gsd_m), altitudes, stereo)
     if pair is None or min(pair.size) < p.smallest_px * p.factor:
         return None
     pair = pair.scaled(p.factor)

@@ -45,23 +45,13 @@ class ColmapBackend:
         """Match all tiles, one worker for each GPU."""
         chosen, scene = job.options, job.scene.lean()
         options = PatchMatchOptions(chosen.geometric, chosen.window_radius, chosen.gpu_memory, chosen.colmap_fusion)
-        tasks = [
-            GpuTask(
-                scene,
-                tile.id,
-                tile.bounds,
-                tile.altitudes,
-                sources,
-                {name: job.stretches[name] for name in sorted(sources)},
-                options,
-                job.folder,
-                fingerprint(job.key, tile.id, sources),
-                job.parameters.colmap,
-                job.parameters.stereo,
-            )
-            for tile, sources in ((tile, _partners(tile, job.pairs)) for tile in job.tiles)
-            if sources
-        ]
+        folder, colmap, stereo, tasks = job.folder, job.parameters.colmap, job.parameters.stereo, []
+        for tile in job.tiles:
+            sources, ground = _partners(tile, job.pairs), (tile.id, tile.bounds, tile.altitudes)
+            if sources:
+                stretches = {name: job.stretches[name] for name in sorted(sources)}
+                key = fingerprint(job.key, tile.id, sources)
+                tasks.append(GpuTask(scene, *ground, sources, stretches, options, folder, key, colmap, stereo))
         return MatchingResult(*match_tiles(tasks, self.devices(), self.run, progress))
 
     def height_source(

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
+from ..imagery.warping import box_filter
 from .parameters import MATCHING, EdgeParameters
 
 _STRIP = 1024  # columns of a list that is folded to an image: OpenCV's maps may have no more than 32767 to a side
@@ -52,16 +53,11 @@ def correct_depth_edges(
     return np.where(known, np.float32(height_sign) * chosen, np.float32(np.nan)).astype(np.float32)
 
 
-def _mean(image: FloatImage, size: int) -> FloatImage:
-    mean: FloatImage = cv2.blur(image, (size, size), borderType=cv2.BORDER_REFLECT)
-    return mean
-
-
 def _without_gaps(surface: FloatImage, known: Mask, window_px: int) -> FloatImage:
     """Unknown pixels take the mean of the known ones around them."""
     if known.all():
         return surface
-    around, _ = mean_of_known(surface, known, lambda image: _mean(image, window_px), 1e-3)
+    around, _ = mean_of_known(surface, known, box_filter(window_px), 1e-3)
     return np.where(known, surface, around).astype(np.float32)
 
 
@@ -79,7 +75,7 @@ def _surfaces(surface: FloatImage, parameters: EdgeParameters) -> Tuple[FloatIma
 
 def _mean_where(surface: FloatImage, chosen: Mask, window_px: int) -> Tuple[FloatImage, Mask]:
     """The mean of the chosen pixels around each pixel, and whether there are any."""
-    mean, share = mean_of_known(surface, chosen, lambda image: _mean(image, window_px), 1e-3)
+    mean, share = mean_of_known(surface, chosen, box_filter(window_px), 1e-3)
     return mean, share > 0.5 / window_px**2
 
 
@@ -117,9 +113,11 @@ def _folded(values: FloatImage) -> FloatImage:
 
 def _guided(guide: FloatImage, values: FloatImage, parameters: EdgeParameters) -> FloatImage:
     """Values averaged by the guided filter: the edges of the guide limit its window."""
-    side = parameters.window_px
-    mean_guide, mean_values = _mean(guide, side), _mean(values, side)
-    variance = _mean(guide * guide, side) - mean_guide * mean_guide
-    covariance = _mean(guide * values, side) - mean_guide * mean_values
+    mean = box_filter(parameters.window_px)
+    mean_guide, mean_values = mean(guide), mean(values)
+    variance, covariance = (
+        mean(guide * guide) - mean_guide * mean_guide,
+        mean(guide * values) - mean_guide * mean_values,
+    )
     slope = covariance / (variance + np.float32(parameters.contrast**2))
-    return _mean(slope, side) * guide + _mean(mean_values - slope * mean_guide, side)
+    return mean(slope) * guide + mean(mean_values - slope * mean_guide)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arrays import FloatImage, Mask
 from ..imagery.correlation import window_statistics
+from ..imagery.warping import box_filter
 from .parameters import MATCHING, MatchingParameters
 
 _UNKNOWN = -9.0  # a column outside every image
@@ -72,9 +73,4 @@ def match_correlation(
     nothing = float("nan")
     matched = cv2.remap(second, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)
     known = np.isfinite(matched) & np.isfinite(first) & np.isfinite(disparity)
-
-    def window_mean(image: FloatImage) -> FloatImage:
-        mean: FloatImage = cv2.boxFilter(image, cv2.CV_32F, (window_px, window_px), normalize=True, borderType=border)
-        return mean
-
-    return window_statistics(first, matched, known, window_mean).correlation(), known
+    return window_statistics(first, matched, known, box_filter(window_px, border)).correlation(), known

@@ -98,9 +98,8 @@ def find_prior(
 def reduced(image: FloatImage, factor: int) -> FloatImage:
     """Means over ``factor`` x ``factor`` px; NaN where one of them is, and incomplete ones at the ends dropped."""
     height, width = (n // factor for n in image.shape)
-    small: FloatImage = cv2.resize(
-        image[: height * factor, : width * factor], (width, height), interpolation=cv2.INTER_AREA
-    )
+    whole = image[: height * factor, : width * factor]
+    small: FloatImage = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
     return small
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, List, NamedTuple, Optional, Tuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, map_size, write_height_map
-from ..stereo.pairing import grown, rectified_pair
+from ..stereo.pairing import rectified_pair
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
@@ -53,23 +54,14 @@ class PairBackend:
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
         """Match every pair over every tile that both of its views see, in as many workers as fit into memory."""
         scene = job.scene.lean()
-        tasks = [
-            PairTask(
-                self,
-                scene,
-                tile.id,
-                tile.bounds,
-                tile.altitudes,
-                (pair.first, pair.second),
-                (job.stretches[pair.first], job.stretches[pair.second]),
-                os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif"),
-                fingerprint(job.key, tile.id, pair.first, pair.second),
-                job.parameters,
-            )
-            for tile in job.tiles
-            for pair in job.pairs
-            if pair.first in tile.views and pair.second in tile.views
-        ]
+        tasks = []
+        for tile, pair in product(job.tiles, job.pairs):
+            names, ground = (pair.first, pair.second), (tile.id, tile.bounds, tile.altitudes)
+            if pair.first in tile.views and pair.second in tile.views:
+                stretches = (job.stretches[pair.first], job.stretches[pair.second])
+                path = os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif")
+                key = fingerprint(job.key, tile.id, *names)
+                tasks.append(PairTask(self, scene, *ground, names, stretches, path, key, job.parameters))
         try:
             records = run_tasks(match_pair_over_tile, tasks, _workers(tasks, job, progress), progress, _describe)
         except BaseException:
@@ -145,17 +137,12 @@ def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:
         tile=task.tile,
         backend=task.backend.name,
         pair=task.pair,
-        file=task.path,
-        size=pair.size,
-        valid=int((np.isfinite(heights) & ~matched.filled).sum()),
-        filled=int(matched.filled.sum()),
         metres_per_px=geometry.metres_per_px,
         vertical_parallax_px=geometry.vertical_parallax_px,
         table_error_m=geometry.error_m,
         altitudes=task.altitudes,
     )
-    write_height_map(task.path, task.key, record, heights, matched.score, matched.filled)
-    return record
+    return write_height_map(task.path, task.key, record, heights, matched.score, matched.filled)
 
 
 def frame_size(task: PairTask) -> Size:
@@ -197,9 +184,8 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
 def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
     """Disparities of a task's rectified pair, coarse to fine, without water and clouds."""
     seen, sign, parameters = sample_pair(task, pair, geometry), geometry.height_sign, task.parameters
-    matched = task.backend.pair_matcher(
-        seen.first, seen.resampled, seen.residuals, sign, geometry.relief_displacement, parameters
-    )
+    images, displacement = (seen.first, seen.resampled), geometry.relief_displacement
+    matched = task.backend.pair_matcher(*images, seen.residuals, sign, displacement, parameters)
     if seen.prior is not None:
         matched = replace(matched, disparity=seen.prior.full_disparity(matched.disparity))
     # On full disparities: a prior that lies on a cloud would hide how high the cloud is.
@@ -226,5 +212,5 @@ def rectified_over_tile(
 ) -> Optional[RectifiedPair]:
     """The rectified pair in which a tile is matched: its ground with the matching margin; None where unseen."""
     first, second = (scene.view(name) for name in pair)
-    wide = grown(bounds, parameters.tile_margin_px * scene.gsd_m)
+    wide = Bounds(*bounds).grown(parameters.tile_margin_px * scene.gsd_m)
     return rectified_pair(scene, first, second, wide, altitudes, parameters)

@@ -14,7 +14,6 @@ questions are asked about each disparity:
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Tuple
 
 import cv2
@@ -22,6 +21,7 @@ import numpy as np
 
 from ..arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
+from ..imagery.warping import box_filter
 from .disparity_map import DisparityMap, match_correlation
 from .parameters import MATCHING, ReliabilityParameters
 
@@ -43,9 +43,8 @@ def mask_unreliable(
     metres_per_px : of height for a px of disparity.
     """
     disparity = np.where(matched.filled, np.float32(np.nan), matched.disparity)
-    score, known = match_correlation(
-        first, second, disparity, disparities[1], parameters.correlation_px, cv2.BORDER_REFLECT
-    )
+    side, high = parameters.correlation_px, disparities[1]
+    score, known = match_correlation(first, second, disparity, high, side, cv2.BORDER_REFLECT)
     score = np.where(known, np.clip(score, -1, 1), np.float32(0))
     removed = _unsupported(matched, score, known, _shown_twice(first, second, disparities), parameters)
     height = matched.disparity * np.float32(height_sign * metres_per_px)
@@ -55,12 +54,8 @@ def mask_unreliable(
         return matched
     matches = np.isfinite(disparity)
     removed = np.where(matched.filled, _next_to_removed(matches, matches & removed), removed)
-    return replace(
-        matched,
-        disparity=np.where(removed, np.float32(np.nan), matched.disparity),
-        score=np.where(removed, np.float32(np.nan), matched.score),
-        filled=matched.filled & ~removed,
-    )
+    disparity, score = (np.where(removed, np.float32(np.nan), part) for part in (matched.disparity, matched.score))
+    return DisparityMap(disparity, score, matched.filled & ~removed)
 
 
 def _next_to_removed(matches: Mask, removed: Mask) -> Mask:
@@ -71,11 +66,6 @@ def _next_to_removed(matches: Mask, removed: Mask) -> Mask:
     after = np.minimum.accumulate(np.where(matches, columns, width - 1)[:, ::-1], axis=1)[:, ::-1]
     found: Mask = removed[rows, before] | removed[rows, after]
     return found
-
-
-def _box(image: FloatImage, side: int) -> FloatImage:
-    mean: FloatImage = cv2.boxFilter(image, cv2.CV_32F, (side, side), normalize=True, borderType=cv2.BORDER_REFLECT)
-    return mean
 
 
 def _shown_twice(first: FloatImage, second: FloatImage, disparities: Tuple[int, int]) -> Mask:
@@ -96,8 +86,9 @@ def _unsupported(
     expected = (shown & ~matched.filled).astype(np.float32)
 
     def support(side: int) -> FloatImage:
-        mean: FloatImage = _box(score, side) / np.maximum(_box(expected, side), np.float32(1e-3))
-        return mean
+        mean = box_filter(side)
+        share: FloatImage = mean(score) / np.maximum(mean(expected), np.float32(1e-3))
+        return share
 
     weak = shown & (support(parameters.support_px) < parameters.least_support)
     weak = _grown(weak, shown & (support(parameters.own_px) < parameters.own_support), parameters.growth_px)
@@ -117,7 +108,7 @@ def _unsupported(
 
 def _scatter(disparity: FloatImage, inside: Mask, parameters: ReliabilityParameters) -> FloatImage:
     """How far disparities lie from the mean of their neighbours within the same mask; a slope does not count."""
-    mean, _ = mean_of_known(disparity, inside, lambda image: _box(image, parameters.scatter_window_px), 1e-6)
+    mean, _ = mean_of_known(disparity, inside, box_filter(parameters.scatter_window_px), 1e-6)
     return np.where(inside, np.abs(disparity - mean), np.float32(0))
 
 
@@ -129,9 +120,7 @@ def _grown(seed: Mask, into: Mask, pixels: int) -> Mask:
     return mask > 0
 
 
-def _clouds(
-    height: FloatImage, first: FloatImage, known: Mask, step_m: float, parameters: ReliabilityParameters
-) -> Mask:
+def _clouds(height: FloatImage, first: FloatImage, known: Mask, step_m: float, p: ReliabilityParameters) -> Mask:
     """Bright components that stand far above nearly all of their surroundings; ``height`` in m above some plane.
 
     Components end where neighbours differ by more than ``step_m``.
@@ -140,21 +129,21 @@ def _clouds(
     with np.errstate(invalid="ignore"):
         even[:, 1:] &= np.abs(np.diff(height, axis=1)) <= step_m
         even[1:] &= np.abs(np.diff(height, axis=0)) <= step_m
-        bright = even & (first > parameters.bright)
+        bright = even & (first > p.bright)
     count, component, facts, _ = cv2.connectedComponentsWithStats(even.astype(np.uint8), connectivity=4)
-    area, reach = facts[:, cv2.CC_STAT_AREA], parameters.around_px
-    shine = np.bincount(component[bright], minlength=count) > parameters.bright_share * area
+    area, reach = facts[:, cv2.CC_STAT_AREA], p.around_px
+    shine = np.bincount(component[bright], minlength=count) > p.bright_share * area
     shine[0] = False
     result = np.zeros(known.shape, dtype=bool)
-    for number in np.flatnonzero(shine & (area >= parameters.least_px)):
+    for number in np.flatnonzero(shine & (area >= p.least_px)):
         col, row, width, tall = facts[number, :4]
         part = np.s_[max(row - reach, 0) : row + tall + reach, max(col - reach, 0) : col + width + reach]
         cloud = component[part] == number
         around = _grown(cloud, np.ones_like(cloud), reach)
         ground = around & even[part] & ~cloud
         with np.errstate(invalid="ignore"):
-            below = np.median(height[part][cloud]) - height[part] > parameters.cloud_m
-        far_below = (ground & below).sum() > parameters.around_share * ground.sum()
-        if far_below and ground.sum() > parameters.least_ground * (around & ~cloud).sum():
+            below = np.median(height[part][cloud]) - height[part] > p.cloud_m
+        far_below = (ground & below).sum() > p.around_share * ground.sum()
+        if far_below and ground.sum() > p.least_ground * (around & ~cloud).sum():
             result[part] |= around & ~(ground & below)
     return result

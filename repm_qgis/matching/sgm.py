@@ -73,18 +73,10 @@ def _without_rim(image: FloatImage, rim_px: int) -> FloatImage:
 
 def _disparities(reference: ByteImage, other: ByteImage, count: int, parameters: SgmParameters) -> FloatImage:
     """(H, W) OpenCV's disparities from 0 to about ``count`` px, negative without one. Its own checks are off."""
-    matcher = cv2.StereoSGBM_create(
-        minDisparity=0,
-        numDisparities=-(-count // _STEPS) * _STEPS,
-        blockSize=parameters.block_px,
-        P1=parameters.p1,
-        P2=parameters.p2,
-        disp12MaxDiff=-1,
-        preFilterCap=parameters.prefilter_cap,
-        uniquenessRatio=0,
-        speckleWindowSize=0,
-        mode=_MODES[parameters.paths],
-    )
+    p, whole = parameters, -(-count // _STEPS) * _STEPS
+    checks = {"disp12MaxDiff": -1, "uniquenessRatio": 0, "speckleWindowSize": 0}
+    method = {"P1": p.p1, "P2": p.p2, "preFilterCap": p.prefilter_cap, "mode": _MODES[p.paths]}
+    matcher = cv2.StereoSGBM_create(0, whole, p.block_px, **method, **checks)
     found: FloatImage = matcher.compute(reference, other) / np.float32(_STEPS)
     return found
 

@@ -30,7 +30,7 @@ from ..geometry.refinement import apply_homography
 from ..imagery.sampling import nmad
 from ..progress import Progress
 from ..scene import Scene, View
-from ..stereo.pairing import grown, refined_view
+from ..stereo.pairing import refined_view
 from .adjustment import Adjustment, Track, track_pixels, with_shifts
 from .parameters import POINTING, ColmapAdjustmentParameters, PointingParameters
 from .tie_alignment import clusters
@@ -146,7 +146,7 @@ def _patch_views(
     ends = np.percentile(ground[:, 2], (parameters.tail_percent, 100.0 - parameters.tail_percent))
     altitudes = float(ends[0] - headroom_m), float(ends[1] + headroom_m)
     around = Bounds(*map(float, (*xy.min(axis=0), *xy.max(axis=0))))
-    bounds = grown(around, parameters.margin_px * scene.gsd_m)
+    bounds = Bounds(*around).grown(parameters.margin_px * scene.gsd_m)
     enu = scene.frame.from_geodetic(ground)
     origin = np.median(enu, axis=0)
     scale = max(float(np.ptp(xy, axis=0).max()) / 2, 1.0)

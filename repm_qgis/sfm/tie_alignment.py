@@ -24,7 +24,7 @@ from ..imagery.warping import PixelMap, warp
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
-from ..stereo.pairing import grown, rectified_pair
+from ..stereo.pairing import rectified_pair
 from ..stereo.rectification import RectifiedPair
 from .adjustment import Track, track_pixels
 from .parameters import POINTING, AlignmentParameters
@@ -114,7 +114,7 @@ def clusters(xy: FloatArray, members: Indices, side: float, gap: float) -> List[
 def _align_patch(task: _AlignTask) -> Dict[Tuple[int, str], FloatArray]:
     """The aligned pixels, by track and second view."""
     result: Dict[Tuple[int, str], FloatArray] = {}
-    bounds = grown(task.bounds, task.parameters.margin_px * task.scene.gsd_m)
+    bounds = task.bounds.grown(task.parameters.margin_px * task.scene.gsd_m)
     for names, numbers in task.pairs.items():
         first, second = (task.scene.view(name) for name in names)
         pair = rectified_pair(task.scene, first, second, bounds, task.scene.altitudes)

@@ -23,7 +23,8 @@ from ..imagery.warping import warp
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
 from ..scene import Scene, View
-from ..stereo.pairing import ground_points, grown, rectify_over, refined_view
+from ..stereo.pairing import ground_points, rectify_over, refined_view
+from ..stereo.parameters import STEREO
 from ..stereo.rectification import RectifiedPair
 from .keypoints import CPU_DETECTOR, Detector
 from .parameters import POINTING, PointingParameters, TieParameters
@@ -124,7 +125,7 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
 def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Features]:
     """Keypoints and descriptors of a view over a patch; None where it shows too little."""
     scene, parameters = task.scene, task.parameters
-    camera = refined_view(scene, view, grown(task.bounds, parameters.margin_px * scene.gsd_m), scene.altitudes)
+    camera = refined_view(scene, view, task.bounds.grown(parameters.margin_px * scene.gsd_m), scene.altitudes)
     if camera is None:
         return None
     # All views have one sampling distance here: most keypoints have the smallest scale, and match at equal scales only.
@@ -171,7 +172,7 @@ def _match(task: _PatchTask, first: _Features, second: _Features) -> Optional[Pa
     near that value, and a third along its trend over the patch, have fewer candidates that compete.
     """
     scene, parameters = task.scene, task.parameters
-    pair = rectify_over(scene, first.camera, second.camera, task.bounds, scene.altitudes)
+    pair = rectify_over(scene, (first.camera, second.camera), task.bounds, scene.altitudes, STEREO.ground_points)
     a = apply_homography(pair.h_first, first.points)
     b = apply_homography(pair.h_second, second.points)
     low, high = disparity_range(pair, first.view, second.view, ground_points(scene, task.bounds, scene.altitudes))

@@ -85,17 +85,12 @@ class HeightSource:
         low, high = np.minimum(ends[0], ends[1]), np.maximum(ends[0], ends[1])
         # Between two nodes the ground continues by at most the distance between two of them.
         step = max(float(np.abs(np.diff(part, axis=axis)).max()) for part in (*ends[0], *ends[1]) for axis in (0, 1))
-        near = (
-            (high[0] >= bounds[0] - step)
-            & (low[0] <= bounds[2] + step)
-            & (high[1] >= bounds[1] - step)
-            & (low[1] <= bounds[3] + step)
-        )
+        near = np.all([(high[k] >= bounds[k] - step) & (low[k] <= bounds[k + 2] + step) for k in (0, 1)], axis=0)
         across, down = np.flatnonzero(near.any(axis=0)), np.flatnonzero(near.any(axis=1))
         if not across.size:
             return Window(0, 0, 0, 0)
-        c0, r0 = int(columns[across[0]]), int(rows[down[0]])
-        return Window(c0, r0, int(columns[across[-1]]) + 1 - c0, int(rows[down[-1]]) + 1 - r0)
+        (left, right), (top, bottom) = columns[across[[0, -1]]], rows[down[[0, -1]]]
+        return Window.spanning(int(left), int(top), int(right) + 1, int(bottom) + 1)
 
 
 def _inside(bounds: Bounds, x: FloatArray, y: FloatArray) -> Mask:
@@ -105,20 +100,16 @@ def _inside(bounds: Bounds, x: FloatArray, y: FloatArray) -> Mask:
 
 def write_height_map(
     path: str, key: str, record: HeightMapRecord, height: FloatImage, score: FloatImage, filled: Mask
-) -> None:
-    """Write a height map with its record and its fingerprint ``key``.
+) -> HeightMapRecord:
+    """Write a height map with its fingerprint ``key``; gives its record, with the file and the numbers of pixels.
 
     The bands are the height in m above the ellipsoid, the matching score, and 1 where the height is a fill.
     """
-    write(
-        path,
-        [height, score, filled.astype(np.float32)],
-        (0, 1, 0, 0, 0, 1),
-        "",
-        metadata={_KEY: key, _RECORD: json.dumps(record.to_mapping())},
-        descriptions=BANDS,
-        own=True,
-    )
+    valid, (rows, columns) = int((np.isfinite(height) & ~filled).sum()), height.shape
+    record = replace(record, file=path, size=(columns, rows), valid=valid, filled=int(filled.sum()))
+    bands, tags = [height, score, filled.astype(np.float32)], {_KEY: key, _RECORD: json.dumps(record.to_mapping())}
+    write(path, bands, (0, 1, 0, 0, 0, 1), "", metadata=tags, descriptions=BANDS, own=True)
+    return record
 
 
 def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
@@ -150,13 +141,11 @@ def _opened_height_map(path: str) -> Iterator[gdal.Dataset]:
         with opened(path) as dataset:
             yield dataset
     except ImageError as error:
-        raise SceneError(
-            f"The height map '{path}' is missing or damaged: delete it, and run 'Reconstruct heights' again."
-        ) from error
+        text = f"The height map '{path}' is missing or damaged: delete it, and run 'Reconstruct heights' again."
+        raise SceneError(text) from error
 
 
 def foreign_height_map(record: HeightMapRecord, scene: Scene) -> SceneError:
     """The error of a height map that does not fit its scene."""
-    return SceneError(
-        f"The height map '{record.file}' does not belong to the scene '{scene.path}': run 'Reconstruct heights' again."
-    )
+    wrong = f"The height map '{record.file}' does not belong to the scene '{scene.path}'"
+    return SceneError(f"{wrong}: run 'Reconstruct heights' again.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Optional, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -24,31 +24,18 @@ def rectified_pair(
     Cameras are fitted again: relative pointing and a narrower altitude range make them better than those of the
     first fit.
     """
-    refined = [refined_view(scene, view, bounds, altitudes) for view in (first, second)]
-    if refined[0] is None or refined[1] is None:
-        return None
-    return rectify_over(scene, refined[0], refined[1], bounds, altitudes, parameters)
+    found = (refined_view(scene, view, bounds, altitudes) for view in (first, second))
+    refined = [view for view in found if view is not None]
+    return rectify_over(scene, refined, bounds, altitudes, parameters.ground_points) if len(refined) == 2 else None
 
 
 def rectify_over(
-    scene: Scene,
-    first: RefinedPinhole,
-    second: RefinedPinhole,
-    bounds: Bounds,
-    altitudes: Altitudes,
-    parameters: StereoParameters = STEREO,
+    scene: Scene, pair: Sequence[RefinedPinhole], bounds: Bounds, altitudes: Altitudes, points: int
 ) -> RectifiedPair:
     """Rectify two refined views so that the frame holds a ground rectangle at all altitudes of a range."""
-    plane, tile = (
-        scene.frame.from_geodetic(ground_points(scene, bounds, levels, parameters.ground_points))
-        for levels in ((sum(altitudes) / 2,), altitudes)
-    )
-    return rectify(first, second, plane, tile)
-
-
-def grown(bounds: Bounds, margin: float) -> Bounds:
-    """A rectangle with a margin on all sides."""
-    return Bounds(bounds[0] - margin, bounds[1] - margin, bounds[2] + margin, bounds[3] + margin)
+    plane, tile = (ground_points(scene, bounds, levels, points) for levels in ((sum(altitudes) / 2,), altitudes))
+    first, second = pair
+    return rectify(first, second, scene.frame.from_geodetic(plane), scene.frame.from_geodetic(tile))
 
 
 def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes) -> Optional[RefinedPinhole]:
@@ -57,9 +44,8 @@ def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes)
     if window is None:
         return None
     grid = virtual_grid(view.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
-    return refine_pinhole(
-        scene.refinement or "polynomial", fit_pinhole(grid).camera, grid, window, scene.order, scene.terrain(view)
-    )
+    model, camera = scene.refinement or "polynomial", fit_pinhole(grid).camera
+    return refine_pinhole(model, camera, grid, window, scene.order, scene.terrain(view))
 
 
 def ground_points(
@@ -73,8 +59,7 @@ def ground_points(
 
 def convergence(first: View, second: View, lon: float, lat: float, altitude: float) -> Tuple[float, float]:
     """Convergence angle in degrees and base-to-height ratio of two views at a ground point."""
-    rays = []
-    frame = EnuFrame(lon, lat, altitude)
+    rays, frame = [], EnuFrame(lon, lat, altitude)
     for view in (first, second):
         pixel = view.project(np.array([lon, lat, altitude]))
         ends = frame.from_geodetic(view.localise(np.array([pixel, pixel]), np.array([altitude - 50, altitude + 50])))

@@ -91,8 +91,7 @@ class PairGeometry:
 
     @property
     def relief_displacement(self) -> float:
-        """Columns by which a point that rises by one px of disparity moves in the first image: its share of the
-        parallax."""
+        """Columns that a point moves in the first image if it rises by 1 px of disparity: its share of the parallax."""
         _, (columns_per_m, _) = verticals(self.x, self.y)
         return self.height_sign * columns_per_m * self.metres_per_px
 
@@ -104,33 +103,21 @@ def verticals(x: NodeTable, y: NodeTable) -> Tuple[Tuple[float, float], Tuple[fl
     (relief displacement), px for each m. A satellite is so far away that they are valid for a whole tile.
     """
     ray = np.array([table.coefficients[1].mean() / table.scale for table in (x, y)])
-    by_pixel = np.array(
-        [
-            [
-                np.diff(table.coefficients[0], axis=axis).mean() / (nodes[1] - nodes[0])
-                for axis, nodes in ((1, table.columns), (0, table.rows))
-            ]
-            for table in (x, y)
-        ]
-    )
-    displacement = -np.linalg.solve(by_pixel, ray)
+    axes = ((1, x.columns[1] - x.columns[0]), (0, x.rows[1] - x.rows[0]))
+    by_pixel = [[np.diff(table.coefficients[0], axis=axis).mean() / step for axis, step in axes] for table in (x, y)]
+    displacement = -np.linalg.solve(np.array(by_pixel), ray)
     return (float(ray[0]), float(ray[1])), (float(displacement[0]), float(displacement[1]))
 
 
 def pair_geometry(
-    pair: RectifiedPair,
-    first: View,
-    second: View,
-    altitudes: Altitudes,
-    crs: str,
-    parameters: StereoParameters = STEREO,
+    pair: RectifiedPair, first: View, second: View, altitudes: Altitudes, crs: str, stereo: StereoParameters = STEREO
 ) -> PairGeometry:
     """Tabulate the RPC intersection of two rectified views over an altitude range.
 
     Raises EmptyResultError where the views share no part of the frame.
     """
-    columns, rows = (nodes(n, parameters.node_step_px) for n in pair.size)
-    z, r, c = np.meshgrid(np.linspace(*altitudes, parameters.levels), rows, columns, indexing="ij")
+    columns, rows = (nodes(n, stereo.node_step_px) for n in pair.size)
+    z, r, c = np.meshgrid(np.linspace(*altitudes, stereo.levels), rows, columns, indexing="ij")
     pixels = np.stack([c, r], axis=-1)
     ground = first.localise(pair.first_original(pixels), z)
     seen = pair.second_rectified(second.project(ground))
@@ -146,16 +133,9 @@ def pair_geometry(
     y, error_y = NodeTable.fit(columns, rows, z, xy[..., 1])
     parallax, _ = NodeTable.fit(columns, rows, z, seen[..., 1] - r)
     slope = abs(float(np.mean(disparity[-1] - disparity[0]))) / (altitudes[1] - altitudes[0])
-    return PairGeometry(
-        height,
-        x,
-        y,
-        parallax,
-        (float(disparity.min()), float(disparity.max())),
-        1.0 / max(slope, 1e-9),
-        max(error_h, error_x, error_y),
-        float(np.abs(r - seen[..., 1]).max()),
-    )
+    ends, error_m = (float(disparity.min()), float(disparity.max())), max(error_h, error_x, error_y)
+    parallax_px = float(np.abs(r - seen[..., 1]).max())
+    return PairGeometry(height, x, y, parallax, ends, 1.0 / max(slope, 1e-9), error_m, parallax_px)
 
 
 def nodes(size: int, step_px: int) -> FloatArray:

@@ -33,12 +33,15 @@ def test_every_module_imports_without_qgis():
     assert done.stdout == "" and "Error" not in done.stderr
 
 
-@pytest.mark.parametrize("stage", ("epmfit", "errormap", "comparedsm", "checkgcps", "environment"))
-def test_light_stages_need_only_what_qgis_ships(stage):
-    """numpy, GDAL, pyproj and jinja2: these stages run in QGIS's own process, where the wheels may be missing."""
+LIGHT = [f"stages.{name}" for name in ("epmfit", "errormap", "comparedsm", "checkgcps", "environment")]
+
+
+@pytest.mark.parametrize("module", (*LIGHT, "matching.backends"))
+def test_light_stages_and_the_registry_need_only_what_qgis_ships(module):
+    """numpy, GDAL, pyproj and jinja2: these modules run in QGIS's own process, where the wheels may be missing."""
     done = python(
         "import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"
-        f"    sys.modules[name] = None\nimport repm_qgis.stages.{stage}"
+        f"    sys.modules[name] = None\nimport repm_qgis.{module}"
     )
     assert done.returncode == 0, done.stderr
 

@@ -201,6 +201,18 @@ def test_colmap_without_cuda_is_refused_in_the_dialog(plugin, context, tmp_path,
     assert "which colmap needs a device; or choose auto" in check("reconstruct", given, context)[1]
 
 
+def test_a_backend_that_needs_nothing_costs_no_start_of_the_engine(plugin, monkeypatch):
+    from repm.processing_provider import engine
+
+    def never(*arguments, **options):
+        raise AssertionError("the engine was started")
+
+    monkeypatch.setattr(engine.subprocess, "run", never)
+    assert engine.backend_remedy("sgm") == ""
+    with pytest.raises(AssertionError):
+        engine.backend_remedy("colmap")
+
+
 def test_options_of_colmap_reach_the_engine(plugin, context, feedback):
     given = {"SCENE": "/s/scene.json", "GEOMETRIC": False, "WINDOW_RADIUS": 7}
     found = options("reconstruct", given, context, feedback)

@@ -116,7 +116,6 @@ def test_positions_are_exact_for_affine_maps(size):
     x, y = np.meshgrid(np.arange(float(size[0])), np.arange(float(size[1])))
     assert found.shape == (size[1], size[0], 2)
     np.testing.assert_allclose(found, turned(np.stack([x, y], axis=-1)), atol=1e-9)
-    np.testing.assert_allclose(source_positions(turned, size, size[1] - 1, 1), found[-1:], atol=1e-9)
 
 
 def test_positions_of_a_curved_map_are_within_a_thousandth():
@@ -124,8 +123,8 @@ def test_positions_of_a_curved_map_are_within_a_thousandth():
         u = points / 8000
         return points + np.stack([9 * u[..., 0] ** 2 + 5 * u[..., 0] * u[..., 1], -12 * u[..., 1] ** 2], axis=-1)
 
-    found = source_positions(curved, (900, 5300), 5000)
-    x, y = np.meshgrid(np.arange(900.0), np.arange(5000.0, 5300.0))
+    found = source_positions(curved, (900, 5300))
+    x, y = np.meshgrid(np.arange(900.0), np.arange(5300.0))
     assert np.abs(found - curved(np.stack([x, y], axis=-1))).max() < 1e-3
 
 
