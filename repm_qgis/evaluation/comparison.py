@@ -73,7 +73,7 @@ def compare(
     alignment = Alignment("none")
     if method != "none":
         part = Part(progress, 0.0, 0.25, "Alignment")
-        patches = _patches(warper, reference, grid, common, part, parameters.comparison)
+        patches = _patches(warper, reference, common, part, parameters.comparison)
         alignment = align(method, patches, cell, progress.check_cancelled, parameters.coregistration)
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
     work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
@@ -85,21 +85,11 @@ def compare(
             f"No cell has a height in both rasters: {text} of them; choose a reference that covers the DSM."
         )
     along = HeightWarper(reference, grid)
-    return Comparison(
-        dsm=source,
-        reference=grid,
-        cell_m=cell,
-        alignment=alignment,
-        metrics=metrics,
-        exact=work.total.exact,
-        by_slope=[(f"{low:g}–{high:g}°", collector.metrics()) for low, high, collector in work.by_slope],
-        by_class=by_class.metrics() if by_class is not None else [],
-        profiles=[sample_profile(line, warper, along, grid, alignment) for line in lines or middle_lines(common)],
-        histogram=work.histogram,
-        thumbnails=work.thumbnails,
-        thumbnail_factor=work.factor,
-        warnings=warper.warnings,
-    )
+    slopes = [(f"{low:g}–{high:g}°", collector.metrics()) for low, high, collector in work.by_slope]
+    kinds = by_class.metrics() if by_class is not None else []
+    profiles = [sample_profile(line, warper, along, grid, alignment) for line in lines or middle_lines(common)]
+    drawn = profiles, work.histogram, work.thumbnails, work.factor
+    return Comparison(source, grid, cell, alignment, metrics, work.total.exact, slopes, kinds, *drawn, warper.warnings)
 
 
 def slope_degrees(heights: FloatImage, cell: Tuple[float, float]) -> FloatImage:
@@ -193,15 +183,11 @@ def _flush(error: Optional[raster.RasterWriter], *datasets: gdal.Dataset) -> Non
 
 
 def _patches(
-    warper: HeightWarper,
-    reference: gdal.Dataset,
-    grid: Grid,
-    common: Bounds,
-    progress: Progress,
-    parameters: ComparisonParameters,
+    warper: HeightWarper, reference: gdal.Dataset, common: Bounds, progress: Progress, parameters: ComparisonParameters
 ) -> List[Patch]:
     """Parts of both surfaces that the alignment is estimated from."""
     found: List[Patch] = []
+    grid = Grid.of(reference)
     windows = _sample_windows(grid, common, parameters)
     for index, window in enumerate(windows):
         progress.check_cancelled()

@@ -51,8 +51,7 @@ def fit_report(scene: Scene) -> Report:
     if len(rows) > 20:
         report.svg(charts.histogram(errors, "px", "RMSE of tiles and views"), "Distribution over tiles and views.")
     add_error_study(report, scene)
-    _history(report, scene)
-    return report
+    return _history(report, scene)
 
 
 def refine_report(scene: Scene) -> Report:
@@ -61,8 +60,7 @@ def refine_report(scene: Scene) -> Report:
     _warnings(report, scene)
     _errors(report, scene)
     add_error_study(report, scene)
-    _history(report, scene)
-    return report
+    return _history(report, scene)
 
 
 def reconstruct_report(scene: Scene) -> Report:
@@ -70,8 +68,7 @@ def reconstruct_report(scene: Scene) -> Report:
     report = Report("Reconstruction", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
     _warnings(report, scene)
     _reconstruction(report, scene)
-    _history(report, scene)
-    return report
+    return _history(report, scene)
 
 
 def errormap_report(scene: Scene, view: View, path: str, rmse: float, max_error: float, altitude: float) -> Report:
@@ -108,8 +105,7 @@ def pipeline_report(
     )
     if command:
         report.section("Repeat this run").command(command)
-    _history(report, scene, seconds)
-    return report
+    return _history(report, scene, seconds)
 
 
 def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
@@ -222,7 +218,7 @@ def _confidence(report: Report, path: Optional[str]) -> None:
         _map(report, values, pictures.percentile_range(values), title[:1].upper() + title[1:] + ".")
 
 
-def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> None:
+def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> Report:
     """Time, options and versions of all stages so far."""
     computed = {entry.stage: entry for entry in scene.history}
     rows: List[Sequence[Any]] = []
@@ -236,7 +232,7 @@ def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]
         "A stage that was reused takes no time in this run. Stages with equal fingerprints have equal results.",
     )
     _options(report, scene)
-    report.table("software | version", _versions())
+    return report.table("software | version", _versions())
 
 
 def _options(report: Report, scene: Scene) -> None:
