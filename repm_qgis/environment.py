@@ -78,7 +78,8 @@ def install_command(package: Package) -> str:
     """The exact command that installs a missing package for this interpreter."""
     if package.debian:
         if shutil.which("apt-get"):
-            return f"{'' if _is_root() else 'sudo '}apt-get install -y {package.debian}"
+            sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
+            return f"{sudo}apt-get install -y {package.debian}"
         return f"install it with your QGIS (it is part of QGIS's own Python): {package.distribution}"
     numpy = version_of(PACKAGES[0])
     keep = f' "numpy=={numpy}"' if numpy else ""  # named, so that pip can never replace QGIS's own
@@ -95,10 +96,6 @@ def _requirement(distribution: str) -> str:
     except OSError:
         found = []
     return f'"{found[0]}"' if found else distribution
-
-
-def _is_root() -> bool:
-    return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
 def fresh_answer(code: str, seconds: float = _ASK_SECONDS) -> str:
@@ -152,19 +149,15 @@ print(json.dumps(found))
 def gpus() -> list[Gpu]:
     """The CUDA devices that answer here; none where there is no driver, whatever the reason."""
     try:
-        return [
-            Gpu(int(index), str(name), int(total), int(free))
-            for index, name, total, free in json.loads(fresh_answer(_DRIVER) or "[]")
-        ]
+        found = json.loads(fresh_answer(_DRIVER) or "[]")
+        return [Gpu(int(index), str(name), int(total), int(free)) for index, name, total, free in found]
     except (ValueError, TypeError):
         return []
 
 
 def _built_with_cuda() -> bool:
-    return (
-        importlib.util.find_spec("pycolmap") is not None
-        and fresh_answer("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
-    )
+    found = importlib.util.find_spec("pycolmap") is not None
+    return found and fresh_answer("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
 
 
 def cuda() -> dict[str, Any]:
@@ -174,12 +167,8 @@ def cuda() -> dict[str, Any]:
     it is not usable, else "".
     """
     built, devices = _built_with_cuda(), [str(gpu) for gpu in gpus()]
-    return {
-        "built": built,
-        "devices": devices,
-        "usable": bool(built and devices),
-        "remedy": cuda_remedy(built, bool(devices)),
-    }
+    usable, remedy = bool(built and devices), cuda_remedy(built, bool(devices))
+    return {"built": built, "devices": devices, "usable": usable, "remedy": remedy}
 
 
 def cuda_remedy(built: bool, device: bool) -> str:
@@ -201,8 +190,8 @@ def cuda_usable() -> bool:
 
 def memory() -> dict[str, Optional[int]]:
     """``total_bytes`` and ``available_bytes`` of this machine; None where it does not say."""
-    known, total = kernel_memory(), physical_memory()
-    return {"total_bytes": known.get("MemTotal", total), "available_bytes": known.get("MemAvailable")}
+    known = kernel_memory()
+    return {"total_bytes": known.get("MemTotal", physical_memory()), "available_bytes": known.get("MemAvailable")}
 
 
 def proj() -> dict[str, Any]:
@@ -211,12 +200,8 @@ def proj() -> dict[str, Any]:
     folders = [datadir.get_data_dir(), datadir.get_user_data_dir()]
     folders = [folder for entry in folders for folder in entry.split(os.pathsep) if folder]
     grids = {name: any(os.path.exists(os.path.join(folder, name)) for folder in folders) for name, _ in GRIDS}
-    return {
-        "version": pyproj.proj_version_str,
-        "folders": folders,
-        "grids": grids,
-        "network": bool(network.is_network_enabled()),
-    }
+    enabled = bool(network.is_network_enabled())
+    return {"version": pyproj.proj_version_str, "folders": folders, "grids": grids, "network": enabled}
 
 
 def required_pycolmap(use: str, instead: str) -> Any:

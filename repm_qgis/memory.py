@@ -23,9 +23,8 @@ def free_mib(container: Sequence[str] = _CONTAINER) -> Optional[float]:
     On Linux the kernel's own estimate, or what the container's limit leaves, whichever is less; elsewhere the free
     (Windows) or a half of all physical memory.
     """
-    found = [
-        value / _MIB for value in (kernel_memory().get("MemAvailable"), _container_rest(container)) if value is not None
-    ]
+    known = kernel_memory().get("MemAvailable"), _container_rest(container)
+    found = [value / _MIB for value in known if value is not None]
     if found:
         return min(found)
     if sys.platform == "win32":
@@ -97,23 +96,15 @@ def workers_within(workers: int, each_mib: float, budget_mib: int, tile_px: int,
     if each_mib > budget:
         remedy = f"TILE_SIZE of {largest_tile(tile_px, each_mib, budget)} px or less"
         if budget_mib:
-            raise OptionError(
-                "MEMORY",
-                budget_mib,
-                f"is less than the {each_mib:.0f} MiB that one tile of {tile_px} "
-                f"px takes; allow more, or choose a {remedy}",
-            )
-        progress.warn(
-            f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and only {free:.0f} MiB are free: if memory "
-            f"runs out, choose a {remedy}."
-        )
+            least = f"the {each_mib:.0f} MiB that one tile of {tile_px} px takes"
+            raise OptionError("MEMORY", budget_mib, f"is less than {least}; allow more, or choose a {remedy}")
+        sizes = f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and only {free:.0f} MiB are free"
+        progress.warn(f"{sizes}: if memory runs out, choose a {remedy}.")
         return 1
     fitting = int(budget // each_mib)
     if fitting < wanted:
-        progress.info(
-            f"{fitting} instead of {wanted} workers: each takes up to {each_mib:.0f} MiB, and "
-            f"{budget:.0f} MiB are allowed."
-        )
+        reason = f"each takes up to {each_mib:.0f} MiB, and {budget:.0f} MiB are allowed"
+        progress.info(f"{fitting} instead of {wanted} workers: {reason}.")
     return min(wanted, fitting)
 
 

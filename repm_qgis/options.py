@@ -294,16 +294,11 @@ class ReconstructOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.adjustment == "colmap" and self.pointing == "affine":
-            raise OptionError(
-                "POINTING",
-                self.pointing,
-                "must be auto or shift where ADJUSTMENT is colmap, which moves principal points only; choose rpc for "
-                "affine corrections",
-            )
+            reason = "must be auto or shift where ADJUSTMENT is colmap, which moves principal points only"
+            raise OptionError("POINTING", self.pointing, f"{reason}; choose rpc for affine corrections")
         if self.adjustment == "colmap" and self.gcps:
-            raise OptionError(
-                "ADJUSTMENT", self.adjustment, "must be rpc where there are GCPS: COLMAP's adjustment is relative"
-            )
+            reason = "must be rpc where there are GCPS: COLMAP's adjustment is relative"
+            raise OptionError("ADJUSTMENT", self.adjustment, reason)
 
 
 @dataclass(frozen=True)
@@ -361,14 +356,7 @@ class PipelineOptions(Options):
     command: Optional[str] = None
 
     STAGES: ClassVar[Tuple[Type[Options], ...]] = (EpmFitOptions, RefineOptions, ReconstructOptions, DsmFuseOptions)
-    SET_HERE: ClassVar[Tuple[str, ...]] = (
-        "scene",
-        "output_scene",
-        "heights",
-        "kernel",
-        "write_images",
-        "own_surface",
-    )
+    SET_HERE: ClassVar[Tuple[str, ...]] = ("scene", "output_scene", "heights", "kernel", "write_images", "own_surface")
 
     @classmethod
     def names(cls) -> List[str]:
@@ -383,24 +371,19 @@ class PipelineOptions(Options):
     @classmethod
     def _of(cls, values: Mapping[str, Any], **set_here: Any) -> "PipelineOptions":
         folder = Path(str(values.get("workspace", "")))
-        fitted, refined, reconstructed = (
-            str(folder / f"{name}.json") for name in ("scene", "refined", "reconstructed")
-        )
+        fitted, refined, matched = (str(folder / f"{name}.json") for name in ("scene", "refined", "reconstructed"))
         terrain = values.get("model") == "terrain"
         # Without a DEM the surface is that of the coarse level, which needs the pointing: matching refines on it.
         own_surface = terrain and not values.get("dem")
         tile_size = values.get("tile_size") or (TERRAIN_TILE_PX if terrain else 0)
         model = {"model": "polynomial"} if own_surface else {}
         dem = values.get("dem") if terrain else None
+        model.update(scene=fitted, output_scene=refined)
         return cls(
             fit=EpmFitOptions._of(values, tile_size=tile_size, report=None),
-            refine=RefineOptions._of(
-                values, scene=fitted, output_scene=refined, dem=dem, write_images=False, report=None, **model
-            ),
-            reconstruct=ReconstructOptions._of(
-                values, scene=refined, output_scene=reconstructed, own_surface=own_surface
-            ),
-            fuse=DsmFuseOptions._of(values, scene=reconstructed),
+            refine=RefineOptions._of(values, dem=dem, write_images=False, report=None, **model),
+            reconstruct=ReconstructOptions._of(values, scene=refined, output_scene=matched, own_surface=own_surface),
+            fuse=DsmFuseOptions._of(values, scene=matched),
             report=values.get("report"),
             command=values.get("command"),
         )

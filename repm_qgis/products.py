@@ -67,87 +67,41 @@ class Product:
 
 _HTML = "HTML (*.html)"
 SCENES = "REPM scene (*.json)"
+_WORKSPACE = "A folder for the scene and everything in between; a second run there continues where the first stopped."
+_OUTPUT_SCENE = "The results of this stage are kept in this file's folder."
+_EPT_TITLE = "Point cloud for display (EPT)"
+_EPT = "A folder of its own with the points as Entwine point tiles, which every QGIS shows."
+_PAIRS = (
+    "A folder for the surface that each pair of images gives on its own, with its confidence: to find out which pair "
+    "an error comes from."
+)
 PRODUCTS = (
-    Product(
-        stage="epmfit",
-        option="workspace",
-        title="Workspace",
-        form=FOLDER,
-        wanted=ALWAYS,
-        help="A folder for the scene and everything in between; a second run there continues where the first stopped.",
-    ),
-    Product(stage="epmfit", option="tiles", title="Tiles", form=POLYGONS, wanted=UNLESS_SKIPPED, style="tiles"),
-    Product(
-        stage="refine",
-        option="output_scene",
-        title="Scene after this stage",
-        form=SCENE,
-        wanted=ALWAYS,
-        filter=SCENES,
-        help="The results of this stage are kept in this file's folder.",
-    ),
-    Product(
-        stage="reconstruct",
-        option="output_scene",
-        title="Scene after this stage",
-        form=SCENE,
-        wanted=ALWAYS,
-        filter=SCENES,
-        help="The results of this stage are kept in this file's folder.",
-    ),
-    Product(
-        stage="reconstruct",
-        option="tie_points",
-        title="Tie points",
-        form=POINTS,
-        wanted=UNLESS_SKIPPED,
-        style="tie_points",
-    ),
-    Product(stage="reconstruct", option="heights", title="Height maps (skipped: beside the scene)", form=FOLDER),
-    Product(stage="dsmfuse", option="output", title="DSM", form=RASTER, wanted=ALWAYS, style="dsm"),
-    Product(stage="dsmfuse", option="confidence", title="Confidence", form=RASTER, style="confidence"),
-    Product(stage="dsmfuse", option="ortho", title="Orthophoto", form=RASTER, style="ortho"),
-    Product(stage="dsmfuse", option="cloud", title="Point cloud", form=FILE, filter="LAZ (*.laz);;LAS (*.las)"),
-    Product(
-        stage="dsmfuse",
-        option="ept",
-        title="Point cloud for display (EPT)",
-        form=BUILT_FOLDER,
-        style="ept",
-        layer="Point cloud",
-        maker="ept",
-        help="A folder of its own with the points as Entwine point tiles, which every QGIS shows.",
-    ),
-    Product(stage="dsmfuse", option="mesh", title="Mesh", form=FILE, style="mesh", filter="PLY (*.ply)", maker="mesh"),
-    Product(
-        stage="dsmfuse",
-        option="view_heights",
-        title="DSM of each pair alone",
-        form=FOLDER,
-        help="A folder for the surface that each pair of images gives on its own, with its confidence: to "
-        "find out which pair an error comes from.",
-    ),
-    Product(stage="errormap", option="output", title="Equivalent error", form=RASTER, wanted=ALWAYS, style="error"),
-    Product(stage="exportcameras", option="folder", title="Folder", form=FOLDER, wanted=ALWAYS),
-    Product(
-        stage="comparedsm", option="error", title="Height error", form=RASTER, wanted=UNLESS_SKIPPED, style="dsm_error"
-    ),
-    Product(
-        stage="checkgcps",
-        option="output",
-        title="Points with their errors",
-        form=POINTS,
-        wanted=ALWAYS,
-        style="gcps",
-        layer="Ground control points",
-    ),
-    Product(stage="sampledata", option="folder", title="Folder", form=FOLDER, wanted=ALWAYS),
-    Product(stage="sampledata", option="truth", title="True DSM", form=RASTER, style="dsm"),
+    Product("epmfit", "workspace", "Workspace", FOLDER, ALWAYS, help=_WORKSPACE),
+    Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles"),
     *(
-        Product(stage=stage, option="report", title="Report", form=FILE, wanted=UNLESS_SKIPPED, filter=_HTML)
+        Product(stage, "output_scene", "Scene after this stage", SCENE, ALWAYS, filter=SCENES, help=_OUTPUT_SCENE)
+        for stage in ("refine", "reconstruct")
+    ),
+    Product("reconstruct", "tie_points", "Tie points", POINTS, UNLESS_SKIPPED, "tie_points"),
+    Product("reconstruct", "heights", "Height maps (skipped: beside the scene)", FOLDER),
+    Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm"),
+    Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence"),
+    Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho"),
+    Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las)"),
+    Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
+    Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh"),
+    Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
+    Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error"),
+    Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS),
+    Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error"),
+    Product("checkgcps", "output", "Points with their errors", POINTS, ALWAYS, "gcps", "Ground control points"),
+    Product("sampledata", "folder", "Folder", FOLDER, ALWAYS),
+    Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
+    *(
+        Product(stage, "report", "Report", FILE, UNLESS_SKIPPED, filter=_HTML)
         for stage in ("epmfit", "refine", "pipeline", "errormap", "comparedsm", "checkgcps")
     ),
-    Product(stage="environment", option="report", title="Report", form=FILE, wanted=ALWAYS, filter=_HTML),
+    Product("environment", "report", "Report", FILE, ALWAYS, filter=_HTML),
 )
 
 

@@ -30,6 +30,7 @@ from .workspace import write_text
 
 SCHEMA = 2
 _MAX_SCENE_BYTES = 512 << 20
+_CHOOSE = "choose the scene.json that 'Fit equivalent pinhole cameras' wrote."
 _IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -97,10 +98,8 @@ class TileView(Record):
         camera = PinholeCamera.from_mapping(refined["camera"])
         to_original = map_from_mapping(refined["to_original"], camera, terrain)
         width, height = map(int, refined["size"])
-        return replace(
-            view,
-            refined=RefinedPinhole(camera, to_original, (width, height), EquivalentError(**refined["error"])),
-        )
+        error = EquivalentError(**refined["error"])
+        return replace(view, refined=RefinedPinhole(camera, to_original, (width, height), error))
 
 
 @dataclass(frozen=True)
@@ -149,11 +148,10 @@ class Scene(Record):
 
     def view(self, name: str) -> View:
         """A view by its name; raises SceneError with the names there are."""
-        for view in self.views:
-            if view.name == name:
-                return view
-        names = ", ".join(view.name for view in self.views)
-        raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {names}.")
+        views = {view.name: view for view in self.views}
+        if name not in views:
+            raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {', '.join(views)}.")
+        return views[name]
 
     def terrain(self, sensor: SensorModel) -> Optional[Terrain]:
         """The terrain that refines an image with this exact model; None unless the refinement is terrain-aware.
@@ -198,10 +196,9 @@ class Scene(Record):
         parameters: Optional[Dict[str, Any]] = None,
     ) -> "Scene":
         """The scene with a finished stage in its history, where it replaces an earlier record of the same stage."""
-        record = StageRecord(
-            stage, key, __version__, round(seconds, 3), dict(options), tuple(warnings), parameters or {}
-        )
-        return replace(self, history=(*(entry for entry in self.history if entry.stage != record.stage), record))
+        facts = round(seconds, 3), dict(options), tuple(warnings), parameters or {}
+        earlier = (entry for entry in self.history if entry.stage != stage)
+        return replace(self, history=(*earlier, StageRecord(stage, key, __version__, *facts)))
 
     def record_of(self, stage: str) -> Optional[StageRecord]:
         """The record of a finished stage; None where it has not been run."""
@@ -224,12 +221,8 @@ class Scene(Record):
         try:
             scene = cls.from_mapping({**document, "tiles": [], "path": Path(path)})
             # Stored refinements belong to the vendors' RPCs; pointing came later.
-            return replace(
-                scene,
-                tiles=tuple(
-                    Tile.read(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]
-                ),
-            )
+            tiles = [Tile.read(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]]
+            return replace(scene, tiles=tuple(tiles))
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
             raise SceneError(
                 f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
@@ -245,19 +238,11 @@ def _document(path: str) -> Dict[str, Any]:
         with open(path, encoding="utf-8") as stream:
             document = json.load(stream)
     except OSError as error:
-        raise SceneError(
-            f"Cannot read the scene '{path}' ({error.strerror or error}): choose the scene.json that "
-            "'Fit equivalent pinhole cameras' wrote."
-        ) from error
+        raise SceneError(f"Cannot read the scene '{path}' ({error.strerror or error}): {_CHOOSE}") from error
     except (ValueError, RecursionError) as error:
-        raise SceneError(
-            f"The scene '{path}' is not a JSON file ({error}): choose the scene.json that "
-            "'Fit equivalent pinhole cameras' wrote."
-        ) from error
+        raise SceneError(f"The scene '{path}' is not a JSON file ({error}): {_CHOOSE}") from error
     if not isinstance(document, dict) or document.get("format") != "repm-scene":
-        raise SceneError(
-            f"'{path}' is not a REPM scene: choose the scene.json that 'Fit equivalent pinhole cameras' wrote."
-        )
+        raise SceneError(f"'{path}' is not a REPM scene: {_CHOOSE}")
     schema = document.get("schema")
     if not isinstance(schema, int) or schema > SCHEMA:
         raise SceneVersionError(
@@ -276,9 +261,7 @@ def origin(path: str) -> Tuple[str, str]:
     """The workspace in which a scene began, and its first image; "" for what its file does not contain."""
     try:
         document = _document(path)
-        first: Mapping[str, Any] = next(
-            (entry["options"] for entry in document["history"] if entry["stage"] == "epmfit"), {}
-        )
+        first = {entry["stage"]: entry["options"] for entry in document["history"]}.get("epmfit", {})
         return str(first.get("workspace", "")), str(document["views"][0]["image"])
     except (SceneError, KeyError, TypeError, AttributeError, IndexError):
         return "", ""
@@ -324,19 +307,8 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
         name = name_of(path)
         while name in taken:
             name = f"{name}_{len(views) + 1}"
-        views.append(
-            View(
-                name,
-                os.path.abspath(path) if os.path.exists(path) else path,
-                band,
-                width,
-                height,
-                rpc,
-                _gsd(path, rpc, width, height),
-                acquired=when,
-                mask=mask,
-            )
-        )
+        image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
+        views.append(View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask))
     return tuple(views)
 
 

@@ -2,7 +2,8 @@
 """Bring i18n/*.ts up to date with the source, and compile them ('make i18n'): ``scripts/i18n.py [LANGUAGE ...]``.
 
 Texts are found in the syntax tree: self.tr("...") in a class, tr("...") and _tr("...") of a module, and the names of
-groups and products. Translations are kept as long as their text is in the source. A new language starts empty.
+groups; those of products in their table. Translations are kept as long as their text is in the source. A new language
+starts empty.
 """
 
 from __future__ import annotations
@@ -18,8 +19,6 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "processing_provider"
 BASE = "RepmAlgorithm"  # the context of texts that all algorithms share; base.py looks there second
 MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings", "styles.py": "RepmStyles"}
-PRODUCTS = ROOT / "repm_qgis" / "products.py"
-MODULES[PRODUCTS.name] = MODULES["parameters.py"]  # which shows the products' titles
 
 
 def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
@@ -45,10 +44,6 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
             if isinstance(target, ast.Name) and target.id == "GROUPS":
                 for value in node.value.values:
                     add(BASE, value)
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Product":
-            for keyword in node.keywords:
-                if keyword.arg in ("title", "layer", "help"):
-                    add(MODULES[path.name], keyword.value)
         for child in ast.iter_child_nodes(node):
             walk(child, context)
 
@@ -56,12 +51,20 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
     return found
 
 
+def texts_of_products() -> list[str]:
+    sys.path.insert(0, str(ROOT))
+    from repm_qgis.products import PRODUCTS
+
+    return [text for product in PRODUCTS for text in (product.title, product.layer, product.help) if text]
+
+
 def source() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for path in (*sorted(FOLDER.glob("*.py")), PRODUCTS):
-        for context, texts in texts_of(path).items():
+    modules = [texts_of(path) for path in sorted(FOLDER.glob("*.py"))]
+    for texts_by_context in (*modules, {MODULES["parameters.py"]: texts_of_products()}):
+        for context, texts in texts_by_context.items():
             known = found.setdefault(context, [])
-            known += [text for text in texts if text not in known]
+            known += [text for text in dict.fromkeys(texts) if text not in known]
     return dict(sorted(found.items()))
 
 

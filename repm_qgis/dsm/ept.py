@@ -142,11 +142,7 @@ def make(finished: FinishedDsm, folder: str, progress: Progress) -> Optional[str
 
 
 def write_ept(
-    cloud: str,
-    folder: str,
-    crs: str,
-    progress: Optional[Progress] = None,
-    parameters: EptParameters = FUSION.ept,
+    cloud: str, folder: str, crs: str, progress: Optional[Progress] = None, parameters: EptParameters = FUSION.ept
 ) -> EptFacts:
     """Write the points of a LAS or LAZ file as EPT: a folder with ``ept.json``, completely or not at all.
 
@@ -161,10 +157,8 @@ def write_ept(
         header = reader.header
         if not header.point_count:
             raise EmptyResultError(f"The cloud '{cloud}' has no points: there is nothing to write into '{folder}'.")
-        ends = [
-            np.rint((np.asarray(end) - header.offsets) / header.scales).astype(np.int64)
-            for end in (header.mins, header.maxs)
-        ]
+        corners = np.array([header.mins, header.maxs])
+        ends = np.rint((corners - header.offsets) / header.scales).astype(np.int64)
         cube = _Cube.around(ends[0], ends[1], float(header.scales[0]), np.asarray(header.offsets, dtype=np.float64))
         with whole_folder(folder) as whole:
             tree = _Tree(cube, whole, progress, parameters)

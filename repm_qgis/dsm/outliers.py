@@ -30,9 +30,8 @@ def remove_isolated_points(
         for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):  # each pair of neighbours once
             near = np.abs(z[1 + down : 1 + down + rows, 1 + right : 1 + right + columns] - centre) <= tolerance
             count += near
-            count[down:, max(right, 0) : columns + min(right, 0)] += near[
-                : rows - down, max(-right, 0) : columns - max(right, 0)
-            ]
+            here = near[: rows - down, max(-right, 0) : columns - max(right, 0)]
+            count[down:, max(right, 0) : columns + min(right, 0)] += here
     return np.where(count >= parameters.neighbours, height, np.nan)
 
 

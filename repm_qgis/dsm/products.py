@@ -106,10 +106,10 @@ class _Products:
         confidence = raster(options.confidence, CONFIDENCE_BANDS) if options.confidence else None
         ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
         whole = cloud = None
-        path = cloud_of(options, folder)
         if options.fill == "all":
             heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
             whole = stack.enter_context(heights)
+        path = cloud_of(options, folder)
         if path:
             cloud = stack.enter_context(created_cloud(path, file_crs, (layout.grid.west, layout.grid.north, 0.0)))
         return cls(crop, dsm, confidence, ortho, whole, cloud)
@@ -172,27 +172,13 @@ def write_products(
         if products.whole is not None:
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
         points = products.cloud.count if products.cloud is not None else 0
-    return FusionFacts(
-        cells=cells,
-        valid=valid + interpolated,
-        valid_percent=100.0 * (valid + interpolated) / cells,
-        matched=valid - filled,
-        background=filled,
-        interpolated=interpolated,
-        points=points,
-        removed=sum(tile.removed for tile in stored),
-        resolution=layout.grid.cell,
-        crs=layout.crs,
-    )
+    valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
+    counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, points, removed)
+    return FusionFacts(*counts, layout.grid.cell, layout.crs)
 
 
 def _write_filled(
-    products: _Products,
-    whole: RasterWriter,
-    scene: Scene,
-    layout: DsmLayout,
-    folder: str,
-    parameters: FusionParameters,
+    products: _Products, whole: RasterWriter, scene: Scene, layout: DsmLayout, folder: str, parameters: FusionParameters
 ) -> int:
     """Write the DSM from the raster of all tiles' heights, with its holes filled; gives how many cells were filled."""
     grid = layout.grid.part(products.crop)

@@ -57,10 +57,8 @@ class CellGrid:
 
     def centres(self) -> Tuple[FloatArray, FloatArray]:
         """(columns,) x and (rows,) y of the cells' centres."""
-        return (
-            self.west + (np.arange(self.shape[1]) + 0.5) * self.cell,
-            self.north - (np.arange(self.shape[0]) + 0.5) * self.cell,
-        )
+        right, down = ((np.arange(count) + 0.5) * self.cell for count in self.size)
+        return self.west + right, self.north - down
 
 
 def overlapping_blocks(size: Size, side: int, halo: int = 0) -> Iterator[Tuple[Window, Window]]:

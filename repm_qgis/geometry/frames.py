@@ -112,12 +112,8 @@ def projected_crs_at(text: str, lon: float, lat: float) -> pyproj.CRS:
         units = (xy[1:] - xy[0]) / 100.0
     scales = np.linalg.svd(units, compute_uv=False) if np.isfinite(units).all() else np.zeros(2)
     if scales.min() < 0.5 or scales.max() > 2.0:
-        raise OptionError(
-            "CRS",
-            text,
-            f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: choose one of that place, such as "
-            f"{utm_crs(lon, lat)}",
-        )
+        remedy = f"choose one of that place, such as {utm_crs(lon, lat)}"
+        raise OptionError("CRS", text, f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: {remedy}")
     return crs
 
 
@@ -154,10 +150,8 @@ def vertical_operations(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of missing grids: the caller reports them
         group = TransformerGroup(source, target, always_xy=True, area_of_interest=area, allow_ballpark=False)
-    missing = {
-        grid.short_name for operation in group.unavailable_operations for grid in operation.grids if not grid.available
-    }
-    return group, sorted(missing)
+    grids = [grid for operation in group.unavailable_operations for grid in operation.grids]
+    return group, sorted({grid.short_name for grid in grids if not grid.available})
 
 
 @lru_cache(maxsize=32)

@@ -36,11 +36,8 @@ def vertical_crs(text: Optional[str], option: str) -> Optional[pyproj.CRS]:
         crs = pyproj.CRS.from_user_input(name)
         return next(part for part in (crs.sub_crs_list or [crs]) if part.is_vertical)
     except (pyproj.exceptions.ProjError, StopIteration) as error:
-        raise OptionError(
-            option,
-            text,
-            "is not a vertical CRS that PROJ knows: give ellipsoid, EGM96, EGM2008, or a code such as EPSG:5773",
-        ) from error
+        remedy = "give ellipsoid, EGM96, EGM2008, or a code such as EPSG:5773"
+        raise OptionError(option, text, f"is not a vertical CRS that PROJ knows: {remedy}") from error
 
 
 def with_wgs84(vertical: pyproj.CRS) -> pyproj.CRS:

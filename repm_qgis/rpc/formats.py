@@ -82,10 +82,7 @@ def rpc_from_texts(texts: Mapping[str, str], first_pixel: float = 0.0) -> Rpc:
     for member, key in GDAL_KEYS.items():
         if key not in texts:
             raise RpcInvalidError(f"its {key} is missing.")
-        if key in _POLYNOMIALS:
-            values[member] = _series(texts[key], key)
-        else:
-            values[member] = _scalar(texts[key], key)
+        values[member] = _series(texts[key], key) if key in _POLYNOMIALS else _scalar(texts[key], key)
     values["row_off"] -= first_pixel
     values["col_off"] -= first_pixel
     return Rpc(**values)
@@ -150,11 +147,8 @@ def _signed_areas(ground: FloatArray) -> FloatArray:
 def _coefficients(found: Mapping[str, str], names: Sequence[str], first: int = 1) -> Iterator[Tuple[str, str]]:
     """(name, twenty numbers) of polynomials that are given as NAME_first ... or together as NAME."""
     for name in names:
-        given = {
-            int(key[len(name) + 1 :]): text
-            for key, text in found.items()
-            if re.fullmatch(r"_\d{1,3}", key[len(name) :], re.ASCII) and key.startswith(name)
-        }
+        numbered = re.compile(rf"{name}_(\d{{1,3}})", re.ASCII)
+        given = {int(match[1]): text for key, text in found.items() if (match := numbered.fullmatch(key))}
         if name in found and given:
             raise RpcInvalidError(f"its {name} is given both together and number by number.")
         if name in found:
@@ -369,9 +363,8 @@ def _parse_dimap(text: str) -> Rpc:
 def _parse_maxar(text: str) -> Rpc:
     """The block RPB of a WorldView or GeoEye XML: LINEOFFSET ..., and lists of twenty numbers."""
     image = _only(_elements(_only(_anywhere(_tree(text), "RPB"), "RPB"), "IMAGE"), "RPB/IMAGE")
-    texts = {
-        ours: _leaf(_only(_elements(image, theirs.upper()), theirs.upper())) for ours, theirs in _MAXAR_SCALARS.items()
-    }
+    scalars = {ours: theirs.upper() for ours, theirs in _MAXAR_SCALARS.items()}
+    texts = {ours: _leaf(_only(_elements(image, theirs), theirs)) for ours, theirs in scalars.items()}
     for ours, theirs in _MAXAR_SERIES.items():
         block = _only(_elements(image, theirs.upper() + "List"), theirs.upper() + "List")
         texts[ours] = " ".join(_leaf(item) or "nothing" for item in _elements(block, theirs.upper()))

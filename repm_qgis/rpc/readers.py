@@ -88,10 +88,8 @@ def rpc_from_gdal(metadata: Mapping[str, str]) -> Rpc:
 def _read(path: str) -> FoundRpc:
     found = _tags_of_file(path) if _is_image(path) else read_sidecar(path)
     if found is None:
-        raise RpcInvalidError(
-            f"'{os.path.basename(path)}' is not an RPC file of a known format; tried: "
-            f"{', '.join(FORMAT_NAMES)}, GeoTIFF, NITF and JPEG 2000 tags."
-        )
+        tried = f"{', '.join(FORMAT_NAMES)}, GeoTIFF, NITF and JPEG 2000 tags"
+        raise RpcInvalidError(f"'{os.path.basename(path)}' is not an RPC file of a known format; tried: {tried}.")
     return found
 
 
@@ -118,9 +116,8 @@ def _tags(path: str) -> Dict[str, str]:
     dataset = None
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        dataset = gdal.OpenEx(
-            path, gdal.OF_RASTER, allowed_drivers=list(_IMAGE_DRIVERS), sibling_files=[os.path.basename(path)]
-        )
+        siblings = [os.path.basename(path)]
+        dataset = gdal.OpenEx(path, gdal.OF_RASTER, allowed_drivers=list(_IMAGE_DRIVERS), sibling_files=siblings)
         return dict(dataset.GetMetadata("RPC") or {}) if dataset is not None else {}
     except RuntimeError:
         return {}

@@ -51,16 +51,10 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
         _write_points(scene, found, options.output)
     if options.report:
         gcp_page(found, options).write(options.report)
-    result = {
-        "output": options.output,
-        "report": options.report,
-        "points": len(found.gcps),
-        "wrong": list(found.wrong),
-        **_numbers(found),
-    }
-    _tell(found, progress)
+    _log_heights(found, progress)
     progress.step(1.0, "points checked")
-    return result
+    counts = {"points": len(found.gcps), "wrong": list(found.wrong)}
+    return {"output": options.output, "report": options.report, **counts, **_numbers(found)}
 
 
 def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
@@ -93,7 +87,7 @@ def _numbers(found: GcpAccuracy) -> Dict[str, Any]:
     return numbers
 
 
-def _tell(found: GcpAccuracy, progress: Progress) -> None:
+def _log_heights(found: GcpAccuracy, progress: Progress) -> None:
     for column in found.errors:
         errors = found.summary(column, "height")
         if errors.count:
@@ -124,9 +118,7 @@ def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None
     for column in ("rpc", "compensated", "scene"):
         fields.update({f"{column}_{_SHORT[name]}": float for name in COMPONENTS})
         fields[f"{column}_px"] = float
-    fields.update(
-        {"dsm_height": float, "dsm_error": float, "shown": str, "east": float, "north": float, "height_error": float}
-    )
+    fields.update(dsm_height=float, dsm_error=float, shown=str, east=float, north=float, height_error=float)
 
     def features() -> Any:
         for row, (x, y) in enumerate(projected_from_geodetic(crs, places)):
@@ -156,17 +148,11 @@ def _values(found: GcpAccuracy, row: int) -> List[Any]:
     for column in ("rpc", "compensated", "scene"):
         values += [*_known(found, column, row), _pixels(found, column, row)]
     shown = _shown(found)
-    planimetric = _known(found, shown, row) if shown else (None,) * 3
-    dsm_error = _known(found, "dsm", row)[2]
-    values += [
-        _number(found.dsm_heights[row]) if found.dsm_heights is not None else None,
-        dsm_error,
-        shown,
-        planimetric[0],
-        planimetric[1],
-        dsm_error if found.dsm_heights is not None else planimetric[2],
-    ]
-    return values
+    east, north, up = _known(found, shown, row) if shown else (None,) * 3
+    error = _known(found, "dsm", row)[2]
+    if found.dsm_heights is None:
+        return [*values, None, error, shown, east, north, up]
+    return [*values, _number(found.dsm_heights[row]), error, shown, east, north, error]
 
 
 def _known(found: GcpAccuracy, column: str, row: int) -> Tuple[Optional[float], ...]:

@@ -42,13 +42,10 @@ def run(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
             "of the reference's cells have a height.".format(f"'{path}': " if options.others else "", **_figures(one))
         )
     progress.step(1.0, "Done")
-    return {
-        "error": options.error,
-        "report": options.report,
-        **_figures(found[0]),
-        "by_class": {name: _accuracy(metrics) for name, metrics in found[0].by_class},
-        "others": [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])],
-    }
+    by_class = {name: _accuracy(metrics) for name, metrics in found[0].by_class}
+    others = [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])]
+    written = {"error": options.error, "report": options.report}
+    return {**written, **_figures(found[0]), "by_class": by_class, "others": others}
 
 
 def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comparison:
@@ -67,18 +64,9 @@ def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comp
 
 
 def _error_raster(path: str, reference: gdal.Dataset) -> Any:
-    grid = Grid.of(reference)
-    return raster.created(
-        path,
-        (grid.size[1], grid.size[0]),
-        np.dtype(np.float32),
-        1,
-        grid.transform,
-        reference.GetProjection(),
-        descriptions=["DSM - reference"],
-        unit="m",
-        cog=True,
-    )
+    grid, kind, crs = Grid.of(reference), np.dtype(np.float32), reference.GetProjection()
+    shape, names = (grid.size[1], grid.size[0]), ["DSM - reference"]
+    return raster.created(path, shape, kind, 1, grid.transform, crs, descriptions=names, unit="m", cog=True)
 
 
 def _accuracy(metrics: HeightMetrics) -> Dict[str, Any]:

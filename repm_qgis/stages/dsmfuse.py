@@ -6,11 +6,10 @@ import math
 import re
 import shutil
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Tuple
 
-from ..arrays import Window
 from ..dsm.derived import FinishedDsm, make_derived
 from ..dsm.ept import require_ept_place
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
@@ -27,17 +26,28 @@ from ..parallel import run_tasks
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress
 from ..records import FusionFacts
-from ..scene import Scene, Tile
+from ..scene import Scene
 from ..workspace import ensure_folder, temporary_name
 from .parameters import ENGINE, EngineParameters
+
+
+@dataclass(frozen=True)
+class _Fusion:
+    """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is a temporary one."""
+
+    options: DsmFuseOptions
+    parameters: EngineParameters
+    scene: Scene
+    layout: DsmLayout
+    folder: str
 
 
 def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
-    tiles = [tile for tile in scene.tiles if tile.heights]
-    if not tiles:
+    scene = replace(scene, tiles=tuple(tile for tile in scene.tiles if tile.heights))
+    if not scene.tiles:
         raise SceneError(f"The scene '{options.scene}' has no height maps: run 'Reconstruct heights' first.")
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
@@ -45,9 +55,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:
         require_ept_place(options.ept)
-    layout = DsmLayout.of(
-        scene, tiles, crs, datum, options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m)
-    )
+    cell = options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m)
+    layout = DsmLayout.of(scene, scene.tiles, crs, datum, cell)
     radius = options.outlier_radius
     if radius is None:
         radius = automatic_radius(layout.grid.cell, scene.gsd_m, parameters.fusion.outliers)
@@ -57,14 +66,15 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         f"DSM of {columns} x {rows} cells of {layout.grid.cell:g} m in {crs}, heights above the "
         f"{datum.name}; outlier radius {radius:g} m."
     )
-    pairs = _pairs(tiles) if options.view_heights else []
+    pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
     folder = temporary_name(str(scene.path.with_name("fusion")))
+    fusion = _Fusion(options, parameters, scene, layout, folder)
     try:
         ensure_folder(folder)
-        facts, needed = _fused(options, parameters, scene, tiles, layout, folder, Part(progress, 0.0, share))
+        facts, needed = _fused(fusion, Part(progress, 0.0, share))
         cloud = cloud_of(options, folder) if facts.points else None
-        made: Dict[str, Any] = {product.option: getattr(options, product.option) for product in products_of("dsmfuse")}
+        made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
         finished = FinishedDsm(options, cloud, datum.file_crs(crs), parameters.fusion)
         for product, path, file in make_derived(finished, progress):
             made[product.option] = path if file else None
@@ -72,120 +82,72 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
                 write_style(product.style, file, height_limits(options.output))
         for index, pair in enumerate(pairs):
             low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
-            _one_pair(options, parameters, pair, scene, tiles, layout, folder, Part(progress, low, high))
+            _one_pair(fusion, pair, Part(progress, low, high))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    _log(facts, radius, needed, options, parameters, progress)
+    _log(fusion, facts, needed, progress)
     progress.step(1.0, "DSM fused")
-    return {
-        **made,
-        "vertical_datum": datum.name,
-        "seconds": round(time.monotonic() - start, 3),
-        **facts.to_mapping(),
-    }
+    seconds = round(time.monotonic() - start, 3)
+    return {**made, "vertical_datum": datum.name, "seconds": seconds, **facts.to_mapping()}
 
 
-def _fused(
-    options: DsmFuseOptions,
-    parameters: EngineParameters,
-    scene: Scene,
-    tiles: List[Tile],
-    layout: DsmLayout,
-    folder: str,
-    progress: Progress,
-) -> Tuple[FusionFacts, List[int]]:
+def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]:
     """Fuse tile by tile and write the products; gives what was counted, and how many neighbours each tile asked for."""
-    views = tuple(nadir_first(scene)) if options.ortho else ()
-    tasks = [
-        FuseTask(
-            scene=scene.lean(),
-            bounds=tile.bounds,
-            records=tile.heights,
-            grid=layout.grid,
-            window=window,
-            crs=layout.crs,
-            method=options.method,
-            fill=options.fill,
-            radius=options.outlier_radius or 0.0,
-            ortho_views=views,
-            cloud=bool(options.cloud or options.ept),
-            parameters=parameters.fusion,
-            matching=parameters.matching,
-        )
-        for tile, window in zip(tiles, layout.windows)
-    ]
+    options, parameters, scene, layout = fusion.options, fusion.parameters, fusion.scene, fusion.layout
+    task = FuseTask(
+        scene=scene.lean(),
+        bounds=scene.tiles[0].bounds,
+        records=(),
+        grid=layout.grid,
+        window=layout.windows[0],
+        crs=layout.crs,
+        method=options.method,
+        fill=options.fill,
+        radius=options.outlier_radius or 0.0,
+        ortho_views=tuple(nadir_first(scene)) if options.ortho else (),
+        cloud=bool(options.cloud or options.ept),
+        parameters=parameters.fusion,
+        matching=parameters.matching,
+    )
+    places = zip(scene.tiles, layout.windows)
+    tasks = [replace(task, bounds=tile.bounds, records=tile.heights, window=window) for tile, window in places]
     stored: List[StoredTile] = run_tasks(
         fuse_to_disk,
-        [(task, f"{folder}/{i}.npz") for i, task in enumerate(tasks)],
-        _workers(options, scene, tiles, layout.windows, progress),
+        [(task, f"{fusion.folder}/{i}.npz") for i, task in enumerate(tasks)],
+        _workers(fusion, progress),
         progress,
         lambda work: f"fusing {work[0].records[0].tile}",
     )
-    facts = write_products(options, replace(scene, tiles=tuple(tiles)), layout, stored, folder, parameters.fusion)
+    facts = write_products(options, scene, layout, stored, fusion.folder, parameters.fusion)
     for product, path in paths_of(products_of("dsmfuse"), options):
         if product.style and not product.maker:
             write_style(product.style, path)
     return facts, [tile.needed for tile in stored]
 
 
-def _pairs(tiles: List[Tile]) -> List[Tuple[str, str]]:
-    """The pairs of views that have height maps, in the order of their names."""
-    return sorted({record.pair for tile in tiles for record in tile.heights})
-
-
-def _one_pair(
-    options: DsmFuseOptions,
-    parameters: EngineParameters,
-    pair: Tuple[str, str],
-    scene: Scene,
-    tiles: List[Tile],
-    layout: DsmLayout,
-    folder: str,
-    progress: Progress,
-) -> None:
+def _one_pair(fusion: _Fusion, pair: Tuple[str, str], progress: Progress) -> None:
     """The surface that one pair alone sees, with its confidence, on the DSM's cells: what the DSM was made of."""
-    own = [
-        (replace(tile, heights=tuple(r for r in tile.heights if r.pair == pair)), window)
-        for tile, window in zip(tiles, layout.windows)
-    ]
-    own = [(tile, window) for tile, window in own if tile.heights]
+    own = fusion.scene.with_tiles(lambda t: replace(t, heights=tuple(r for r in t.heights if r.pair == pair))).tiles
+    tiles, windows = zip(*((tile, window) for tile, window in zip(own, fusion.layout.windows) if tile.heights))
     name = re.sub(r"[^\w.-]", "_", "_".join(pair))
-    target = ensure_folder(str(options.view_heights))
-    files = {"output": str(target / f"{name}.tif"), "confidence": str(target / f"{name}_confidence.tif")}
-    alone = replace(options, **{**not_requested("dsmfuse"), **files, "fill": "none"})
+    target = ensure_folder(str(fusion.options.view_heights))
+    output, confidence = str(target / f"{name}.tif"), str(target / f"{name}_confidence.tif")
+    wanted = {**not_requested("dsmfuse"), "output": output, "confidence": confidence, "fill": "none"}
+    alone = replace(fusion.options, **wanted)
+    scene, layout = replace(fusion.scene, tiles=tiles), replace(fusion.layout, windows=windows)
     try:
-        _fused(
-            alone,
-            parameters,
-            scene,
-            [tile for tile, _ in own],
-            replace(layout, windows=tuple(window for _, window in own)),
-            folder,
-            progress,
-        )
+        _fused(replace(fusion, options=alone, scene=scene, layout=layout), progress)
     except EmptyResultError:
-        progress.warn(
-            f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{Path(alone.output).name}' is not written."
-        )
+        progress.warn(f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{Path(output).name}' is not written.")
 
 
-def _workers(
-    options: DsmFuseOptions,
-    scene: Scene,
-    tiles: List[Tile],
-    windows: Sequence[Window],
-    progress: Progress,
-) -> int:
+def _workers(fusion: _Fusion, progress: Progress) -> int:
     """How many workers the memory allows, by the tile that takes most."""
-    each, tile = max(
-        (
-            (fusing_mib([record.pixels for record in tile.heights], window[2] * window[3]), tile)
-            for tile, window in zip(tiles, windows)
-        ),
-        key=lambda pair: pair[0],
-    )
-    side = max(tile.bounds[2] - tile.bounds[0], tile.bounds[3] - tile.bounds[1]) / scene.gsd_m
-    return workers_within(options.workers, each, options.memory, math.ceil(side), progress)
+    options, sizes = fusion.options, [[record.pixels for record in tile.heights] for tile in fusion.scene.tiles]
+    each = [fusing_mib(pixels, w.width * w.height) for pixels, w in zip(sizes, fusion.layout.windows)]
+    xmin, ymin, xmax, ymax = fusion.scene.tiles[each.index(max(each))].bounds
+    side = math.ceil(max(xmax - xmin, ymax - ymin) / fusion.scene.gsd_m)
+    return workers_within(options.workers, max(each), options.memory, side, progress)
 
 
 def _round_cell(cell: float) -> float:
@@ -193,15 +155,9 @@ def _round_cell(cell: float) -> float:
     return float(f"{cell:.2g}")
 
 
-def _log(
-    facts: FusionFacts,
-    radius: float,
-    needed: List[int],
-    options: DsmFuseOptions,
-    parameters: EngineParameters,
-    progress: Progress,
-) -> None:
+def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progress) -> None:
     """What was filtered and filled, in the log."""
+    options, radius = fusion.options, fusion.options.outlier_radius or 0.0
     if radius > 0:
         asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
         progress.info(
@@ -220,7 +176,7 @@ def _log(
             f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured: ask for "
             "CONFIDENCE to see which (band 4)."
         )
-    if facts.valid_percent < parameters.tiles.few_cells_percent:
+    if facts.valid_percent < fusion.parameters.tiles.few_cells_percent:
         progress.warn(
             f"Only {facts.valid_percent:.0f} % of the cells have a height: look at the confidence and at "
             "the reconstruction's report before you use this DSM."

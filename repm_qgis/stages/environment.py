@@ -40,10 +40,8 @@ def _report(found: Dict[str, Any]) -> Report:
     page.section("Packages")
     page.facts([("Engine interpreter", found["interpreter"]), ("Python", found["python"])])
     purposes = {package.distribution: package.purpose for package in PACKAGES}
-    page.table(
-        ["Package", "Version", "For"],
-        [[name, version or "missing", purposes[name]] for name, version in found["versions"].items()],
-    )
+    versions = [[name, version or "missing", purposes[name]] for name, version in found["versions"].items()]
+    page.table(["Package", "Version", "For"], versions)
     page.section("Machine")
     memory = found["memory"]
     page.facts(
@@ -66,10 +64,8 @@ def _report(found: Dict[str, Any]) -> Report:
 
 def _cuda(found: Dict[str, Any]) -> str:
     devices = "; ".join(found["devices"]) or "no CUDA device answers"
-    return (
-        f"{'usable' if found['usable'] else 'not used'} ({devices}; pycolmap was built "
-        f"{'with' if found['built'] else 'without'} it)"
-    )
+    used, built = "usable" if found["usable"] else "not used", "with" if found["built"] else "without"
+    return f"{used} ({devices}; pycolmap was built {built} it)"
 
 
 def _proj(page: Report, found: Optional[Dict[str, Any]]) -> None:
@@ -77,13 +73,8 @@ def _proj(page: Report, found: Optional[Dict[str, Any]]) -> None:
     if found is None:
         page.paragraph("pyproj is missing.")
         return
-    page.facts(
-        [
-            ("PROJ", found["version"]),
-            ("Data", os.pathsep.join(found["folders"])),
-            ("Downloads missing grids", found["network"]),
-        ]
-    )
+    folders = os.pathsep.join(found["folders"])
+    page.facts([("PROJ", found["version"]), ("Data", folders), ("Downloads missing grids", found["network"])])
     page.table(["Grid", "For", "Installed"], [[name, use, found["grids"][name]] for name, use in GRIDS])
     if not any(found["grids"].values()) and not found["network"]:
         page.warning(

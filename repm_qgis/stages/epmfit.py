@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -39,10 +40,8 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     key = _key(options, parameters)
     scene = reusable(scene_path, "epmfit", key)
     if scene is not None:
-        progress.info(
-            f"Reused the cameras of {counted(len(scene.tiles), 'tile')} in '{scene_path}': images and "
-            "options are unchanged."
-        )
+        tiles = counted(len(scene.tiles), "tile")
+        progress.info(f"Reused the cameras of {tiles} in '{scene_path}': images and options are unchanged.")
     else:
         notes = Recorder(progress)
         scene = _fit(options, parameters, notes)
@@ -52,14 +51,9 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     write_tiles(scene, tiles_path)
     fit_report(scene).write(report_path)
     errors = [view.error for tile in scene.tiles for view in tile.views.values()]
+    rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.step(1.0, "cameras fitted")
-    return {
-        "scene": scene_path,
-        "tiles": tiles_path,
-        "report": report_path,
-        "rmse": float(np.sqrt(np.mean([e.rmse**2 for e in errors]))),
-        "max_error": max(e.max for e in errors),
-    }
+    return {"scene": scene_path, "tiles": tiles_path, "report": report_path, "rmse": rmse, "max_error": largest}
 
 
 def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
@@ -67,35 +61,25 @@ def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
     named = options.rpcs or ("",) * len(options.images)
     sidecars = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_sidecars(image))]
     sidecars += [path for image in options.images for path in time_sidecars(image) if path not in sidecars]
-    files = [
-        file_identity(path)
-        for path in (*options.images, *sidecars, *([options.dem] if options.dem else []), *filter(None, options.masks))
-    ]
-    return fingerprint("epmfit", wanted, files, *parameters.in_fingerprint())
+    files = [*options.images, *sidecars, *filter(None, [options.dem, *options.masks])]
+    return fingerprint("epmfit", wanted, list(map(file_identity, files)), *parameters.in_fingerprint())
 
 
 def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs, options.masks)
-    progress.info(
-        "; ".join(
-            f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m"
-            + (f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "")
-            for v in views
-        )
-    )
+    taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
+    sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
+    progress.info("; ".join(map("".join, zip(sizes, taken))))
     crs = _crs(options, views)
     search = _common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
-    altitudes, source = altitude_range(
-        views,
-        crs,
-        bounds_of(area),
-        search,
+    ends, part, sweep = (
         (options.altitude_min, options.altitude_max),
-        options.dem,
         Part(progress, 0.0, 0.6),
         parameters.pointing.sweep,
-        parameters.altitudes,
+    )
+    altitudes, source = altitude_range(
+        views, crs, bounds_of(area), search, ends, options.dem, part, sweep, parameters.altitudes
     )
     progress.info(f"Altitudes {altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid (from: {source}).")
     area = _area(views, crs, altitudes, options, parameters.tiles)
@@ -140,10 +124,8 @@ def _area(
     area = seen_twice(outlines)
     least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
     if area.IsEmpty() or area.GetArea() < least:
-        places = "; ".join(
-            f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views
-        )
-        raise OverlapError(f"The images do not overlap on the ground: {places}. Choose images of one place.")
+        places = [f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views]
+        raise OverlapError(f"The images do not overlap on the ground: {'; '.join(places)}. Choose images of one place.")
     if options.extent is None:
         return area
     wanted = _extent(options, options.extent, crs)
@@ -216,9 +198,8 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
 
 def view_window(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes, margin: int = 0) -> Optional[Window]:
     """The pixel window of a view that sees a ground rectangle at all of these altitudes; None where it does not."""
-    return pixel_window(
-        view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size, margin
-    )
+    to_geodetic = partial(geodetic_from_projected, scene.crs)
+    return pixel_window(view.project, to_geodetic, bounds, altitudes, view.size, margin)
 
 
 def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> Tuple[Tile, ...]:
@@ -240,15 +221,8 @@ def write_tiles(scene: Scene, path: str) -> None:
 
     fields: Dict[str, type] = {"tile": str, "worst_rmse": float, "worst_max": float}
     for number in range(1, max(len(tile.views) for tile in scene.tiles) + 1):
-        fields.update(
-            {
-                f"view_{number}": str,
-                f"samp_{number}": float,
-                f"line_{number}": float,
-                f"rmse_{number}": float,
-                f"max_{number}": float,
-            }
-        )
+        fields[f"view_{number}"] = str
+        fields.update({f"{name}_{number}": float for name in ("samp", "line", "rmse", "max")})
     rows = []
     for tile in scene.tiles:
         errors = [view.error for view in tile.views.values()]

@@ -45,16 +45,9 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     squares, count, worst = 0.0, 0, 0.0
     refinement = scene.refinement or "uncorrected"
     metadata = {"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude, "REPM_REFINEMENT": refinement}
+    kind, place, wkt = np.dtype(np.float32), grid.geotransform, pyproj.CRS.from_user_input(scene.crs).to_wkt()
     with created(
-        options.output,
-        grid.shape,
-        np.dtype(np.float32),
-        4,
-        grid.geotransform,
-        pyproj.CRS.from_user_input(scene.crs).to_wkt(),
-        descriptions=_BANDS,
-        unit="px",
-        metadata=metadata,
+        options.output, grid.shape, kind, 4, place, wkt, descriptions=_BANDS, unit="px", metadata=metadata
     ) as raster:
         for index, tile in enumerate(tiles):
             progress.check_cancelled()

@@ -40,24 +40,13 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     places = [folder / tile.id for tile in tiles]
     for place in places:
         _check_place(place, options.format)
-    names = {view.name for model in models for view in model.views}
-    stretches = (
-        {name: view_stretch(scene.view(name).image, scene.view(name).band) for name in sorted(names)}
-        if options.bits == "8"
-        else {}
-    )
+    names = sorted({view.name for model in models for view in model.views} if options.bits == "8" else ())
+    stretches = {name: view_stretch(scene.view(name).image, scene.view(name).band) for name in names}
     count, done = sum(len(model.views) for model in models), 0
     for model, place in zip(models, places):
         points, residuals = tie_points(scene, model.tile)
-        _write_model(
-            replace(model, points=points, residuals_px=residuals),
-            written_as,
-            place,
-            options,
-            stretches,
-            progress,
-            (done, count),
-        )
+        whole = replace(model, points=points, residuals_px=residuals)
+        _write_model(whole, written_as, place, options, stretches, progress, (done, count))
         done += len(model.views)
     error = max(view.error.max for model in models for view in model.views)
     rmse = float(np.sqrt(np.mean([view.error.rmse**2 for model in models for view in model.views])))
@@ -71,10 +60,8 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
 
 def _tiles(scene: Scene, name: str) -> List[Tile]:
     if not scene.refinement:
-        raise SceneError(
-            f"The scene '{scene.path}' is not refined: run 'Refine the images' first, and export the "
-            "scene that it writes."
-        )
+        remedy = "run 'Refine the images' first, and export the scene that it writes"
+        raise SceneError(f"The scene '{scene.path}' is not refined: {remedy}.")
     tiles = [tile for tile in scene.tiles if name in ("", tile.id)]
     if not tiles:
         raise OptionError("TILE", name, f"must be one of {', '.join(tile.id for tile in scene.tiles)}, or empty")
@@ -97,9 +84,8 @@ def _check_place(place: Path, layout: str) -> None:
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         ours = False
     if not ours:
-        raise WorkspaceError(
-            f"'{place}' is there already and is no export for {layout}: choose another FOLDER, or remove it."
-        )
+        remedy = "choose another FOLDER, or remove it"
+        raise WorkspaceError(f"'{place}' is there already and is no export for {layout}: {remedy}.")
 
 
 def _write_model(
@@ -118,30 +104,21 @@ def _write_model(
             progress.check_cancelled()
             progress.step((done[0] + index) / done[1], f"tile {model.tile.id}, {view.name}")
             mask: Optional[str] = written_as.mask(image)
-            write_image(
-                view,
-                folder / image,
-                folder / mask if mask else None,
-                stretches.get(view.name),
-                options.kernel,
-                progress,
-            )
+            mask_path, stretch = folder / mask if mask else None, stretches.get(view.name)
+            write_image(view, folder / image, mask_path, stretch, options.kernel, progress)
         written_as.write(model, images, folder)
         write_text(str(folder / _FRAME_FILE), json.dumps(_frame(model, images, options), indent=1, allow_nan=False))
 
 
 def _frame(model: TileModel, images: Tuple[str, ...], options: ExportCamerasOptions) -> Dict[str, Any]:
     """Where the cameras' world lies on the earth, and what became of each image."""
+    origin, ecef = model.frame.to_mapping(), model.frame.ecef_from_enu.tolist()
     return {
         "format": _MARK,
         "layout": options.format,
         "engine": __version__,
         "tile": model.tile.id,
-        "world": {
-            "axes": "east, north, up in metres on WGS 84",
-            "origin": model.frame.to_mapping(),
-            "ecef_from_world": model.frame.ecef_from_enu.tolist(),
-        },
+        "world": {"axes": "east, north, up in metres on WGS 84", "origin": origin, "ecef_from_world": ecef},
         "crs": model.crs,
         "bounds": list(model.tile.bounds),
         "altitudes_m": list(model.tile.altitudes),

@@ -52,23 +52,12 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
     scene_path = options.reconstruct.output_scene
     report_path = options.report or str(Path(options.fit.workspace) / "report.html")
-    products = {
-        **fused,
-        "scene": scene_path,
-        "report": report_path,
-        "tiles": first["tiles"],
-        "tie_points": heights["tie_points"],
-        "heights": heights["heights"],
-    }
+    made = {"tiles": first["tiles"], "tie_points": heights["tie_points"], "heights": heights["heights"]}
+    products = {**fused, "scene": scene_path, "report": report_path, **made}
     pipeline_report(Scene.load(scene_path), products, seconds, options.command).write(report_path)
     progress.step(1.0, "done")
-    return {
-        **products,
-        "rmse": first["rmse"],
-        "max_error": first["max_error"],
-        "n_tie_points": heights["n_tie_points"],
-        "seconds": seconds,
-    }
+    errors = {"rmse": first["rmse"], "max_error": first["max_error"]}
+    return {**products, **errors, "n_tie_points": heights["n_tie_points"], "seconds": seconds}
 
 
 def _check_early(options: PipelineOptions) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Dict, Optional, Sequence
 
+import numpy as np
 from osgeo import ogr
 
 from ..altitudes import AltitudeParameters
@@ -42,28 +43,18 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
-    key = fingerprint(
-        "reconstruct",
-        scene.fingerprint,
-        backends[0].name,
-        options.pointing,
-        options.adjustment,
-        options.own_surface,
-        control,
-        [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path],
-        *backends[0].settings(options),
-        *parameters.in_fingerprint(),
-    )
+    chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
+    files = [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
+    others = *backends[0].settings(options), *parameters.in_fingerprint()
+    key = fingerprint("reconstruct", scene.fingerprint, *chosen, files, *others)
     place = Path(options.output_scene)
     ties_path = options.tie_points or str(place.with_name("tie_points.gpkg"))
     report_path = str(place.with_name("reconstruction.html"))
     folder = ensure_folder(options.heights or str(place.parent / f"{place.stem}_heights"))
     done = reusable(options.output_scene, "reconstruct", key)
     if done is not None and _complete(done, folder) and Path(ties_path).exists():
-        progress.info(
-            f"Reused {counted(sum(len(t.heights) for t in done.tiles), 'height map')} and the relative "
-            f"pointing in '{options.output_scene}'."
-        )
+        maps = counted(sum(len(t.heights) for t in done.tiles), "height map")
+        progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene, parameters.pointing.pairs)
@@ -80,13 +71,9 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         done.save(options.output_scene)
     reconstruct_report(done).write(report_path)
     progress.step(1.0, "heights reconstructed")
-    return {
-        "output_scene": options.output_scene,
-        "tie_points": ties_path,
-        "heights": str(folder),
-        "report": report_path,
-        "n_tie_points": done.pointing.count if done.pointing else 0,
-    }
+    written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}
+    count = done.pointing.count if done.pointing else 0
+    return {"output_scene": options.output_scene, **written, "n_tie_points": count}
 
 
 def _log_pairs(scene: Scene, progress: Progress) -> None:
@@ -94,10 +81,8 @@ def _log_pairs(scene: Scene, progress: Progress) -> None:
     possible = len(scene.views) * (len(scene.views) - 1) // 2
     if len(scene.pairs) < possible:
         angles = [pair.angle_deg for pair in scene.pairs]
-        progress.info(
-            f"{len(scene.pairs)} of {counted(possible, 'pair')} of images will be matched, at {min(angles):.1f} to "
-            f"{max(angles):.1f} degrees."
-        )
+        count, range_ = f"{len(scene.pairs)} of {counted(possible, 'pair')}", f"{min(angles):.1f} to {max(angles):.1f}"
+        progress.info(f"{count} of images will be matched, at {range_} degrees.")
 
 
 def _complete(scene: Scene, folder: Path) -> bool:
@@ -120,18 +105,8 @@ def _pointed(
             f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
             "where the vendors put it; fill the fields view, col and row of points with the role control."
         )
-    found = point_views(
-        scene,
-        scene.pairs,
-        stretches,
-        options.pointing,
-        gcps,
-        progress,
-        options.workers,
-        options.adjustment,
-        parameters.pointing,
-        parameters.altitudes,
-    )
+    mode, numbers = (options.workers, options.adjustment), (parameters.pointing, parameters.altitudes)
+    found = point_views(scene, scene.pairs, stretches, options.pointing, gcps, progress, *mode, *numbers)
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
     for text in advice(scene, scene.pairs, found.figures, parameters.pointing):
@@ -172,23 +147,13 @@ def _with_coarse_surface(
 
 def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: FloatArray) -> None:
     rows, directions = largest_parallax(scene.views, tracks, adjusted.ground)
+    figures = np.column_stack([adjusted.ground[:, 2], adjusted.residual_px, adjusted.before_px, rows, directions])
 
     def features() -> Any:
-        for number, (track, (x, y)) in enumerate(zip(tracks, xy)):
+        for number, (track, (x, y), values) in enumerate(zip(tracks, xy, figures.tolist())):
             point = ogr.Geometry(ogr.wkbPoint)
             point.AddPoint_2D(float(x), float(y))
-            yield (
-                point,
-                (
-                    number,
-                    ", ".join(sorted(track.pixels)),
-                    float(adjusted.ground[number, 2]),
-                    float(adjusted.residual_px[number]),
-                    float(adjusted.before_px[number]),
-                    float(rows[number]),
-                    float(directions[number]),
-                ),
-            )
+            yield point, (number, ", ".join(sorted(track.pixels)), *values)
 
     fields: Dict[str, type] = {"track": int, "views": str}
     fields.update(dict.fromkeys(("height", "residual", "before", "row", "direction"), float))
@@ -204,9 +169,7 @@ def _matched(job: MatchingJob, backends: Sequence[Backend], parameters: TilePara
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
     _check(records, parameters, progress)
     kept = [replace(record, reused=False) for record in records if record and record.valid]
-    return job.scene.with_tiles(
-        lambda tile: replace(tile, heights=tuple(record for record in kept if record.tile == tile.id))
-    )
+    return job.scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in kept if r.tile == tile.id)))
 
 
 def _check(records: Sequence[Optional[HeightMapRecord]], parameters: TileParameters, progress: Progress) -> None:

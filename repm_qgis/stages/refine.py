@@ -42,18 +42,10 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
         scene.save(options.output_scene)
     refine_report(scene).write(report_path)
     errors = [view.refined.error for tile in scene.tiles for view in tile.views.values() if view.refined]
-    rmse = float(np.sqrt(np.mean([e.rmse**2 for e in errors])))
-    progress.info(
-        f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max "
-        f"{max(e.max for e in errors):.3f} px."
-    )
+    rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
+    progress.info(f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max {largest:.3f} px.")
     progress.step(1.0, "images refined")
-    return {
-        "output_scene": options.output_scene,
-        "report": report_path,
-        "rmse": rmse,
-        "max_error": max(e.max for e in errors),
-    }
+    return {"output_scene": options.output_scene, "report": report_path, "rmse": rmse, "max_error": largest}
 
 
 def _refine(scene: Scene, options: RefineOptions, parameters: EngineParameters, progress: Progress) -> Scene:
@@ -116,24 +108,12 @@ def _write_image(scene: Scene, tile: str, name: str, refined: RefinedPinhole, ke
 
     view = scene.view(name)
     path = str(scene.folder("refined") / f"{tile}_{name}.tif")
-    width, height = refined.size
-    with (
-        opened(view.image) as dataset,
-        created(
-            path,
-            (height, width),
-            np.dtype(np.uint16),
-            1,
-            None,
-            "",
-            nodata=0,
-            metadata={"REPM_VIEW": name, "REPM_TILE": tile},
-        ) as target,
-    ):
+    metadata, kind = {"REPM_VIEW": name, "REPM_TILE": tile}, np.dtype(np.uint16)
+    file = created(path, refined.size[::-1], kind, 1, None, "", nodata=0, metadata=metadata)
+    with opened(view.image) as dataset, file as target:
         to_original = refined.to_original.original_from_refined
-        for row, pixels in warp_strips(dataset, view.band, to_original, (width, height), kernel):
+        for row, pixels in warp_strips(dataset, view.band, to_original, refined.size, kernel):
             known = np.isfinite(pixels)
-            target.write(
-                np.where(known, np.clip(np.rint(np.where(known, pixels, 0)), 1, 65535), 0).astype(np.uint16), 0, row
-            )
+            whole = np.clip(np.rint(np.where(known, pixels, 0)), 1, 65535)
+            target.write(np.where(known, whole, 0).astype(kind), 0, row)
     return path
