@@ -166,7 +166,7 @@ def main() -> int:
             shaded(os.path.join(pair, "dsm.tif"), "pleiades_dsm.png", 640, folder)
         triplet = real("pleiades_triplet", folder)
         if triplet:
-            report(triplet, "report_triplet.png", 2100, folder)
+            report(triplet, "report_triplet.png", 1900, folder)
     return 0
 
 
