@@ -30,7 +30,8 @@ from .workspace import write_text
 
 SCHEMA = 2
 _MAX_SCENE_BYTES = 512 << 20
-_CHOOSE = "choose the scene.json that 'Fit equivalent pinhole cameras' wrote."
+_FIRST_STAGE = "'Fit equivalent pinhole cameras'"
+_CHOOSE = f"choose the scene.json that {_FIRST_STAGE} wrote."
 _IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -224,10 +225,8 @@ class Scene(Record):
             tiles = [Tile.read(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]]
             return replace(scene, tiles=tuple(tiles))
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
-            raise SceneError(
-                f"The scene '{path}' is damaged ({type(error).__name__}: {error}): make it anew with "
-                "'Fit equivalent pinhole cameras'."
-            ) from error
+            reason = f"{type(error).__name__}: {error}"
+            raise SceneError(f"The scene '{path}' is damaged ({reason}): make it anew with {_FIRST_STAGE}.") from error
 
 
 def _document(path: str) -> Dict[str, Any]:
@@ -245,15 +244,11 @@ def _document(path: str) -> Dict[str, Any]:
         raise SceneError(f"'{path}' is not a REPM scene: {_CHOOSE}")
     schema = document.get("schema")
     if not isinstance(schema, int) or schema > SCHEMA:
-        raise SceneVersionError(
-            f"The scene '{path}' has schema {schema}, this version of the plugin reads up to "
-            f"{SCHEMA}: update the plugin, or make the scene anew."
-        )
+        found = f"has schema {schema}, this version of the plugin reads up to {SCHEMA}"
+        raise SceneVersionError(f"The scene '{path}' {found}: update the plugin, or make the scene anew.")
     if schema < SCHEMA:
-        raise SceneError(
-            f"The scene '{path}' has schema {schema} of an earlier version of the plugin, this version reads {SCHEMA}: "
-            "make the scene anew with 'Fit equivalent pinhole cameras'."
-        )
+        found = f"has schema {schema} of an earlier version of the plugin, this version reads {SCHEMA}"
+        raise SceneError(f"The scene '{path}' {found}: make the scene anew with {_FIRST_STAGE}.")
     return document
 
 
@@ -317,10 +312,9 @@ def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:
     centre = np.array([[width / 2, height / 2]]) + np.array([[0, 0], [1, 0], [0, 1]])
     ground = rpc.localise(centre, rpc.height_off)
     if not np.isfinite(ground).all():
-        raise RpcInvalidError(
-            f"The RPC of '{path}' does not see the image's centre (column {width / 2:g}, row "
-            f"{height / 2:g}): is it another image's RPC, or that of the uncropped image?"
-        )
+        middle = f"the image's centre (column {width / 2:g}, row {height / 2:g})"
+        question = "is it another image's RPC, or that of the uncropped image?"
+        raise RpcInvalidError(f"The RPC of '{path}' does not see {middle}: {question}")
     enu = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
     gsd = math.sqrt(float(np.linalg.norm(enu[1] - enu[0]) * np.linalg.norm(enu[2] - enu[0])))
     if not 0.01 <= gsd <= 1000:

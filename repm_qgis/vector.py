@@ -14,6 +14,8 @@ from .errors import WorkspaceError
 from .workspace import take_name, temporary_name
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
+Features = Iterable[Tuple[ogr.Geometry, Sequence[Any]]]
+"""Geometries with their values, in the order of the fields; None leaves a field empty."""
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 
 
@@ -45,32 +47,19 @@ def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatA
     return np.array(values, dtype=np.float64).reshape(-1, 2 + len(fields))
 
 
-def write_layer(
-    path: str,
-    crs: str,
-    geometry_type: int,
-    fields: Mapping[str, type],
-    features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]],
-) -> str:
+def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, type], features: Features) -> str:
     """Write a vector layer in the format of the file's extension (GeoPackage where it has none we know).
 
-    Parameters
-    ----------
-    crs : any text PROJ understands.
-    geometry_type : ``ogr.wkbPolygon``, ``ogr.wkbPoint``, ...
-    fields : names and types (str, int, float), in order.
-    features : geometries with their values, in the order of the fields; None leaves a field empty.
-
-    Raises WorkspaceError where the file cannot be written.
+    ``crs`` is any text PROJ understands, ``geometry_type`` ``ogr.wkbPolygon``, ``ogr.wkbPoint``, ...; ``fields`` has
+    names and types (str, int, float), in order. Raises WorkspaceError where the file cannot be written.
     """
-    driver = ogr.GetDriverByName(_DRIVERS.get(Path(path).suffix.lower(), "GPKG"))
     # A folder, as some formats are several files.
     folder = Path(temporary_name(path))
     _remove(folder)
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         folder.mkdir()
-        _fill(driver, str(folder / Path(path).name), crs, geometry_type, fields, features, Path(path).stem)
+        _fill(folder / Path(path).name, crs, geometry_type, fields, features)
         for part in sorted(folder.iterdir()):
             take_name(str(part), str(Path(path).with_name(part.name)))
     except RuntimeError as error:
@@ -89,21 +78,14 @@ def _remove(folder: Path) -> None:
         folder.unlink()
 
 
-def _fill(
-    driver: ogr.Driver,
-    target: str,
-    crs: str,
-    geometry_type: int,
-    fields: Mapping[str, type],
-    features: Iterable[Tuple[ogr.Geometry, Sequence[Any]]],
-    name: str,
-) -> None:
-    source = driver.CreateDataSource(target)
+def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type], features: Features) -> None:
+    driver = ogr.GetDriverByName(_DRIVERS.get(target.suffix.lower(), "GPKG"))
+    source = driver.CreateDataSource(str(target))
     _see(source is not None)
     reference = osr.SpatialReference()
     reference.SetFromUserInput(crs)
     reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
-    layer = source.CreateLayer(name, reference, geometry_type)
+    layer = source.CreateLayer(target.stem, reference, geometry_type)
     _see(layer is not None)
     for field, kind in fields.items():
         layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))

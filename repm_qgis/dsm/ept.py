@@ -174,10 +174,8 @@ def require_ept_place(path: str) -> None:
     if folder.is_dir():
         others = sorted({path.name for path in folder.iterdir()} - set(_ENTRIES))
     if others:
-        raise WorkspaceError(
-            f"The folder '{folder}' holds '{others[0]}', which does not belong to an EPT and would be lost: choose "
-            "a new or empty folder for EPT."
-        )
+        reason = f"holds '{others[0]}', which does not belong to an EPT and would be lost"
+        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for EPT.")
 
 
 def _chunks(reader: Any, count: int) -> Iterator[Points]:

@@ -181,12 +181,9 @@ def grid_height_map(
     Cells of which the background covers more than what was matched, and lies below, have the background alone.
     """
     filled = np.flatnonzero(heights.filled)
-    matched = remove_isolated_points(
-        np.where(heights.filled, np.nan, heights.height), metres_per_px, parameters.isolated
-    )
-    height, score, covered = grid_points(
-        grid, heights.x, heights.y, matched, heights.score, spacing, parameters.gridding
-    )
+    own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding
+    matched = remove_isolated_points(own, metres_per_px, parameters.isolated)
+    height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing, gridding)
     known = np.where(heights.filled, heights.height, matched)
     occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
     maps = (heights.x, heights.y, heights.height)
@@ -194,10 +191,10 @@ def grid_height_map(
     half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
         return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, covered < half)
-    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing, parameters.gridding)
+    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing, gridding)
     # A roof's last pixels reach into cells that are mostly occluded ground.
     with np.errstate(invalid="ignore"):
-        mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, parameters.gridding))
+        mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))
     height[mostly_behind] = np.nan
     score[mostly_behind] = np.nan
     return HeightLayer(height, score, background, metres_per_px, covered < half, behind < half)

@@ -33,9 +33,7 @@ class AggregationParameters(Parameters):
 
     sigma_px: float = 0.2  # errors of matching, px of disparity (`make bench-subpixel`: 0.12 narrow, 0.25 wide)
     tolerance: float = 2.5  # sigmas: heights this close mean the same surface
-    weight_power: float = (
-        0.5  # weights are metres_per_px ** -0.5: between equal ones and those of disparity noise alone
-    )
+    weight_power: float = 0.5  # of metres_per_px ** -0.5: between equal weights and those of disparity noise alone
     neighbours: int = 3  # of eight, of the same map, that a height in conflict must agree with
     neighbour_tolerance: float = 1.9  # times the tolerance, for neighbours: surfaces slope
     agreed_cells: int = 500  # fewer do not show how scores are distributed

@@ -36,11 +36,9 @@ def ecef_from_geodetic(lon_lat_h: FloatArray) -> FloatArray:
 
 def geodetic_from_ecef(xyz_ecef_m: FloatArray) -> FloatArray:
     """(..., 3) geocentric X, Y, Z to (..., 3) longitude, latitude, height."""
-    points = np.asarray(xyz_ecef_m, dtype=np.float64)
-    result = _ecef_transformer().transform(
-        points[..., 0], points[..., 1], points[..., 2], direction=pyproj.enums.TransformDirection.INVERSE
-    )
-    return np.stack(result, axis=-1)
+    x, y, z = np.moveaxis(np.asarray(xyz_ecef_m, dtype=np.float64), -1, 0)
+    inverse = pyproj.enums.TransformDirection.INVERSE
+    return np.stack(_ecef_transformer().transform(x, y, z, direction=inverse), axis=-1)
 
 
 @dataclass(frozen=True)

@@ -87,25 +87,10 @@ def linear_transform(source: FloatArray, target: FloatArray) -> Tuple[FloatArray
 
 
 def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
-    """Projection matrix by the normalised direct linear transform.
+    """(3, 4) projection matrix of N >= 6 points that do not lie in a plane, scaled to depths in metres, all positive.
 
-    Parameters
-    ----------
-    xyz_m : (N, 3) world points that do not lie in a plane, N >= 6.
-    col_row : (N, 2) their pixels.
-
-    Returns
-    -------
-    (3, 4) projection matrix, scaled to depths in metres (unit third row), depths positive.
-
-    Raises
-    ------
-    RpcInvalidError
-        Where the points determine no camera.
-
-    References
-    ----------
-    Hartley and Zisserman, Multiple View Geometry, 2nd ed., algorithm 7.1.
+    The normalised direct linear transform (Hartley and Zisserman, Multiple View Geometry, 2nd ed., algorithm 7.1).
+    Raises RpcInvalidError where the points determine no camera.
     """
     P, values = linear_transform(xyz_m, col_row)
     if values[-2] < 1e-12 * values[0]:

@@ -30,15 +30,12 @@ class HomographyMap:
     matrix: FloatArray
 
     def original_from_refined(self, points: FloatArray) -> FloatArray:
-        """(..., 2) refined to (..., 2) original pixels."""
         return apply_homography(self.matrix, points)
 
     def refined_from_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original to (..., 2) refined pixels."""
         return apply_homography(np.linalg.inv(self.matrix), points)
 
     def moved(self, col: float, row: float) -> "HomographyMap":
-        """M of the refined image whose pixel (0, 0) is this one's pixel (col, row)."""
         return HomographyMap(self.matrix @ translation(col, row))
 
     def to_mapping(self) -> dict[str, Any]:
@@ -59,17 +56,13 @@ class PolynomialMap:
     coefficients: FloatArray
 
     def original_from_refined(self, points: FloatArray) -> FloatArray:
-        """(..., 2) refined to (..., 2) original pixels."""
         p = np.asarray(points, dtype=np.float64)
         terms = polynomial_terms((p - self.offset) / self.scale, self.order)
         pixels: FloatArray = p + terms @ self.coefficients
         return pixels
 
     def refined_from_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original to (..., 2) refined pixels, by fixed-point iteration: M is almost the identity.
-
-        NaN where it does not converge, far outside the window that M was fitted to.
-        """
+        """By fixed-point iteration, as M is almost the identity; NaN far outside the window that M was fitted to."""
         target = np.asarray(points, dtype=np.float64)
         # The linear part first: its inverse makes the rest a strong contraction.
         linear = np.eye(2) + self.coefficients[1:3].T / self.scale
@@ -86,7 +79,6 @@ class PolynomialMap:
         return guess
 
     def moved(self, col: float, row: float) -> "PolynomialMap":
-        """M of the refined image whose pixel (0, 0) is this one's pixel (col, row)."""
         step = np.array([col, row], dtype=np.float64)
         coefficients = self.coefficients.copy()
         coefficients[0] += step
@@ -127,7 +119,6 @@ class TerrainMap:
     terrain: Terrain
 
     def original_from_refined(self, points: FloatArray) -> FloatArray:
-        """(..., 2) refined to (..., 2) original pixels."""
         p = np.asarray(points, dtype=np.float64)
         homogeneous = np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1)
         rays = homogeneous @ np.linalg.inv(self.camera.K @ self.camera.R).T
@@ -143,7 +134,6 @@ class TerrainMap:
         return self.terrain.sensor.project(ground)
 
     def refined_from_original(self, points: FloatArray) -> FloatArray:
-        """(..., 2) original to (..., 2) refined pixels."""
         p = np.asarray(points, dtype=np.float64)
         height = np.full(p.shape[:-1], float(self.terrain.surface.heights.mean()))
         for _ in range(_STEPS):
@@ -156,7 +146,6 @@ class TerrainMap:
         return self.camera.project(self.terrain.frame.from_geodetic(ground))
 
     def moved(self, col: float, row: float) -> "TerrainMap":
-        """M of the refined image whose pixel (0, 0) is this one's pixel (col, row)."""
         return TerrainMap(self.camera.moved(col, row), self.terrain)
 
     def to_mapping(self) -> dict[str, Any]:
@@ -164,6 +153,7 @@ class TerrainMap:
 
 
 RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
+"""M; both directions take and give (..., 2) pixels. ``moved`` is M of the refined image that starts at (col, row)."""
 
 
 def map_from_mapping(
@@ -212,19 +202,16 @@ def polynomial_terms(points: FloatArray, order: int) -> FloatArray:
 def fit_map(
     model: str, refined: FloatArray, original: FloatArray, skew_affinity: FloatArray, order: int = 2
 ) -> RefinementMap:
-    """Least-squares M from correspondences (paper, Algorithm 2, step 3).
+    """Least-squares M from (N, 2) pixels of the pinhole camera and of the RPC (paper, Algorithm 2, step 3).
 
-    Parameters
-    ----------
-    model : ``none``, ``homography`` or ``polynomial`` (a :class:`TerrainMap` needs no fit).
-    refined, original : (N, 2) pixels p' of the pinhole camera and p of the RPC of the same ground points.
-    skew_affinity : (3, 3) affinity that puts the camera's skew back: all of M where the model is ``none``.
-    order : total degree of the polynomial.
+    ``skew_affinity`` (3, 3) puts the camera's skew back: all of M where the model is ``none``. ``order`` is the total
+    degree of the polynomial. A :class:`TerrainMap` needs no fit.
     """
     if model == "none":
         return HomographyMap(skew_affinity)
     if model == "homography":
-        return HomographyMap(_fit_homography(refined, original))
+        H, _ = linear_transform(refined, original)
+        return HomographyMap(H / H[2, 2])
     if model == "polynomial":
         offset = refined.mean(axis=0)
         scale = float(np.abs(refined - offset).max())
@@ -232,10 +219,3 @@ def fit_map(
         coefficients, *_ = np.linalg.lstsq(terms, original - refined, rcond=None)
         return PolynomialMap(order, offset, scale, coefficients)
     raise OptionError("MODEL", model, "must be none, homography or polynomial")
-
-
-def _fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Homography by the normalised direct linear transform (Hartley and Zisserman, algorithm 4.2)."""
-    H, _ = linear_transform(source, target)
-    homography: FloatArray = H / H[2, 2]
-    return homography

@@ -34,8 +34,3 @@ class Surface:
         known = np.isfinite(u) & np.isfinite(v)
         u, v = np.where(known, u, 0.0), np.where(known, v, 0.0)
         return np.where(known, bilinear(self.heights, u, v), np.nan)
-
-    @classmethod
-    def level(cls, height: float) -> "Surface":
-        """A surface of one height everywhere."""
-        return cls(0.0, 0.0, 1.0, 1.0, np.full((1, 1), float(height)))

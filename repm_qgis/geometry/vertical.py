@@ -90,9 +90,8 @@ class HeightDatum:
         zero = np.zeros(lon_lat.shape[:-1])
         below = np.asarray(self._operation(_bounds(lon_lat)).transform(lon_lat[..., 0], lon_lat[..., 1], zero)[2])
         if not np.isfinite(below).all():
-            raise MissingPackageError(
-                f"PROJ's grid for {self.name} does not cover the DSM: choose another VERTICAL_DATUM, such as ellipsoid."
-            )
+            remedy = "choose another VERTICAL_DATUM, such as ellipsoid"
+            raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the DSM: {remedy}.")
         return -below
 
     def _operation(self, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
@@ -100,10 +99,8 @@ class HeightDatum:
         transformer, missing = _best_operation(self.code, bounds)
         if transformer is None:
             grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no operation for that"
-            raise MissingPackageError(
-                f"PROJ cannot convert ellipsoidal heights to {self.name}: {grids}. Install it (package proj-data, or "
-                "'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid."
-            )
+            remedy = "Install it (package proj-data, or 'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid"
+            raise MissingPackageError(f"PROJ cannot convert ellipsoidal heights to {self.name}: {grids}. {remedy}.")
         return transformer
 
 

@@ -129,10 +129,8 @@ def checked(rpc: Rpc) -> Rpc:
         reach = np.abs(ground[:, :2] - [rpc.lon_off, rpc.lat_off]) / np.abs([rpc.lon_scale, rpc.lat_scale])
         areas = _signed_areas(ground)
     if not (error < _ROUND_TRIP_PX and reach.max() < _REACH and ((areas > 0).all() or (areas < 0).all())):
-        raise RpcInvalidError(
-            "its numbers are not a sensor model: the pixels around its centre are not found on the ground around its "
-            "centre."
-        )
+        reason = "the pixels around its centre are not found on the ground around its centre"
+        raise RpcInvalidError(f"its numbers are not a sensor model: {reason}.")
     return rpc
 
 
@@ -212,9 +210,8 @@ def _refuse_correction(lines: Sequence[str]) -> None:
     """Six affine numbers that some software appends to correct the RPC in the image; all zeros are no correction."""
     numbers = [word for line in lines for word in re.split(r"[\s:=]+", line) if _NUMBER.fullmatch(word)]
     if len(numbers) < 6 or any(_number(word, "RFM_CORRECTION_PARAMETERS") != 0 for word in numbers):
-        raise RpcInvalidError(
-            "it has RFM_CORRECTION_PARAMETERS, which are not supported: remove them, or use the vendor's file."
-        )
+        remedy = "remove them, or use the vendor's file"
+        raise RpcInvalidError(f"it has RFM_CORRECTION_PARAMETERS, which are not supported: {remedy}.")
 
 
 # --- OSSIM and Orfeo ToolBox's .geom --------------------------------------------------------------------------------

@@ -19,28 +19,18 @@ from ..records import Record
 _CHUNK = 1 << 14  # points a pass: 20 monomials of them stay in the second-level cache
 _LOCALISE_TOLERANCE_PX = 3e-8  # rounding in images of 40000 px is about 1e-8 px: less would never be reached
 _LOCALISE_STEPS = 20
+# Terms 4 to 19 as products of two terms before them: LP, LH, PH, LL, PP, HH; then PLH, LLL, LPP, LHH, LLP, PPP ... HHH.
+_SQUARES = ((1, 2), (1, 3), (2, 3), (1, 1), (2, 2), (3, 3))
+_CUBES = ((4, 3), (7, 1), (1, 8), (1, 9), (7, 2), (8, 2), (2, 9), (7, 3), (8, 3), (9, 3))
+_FACTORS = _SQUARES + _CUBES
 
 
 def monomials(lon: FloatArray, lat: FloatArray, height: FloatArray, out: FloatArray) -> FloatArray:
     """RPC00B's twenty terms in normalised longitude L, latitude P and height H, as rows of ``out`` (20, n)."""
     out[0] = 1.0
     out[1], out[2], out[3] = lon, lat, height
-    np.multiply(lon, lat, out=out[4])
-    np.multiply(lon, height, out=out[5])
-    np.multiply(lat, height, out=out[6])
-    np.multiply(lon, lon, out=out[7])
-    np.multiply(lat, lat, out=out[8])
-    np.multiply(height, height, out=out[9])
-    np.multiply(out[4], height, out=out[10])
-    np.multiply(out[7], lon, out=out[11])
-    np.multiply(lon, out[8], out=out[12])
-    np.multiply(lon, out[9], out=out[13])
-    np.multiply(out[7], lat, out=out[14])
-    np.multiply(out[8], lat, out=out[15])
-    np.multiply(lat, out[9], out=out[16])
-    np.multiply(out[7], height, out=out[17])
-    np.multiply(out[8], height, out=out[18])
-    np.multiply(out[9], height, out=out[19])
+    for term, (first, second) in enumerate(_FACTORS, start=4):
+        np.multiply(out[first], out[second], out=out[term])
     return out
 
 
@@ -84,9 +74,8 @@ class Rpc(Record):
                 raise RpcInvalidError(f"the RPC's {name} has only zero coefficients.")
             object.__setattr__(self, name, tuple(float(v) for v in values))
         if not (-90.0 <= self.lat_off <= 90.0 and -360.0 <= self.lon_off <= 360.0):
-            raise RpcInvalidError(
-                f"the RPC's centre is at longitude {self.lon_off}, latitude {self.lat_off}: that is not on the Earth."
-            )
+            place = f"longitude {self.lon_off}, latitude {self.lat_off}"
+            raise RpcInvalidError(f"the RPC's centre is at {place}: that is not on the Earth.")
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Rpc:
@@ -108,16 +97,7 @@ class Rpc(Record):
         return replace(self, col_off=self.col_off - col, row_off=self.row_off - row)
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
-        """Project ground points into the image.
-
-        Parameters
-        ----------
-        lon_lat_h : (..., 3) float64; degrees, degrees, metres above the WGS 84 ellipsoid.
-
-        Returns
-        -------
-        (..., 2) float64 column, row; the first pixel's centre is (0, 0). NaN in gives NaN out.
-        """
+        """(..., 3) degrees, degrees, metres above the ellipsoid to (..., 2) column, row; NaN in gives NaN out."""
         points = np.asarray(lon_lat_h, dtype=np.float64)
         flat = points.reshape(-1, 3)
         result = np.empty((flat.shape[0], 2))
@@ -135,21 +115,11 @@ class Rpc(Record):
         return result.reshape(points.shape[:-1] + (2,))
 
     def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
-        """Find the ground points at given heights that are seen at given pixels.
+        """Find the ground points at given heights (m above the WGS 84 ellipsoid) that are seen at (..., 2) pixels.
 
-        Parameters
-        ----------
-        col_row : (..., 2) float64; the first pixel's centre is (0, 0).
-        height : float or array that broadcasts to (...); metres above the WGS 84 ellipsoid.
-
-        Returns
-        -------
-        (..., 3) float64 longitude, latitude (degrees), height (m); NaN where the model has no answer there.
-
-        Notes
-        -----
-        Newton's method on the forward model with a Jacobian from central differences that is refreshed once; the
-        model is so nearly affine that four passes reach 1e-8 px.
+        Gives (..., 3) longitude, latitude (degrees), height (m); NaN where the model has no answer there. Newton's
+        method on the forward model with a Jacobian from central differences that is refreshed once; the model is so
+        nearly affine that four passes reach 1e-8 px.
         """
         pixels = np.asarray(col_row, dtype=np.float64)
         flat = pixels.reshape(-1, 2)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Dict, List, Mapping, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -58,14 +58,11 @@ def rpc_of(dataset: gdal.Dataset, path: str, rpc_file: Optional[str] = None) -> 
     if rpc is not None:
         return rpc
     if dataset.GetProjection() and dataset.GetGeoTransform(can_return_null=True):
-        raise RpcMissingError(
-            f"'{path}' has no RPC and is already projected to a map (an ortho-ready or orthorectified product): "
-            "order the Basic, Sensor or Primary level, which comes with RPCs."
-        )
-    raise RpcMissingError(
-        f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. Put the vendor's RPC file into the image's folder "
-        "under its original name, or name it in RPCS."
-    )
+        reason = "is already projected to a map (an ortho-ready or orthorectified product)"
+        remedy = "order the Basic, Sensor or Primary level, which comes with RPCs"
+        raise RpcMissingError(f"'{path}' has no RPC and {reason}: {remedy}.")
+    remedy = "Put the vendor's RPC file into the image's folder under its original name, or name it in RPCS"
+    raise RpcMissingError(f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. {remedy}.")
 
 
 def read_rpc_file(path: str) -> Rpc:
@@ -75,11 +72,6 @@ def read_rpc_file(path: str) -> Rpc:
     were tried) or a wrong one (with the number that is wrong).
     """
     return _read(str(path)).rpc
-
-
-def rpc_from_gdal(metadata: Mapping[str, str]) -> Rpc:
-    """An RPC from GDAL's metadata domain ``RPC``; raises RpcInvalidError."""
-    return rpc_from_texts(metadata)
 
 
 # --- one file -------------------------------------------------------------------------------------------------------
@@ -132,7 +124,7 @@ def _tags(path: str) -> Dict[str, str]:
 def _from_metadata(dataset: gdal.Dataset) -> Optional[Rpc]:
     """The RPC that GDAL finds: tags, and the sidecar files of vendors that only GDAL reads."""
     metadata = dataset.GetMetadata("RPC")
-    return checked(rpc_from_gdal(metadata)) if metadata else None
+    return checked(rpc_from_texts(metadata)) if metadata else None
 
 
 def _from_sidecars(dataset: gdal.Dataset, path: str, tried: List[str]) -> Optional[Rpc]:
@@ -205,10 +197,8 @@ def _require_agreement(name: str, rpc: Rpc, other_name: str, other: Rpc) -> None
     with np.errstate(all="ignore"):
         apart = np.abs(rpc.project(ground) - other.project(ground)).max(initial=0.0)
     if not apart <= _AGREE_PX:
-        raise RpcInvalidError(
-            f"{name} and {other_name} differ by {apart:.3g} px: name the right one in RPCS (the image itself stands "
-            "for its tags), or remove the other."
-        )
+        remedy = "name the right one in RPCS (the image itself stands for its tags), or remove the other"
+        raise RpcInvalidError(f"{name} and {other_name} differ by {apart:.3g} px: {remedy}.")
 
 
 # --- which pixels ---------------------------------------------------------------------------------------------------
@@ -237,10 +227,9 @@ def _tile_origin(image: Path) -> Tuple[int, int]:
             size = tile_size(str(image.with_name(name)))
             if size is not None:
                 return (col - 1) * size[0], (row - 1) * size[1]
-    raise RpcInvalidError(
-        f"the image is tile R{row}C{col} of its product and 'DIM_{core}.XML', which says where it "
-        "lies, is not in its folder: put it there, or choose that file as the image."
-    )
+    reason = f"'DIM_{core}.XML', which says where it lies, is not in its folder"
+    remedy = "put it there, or choose that file as the image"
+    raise RpcInvalidError(f"the image is tile R{row}C{col} of its product and {reason}: {remedy}.")
 
 
 def _crop_origin(dataset: gdal.Dataset, rpc: Rpc) -> Tuple[float, float]:

@@ -41,9 +41,9 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
         with opened(options.dsm) as dsm:
             measure_dsm(found, dsm, options.gcps)
         if found.dsm_heights is None or not np.isfinite(found.dsm_heights).any():
+            points, place = counted(len(found.gcps), "point"), f"where the DSM '{options.dsm}' has a height"
             raise EmptyResultError(
-                f"None of the {counted(len(found.gcps), 'point')} of '{options.gcps}' lies where "
-                f"the DSM '{options.dsm}' has a height: choose the points of that place."
+                f"None of the {points} of '{options.gcps}' lies {place}: choose the points of that place."
             )
     for text in found.warnings:
         progress.warn(text)
@@ -61,15 +61,11 @@ def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions)
     if any(gcp.pixels for gcp in found.gcps):
         measure_images(found, scene.views)
         if "compensated" not in found.errors:
-            found.warnings.append(
-                f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role "
-                "control: there is no image-space compensation to show."
-            )
+            points = f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role control"
+            found.warnings.append(f"{points}: there is no image-space compensation to show.")
     elif not options.dsm:
-        raise EmptyResultError(
-            f"No point of '{options.gcps}' was measured in an image: fill the fields view, col and "
-            "row, or give a DSM to check its heights."
-        )
+        remedy = "fill the fields view, col and row, or give a DSM to check its heights"
+        raise EmptyResultError(f"No point of '{options.gcps}' was measured in an image: {remedy}.")
     else:
         found.warnings.append(f"No point of '{options.gcps}' was measured in an image: only the DSM is checked.")
 
@@ -91,10 +87,9 @@ def _log_heights(found: GcpAccuracy, progress: Progress) -> None:
     for column in found.errors:
         errors = found.summary(column, "height")
         if errors.count:
-            progress.info(
-                f"{COLUMNS[column]}: heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max "
-                f"{errors.max:.3f} m of {counted(errors.count, 'point')}{_checked(found, column)}."
-            )
+            figures = f"heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max {errors.max:.3f} m"
+            points = f"{counted(errors.count, 'point')}{_checked(found, column)}"
+            progress.info(f"{COLUMNS[column]}: {figures} of {points}.")
 
 
 def _checked(found: GcpAccuracy, column: str) -> str:

@@ -62,10 +62,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         radius = automatic_radius(layout.grid.cell, scene.gsd_m, parameters.fusion.outliers)
     options = replace(options, outlier_radius=radius)
     rows, columns = layout.grid.shape
-    progress.info(
-        f"DSM of {columns} x {rows} cells of {layout.grid.cell:g} m in {crs}, heights above the "
-        f"{datum.name}; outlier radius {radius:g} m."
-    )
+    cells = f"{columns} x {rows} cells of {layout.grid.cell:g} m in {crs}"
+    progress.info(f"DSM of {cells}, heights above the {datum.name}; outlier radius {radius:g} m.")
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
     folder = temporary_name(str(scene.path.with_name("fusion")))
@@ -160,10 +158,8 @@ def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progr
     options, radius = fusion.options, fusion.options.outlier_radius or 0.0
     if radius > 0:
         asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
-        progress.info(
-            f"{facts.removed} cells removed that have fewer neighbours within {radius:g} m than a "
-            f"fifth of what is usual ({asked})."
-        )
+        few = f"fewer neighbours within {radius:g} m than a fifth of what is usual ({asked})"
+        progress.info(f"{facts.removed} cells removed that have {few}.")
     counts = facts.matched, facts.background, facts.interpolated
     matched, background, interpolated = (100.0 * count / facts.cells for count in counts)
     progress.info(
@@ -172,12 +168,8 @@ def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progr
         f"{interpolated:.1f} % interpolated."
     )
     if facts.interpolated and not options.confidence:
-        progress.warn(
-            f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured: ask for "
-            "CONFIDENCE to see which (band 4)."
-        )
+        cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
+        progress.warn(f"{cells}: ask for CONFIDENCE to see which (band 4).")
     if facts.valid_percent < fusion.parameters.tiles.few_cells_percent:
-        progress.warn(
-            f"Only {facts.valid_percent:.0f} % of the cells have a height: look at the confidence and at "
-            "the reconstruction's report before you use this DSM."
-        )
+        advice = "look at the confidence and at the reconstruction's report before you use this DSM"
+        progress.warn(f"Only {facts.valid_percent:.0f} % of the cells have a height: {advice}.")

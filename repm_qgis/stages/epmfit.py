@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..arrays import Altitudes, Bounds, Window
+from ..arrays import Altitudes, Bounds
 from ..errors import OptionError, OverlapError
 from ..evaluation.stage_reports import fit_report
 from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
@@ -117,10 +117,8 @@ def _area(
     views: Sequence[View], crs: str, altitudes: Altitudes, options: EpmFitOptions, parameters: TileParameters
 ) -> ogr.Geometry:
     """The ground that two views see at some altitude of the range, within the extent asked for."""
-    outlines = [
-        [projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views]
-        for z in np.linspace(*altitudes, parameters.area_altitudes)
-    ]
+    levels = np.linspace(*altitudes, parameters.area_altitudes)
+    outlines = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels]
     area = seen_twice(outlines)
     least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
     if area.IsEmpty() or area.GetArea() < least:
@@ -128,14 +126,12 @@ def _area(
         raise OverlapError(f"The images do not overlap on the ground: {'; '.join(places)}. Choose images of one place.")
     if options.extent is None:
         return area
-    wanted = _extent(options, options.extent, crs)
-    common = area.Intersection(wanted)
+    common = area.Intersection(_extent(options, options.extent, crs))
     if common is None or common.IsEmpty() or common.GetArea() < least:
         back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
-        raise OverlapError(
-            f"EXTENT {_range_text(options.extent)} ({options.extent_crs}) lies outside what two images see: "
-            f"{_range_text(back.transform_bounds(*bounds_of(area)))}. Draw it there, or leave it empty."
-        )
+        wanted, seen = (_range_text(ends) for ends in (options.extent, back.transform_bounds(*bounds_of(area))))
+        place = f"EXTENT {wanted} ({options.extent_crs}) lies outside what two images see: {seen}"
+        raise OverlapError(f"{place}. Draw it there, or leave it empty.")
     return common
 
 
@@ -174,19 +170,19 @@ def _automatic_size(
 
     size, error = largest_within(budget, parameters.sizes_px, error_of)
     if error > budget:
+        left, range_m = f"{error:.2f} px of equivalent error", scene.altitudes[1] - scene.altitudes[0]
         progress.warn(
-            f"Even tiles of {size} px leave {error:.2f} px of equivalent error after refinement (budget "
-            f"{budget:g} px) over {scene.altitudes[1] - scene.altitudes[0]:.0f} m of altitude; heights are "
-            "computed with the RPCs and stay exact."
+            f"Even tiles of {size} px leave {left} after refinement (budget {budget:g} px) over {range_m:.0f} m of "
+            "altitude; heights are computed with the RPCs and stay exact."
         )
     return size
 
 
 def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
     """Cameras of all views that see a tile, with the virtual grids they were fitted to."""
-    views, grids = {}, []
+    views, grids, to_geodetic = {}, [], partial(geodetic_from_projected, scene.crs)
     for view in scene.views:
-        window = view_window(scene, view, ground.bounds, scene.altitudes)
+        window = pixel_window(view.project, to_geodetic, ground.bounds, scene.altitudes, view.size)
         if window is None:
             continue
         grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame, VIRTUAL_GRID.tile)
@@ -194,12 +190,6 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
         views[view.name] = TileView(window, fitted.camera, fitted.error)
         grids.append(grid)
     return Tile(ground.id, ground.bounds, scene.altitudes, views), grids
-
-
-def view_window(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes, margin: int = 0) -> Optional[Window]:
-    """The pixel window of a view that sees a ground rectangle at all of these altitudes; None where it does not."""
-    to_geodetic = partial(geodetic_from_projected, scene.crs)
-    return pixel_window(view.project, to_geodetic, bounds, altitudes, view.size, margin)
 
 
 def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> Tuple[Tile, ...]:

@@ -69,9 +69,8 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
         errormap_report(scene, view, options.output, rmse, worst, altitude).write(options.report)
-    progress.info(
-        f"{view.name} at {altitude:.0f} m: equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px ({refinement})."
-    )
+    errors = f"equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px ({refinement})"
+    progress.info(f"{view.name} at {altitude:.0f} m: {errors}.")
     progress.step(1.0, "error mapped")
     return {"output": options.output, "report": options.report, **facts}
 

@@ -50,10 +50,8 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
         done += len(model.views)
     error = max(view.error.max for model in models for view in model.views)
     rmse = float(np.sqrt(np.mean([view.error.rmse**2 for model in models for view in model.views])))
-    progress.info(
-        f"{count} images with cameras in '{folder}', for {options.format}; the cameras hold to RMSE "
-        f"{rmse:.3f} px, max {error:.3f} px."
-    )
+    errors = f"the cameras hold to RMSE {rmse:.3f} px, max {error:.3f} px"
+    progress.info(f"{count} images with cameras in '{folder}', for {options.format}; {errors}.")
     progress.step(1.0, "cameras exported")
     return {"folder": str(folder), "models": [str(place) for place in places], "images": count}
 

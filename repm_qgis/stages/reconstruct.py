@@ -34,6 +34,8 @@ from ..workspace import ensure_folder, file_identity, fingerprint
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
 
+Stretches = Dict[str, Stretch]  # by the views' names
+
 
 def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
@@ -92,19 +94,14 @@ def _complete(scene: Scene, folder: Path) -> bool:
 
 
 def _pointed(
-    scene: Scene,
-    stretches: Dict[str, Stretch],
-    options: ReconstructOptions,
-    parameters: EngineParameters,
-    progress: Progress,
+    scene: Scene, stretches: Stretches, options: ReconstructOptions, parameters: EngineParameters, progress: Progress
 ) -> Scene:
     """The scene with its views pointed and its tiles' altitudes narrowed by the tie points, which are written."""
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
-        progress.warn(
-            f"No control point of '{options.gcps}' was measured in an image: the position of the whole stays "
-            "where the vendors put it; fill the fields view, col and row of points with the role control."
-        )
+        remedy = "fill the fields view, col and row of points with the role control"
+        effect = f"the position of the whole stays where the vendors put it; {remedy}"
+        progress.warn(f"No control point of '{options.gcps}' was measured in an image: {effect}.")
     mode, numbers = (options.workers, options.adjustment), (parameters.pointing, parameters.altitudes)
     found = point_views(scene, scene.pairs, stretches, options.pointing, gcps, progress, *mode, *numbers)
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
@@ -126,7 +123,7 @@ def _narrowed(scene: Scene, found: Callable[[Bounds], Optional[Altitudes]], para
 
 def _with_coarse_surface(
     scene: Scene,
-    stretches: Dict[str, Stretch],
+    stretches: Stretches,
     backend: Backend,
     options: ReconstructOptions,
     parameters: EngineParameters,
@@ -177,11 +174,8 @@ def _check(records: Sequence[Optional[HeightMapRecord]], parameters: TileParamet
     pixels = sum(record.pixels for record in made)
     valid = sum(record.valid for record in made)
     if valid < max(parameters.least_matched, parameters.least_matched_share * pixels):
-        raise EmptyResultError(
-            f"Matching found heights for only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs. "
-            "Are the altitudes right, and do the images show the same ground without clouds?"
-        )
-    progress.info(
-        f"Heights for {100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on "
-        f"{counted(len(made), 'tile pair')} (the frames' empty corners count)."
-    )
+        question = "Are the altitudes right, and do the images show the same ground without clouds?"
+        found = f"only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs"
+        raise EmptyResultError(f"Matching found heights for {found}. {question}")
+    found = f"{100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on {counted(len(made), 'tile pair')}"
+    progress.info(f"Heights for {found} (the frames' empty corners count).")

@@ -60,10 +60,8 @@ def with_surface(scene: Scene, source: str, parameters: EngineParameters, progre
     cell, path = parameters.tiles.surface_px * scene.gsd_m, str(scene.folder("surface") / "surface.tif")
     surface = make_surface(source, lon_lat_bounds(scene, parameters.fusion), cell, path)
     heights = load_surface(surface).heights
-    progress.info(
-        f"Refined on a surface of {heights.shape[1]} x {heights.shape[0]} cells, {heights.min():.0f} to "
-        f"{heights.max():.0f} m, from '{source}'."
-    )
+    cells, range_ = f"{heights.shape[1]} x {heights.shape[0]} cells", f"{heights.min():.0f} to {heights.max():.0f} m"
+    progress.info(f"Refined on a surface of {cells}, {range_}, from '{source}'.")
     return replace(scene, refinement="terrain", surface=surface)
 
 
@@ -77,9 +75,8 @@ def refined_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None
             progress.check_cancelled()
             rpc = scene.view(name).rpc
             grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
-            refined = refine_pinhole(
-                scene.refinement, tile_view.camera, grid, tile_view.window, scene.order, scene.terrain(rpc)
-            )
+            how = scene.order, scene.terrain(rpc)
+            refined = refine_pinhole(scene.refinement, tile_view.camera, grid, tile_view.window, *how)
             image = _write_image(scene, tile.id, name, refined, kernel) if kernel else tile_view.image
             views[name] = replace(tile_view, refined=refined, image=image)
         tiles.append(replace(tile, views=views))
@@ -93,12 +90,9 @@ def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters) 
     if any(tile.heights for tile in scene.tiles):
         cell, path = parameters.tiles.surface_px * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif")
         return surface_of_heights(scene, cell, path, parameters.fusion)
-    raise OptionError(
-        "MODEL",
-        options.model,
-        "needs a surface: give a DEM, or a scene that has heights already "
-        "('Reconstruct heights' with another MODEL first); 'Make a DSM' finds the surface by itself",
-    )
+    remedy = "a scene that has heights already ('Reconstruct heights' with another MODEL first)"
+    reason = f"needs a surface: give a DEM, or {remedy}; 'Make a DSM' finds the surface by itself"
+    raise OptionError("MODEL", options.model, reason)
 
 
 def _write_image(scene: Scene, tile: str, name: str, refined: RefinedPinhole, kernel: str) -> str:

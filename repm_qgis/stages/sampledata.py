@@ -18,8 +18,6 @@ def run(options: SampleDataOptions, progress: Progress) -> dict[str, Any]:
     """
     spec = SceneSpec.default(options.kind, options.size, options.seed)
     result = make_scene(spec, options.folder, progress)
-    progress.info(
-        f"{len(result['images'])} images of {options.size} x {options.size} px; the RPCs are within "
-        f"{result['rpc_fit_max_px']:.1e} px of the simulated sensor."
-    )
+    images = f"{len(result['images'])} images of {options.size} x {options.size} px"
+    progress.info(f"{images}; the RPCs are within {result['rpc_fit_max_px']:.1e} px of the simulated sensor.")
     return result

@@ -9,7 +9,8 @@ import pytest
 
 from repm_qgis.errors import RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
-from repm_qgis.rpc.readers import read_rpc_file, rpc_from_gdal, rpc_of
+from repm_qgis.rpc.formats import rpc_from_texts
+from repm_qgis.rpc.readers import read_rpc_file, rpc_of
 from repm_qgis.simulation.scene import rpc_tags
 
 
@@ -222,7 +223,7 @@ def test_wrong_numbers_name_the_file_and_the_value(tmp_path, write_image, synthe
     image = write_image(tmp_path / "a.tif", rpc=synthetic_rpc(), tags={key: value})
     tags = {**rpc_tags(synthetic_rpc()), key: value}
     with pytest.raises(RpcInvalidError) as caught:
-        rpc_from_gdal(tags)
+        rpc_from_texts(tags)
     assert words in str(caught.value)
     if value == "east":
         return  # the GeoTIFF tag holds numbers only
@@ -240,7 +241,7 @@ def test_missing_members_are_named(synthetic_rpc, key, change):
     else:
         tags[key] = " "
     with pytest.raises(RpcInvalidError):
-        rpc_from_gdal(tags)
+        rpc_from_texts(tags)
 
 
 def test_an_xml_with_nan_or_nothing_for_a_number(tmp_path, write_image, synthetic_rpc):

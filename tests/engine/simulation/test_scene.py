@@ -14,8 +14,8 @@ from repm_qgis.errors import Cancelled, WorkspaceError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.options import SampleDataOptions
 from repm_qgis.progress import Silent
+from repm_qgis.rpc.formats import rpc_from_texts
 from repm_qgis.rpc.model import Rpc
-from repm_qgis.rpc.readers import rpc_from_gdal
 from repm_qgis.simulation.render import RayCaster
 from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, pointing_errors, surface_bounds
 from repm_qgis.stages.sampledata import run
@@ -34,7 +34,7 @@ class Scene:
         for path in self.result["images"]:
             dataset = gdal.Open(path)
             self.images.append(dataset.ReadAsArray())
-            self.files_rpcs.append(rpc_from_gdal(dataset.GetMetadata("RPC")))
+            self.files_rpcs.append(rpc_from_texts(dataset.GetMetadata("RPC")))
             dataset = None
         with open(os.path.join(folder, "truth.json"), encoding="utf-8") as stream:
             self.record = json.load(stream)
