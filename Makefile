@@ -3,10 +3,10 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench fuzz identity lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-faults fuzz identity lint package models i18n pictures clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: ## install what the plugin needs here (QGIS by apt on Debian and Ubuntu, the wheels into .venv)
 	@scripts/setup
@@ -22,6 +22,9 @@ bench: setup ## DSMs of truth scenes and real images, beside S2P's and CARS's wh
 
 bench-%: setup ## one subject: clouds confidence cuda epm fusion large masks matching pointing real subpixel views
 	@$(PYTHON) benchmarks $* --write
+
+bench-faults: setup ## kills, cancels, full disks, two runs at once, damaged files: tried and held (hours; SHARE=0.1 for a tenth)
+	@$(PYTHON) benchmarks/faults.py --share $(or $(SHARE),1)
 
 fuzz: setup ## broken RPC files against the readers (COUNT=20000 SEED=1)
 	@$(PYTHON) -m tests.engine.rpc.fuzz $(or $(COUNT),20000) $(or $(SEED),1)

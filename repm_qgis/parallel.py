@@ -6,7 +6,9 @@ import ctypes
 import multiprocessing
 import multiprocessing.context
 import os
+import signal
 import sys
+import threading
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -67,7 +69,7 @@ class _Pool:
         if self._workers != workers:
             self.close()
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(workers, mp_context=_context(), initializer=_bound_threads)
+            self._executor = ProcessPoolExecutor(workers, mp_context=_context(), initializer=begin_worker)
             self._workers = workers
         return self._executor
 
@@ -77,6 +79,11 @@ class _Pool:
             for process in list((self._executor._processes or {}).values()):
                 process.terminate()
         self.close()
+
+    def kill(self) -> None:
+        """End the workers without waiting for anything that a lock might hold."""
+        for process in list((getattr(self._executor, "_processes", None) or {}).values()):
+            process.kill()
 
     def close(self) -> None:
         """Let the workers go."""
@@ -114,6 +121,12 @@ def _stop_server() -> None:
 
 
 _kept: Optional[_Pool] = None
+
+
+def end_workers() -> None:
+    """End all workers at once, whatever they do; for a process that is about to end itself."""
+    if _kept is not None:
+        _kept.kill()
 
 
 @contextmanager
@@ -190,8 +203,22 @@ def keep_freed_memory() -> None:
     mallopt(_TRIM_THRESHOLD, 128 << 20)
 
 
-def _bound_threads() -> None:
-    """One thread a worker: N workers use N cores, not N times N."""
+def _end_with_engine() -> None:
+    """End this worker as soon as the engine is gone, killed say: nobody would take its results."""
+    engine = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if engine is not None:
+            engine.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, name="watch-engine", daemon=True).start()
+
+
+def begin_worker() -> None:
+    """One thread a worker: N workers use N cores, not N times N. Ctrl-C is for the engine, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with_engine()
     one_thread_for_sums()
     keep_freed_memory()
     import cv2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from typing import Callable, Optional, Protocol, TextIO
 
@@ -86,13 +87,24 @@ class JsonLines:
     """
 
     def __init__(self, stream: TextIO, cancelled: Optional[Callable[[], bool]] = None) -> None:
-        self._stream, self._cancelled, self._fraction = stream, cancelled, 0.0
-        self._lock = threading.Lock()
+        self._stream, self._cancelled, self._fraction, self._closed = stream, cancelled, 0.0, False
+        self._lock = threading.RLock()
+
+    def cancelled_by(self, asked: Callable[[], bool]) -> None:
+        """Ask this at every check from now on."""
+        self._cancelled = asked
 
     def send(self, **message: object) -> None:
         with self._lock:
             self._stream.write(json.dumps(message, allow_nan=False) + "\n")
             self._stream.flush()
+            self._closed = message["type"] in ("result", "error", "bug")
+
+    def last_words(self, **message: object) -> None:
+        """Send a closing message where none was sent, even if whoever is sending never comes back."""
+        free = self._lock.acquire(timeout=0.2)
+        if not self._closed:
+            os.write(self._stream.fileno(), (("" if free else "\n") + json.dumps(message) + "\n").encode())
 
     def step(self, fraction: float, text: str = "") -> None:
         self._fraction = max(self._fraction, min(max(float(fraction), 0.0), 1.0))

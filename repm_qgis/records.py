@@ -63,15 +63,22 @@ def _typed(kind: Any, value: Any) -> Any:
     if origin is dict:
         return {str(name): _typed(arguments[1], entry) for name, entry in value.items()}
     if origin is np.ndarray:
-        return np.array(value, dtype=np.float64)
+        return _finite(np.array(value, dtype=np.float64))
     if hasattr(kind, "from_mapping"):
         return kind.from_mapping(value)
     if hasattr(kind, "_fields"):
         return kind(*_typed(Tuple[tuple(get_type_hints(kind).values())], value))
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return _finite(float(value))
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise TypeError(f"{value!r} should be of the type {kind.__name__}")
+    return value
+
+
+def _finite(value: Any) -> Any:
+    """Numbers that are finite: a scene of ours has no others."""
+    if not np.isfinite(value).all():
+        raise ValueError(f"{value!r} should be finite")
     return value
 
 

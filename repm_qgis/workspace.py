@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
+import errno
+import glob
 import hashlib
 import json
 import os
 import shutil
+import socket
+import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Iterator
+from typing import Any, Iterator, List, Set
 
 from . import __version__
 from .errors import RepmError, WorkspaceError
@@ -31,30 +36,151 @@ def ensure_folder(path: str) -> Path:
 
 
 def temporary_name(path: str) -> str:
-    """A name in the folder of ``path`` to write to before renaming, with the same extension; the folder is made.
+    """A new name beside ``path`` to write to before renaming; its folder is made, its extension kept.
 
-    The name is the same for every attempt, so that what a killed run left behind is overwritten by the next.
+    The name holds this machine, this process and a random part, so that no two attempts share it. What processes of
+    this machine that are gone have left of earlier attempts is removed. Raises WorkspaceError, also where ``path`` is
+    there and is no regular file: a device, say.
     """
-    target = Path(path)
+    target = real_target(path)
     ensure_folder(str(target.parent))
-    return str(_temporary(target))
+    drop_temporary(path)
+    temporary = str(target.with_name(f"{_prefix(target)}{_MACHINE}-{os.getpid()}-{os.urandom(4).hex()}{target.suffix}"))
+    _own_temporaries.add(temporary)
+    return temporary
+
+
+def real_target(path: str) -> Path:
+    """The file or folder that writing to ``path`` replaces: links are followed, so that they stay links.
+
+    Raises WorkspaceError where something is there that is neither a regular file nor a folder.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        raise WorkspaceError(f"'{path}' is a device or a pipe, not a file: choose the name of a file.")
+    return target
 
 
 def drop_temporary(path: str) -> None:
-    """Remove the half-written file of a process that was ended."""
-    _temporary(Path(path)).unlink(missing_ok=True)
+    """Remove what processes of this machine that are gone have left of earlier attempts to write ``path``."""
+    target = Path(os.path.realpath(path))
+    for leftover in target.parent.glob(f"{glob.escape(_prefix(target))}{_MACHINE}-*"):
+        process = leftover.name[len(_prefix(target)) :].split("-")[1]
+        if process.isdigit() and not process_exists(int(process)):
+            _remove(str(leftover))
 
 
-def _temporary(target: Path) -> Path:
-    return target.with_name(f".{target.stem}.part{target.suffix}")
+def remove_own_temporaries() -> None:
+    """Remove all that this process is writing; for a process that is about to end itself."""
+    for path in sorted(_own_temporaries):
+        _remove(path)
+
+
+def _prefix(target: Path) -> str:
+    return f".{target.stem}.part-"
+
+
+def _machine() -> str:
+    """What tells this machine from others that may write into the same folder: its name, its process numbers."""
+    try:
+        space = os.readlink("/proc/self/ns/pid")
+    except (OSError, AttributeError):
+        space = ""
+    return hashlib.sha256(f"{socket.gethostname()} {space}".encode()).hexdigest()[:8]
+
+
+_MACHINE = _machine()
+_own_temporaries: Set[str] = set()
+
+
+def process_exists(number: int) -> bool:
+    """Whether a process of this machine has this number."""
+    if sys.platform == "win32":
+        return _windows_process_exists(number)
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is there, and another user's
+        return True
+    return True
+
+
+def _windows_process_exists(number: int) -> bool:
+    """Signal 0 would end the process on Windows: its handle is asked instead (WinBase.h: 0x1000, STILL_ACTIVE 259)."""
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    handle = kernel.OpenProcess(0x1000, False, number)
+    if not handle:
+        return False
+    code = ctypes.c_ulong()
+    known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return not known or code.value == 259
+
+
+def _remove(path: str) -> None:
+    """Remove a file or folder that may be gone already."""
+    if os.path.isdir(path) and not os.path.islink(path):
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            os.unlink(path)
+    _own_temporaries.discard(path)
 
 
 def take_name(temporary: str, path: str) -> None:
-    """Give a complete file its name; raises WorkspaceError where that fails, as where a folder has the name."""
+    """Give a whole file its name, for good: what it holds is on the disk before the name is.
+
+    Raises WorkspaceError where the name is taken by a folder, say.
+    """
+    target = real_target(path)
     try:
-        os.replace(temporary, path)
+        _sync(temporary)
+        os.replace(temporary, target)
+        _sync(str(target.parent))
     except OSError as error:
-        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
+        raise cannot_write(path, error) from error
+    _own_temporaries.discard(temporary)
+
+
+def _sync(path: str) -> None:
+    """Have the disk hold what was written to a file, or a folder's names; Windows has no such thing for folders."""
+    if os.path.isdir(path) and os.name == "nt":
+        return
+    descriptor = os.open(path, os.O_RDONLY if os.path.isdir(path) or os.name != "nt" else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EROFS):  # file systems that know no fsync
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def cannot_write(path: str, error: OSError) -> WorkspaceError:
+    """The sentence for a file or folder that cannot be written: what stood in the way, and what helps."""
+    if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)):
+        return WorkspaceError(
+            f"Cannot write '{path}': the disk is full ({free_text(path)} free): free some space, or choose a place "
+            "on another disk."
+        )
+    if error.errno == errno.EMFILE:
+        return WorkspaceError(
+            f"Cannot write '{path}': this process has too many open files: raise the limit (ulimit -n), or use fewer "
+            "workers."
+        )
+    return WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.")
+
+
+def free_text(path: str) -> str:
+    """The free space of the disk that a path lies on, for a message."""
+    place = os.path.abspath(path)
+    while not os.path.exists(place) and os.path.dirname(place) != place:
+        place = os.path.dirname(place)
+    try:
+        return f"{shutil.disk_usage(place).free / 2**20:.1f} MiB"
+    except OSError:
+        return "an unknown amount is"
 
 
 @contextmanager
@@ -70,10 +196,9 @@ def whole_file(path: str) -> Iterator[str]:
     except OSError as error:
         if isinstance(error, RepmError):
             raise
-        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.") from error
+        raise cannot_write(path, error) from error
     finally:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
+        _remove(temporary)
 
 
 def write_text(path: str, text: str) -> str:
@@ -84,52 +209,102 @@ def write_text(path: str, text: str) -> str:
 
 
 @contextmanager
+def temporary_folder(path: str) -> Iterator[str]:
+    """A new folder beside ``path`` for what lives only within the block."""
+    folder = temporary_name(path)
+    try:
+        yield str(ensure_folder(folder))
+    finally:
+        _remove(folder)
+
+
+@contextmanager
 def whole_folder(path: str) -> Iterator[Path]:
     """A new folder to fill: it takes its name, and an older one's place, only when the block ends without an error.
 
     Whoever calls sees to it that an older folder there may go. Raises WorkspaceError.
     """
-    target = Path(path)
-    ensure_folder(str(target.parent))
-    temporary, old = (target.with_name(f".{target.name}.part{end}") for end in ("", ".old"))
-    shutil.rmtree(temporary, ignore_errors=True)
+    target = real_target(path)
+    recover_folder(path)
+    temporary = Path(temporary_name(path))
     try:
         temporary.mkdir()
         yield temporary
-        _take_place(temporary, target, old)
-    except WorkspaceError:
-        raise
+        for place, _, files in os.walk(temporary):
+            for name in files:
+                _sync(os.path.join(place, name))
+            _sync(place)
+        _take_place(temporary, target)
     except OSError as error:
         if isinstance(error, RepmError):
             raise
-        raise WorkspaceError(
-            f"Cannot write the folder '{path}' ({error.strerror or error}): choose another place."
-        ) from error
+        raise cannot_write(path, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        _remove(str(temporary))
 
 
-def _take_place(temporary: Path, target: Path, old: Path) -> None:
-    """Rename a folder over another, which comes back if that fails."""
-    shutil.rmtree(old, ignore_errors=True)
-    if target.exists():
-        os.replace(target, old)
-    try:
+def _take_place(temporary: Path, target: Path) -> None:
+    """Give a folder its name; an older one of that name goes.
+
+    Where the system can exchange two names in one step, there is a whole folder at every moment. Where it cannot, the
+    older one is put aside first, and :func:`recover_folder` finds it there after a kill between the two steps.
+    """
+    if not target.exists():
         os.replace(temporary, target)
-    except OSError:
-        if old.exists():
-            os.replace(old, target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+    elif not _exchange(temporary, target):
+        aside = _aside(target)
+        _remove(str(aside))
+        os.replace(target, aside)
+        try:
+            os.replace(temporary, target)
+        except OSError:
+            os.replace(aside, target)
+            raise
+        _remove(str(aside))
+    _sync(str(target.parent))
 
 
-def file_identity(path: str) -> list[Any]:
-    """What distinguishes a file from a changed one without reading it: path, size and time of change."""
+def recover_folder(path: str) -> None:
+    """Put an older folder back that a killed run had put aside."""
+    target = Path(os.path.realpath(path))
+    aside = _aside(target)
+    if aside.is_dir():
+        if target.exists():
+            _remove(str(aside))
+        else:
+            os.replace(aside, target)
+
+
+def _aside(target: Path) -> Path:
+    return target.with_name(f".{target.name}.aside")
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Exchange two names in one step; False where the system or the file system cannot.
+
+    Linux: renameat2 with RENAME_EXCHANGE (2); macOS: renamex_np with RENAME_SWAP (2).
+    """
+    names = os.fsencode(first), os.fsencode(second)
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+        if sys.platform == "darwin":
+            return bool(library.renamex_np(*names, 2) == 0)
+        at_cwd = -100
+        return bool(library.renameat2(at_cwd, names[0], at_cwd, names[1], 2) == 0)
+    except (AttributeError, OSError, TypeError):
+        return False
+
+
+def file_identity(path: str) -> List[Any]:
+    """What tells a file apart from a changed one without reading it all.
+
+    Path, size, time of modification, inode and time of change: the last two tell a file whose old time was restored.
+    """
     try:
         status = os.stat(path)
     except OSError:
         return [str(path)]
-    return [os.path.abspath(path), status.st_size, status.st_mtime_ns]
+    return [os.path.abspath(path), status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns]
 
 
 def fingerprint(*parts: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Iterator, Sequence
@@ -11,8 +10,8 @@ import numpy as np
 import pyproj
 
 from ..arrays import FloatArray
-from ..errors import MissingPackageError, OptionError, WorkspaceError
-from ..workspace import temporary_name
+from ..errors import MissingPackageError, OptionError
+from ..workspace import whole_file
 
 
 def required_laspy(option: str) -> Any:
@@ -56,13 +55,5 @@ def created_cloud(path: str, crs: str, origin: Sequence[float]) -> Iterator[Poin
     header.scales = np.array([0.001, 0.001, 0.001])
     header.offsets = np.floor(np.asarray(origin, dtype=np.float64))
     header.add_crs(pyproj.CRS.from_user_input(crs))
-    temporary = temporary_name(path)
-    try:
-        with laspy.open(temporary, mode="w", header=header) as writer:
-            yield PointCloudWriter(writer, header)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another folder.") from error
-    finally:
-        if os.path.exists(temporary):
-            os.unlink(temporary)
+    with whole_file(path) as temporary, laspy.open(temporary, mode="w", header=header) as writer:
+        yield PointCloudWriter(writer, header)

@@ -16,7 +16,8 @@ from osgeo import gdal
 
 from ..arrays import FloatImage, Size, Window
 from ..errors import ImageError, WorkspaceError
-from ..workspace import take_name, temporary_name
+from ..workspace import file_identity, take_name, temporary_name
+from .untrusted import require_trusted
 
 NODATA = -9999.0
 
@@ -90,6 +91,7 @@ def opened_masked(path: str, mask: str = "") -> Iterator[Image]:
 @contextmanager
 def opened(path: str) -> Iterator[gdal.Dataset]:
     """A raster opened for reading, and closed in any case; raises ImageError with GDAL's reason."""
+    require_trusted(str(path))
     flags = gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR
     dataset, reason = _attempt(lambda: gdal.OpenEx(str(path), flags))
     if dataset is None:
@@ -330,3 +332,16 @@ def grey_band(dataset: gdal.Dataset) -> int:
 def name_of(path: str) -> str:
     """An image's short name: that of its file, without the extension."""
     return Path(path).stem
+
+
+def raster_identity(path: str) -> List[List[Any]]:
+    """What tells a raster apart from a changed one: the identities of all files that GDAL says belong to it.
+
+    Masks, overviews, RPC files beside it, and the images behind a VRT are among them.
+    """
+    try:
+        with opened(path) as dataset:
+            files = dataset.GetFileList() or []
+    except ImageError:
+        files = []
+    return [file_identity(file) for file in sorted({path, *files})]

@@ -6,10 +6,13 @@ The names here are those of the Processing algorithms and of ``python -m repm_qg
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any, Callable, Mapping, Optional
 
 from .. import options as _options
 from ..errors import OptionError
+from ..locks import exclusive
+from ..products import SCENE, paths_of, products_of
 from ..progress import Progress
 
 if TYPE_CHECKING:  # QGIS asks for the options alone
@@ -43,4 +46,13 @@ def run_stage(
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)
     run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
-    return run(checked, progress) if parameters is None else run(checked, progress, parameters)
+    with exclusive(name, progress, *_written(name, checked)):
+        return run(checked, progress) if parameters is None else run(checked, progress, parameters)
+
+
+def _written(name: str, options: _options.Options) -> tuple[list[str], list[str]]:
+    """The folders and files that two runs of stages must not write at the same time: workspaces, scenes, outputs."""
+    made = list(paths_of(products_of(name), options))
+    folders = [path for product, path in made if product.option == "workspace"]
+    folders += [os.path.dirname(path) or "." for product, path in made if product.form == SCENE]
+    return folders, [path for product, path in made if product.option == "output"]

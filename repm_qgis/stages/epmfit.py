@@ -20,6 +20,7 @@ from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_a
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
+from ..imagery.raster import raster_identity
 from ..options import EpmFitOptions, Extent
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
@@ -61,8 +62,8 @@ def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
     named = options.rpcs or ("",) * len(options.images)
     sidecars = [path for image, rpc in zip(options.images, named) for path in ([rpc] if rpc else rpc_sidecars(image))]
     sidecars += [path for image in options.images for path in time_sidecars(image) if path not in sidecars]
-    files = [*options.images, *sidecars, *filter(None, [options.dem, *options.masks])]
-    return fingerprint("epmfit", wanted, list(map(file_identity, files)), *parameters.in_fingerprint())
+    rasters = map(raster_identity, [*options.images, *filter(None, [options.dem, *options.masks])])
+    return fingerprint("epmfit", wanted, *rasters, *map(file_identity, sidecars), *parameters.in_fingerprint())
 
 
 def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progress) -> Scene:

@@ -16,6 +16,7 @@ from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..imagery.enhancement import Stretch, view_stretch
+from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
 from ..options import ReconstructOptions
@@ -46,7 +47,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         scene = replace(scene, refinement="polynomial")
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
     chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
-    files = [file_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
+    files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
     others = *backends[0].settings(options), *parameters.in_fingerprint()
     key = fingerprint("reconstruct", scene.fingerprint, *chosen, files, *others)
     place = Path(options.output_scene)

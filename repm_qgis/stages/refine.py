@@ -15,10 +15,11 @@ from ..evaluation.stage_reports import refine_report
 from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
 from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface
+from ..imagery.raster import raster_identity
 from ..options import RefineOptions
 from ..progress import Progress, Recorder
 from ..scene import Scene, reusable
-from ..workspace import file_identity, fingerprint
+from ..workspace import fingerprint
 from .parameters import ENGINE, EngineParameters
 
 
@@ -26,7 +27,7 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
     """Refine all tiles; gives the refined scene and the report."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
-    dem = file_identity(options.dem) if options.dem else None
+    dem = raster_identity(options.dem) if options.dem else None
     chosen = options.model, options.order, options.kernel, dem, options.write_images
     key = fingerprint("refine", scene.fingerprint, *chosen, *parameters.in_fingerprint())
     report_path = options.report or str(Path(options.output_scene).with_name("refinement.html"))

@@ -97,7 +97,7 @@ def test_the_command_line_counts_a_bug_as_2(tmp_path):
     done = python(
         "import sys\nimport repm_qgis.stages as s\n"
         "def broken(*a):\n    raise ZeroDivisionError('a bug')\n"
-        "s.run_stage = broken\nfrom repm_qgis.__main__ import main\n"
+        "s.run_stage = broken\nfrom repm_qgis.engine_process import main\n"
         f"sys.exit(main(['environment', {str(tmp_path / 'job.json')!r}]))"
     )
     assert done.returncode == 2

@@ -81,7 +81,7 @@ def test_sigterm_cancels_and_cleans_up(tmp_path):
 def test_the_engine_runs_where_qgis_cannot_be_imported(tmp_path):
     code = (
         "import sys; sys.modules['qgis'] = None; sys.modules['PyQt5'] = None; "
-        "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))"
+        "from repm_qgis.engine_process import main; sys.exit(main(sys.argv[1:]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, "environment", str(job(tmp_path))],

@@ -17,8 +17,8 @@ from repm_qgis.memory import free_mib, fusing_mib, largest_tile, matching_mib, w
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN = """
 import json, sys
-from repm_qgis.parallel import _bound_threads
-_bound_threads()
+from repm_qgis.parallel import begin_worker
+begin_worker()
 from repm_qgis.scene import Scene
 path, side, extra, out = sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
 scene = Scene.load(path)

@@ -314,7 +314,7 @@ def test_a_missing_wheel(tmp_path, urban, told, package, stage):
     (tmp_path / "job.json").write_text(json.dumps(options))
     code = (
         f"import sys; sys.modules[{package!r}] = None; "
-        "from repm_qgis.__main__ import main; sys.exit(main(sys.argv[1:]))"
+        "from repm_qgis.engine_process import main; sys.exit(main(sys.argv[1:]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, stage, str(tmp_path / "job.json")],

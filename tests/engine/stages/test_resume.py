@@ -19,6 +19,12 @@ from repm_qgis.errors import Cancelled
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
+LEAVE_HALF = """
+import os, signal, sys
+from repm_qgis.workspace import temporary_name
+open(temporary_name(sys.argv[1]), "w").write("half a file")
+os.kill(os.getpid(), signal.SIGKILL)
+"""
 STAGES = ("Reused the cameras", "Reused the refinement", "Reused 4 height maps and the relative pointing")
 
 
@@ -156,8 +162,10 @@ def test_what_a_killed_run_left_is_no_hindrance(again, whole):
     folder = again.workspace / "reconstructed_heights"
     name = sorted(path.name for path in folder.glob("*.tif"))[0]
     os.unlink(folder / name)
-    stem, end = os.path.splitext(name)
-    (folder / f".{stem}.part{end}").write_text("half a file")
+    killed = subprocess.run(  # a process that ends with a file half-written
+        [sys.executable, "-c", LEAVE_HALF, str(folder / name)], cwd=Path(__file__).resolve().parents[3], check=False
+    )
+    assert killed.returncode == -signal.SIGKILL and len(parts(folder)) == 1
     result, _ = again()
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
     assert parts(folder) == []

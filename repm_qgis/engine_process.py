@@ -1,0 +1,136 @@
+"""One stage in a process of its own: what goes over its standard streams, how it is cancelled, and its exit codes.
+
+``python -m repm_qgis STAGE JOB.json``: JOB.json is an object with the stage's options. Standard output carries JSON
+lines only: ``{"type": "progress", "fraction": 0.25, "text": "..."}``, ``{"type": "info" | "warning", "text": "..."}``
+and last ``{"type": "result", "result": {...}}`` or ``{"type": "error", "kind": "RpcMissingError", "text": "..."}``.
+The exit code is 0 for a result, 1 for an expected failure, 2 for a bug (``"type": "bug"`` with the traceback).
+
+SIGTERM and Ctrl-C cancel: the stage's clean-up runs, and within 2 s the process ends with exit code 1 and the sentence.
+With REPM_ENGINE_WATCH_STDIN set, the process ends itself and its group when its standard input closes, that is when
+the process that started it is gone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from typing import Any, Dict
+
+from .errors import Cancelled, MissingPackageError, OptionError, RepmError
+from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
+from .progress import JsonLines
+from .workspace import remove_own_temporaries
+
+_MAX_JOB_BYTES = 64 << 20
+_GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
+
+
+def _job(path: str) -> Dict[str, Any]:
+    try:
+        if os.path.getsize(path) > _MAX_JOB_BYTES:
+            raise OptionError("job", path, f"must be a file of less than {_MAX_JOB_BYTES >> 20} MiB")
+        with open(path, encoding="utf-8") as stream:
+            job = json.load(stream)
+    except (OSError, ValueError, RecursionError) as error:
+        if isinstance(error, RepmError):
+            raise
+        raise OptionError("job", path, f"must be a readable JSON file ({error})") from error
+    if not isinstance(job, dict):
+        raise OptionError("job", path, "must hold a JSON object with the stage's options")
+    return job
+
+
+class _Cancelling:
+    """SIGTERM and Ctrl-C: the stage is interrupted so that it cleans up; what does not end in time is ended.
+
+    An exception that a signal raises can get lost, in a destructor or in a callback of native code, and it can leave a
+    lock taken that the clean-up waits for. So a thread of its own sees to the end, with the sentence and the exit code.
+    """
+
+    def __init__(self, lines: JsonLines) -> None:
+        self._lines, self._engine, self._asked = lines, os.getpid(), False
+
+    def listen(self) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._hear)
+
+    def asked(self) -> bool:
+        return self._asked
+
+    def _hear(self, number: int, frame: object) -> None:
+        if os.getpid() != self._engine:  # a forked worker inherits this handler; its clean-up is the engine's business
+            os._exit(1)
+        if self._asked:  # asked twice: the clean-up already runs, and the thread sees to its end
+            return
+        self._asked = True
+        threading.Thread(target=self._end_in_time, name="end-in-time", daemon=True).start()
+        raise Cancelled
+
+    def _end_in_time(self) -> None:
+        time.sleep(_GRACE_S)
+        end_workers()
+        remove_own_temporaries()
+        self._lines.last_words(type="error", kind="Cancelled", text=str(Cancelled()))
+        os._exit(1)
+
+
+def _end_with_parent() -> None:
+    """Cancel, and soon after end the process group, once standard input closes."""
+
+    def watch() -> None:
+        try:
+            while os.read(0, 4096):
+                pass
+        except OSError:
+            pass
+        if hasattr(os, "killpg") and os.getpgrp() == os.getpid():  # ours alone: the parent made it for us
+            os.killpg(0, signal.SIGTERM)
+            time.sleep(_GRACE_S)
+            os.killpg(0, signal.SIGKILL)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="watch-parent", daemon=True).start()
+
+
+def main(arguments: list[str]) -> int:
+    # Native libraries print to standard output at will: keep it for our lines, and send theirs to standard error.
+    lines = JsonLines(os.fdopen(os.dup(1), "w", encoding="utf-8"))
+    cancelling = _Cancelling(lines)
+    lines.cancelled_by(cancelling.asked)
+    cancelling.listen()
+    os.dup2(2, 1)
+    if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
+        _end_with_parent()
+    try:
+        one_thread_for_sums()
+        keep_freed_memory()
+        if len(arguments) != 2:
+            raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
+        from .imagery.raster import bound_cache
+        from .stages import run_stage
+
+        bound_cache()
+
+        lines.send(type="result", result=run_stage(arguments[0], _job(arguments[1]), lines))
+        return 0
+    except RepmError as error:
+        lines.send(type="error", kind=type(error).__name__, text=str(error))
+        return 1
+    except ImportError as error:
+        if (error.name or "").startswith(__package__ or "repm_qgis"):  # a part of the engine itself, no package
+            lines.send(type="bug", kind="bug", text=traceback.format_exc())
+            return 2
+        missing = MissingPackageError(
+            f"The Python package '{error.name}' is not installed for {sys.executable} ({error}): "
+            "run scripts/setup in the plugin's folder, or the Environment report for the command that installs it."
+        )
+        lines.send(type="error", kind=type(missing).__name__, text=str(missing))
+        return 1
+    except Exception:
+        lines.send(type="bug", kind="bug", text=traceback.format_exc())
+        return 2

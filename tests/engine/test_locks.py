@@ -1,0 +1,83 @@
+"""Two runs that would write the same files: the second waits, and no lock outlives its process."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from repm_qgis.errors import Cancelled
+from repm_qgis.locks import exclusive
+
+ROOT = Path(__file__).resolve().parents[2]
+HOLD = """
+import sys, time
+from repm_qgis.locks import exclusive
+from repm_qgis.progress import Silent
+with exclusive("pipeline", Silent(), folders=[sys.argv[1]], files=[sys.argv[2]]):
+    print("held", flush=True)
+    time.sleep(float(sys.argv[3]))
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """holder(seconds): another process that holds the folder 'w' and the file 'dsm.tif' for so long."""
+    started = []
+
+    def hold(seconds):
+        places = [str(tmp_path / "w"), str(tmp_path / "dsm.tif")]
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLD, *places, str(seconds)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        )
+        started.append(process)
+        assert process.stdout.readline() == "held\n"
+        return process
+
+    yield hold
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("asked", ("folders", "files"))
+def test_the_second_run_says_whom_it_waits_for_and_goes_on_after_it(holder, told, tmp_path, asked):
+    other, said = holder(1.0), told()
+    place = str(tmp_path / ("w" if asked == "folders" else "dsm.tif"))
+    with exclusive("dsmfuse", said, **{asked: [place]}):
+        assert other.wait() == 0
+    words = rf"is in use by process {other.pid} on \S+ \(pipeline, since \d\d:\d\d:\d\d on .*\): this run waits"
+    assert len(said.warnings) == 1 and re.search(words, said.warnings[0])
+    assert os.listdir(tmp_path / "w") == [] and os.listdir(tmp_path) == ["w"]
+
+
+def test_a_killed_run_holds_nothing(holder, told, tmp_path):
+    other, said = holder(60.0), told()
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    start = time.monotonic()
+    with exclusive("pipeline", said, folders=[str(tmp_path / "w")], files=[str(tmp_path / "dsm.tif")]):
+        assert time.monotonic() - start < 1.0
+    assert said.warnings == [] and os.listdir(tmp_path) == ["w"]
+
+
+def test_waiting_can_be_cancelled(holder, told, tmp_path):
+    other = holder(60.0)
+    with pytest.raises(Cancelled), exclusive("pipeline", told(cancel_at=3), folders=[str(tmp_path / "w")]):
+        raise AssertionError("the other process has it")
+    assert other.poll() is None
+
+
+def test_a_run_holds_what_its_stages_ask_for(told, tmp_path):
+    said, folder = told(), str(tmp_path)
+    with exclusive("pipeline", said, folders=[folder]):
+        with exclusive("epmfit", said, folders=[folder]):
+            assert os.listdir(folder) == [".repm.lock"]
+        assert os.listdir(folder) == [".repm.lock"]
+    assert said.warnings == [] and os.listdir(folder) == []
