@@ -42,9 +42,11 @@ def exclusive(stage: str, progress: Progress, folders: Sequence[str] = (), files
 
 @contextmanager
 def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
-    ensure_folder(os.path.dirname(path))
+    folder = os.path.dirname(path)
+    made = False
     announced = False
     while True:
+        made = made or not os.path.isdir(folder)
         descriptor = _opened(path)
         try:
             if _lock(descriptor) and _is_file(descriptor, path):
@@ -78,13 +80,21 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
         with suppress(OSError):
             if os.name == "nt":
                 os.unlink(path)
+            if made:  # a run that is refused leaves no folder behind; one that holds something stays
+                os.rmdir(folder)
 
 
 def _opened(path: str) -> int:
-    try:
-        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise cannot_write(path, error) from error
+    """The lock's file, open; its folder is made, again where the run before has just removed it."""
+    attempts = 2
+    while True:
+        ensure_folder(os.path.dirname(path))
+        attempts -= 1
+        try:
+            return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            if not attempts or error.errno != errno.ENOENT:
+                raise cannot_write(path, error) from error
 
 
 def _lock(descriptor: int) -> bool:

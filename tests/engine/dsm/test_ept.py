@@ -222,7 +222,7 @@ def test_half_an_ept_never_stays(tmp_path, large, told):
         with pytest.raises(Cancelled):
             write_ept(large, str(tmp_path / "e"), CRS, told(cancel_at=cancel_at), SMALL)
         assert os.listdir(tmp_path) == []
-    with pytest.raises(WorkspaceError, match="No space left"):
+    with pytest.raises(WorkspaceError, match="the disk is full"):
         write_ept(large, str(tmp_path / "e"), CRS, FullDisk(), SMALL)
     assert os.listdir(tmp_path) == []
 
