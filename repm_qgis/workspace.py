@@ -81,7 +81,7 @@ def _prefix(target: Path) -> str:
 
 
 def _machine() -> str:
-    """What tells this machine from others that may write into the same folder: its name, its process numbers."""
+    """What distinguishes this machine from others that may write into the folder: its name, its process numbers."""
     try:
         space = os.readlink("/proc/self/ns/pid")
     except (OSError, AttributeError):
@@ -296,7 +296,7 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def file_identity(path: str) -> List[Any]:
-    """What tells a file apart from a changed one without reading it all.
+    """What distinguishes a file from a changed one without reading it all.
 
     Path, size, time of modification, inode and time of change: the last two tell a file whose old time was restored.
     """

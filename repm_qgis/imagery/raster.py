@@ -335,7 +335,7 @@ def name_of(path: str) -> str:
 
 
 def raster_identity(path: str) -> List[List[Any]]:
-    """What tells a raster apart from a changed one: the identities of all files that GDAL says belong to it.
+    """What distinguishes a raster from a changed one: the identities of all files that GDAL says belong to it.
 
     Masks, overviews, RPC files beside it, and the images behind a VRT are among them.
     """
