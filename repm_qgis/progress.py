@@ -83,11 +83,12 @@ class Recorder(Part):
 class JsonLines:
     """One JSON object a line, for the process that started the engine.
 
-    ``cancelled`` is asked at every check; the parent may also simply end the process tree.
+    The parent may also simply end the process tree.
     """
 
-    def __init__(self, stream: TextIO, cancelled: Optional[Callable[[], bool]] = None) -> None:
-        self._stream, self._cancelled, self._fraction, self._closed = stream, cancelled, 0.0, False
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._fraction, self._closed = stream, 0.0, False
+        self._cancelled: Optional[Callable[[], bool]] = None
         self._lock = threading.RLock()
 
     def cancelled_by(self, asked: Callable[[], bool]) -> None:

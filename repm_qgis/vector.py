@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple
 
@@ -11,7 +10,7 @@ from osgeo import gdal, ogr, osr
 
 from .arrays import FloatArray
 from .errors import WorkspaceError
-from .workspace import take_name, temporary_name
+from .workspace import take_name, temporary_folder
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 Features = Iterable[Tuple[ogr.Geometry, Sequence[Any]]]
@@ -53,29 +52,17 @@ def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, ty
     ``crs`` is any text PROJ understands, ``geometry_type`` ``ogr.wkbPolygon``, ``ogr.wkbPoint``, ...; ``fields`` has
     names and types (str, int, float), in order. Raises WorkspaceError where the file cannot be written.
     """
-    # A folder, as some formats are several files.
-    folder = Path(temporary_name(path))
-    _remove(folder)
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        folder.mkdir()
-        _fill(folder / Path(path).name, crs, geometry_type, fields, features)
-        for part in sorted(folder.iterdir()):
-            take_name(str(part), str(Path(path).with_name(part.name)))
+        with temporary_folder(path) as folder:  # some formats are several files
+            _fill(Path(folder) / Path(path).name, crs, geometry_type, fields, features)
+            for part in sorted(Path(folder).iterdir()):
+                take_name(str(part), str(Path(path).with_name(part.name)))
     except RuntimeError as error:
         raise WorkspaceError(f"Cannot write '{path}' ({error}): choose another place.") from error
     finally:
         gdal.PopErrorHandler()
-        _remove(folder)
     return path
-
-
-def _remove(folder: Path) -> None:
-    """What an attempt has left behind, be it a folder or a file."""
-    if folder.is_dir():
-        shutil.rmtree(folder, ignore_errors=True)
-    elif folder.exists():
-        folder.unlink()
 
 
 def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type], features: Features) -> None:

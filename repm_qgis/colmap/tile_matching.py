@@ -7,7 +7,6 @@ was given. COLMAP leaves occlusions empty, and nothing is filled in.
 from __future__ import annotations
 
 import os
-import shutil
 import threading
 from dataclasses import dataclass
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
@@ -27,7 +26,7 @@ from ..records import HeightMapRecord
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, map_size, write_height_map
 from ..stereo.parameters import STEREO, StereoParameters
-from ..workspace import ensure_folder, fingerprint, temporary_name
+from ..workspace import fingerprint, temporary_folder
 from .depth_heights import DepthGeometry, depth_geometry
 from .maps import read_map
 from .parameters import COLMAP, ColmapParameters
@@ -147,10 +146,7 @@ def _match_part(
     """Write the workspace, run, and turn depths into heights; the workspace is removed in any case."""
     if not sources:
         return []
-    folder = temporary_name(os.path.join(task.folder, f"{task.tile}_colmap{part or ''}"))
-    shutil.rmtree(folder, ignore_errors=True)
-    try:
-        ensure_folder(folder)
+    with temporary_folder(os.path.join(task.folder, f"{task.tile}_colmap{part or ''}")) as folder:
         images = [view_intensity(view, task.stretches[view.view.name]) for view in frame.views]
         write_workspace(folder, task.scene, frame, images, sources, task.parameters.tracks)
         most, parameters = max(len(others) for others in sources.values()), task.parameters.patch_match
@@ -158,8 +154,6 @@ def _match_part(
         run(folder, options, fusion_options(parameters) if task.options.fusion else None, stop)
         shown = (task, part, frame, images)
         return [_height_map(*shown, name, others, folder, keys[name]) for name, others in sources.items()]
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _height_map(

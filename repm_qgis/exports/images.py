@@ -17,7 +17,7 @@ from ..imagery.enhancement import Stretch
 from ..imagery.raster import RasterWriter, created, opened, quiet, read
 from ..imagery.warping import warp_strips
 from ..progress import Progress
-from ..workspace import take_name, temporary_name
+from ..workspace import whole_file
 from .model import ExportView
 
 _STRIP = 512  # rows
@@ -85,20 +85,17 @@ def _is_refined_image(view: ExportView) -> bool:
 def encode(plain: str, path: Path) -> None:
     """Convert ``plain`` (a raster, which is removed) to PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
     driver, options = _ENCODERS[path.suffix]
-    temporary = temporary_name(str(path))
     try:
-        with opened(plain) as source, quiet():
+        with whole_file(str(path)) as temporary, opened(plain) as source, quiet():
             try:
                 made = gdal.GetDriverByName(driver).CreateCopy(temporary, source, 0, list(options))
                 made = None  # noqa: F841 - closes, and so completes, the file
                 reason = gdal.GetLastErrorMsg() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
             except (RuntimeError, AttributeError) as error:  # AttributeError: a GDAL without the driver
                 reason = str(error)
-        if reason or not os.path.exists(temporary):
-            why = f"({reason or 'no reason given'}): is the disk full, or does GDAL lack its {driver} driver?"
-            raise WorkspaceError(f"Cannot write '{path}' {why}")
-        take_name(temporary, str(path))
+            if reason or not os.path.exists(temporary):
+                why = f"({reason or 'no reason given'}): is the disk full, or does GDAL lack its {driver} driver?"
+                raise WorkspaceError(f"Cannot write '{path}' {why}")
     finally:
-        for leftover in (temporary, plain):
-            if os.path.exists(leftover):
-                os.unlink(leftover)
+        if os.path.exists(plain):
+            os.unlink(plain)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress
 from ..records import FusionFacts
 from ..scene import Scene
-from ..workspace import ensure_folder, temporary_name
+from ..workspace import ensure_folder, temporary_folder
 from .parameters import ENGINE, EngineParameters
 
 
@@ -66,10 +65,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     progress.info(f"DSM of {cells}, heights above the {datum.name}; outlier radius {radius:g} m.")
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
-    folder = temporary_name(str(scene.path.with_name("fusion")))
-    fusion = _Fusion(options, parameters, scene, layout, folder)
-    try:
-        ensure_folder(folder)
+    with temporary_folder(str(scene.path.with_name("fusion"))) as folder:
+        fusion = _Fusion(options, parameters, scene, layout, folder)
         facts, needed = _fused(fusion, Part(progress, 0.0, share))
         cloud = cloud_of(options, folder) if facts.points else None
         made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
@@ -81,8 +78,6 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         for index, pair in enumerate(pairs):
             low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
             _one_pair(fusion, pair, Part(progress, low, high))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     _log(fusion, facts, needed, progress)
     progress.step(1.0, "DSM fused")
     seconds = round(time.monotonic() - start, 3)
