@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Dict, Mapping, Optional, Tuple, Type, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Callable,
+    Dict,
+    Mapping,
+    Optional,
+    Tuple,
+    Type,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
 from .arrays import Altitudes, Bounds, Size
 
 R = TypeVar("R", bound="Record")
+FilePath = Annotated[str, "file"]
+"""The path of a file that a record names: :func:`with_files` changes it, and a scene keeps it relative to itself."""
 _FIELD_TYPES: Dict[Any, Dict[str, Any]] = {}
 
 
@@ -32,7 +48,7 @@ class Record:
 
 def _field_types(cls: Any) -> Dict[str, Any]:
     if cls not in _FIELD_TYPES:  # reading annotations is slow
-        hints = get_type_hints(cls)
+        hints = get_type_hints(cls, include_extras=True)
         _FIELD_TYPES[cls] = {field.name: hints[field.name] for field in dataclasses.fields(cls)}
     return _FIELD_TYPES[cls]
 
@@ -53,6 +69,8 @@ def _typed(kind: Any, value: Any) -> Any:
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:
         return value
+    if origin is Annotated:
+        return _typed(arguments[0], value)
     if origin is Union:
         return None if value is None else _typed(arguments[0], value)
     if origin is tuple:
@@ -75,6 +93,29 @@ def _typed(kind: Any, value: Any) -> Any:
     return value
 
 
+def with_files(record: R, change: Callable[[str], str]) -> R:
+    """The record with every file changed that it, or a record in it, names; where none is named there is no change."""
+    found = {
+        name: _files_changed(kind, getattr(record, name), change) for name, kind in _field_types(type(record)).items()
+    }
+    changed = {name: value for name, value in found.items() if value is not getattr(record, name)}
+    return dataclasses.replace(record, **changed) if changed else record  # type: ignore[type-var]
+
+
+def _files_changed(kind: Any, value: Any, change: Callable[[str], str]) -> Any:
+    if kind == FilePath:
+        return change(value) if value else value
+    if isinstance(value, Record):
+        return with_files(value, change)
+    if get_origin(kind) is Union and value is not None:
+        return _files_changed(get_args(kind)[0], value, change)
+    if isinstance(value, tuple) and value and isinstance(value[0], Record):
+        return tuple(with_files(each, change) for each in value)
+    if isinstance(value, dict) and value and isinstance(next(iter(value.values())), Record):
+        return {name: with_files(each, change) for name, each in value.items()}
+    return value
+
+
 def _finite(value: Any) -> Any:
     """Numbers that are finite: a scene of ours has no others."""
     if not np.isfinite(value).all():
@@ -91,7 +132,8 @@ class HeightMapRecord(Record):
     ``vertical_parallax_px`` the largest that the pinhole model leaves, ``table_error_m`` the largest error of the
     interpolated triangulation. A map of several views (COLMAP) also states the ``sources`` it was matched with, all
     ``views`` of its frame, the ground ``bounds`` of that frame, and whether these are only a ``part`` of the tile.
-    ``reused``: an earlier, stopped run had finished the file.
+    ``checksum`` is that of the file's values. ``reused``: an earlier, stopped run had finished the file; ``remade``: a
+    file of an earlier run was damaged, and has been made again.
     """
 
     tile: str
@@ -101,7 +143,7 @@ class HeightMapRecord(Record):
     vertical_parallax_px: float
     table_error_m: float
     altitudes: Altitudes
-    file: str = ""
+    file: FilePath = ""
     size: Size = (0, 0)
     valid: int = 0
     filled: int = 0
@@ -109,7 +151,9 @@ class HeightMapRecord(Record):
     views: Tuple[str, ...] = ()
     bounds: Optional[Bounds] = None
     part: bool = False
+    checksum: str = ""
     reused: bool = False
+    remade: bool = False
 
     @property
     def pixels(self) -> int:

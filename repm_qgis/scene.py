@@ -1,6 +1,8 @@
 """The scene: the only thing that one stage hands to the next, read and written only here.
 
-A scene is a JSON file with a schema number; a stage's products lie in folders next to it that have its name.
+A scene is a JSON file with a schema number; a stage's products lie in folders next to it that have its name. It may be
+moved or copied with these: it names files below its own folder from there, and other files by their whole path, from
+which it finds them again where they moved with it.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from .geometry.frames import EnuFrame
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain, map_from_mapping
 from .imagery.acquisition import acquired, moment
-from .records import HeightMapRecord, PointingFigures, Record, StageRecord, ViewPair
+from .records import FilePath, HeightMapRecord, PointingFigures, Record, StageRecord, ViewPair, with_files
 from .rpc import Rpc
 from .workspace import write_text
 
@@ -46,7 +48,7 @@ class View(Record):
     """
 
     name: str
-    image: str
+    image: FilePath
     band: int
     width: int
     height: int
@@ -54,7 +56,7 @@ class View(Record):
     gsd_m: float
     pointing: FloatArray = field(default_factory=lambda: _IDENTITY.copy())
     acquired: str = ""
-    mask: str = ""
+    mask: FilePath = ""
 
     @property
     def time(self) -> Optional[datetime]:
@@ -88,7 +90,7 @@ class TileView(Record):
     camera: PinholeCamera
     error: EquivalentError
     refined: Optional[RefinedPinhole] = None
-    image: Optional[str] = None
+    image: Optional[FilePath] = None
 
     @classmethod
     def read(cls, values: Mapping[str, Any], terrain: Callable[[], Optional[Terrain]]) -> "TileView":
@@ -138,11 +140,11 @@ class Scene(Record):
     tiles: Tuple[Tile, ...]
     refinement: str = ""
     order: int = 2
-    surface: str = ""
-    dem: str = ""
+    surface: FilePath = ""
+    dem: FilePath = ""
     pairs: Tuple[ViewPair, ...] = ()
     pointing: Optional[PointingFigures] = None
-    tie_points: str = ""
+    tie_points: FilePath = ""
     backend: str = ""
     history: Tuple[StageRecord, ...] = ()
     path: Path = Path("scene.json")
@@ -153,6 +155,17 @@ class Scene(Record):
         if name not in views:
             raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {', '.join(views)}.")
         return views[name]
+
+    def require_images(self) -> None:
+        """Raise SceneError with the images and masks that are not where the scene knows them, nor moved with it."""
+        files = [file for view in self.views for file in (view.image, view.mask) if os.path.isabs(file)]
+        missing = [file for file in files if not (file.startswith("/vsi") or os.path.exists(file))]
+        if missing:
+            names = ", ".join(f"'{file}'" for file in missing)
+            raise SceneError(
+                f"The scene '{self.path}' needs {names}, which is not there: put the image back, or run "
+                f"{_FIRST_STAGE} again with the images where they are now."
+            )
 
     def terrain(self, sensor: SensorModel) -> Optional[Terrain]:
         """The terrain that refines an image with this exact model; None unless the refinement is terrain-aware.
@@ -207,7 +220,9 @@ class Scene(Record):
 
     def save(self, path: str) -> str:
         """Write the scene, completely or not at all."""
-        document = {"format": "repm-scene", "schema": SCHEMA, "engine": __version__, **self.to_mapping()}
+        folder = os.path.dirname(os.path.abspath(path))
+        found = with_files(self, partial(_stored, folder)).to_mapping()
+        document = {"format": "repm-scene", "schema": SCHEMA, "engine": __version__, "folder": folder, **found}
         del document["path"]
         return write_text(str(path), json.dumps(document, indent=1, allow_nan=False))
 
@@ -220,13 +235,37 @@ class Scene(Record):
         """
         document = _document(path)
         try:
-            scene = cls.from_mapping({**document, "tiles": [], "path": Path(path)})
+            find = partial(_found, os.path.dirname(os.path.abspath(path)), str(document.get("folder", "")))
+            scene = with_files(cls.from_mapping({**document, "tiles": [], "path": Path(path)}), find)
             # Stored refinements belong to the vendors' RPCs; pointing came later.
             tiles = [Tile.read(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]]
-            return replace(scene, tiles=tuple(tiles))
+            return replace(scene, tiles=tuple(with_files(tile, find) for tile in tiles))
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
             reason = f"{type(error).__name__}: {error}"
             raise SceneError(f"The scene '{path}' is damaged ({reason}): make it anew with {_FIRST_STAGE}.") from error
+
+
+_BELOW = "./"  # how a stored path begins that is relative to the scene's folder
+
+
+def _stored(folder: str, path: str) -> str:
+    """A file's path as a scene in this folder keeps it."""
+    whole = os.path.abspath(path) if os.path.exists(path) else path
+    below = whole.startswith(os.path.join(folder, ""))
+    return _BELOW + Path(os.path.relpath(whole, folder)).as_posix() if below else whole
+
+
+def _found(folder: str, before: str, path: str) -> str:
+    """The file that a scene in this folder means, which may have been in another folder ``before``."""
+    if path.startswith(_BELOW):
+        return os.path.join(folder, *path[len(_BELOW) :].split("/"))
+    if before in ("", folder) or not os.path.isabs(path) or os.path.exists(path):
+        return path
+    try:
+        moved = os.path.normpath(os.path.join(folder, os.path.relpath(path, before)))
+    except ValueError:  # another drive
+        return path
+    return moved if os.path.exists(moved) else path
 
 
 def _document(path: str) -> Dict[str, Any]:

@@ -24,7 +24,7 @@ from ..imagery.warping import box_filter, sample_array
 from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
-from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, map_size, write_height_map
+from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, require_whole, write_height_map
 from ..stereo.parameters import STEREO, StereoParameters
 from ..workspace import fingerprint, temporary_folder
 from .depth_heights import DepthGeometry, depth_geometry
@@ -275,12 +275,13 @@ def tile_height_source(
     Where the tile was matched in parts, heights beyond the part are left out, because its neighbour has them. Raises
     SceneError where the file is missing, damaged or of another scene.
     """
-    size, own = map_size(record.file), record.bounds or bounds
+    require_whole(record)
+    own = record.bounds or bounds
     frame = tile_frame(scene, record.views, own, record.altitudes, colmap.frame, stereo)
     names = (record.pair[0], *record.sources)
     views = [view for view in map(frame.view, names) if view is not None] if frame else []
-    if frame is None or len(views) < len(names) or views[0].size != size:
+    if frame is None or len(views) < len(names) or views[0].size != record.size:
         raise foreign_height_map(record, scene)
     tables = depth_geometry(scene, frame, views[0], views[1:], crs, colmap, stereo)
     part = (bounds, own) if record.part else None
-    return HeightSource(record.file, tables.x, tables.y, size, record.altitudes, part)
+    return HeightSource(record.file, tables.x, tables.y, record.size, record.altitudes, part)

@@ -22,7 +22,7 @@ from ..parallel import run_tasks
 from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
-from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, map_size, write_height_map
+from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, require_whole, write_height_map
 from ..stereo.pairing import rectified_pair
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
@@ -74,12 +74,12 @@ class PairBackend:
         self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
     ) -> HeightSource:
         pair = rectified_over_tile(scene, record.pair, bounds, record.altitudes, parameters.stereo)
-        size = map_size(record.file)
-        if pair is None or pair.size != size:
+        require_whole(record)
+        if pair is None or pair.size != record.size:
             raise foreign_height_map(record, scene)
         first, second = (scene.view(name) for name in record.pair)
         geometry = pair_geometry(pair, first, second, record.altitudes, crs, parameters.stereo)
-        return HeightSource(record.file, geometry.x, geometry.y, size, record.altitudes)
+        return HeightSource(record.file, geometry.x, geometry.y, record.size, record.altitudes)
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
+    if options.ortho:
+        scene.require_images()
     scene = replace(scene, tiles=tuple(tile for tile in scene.tiles if tile.heights))
     if not scene.tiles:
         raise SceneError(f"The scene '{options.scene}' has no height maps: run 'Reconstruct heights' first.")

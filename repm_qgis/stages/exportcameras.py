@@ -31,6 +31,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     written_as = FORMATS[options.format]
     written_as.require()
     scene = Scene.load(options.scene)
+    scene.require_images()
     tiles = _tiles(scene, options.tile)
     # All of it is looked at before anything is written.
     refined = scene.record_of("refine")

@@ -30,6 +30,7 @@ from ..sfm.pair_selection import choose_pairs
 from ..sfm.pointing import point_views
 from ..sfm.tie_patches import covered_by_ties
 from ..sfm.vertical_parallax import largest_parallax
+from ..stereo.height_maps import is_whole
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 from .parameters import ENGINE, EngineParameters, TileParameters
@@ -43,6 +44,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     start = time.monotonic()
     backends = resolve(options.backend)
     scene = Scene.load(options.scene)
+    scene.require_images()
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
     control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
@@ -89,9 +91,9 @@ def _log_pairs(scene: Scene, progress: Progress) -> None:
 
 
 def _complete(scene: Scene, folder: Path) -> bool:
-    """Whether all height maps are there, in the folder where they are wanted."""
-    files = [Path(record.file) for tile in scene.tiles for record in tile.heights]
-    return all(file.exists() and file.parent.resolve() == folder.resolve() for file in files)
+    """Whether all height maps are there, as they were written, in the folder where they are wanted."""
+    records = [record for tile in scene.tiles for record in tile.heights]
+    return all(Path(each.file).parent.resolve() == folder.resolve() and is_whole(each) for each in records)
 
 
 def _pointed(
@@ -165,8 +167,11 @@ def _matched(job: MatchingJob, backends: Sequence[Backend], parameters: TilePara
     reused = sum(bool(record and record.reused) for record in records)
     if reused:
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
+    remade = ", ".join(f"'{record.file}'" for record in records if record and record.remade)
+    if remade:
+        progress.warn(f"These height maps were damaged and have been made again: {remade}.")
     _check(records, parameters, progress)
-    kept = [replace(record, reused=False) for record in records if record and record.valid]
+    kept = [replace(record, reused=False, remade=False) for record in records if record and record.valid]
     return job.scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in kept if r.tile == tile.id)))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -27,12 +28,14 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
     """Refine all tiles; gives the refined scene and the report."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
+    if options.write_images:
+        scene.require_images()
     dem = raster_identity(options.dem) if options.dem else None
     chosen = options.model, options.order, options.kernel, dem, options.write_images
     key = fingerprint("refine", scene.fingerprint, *chosen, *parameters.in_fingerprint())
     report_path = options.report or str(Path(options.output_scene).with_name("refinement.html"))
     done = reusable(options.output_scene, "refine", key)
-    if done is not None:
+    if done is not None and all(os.path.exists(v.image) for t in done.tiles for v in t.views.values() if v.image):
         progress.info(f"Reused the refinement ({done.refinement}) in '{options.output_scene}'.")
         scene = done
     else:

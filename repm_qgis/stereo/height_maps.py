@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import zlib
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Iterator, Optional, Tuple
+from typing import Iterable, Iterator, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -18,6 +19,7 @@ from ..records import HeightMapRecord
 from ..scene import Scene
 from .triangulation import NodeTable, verticals
 
+_STRIP = 256  # rows, those of a block
 _KEY = "REPM_FINGERPRINT"
 _RECORD = "REPM_RECORD"
 BANDS = ("height above the WGS 84 ellipsoid (m)", "matching score", "filled from the background (1)")
@@ -106,10 +108,41 @@ def write_height_map(
     The bands are the height in m above the ellipsoid, the matching score, and 1 where the height is a fill.
     """
     valid, (rows, columns) = int((np.isfinite(height) & ~filled).sum()), height.shape
-    record = replace(record, file=path, size=(columns, rows), valid=valid, filled=int(filled.sum()))
-    bands, tags = [height, score, filled.astype(np.float32)], {_KEY: key, _RECORD: json.dumps(record.to_mapping())}
+    bands = [height, score, filled.astype(np.float32)]
+    size, checksum = (columns, rows), _checksum(bands)
+    record = replace(record, size=size, valid=valid, filled=int(filled.sum()), checksum=checksum)
+    tags = {_KEY: key, _RECORD: json.dumps(record.to_mapping())}
+    remade = _is_damaged(path, key)
     write(path, bands, (0, 1, 0, 0, 0, 1), "", metadata=tags, descriptions=BANDS, own=True)
-    return record
+    return replace(record, file=path, remade=remade)
+
+
+def _checksum(parts: Iterable[FloatImage]) -> str:
+    """The CRC-32 of values in their order, as they are read again; a value that is not finite is NaN."""
+    crc = 0
+    for values in parts:
+        known = np.where(np.isfinite(values), values, np.float32(np.nan)).astype("<f4")
+        crc = zlib.crc32(np.ascontiguousarray(known).data, crc)
+    return f"{crc:08x}"
+
+
+def _stored_values(dataset: gdal.Dataset) -> Iterator[FloatImage]:
+    """The values of all bands, some rows at a time: whole maps would take more memory than fusion does."""
+    width, height = dataset.RasterXSize, dataset.RasterYSize
+    for band in range(1, len(BANDS) + 1):
+        for row in range(0, height, _STRIP):
+            yield read(dataset, Window(0, row, width, min(_STRIP, height - row)), band)
+
+
+def _is_damaged(path: str, key: str) -> bool:
+    """Whether a file is the height map with this fingerprint, but not as it was written."""
+    if not os.path.exists(path) or finished_record(path, key) is not None:
+        return False
+    try:
+        with opened(path) as dataset:
+            return bool(dataset.GetMetadataItem(_KEY) == key)
+    except ImageError:
+        return True
 
 
 def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
@@ -121,17 +154,32 @@ def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
             if dataset.GetMetadataItem(_KEY) != key:
                 return None
             record = HeightMapRecord.from_mapping(json.loads(dataset.GetMetadataItem(_RECORD)))
-            for band in range(1, len(BANDS) + 1):
-                read(dataset, band=band)
+            if _checksum(_stored_values(dataset)) != record.checksum:
+                return None
     except (ImageError, KeyError, TypeError, ValueError):
         return None
     return replace(record, file=path, reused=True)
 
 
-def map_size(path: str) -> Size:
-    """Width and height of a height map; raises SceneError where the file is missing or damaged."""
-    with _opened_height_map(path) as dataset:
-        return dataset.RasterXSize, dataset.RasterYSize
+def is_whole(record: HeightMapRecord) -> bool:
+    """Whether the file of a height map is there, and holds what was written."""
+    try:
+        with opened(record.file) as dataset:
+            size = (dataset.RasterXSize, dataset.RasterYSize)
+            return size == record.size and _checksum(_stored_values(dataset)) == record.checksum
+    except ImageError:
+        return False
+
+
+def require_whole(record: HeightMapRecord) -> None:
+    """Raise SceneError where the file of a height map is missing or damaged."""
+    if not is_whole(record):
+        raise _damaged(record.file)
+
+
+def _damaged(path: str) -> SceneError:
+    remedy = "run 'Reconstruct heights' or 'Make a DSM' again, which make it again"
+    return SceneError(f"The height map '{path}' is missing or damaged: {remedy}.")
 
 
 @contextmanager
@@ -141,8 +189,7 @@ def _opened_height_map(path: str) -> Iterator[gdal.Dataset]:
         with opened(path) as dataset:
             yield dataset
     except ImageError as error:
-        text = f"The height map '{path}' is missing or damaged: delete it, and run 'Reconstruct heights' again."
-        raise SceneError(text) from error
+        raise _damaged(path) from error
 
 
 def foreign_height_map(record: HeightMapRecord, scene: Scene) -> SceneError:

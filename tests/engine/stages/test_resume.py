@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import Cancelled
+from repm_qgis.errors import Cancelled, SceneError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -73,9 +73,6 @@ def again(whole, tmp_path, told):
     """again(**changes): the urban run once more on a copy of its workspace; the result and what was said."""
     workspace = tmp_path / "ws"
     shutil.copytree(whole.workspace, workspace)
-    # The scene knows its height maps by their place.
-    for path in workspace.glob("*.json"):
-        path.write_text(path.read_text().replace(str(whole.workspace), str(workspace)))
 
     def run(cancel_at=None, **changes):
         said = told(cancel_at)
@@ -139,16 +136,66 @@ def test_a_lost_height_map_alone_is_made_again(again, whole):
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
 
 
-@pytest.mark.parametrize("damage", ("cut", "text", "empty"))
-def test_a_damaged_height_map_is_made_again(again, whole, damage):
-    """What a full disk or a broken copy leaves must not stop every further run."""
+def damage(path, how):
+    """Do to a height map what a full disk, a broken copy, another program or a bad disk does."""
+    content, dataset = path.read_bytes(), None
+    if how in ("cut", "text", "empty"):
+        path.write_bytes({"cut": content[: len(content) // 2], "text": b"no raster", "empty": b""}[how])
+    elif how == "smaller":
+        dataset = gdal.Translate(f"{path}.new.tif", str(path), srcWin=[0, 0, 100, 100])
+        dataset = None
+        os.replace(f"{path}.new.tif", path)
+    else:
+        dataset = gdal.Open(str(path), gdal.GA_Update)
+        values = dataset.GetRasterBand(1).ReadAsArray()
+        row, column = np.argwhere(values != -9999)[0]
+        bits = values[row : row + 1, column : column + 1].view(np.int32) ^ 1  # the last bit of one height
+        dataset.GetRasterBand(1).WriteArray(bits.view(np.float32), int(column), int(row))
+    dataset = None
+
+
+@pytest.mark.parametrize(
+    "how, stopped", (("cut", True), ("text", False), ("empty", False), ("smaller", False), ("one bit", True))
+)
+def test_a_damaged_height_map_is_made_again_and_named(again, whole, how, stopped):
     path = sorted((again.workspace / "reconstructed_heights").glob("*.tif"))[0]
-    content = path.read_bytes()
-    path.write_bytes({"cut": content[: len(content) // 2], "text": b"no raster", "empty": b""}[damage])
-    os.unlink(again.workspace / "reconstructed.json")  # as after a stop
-    result, _ = again()
-    assert len(path.read_bytes()) > 0.9 * len(content)
+    good = heights(str(path))
+    damage(path, how)
+    if stopped:
+        os.unlink(again.workspace / "reconstructed.json")
+    result, said = again()
+    np.testing.assert_array_equal(heights(str(path)), good)
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    assert any("Reused 3 of 4 height maps" in note for note in said.notes)
+    assert any("damaged" in text and str(path) in text for text in said.warnings)
+
+
+def test_fusion_alone_refuses_a_damaged_height_map(again, told):
+    path = sorted((again.workspace / "reconstructed_heights").glob("*.tif"))[0]
+    damage(path, "one bit")
+    options = {"scene": str(again.workspace / "reconstructed.json"), "output": again.output, "workers": 1}
+    with pytest.raises(SceneError, match=f"{path.name}' is missing or damaged: run 'Reconstruct heights'"):
+        run_stage("dsmfuse", options, told())
+    assert not os.path.exists(again.output)
+
+
+def test_a_project_that_was_moved_works(urban, whole, tmp_path, told):
+    """Workspace and images in one folder, which is moved: height maps and images are found from the scene."""
+    before, now = tmp_path / "before", tmp_path / "now"
+    before.mkdir()
+    images = [shutil.copy(path, before) for path in urban.images[:2]]
+    options = {**whole.options, "images": images, "workspace": str(before / "w"), "output": str(before / "dsm.tif")}
+    run_stage("pipeline", options, told())
+    shutil.move(before, now)
+    scene = Scene.load(str(now / "w" / "reconstructed.json"))
+    assert [view.image for view in scene.views] == [str(now / Path(path).name) for path in images]
+    assert all(record.file.startswith(str(now)) for tile in scene.tiles for record in tile.heights)
+    fuse = {"scene": str(scene.path), "output": str(now / "again.tif"), "resolution": 0.5, "ortho": str(now / "o.tif")}
+    result = run_stage("dsmfuse", {**fuse, "workers": 1}, told())
+    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    os.rename(images[0].replace("before", "now"), now / "other.tif")
+    with pytest.raises(SceneError, match=f"reconstructed.json' needs '.*{Path(images[0]).name}', which is not there"):
+        run_stage("dsmfuse", {**fuse, "workers": 1}, told())
 
 
 def test_a_damaged_scene_is_made_again(again, whole):
