@@ -99,6 +99,14 @@ def given() -> Any:
     return field(metadata={"check": Given()})
 
 
+def read(*default: Any) -> Any:
+    """A file or files that a stage reads, by their paths; without a default they must be given."""
+    return field(default=default[0], metadata=_READ) if default else field(metadata={"check": Given(), **_READ})
+
+
+_READ = {"read": True}
+
+
 class _ByName(type):
     """Classes whose fields are given by name only: a field added between others must not shift values."""
 
@@ -148,6 +156,23 @@ class Options(metaclass=_ByName):
                 raise OptionError(each.name.upper(), None, "must be given")
         return cls(**mine)
 
+    def parts(self) -> Tuple["Options", ...]:
+        """The options of each stage that these consist of, and these themselves."""
+        values = (getattr(self, each.name) for each in dataclasses.fields(self))
+        return (*(value for value in values if isinstance(value, Options)), self)
+
+    def read_paths(self) -> List[Tuple[str, str]]:
+        """The name of each option that names what is read, with each path that it has."""
+        found = []
+        for part in self.parts():
+            for each in dataclasses.fields(part):
+                if each.metadata.get("read"):
+                    value = getattr(part, each.name)
+                    found += [
+                        (each.name, path) for path in ([value] if isinstance(value, str) else value or ()) if path
+                    ]
+        return found
+
     def to_json(self) -> Dict[str, Any]:
         return dataclasses.asdict(self)
 
@@ -165,13 +190,13 @@ class EpmFitOptions(Options):
     ``tiles`` and ``report`` name the vector file and the HTML page to write; None puts them into the workspace.
     """
 
-    images: Tuple[str, ...]
+    images: Tuple[str, ...] = field(metadata=_READ)
     workspace: str = given()
-    rpcs: Tuple[str, ...] = ()
-    masks: Tuple[str, ...] = ()
+    rpcs: Tuple[str, ...] = read(())
+    masks: Tuple[str, ...] = read(())
     extent: Optional[Extent] = None
     extent_crs: str = "EPSG:4326"
-    dem: Optional[str] = None
+    dem: Optional[str] = read(None)
     altitude_min: Optional[float] = number(None, -12000, 10000, "m")
     altitude_max: Optional[float] = number(None, -12000, 10000, "m")
     tile_size: int = whole(0, 256, 20000, "px", automatic=True)
@@ -212,7 +237,7 @@ class ErrorMapOptions(Options):
     scene's range.
     """
 
-    scene: str = given()
+    scene: str = read()
     output: str = given()
     view: str = ""
     altitude: Optional[float] = number(None, -12000, 10000, "m")
@@ -227,10 +252,10 @@ class RefineOptions(Options):
     polynomial's, ``kernel`` resamples the refined images.
     """
 
-    scene: str = given()
+    scene: str = read()
     output_scene: str = given()
     model: str = choice("polynomial", MODELS)
-    dem: Optional[str] = None
+    dem: Optional[str] = read(None)
     order: int = whole(2, 2, 5)
     kernel: str = choice("bilinear", KERNELS)
     write_images: bool = switch(True)
@@ -246,7 +271,7 @@ class ExportCamerasOptions(Options):
     camera towards its image's middle, as COLMAP's triangulation and software in single precision need it.
     """
 
-    scene: str = given()
+    scene: str = read()
     folder: str = given()
     format: str = choice("colmap", CAMERA_FORMATS)
     tile: str = ""
@@ -274,10 +299,10 @@ class ReconstructOptions(Options):
     ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
     """
 
-    scene: str = given()
+    scene: str = read()
     output_scene: str = given()
     backend: str = choice("auto", BACKENDS)
-    gcps: Optional[str] = None
+    gcps: Optional[str] = read(None)
     gcp_datum: str = ""
     pointing: str = choice("auto", POINTINGS)
     tie_points: Optional[str] = None
@@ -314,7 +339,7 @@ class DsmFuseOptions(Options):
     the mesh, 0 = one a cell. ``memory`` as in ``ReconstructOptions``.
     """
 
-    scene: str = given()
+    scene: str = read()
     output: str = given()
     resolution: float = number(0.0, 0.01, 1000, "m", automatic=True)
     crs: Optional[str] = None
@@ -399,13 +424,13 @@ class CompareDsmOptions(Options):
     middle.
     """
 
-    dsm: str = given()
-    reference: str = given()
+    dsm: str = read()
+    reference: str = read()
     align: str = choice("none", ALIGNMENTS)
     thresholds: Tuple[float, ...] = (1.0, 2.5, 5.0)
-    others: Tuple[str, ...] = ()
-    classes: Optional[str] = None
-    profiles: Optional[str] = None
+    others: Tuple[str, ...] = read(())
+    classes: Optional[str] = read(None)
+    profiles: Optional[str] = read(None)
     error: Optional[str] = None
     report: Optional[str] = None
 
@@ -425,9 +450,9 @@ class CheckGcpsOptions(Options):
     refer to (a vertical CRS; "" is the ellipsoid). ``output`` is the point layer to write, None = not wanted.
     """
 
-    gcps: str = given()
-    scene: Optional[str] = None
-    dsm: Optional[str] = None
+    gcps: str = read()
+    scene: Optional[str] = read(None)
+    dsm: Optional[str] = read(None)
     gcp_datum: str = ""
     output: Optional[str] = None
     report: Optional[str] = None

@@ -127,9 +127,11 @@ def forms() -> Dict[str, str]:
     return {"scene": SCENE, **{each.option: each.form for each in PRODUCTS}}
 
 
-def paths_of(products: List[Product], options: Any) -> Iterator[Tuple[Product, str]]:
-    """The products that an object with options asks for, with their paths."""
-    for each in products:
-        path = getattr(options, each.option, None)
-        if path:
-            yield each, path
+def paths_of(stage: str, options: Any) -> Iterator[Tuple[Product, str]]:
+    """The products that a stage's options ask for, with their paths; those of the pipeline's stages too."""
+    for part in options.parts():
+        named = {each.option: each for each in products_of(stage)}  # stages may have products of one name
+        for option, each in named.items():
+            path = getattr(part, option, None)
+            if path:
+                yield each, path

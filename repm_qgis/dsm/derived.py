@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Iterator, Optional, Tuple
 
 from ..options import DsmFuseOptions
-from ..products import Product, paths_of, products_of
+from ..products import Product, paths_of
 from ..progress import Progress
 from .parameters import FusionParameters
 
@@ -27,7 +27,7 @@ def make_derived(finished: FinishedDsm, progress: Progress) -> Iterator[Tuple[Pr
 
     A maker's ``make(finished, path, progress)`` gives that file, or None where there was nothing to write.
     """
-    for product, path in paths_of(products_of("dsmfuse"), finished.options):
+    for product, path in paths_of("dsmfuse", finished.options):
         if product.maker:
             maker = importlib.import_module(f"{__package__}.{product.maker}")
             yield product, path, maker.make(finished, path, progress)

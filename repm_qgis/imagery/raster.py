@@ -339,9 +339,14 @@ def raster_identity(path: str) -> List[List[Any]]:
 
     Masks, overviews, RPC files beside it, and the images behind a VRT are among them.
     """
+    return [file_identity(file) for file in files_of(path)]
+
+
+def files_of(path: str) -> List[str]:
+    """All files that GDAL says belong to a raster, in their order; of one that it cannot open, the path alone."""
     try:
         with opened(path) as dataset:
             files = dataset.GetFileList() or []
     except ImageError:
         files = []
-    return [file_identity(file) for file in sorted({path, *files})]
+    return sorted({path, *files})

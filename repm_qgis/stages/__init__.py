@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Callable, Mapping, Optional
 from .. import options as _options
 from ..errors import OptionError
 from ..locks import exclusive
-from ..products import SCENE, paths_of, products_of
+from ..products import SCENE, paths_of
 from ..progress import Progress
 
 if TYPE_CHECKING:  # QGIS asks for the options alone
@@ -45,6 +45,9 @@ def run_stage(
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)
+    from .collisions import require_distinct
+
+    require_distinct(name, checked)
     run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
     with exclusive(name, progress, *_written(name, checked)):
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
@@ -52,7 +55,7 @@ def run_stage(
 
 def _written(name: str, options: _options.Options) -> tuple[list[str], list[str]]:
     """The folders and files that two runs of stages must not write at the same time: workspaces, scenes, outputs."""
-    made = list(paths_of(products_of(name), options))
+    made = list(paths_of(name, options))
     folders = [path for product, path in made if product.option == "workspace"]
     folders += [os.path.dirname(path) or "." for product, path in made if product.form == SCENE]
     return folders, [path for product, path in made if product.option == "output"]

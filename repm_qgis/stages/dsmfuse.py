@@ -114,7 +114,7 @@ def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]
         lambda work: f"fusing {work[0].records[0].tile}",
     )
     facts = write_products(options, scene, layout, stored, fusion.folder, parameters.fusion)
-    for product, path in paths_of(products_of("dsmfuse"), options):
+    for product, path in paths_of("dsmfuse", options):
         if product.style and not product.maker:
             write_style(product.style, path)
     return facts, [tile.needed for tile in stored]

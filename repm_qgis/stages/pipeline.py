@@ -12,7 +12,7 @@ from ..geometry.vertical import HeightDatum
 from ..matching.backends import require
 from ..options import PipelineOptions
 from ..parallel import kept_workers
-from ..products import FOLDER, paths_of, products_of
+from ..products import FOLDER, paths_of
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
 from ..sfm.ground_control import read_gcps
@@ -64,9 +64,8 @@ def _check_early(options: PipelineOptions) -> None:
     """What can be refused is refused before hours of matching."""
     fit, fuse = options.fit, options.fuse
     require(options.reconstruct.backend)
-    for part in (fit, options.refine, options.reconstruct, fuse, options):
-        for product, path in paths_of(products_of("pipeline"), part):
-            ensure_folder(path if product.form == FOLDER else str(Path(path).parent))
+    for product, path in paths_of("pipeline", options):
+        ensure_folder(path if product.form == FOLDER else str(Path(path).parent))
     if fuse.ept:
         require_ept_place(fuse.ept)
     if options.reconstruct.gcps:

@@ -1,0 +1,81 @@
+"""Refuses a run that would replace a file that it reads, or write two products under one name."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Dict, List
+
+from ..errors import ImageError, OptionError, SceneError
+from ..imagery.raster import files_of
+from ..options import Options
+from ..products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
+from ..records import with_files
+from ..rpc.readers import rpc_sidecars
+from ..scene import Scene
+from ..sfm.ground_control import points_file
+
+
+def require_distinct(stage: str, options: Options) -> None:
+    """Raise OptionError for a product whose path is that of another one, or of a file that the stage reads.
+
+    Links are followed, and the files that belong to an image, and those that a scene names, are compared too. A stage
+    may write its scene over the one that it reads, which it continues.
+    """
+    written = [(each, path) for each, path in paths_of(stage, options) if each.form != FOLDER]
+    taken: Dict[str, Product] = {}
+    for each, path in written:
+        place = os.path.realpath(path)
+        if place in taken:
+            raise OptionError(each.option.upper(), path, f"is also {taken[place].option.upper()}: choose two names")
+        taken[place] = each
+    built = {place: each for place, each in taken.items() if each.form == BUILT_FOLDER}
+    for place, each in taken.items():
+        for folder, owner in built.items():
+            if place.startswith(os.path.join(folder, "")):
+                inside = f"lies in {owner.option.upper()}, a folder that is replaced as a whole: choose another place"
+                raise OptionError(each.option.upper(), place, inside)
+    files = {(name, file) for name, path in options.read_paths() for file in _files(name, path, stage)}
+    for each, path in written:
+        for name, file in sorted(files):
+            if not (each.form == SCENE and name == "scene") and _same(path, file, each in built.values()):
+                reason = f"is also a file of the input {name.upper()}, which would be lost: choose another name"
+                raise OptionError(each.option.upper(), path, reason)
+
+
+def _files(name: str, path: str, stage: str) -> List[str]:
+    """The files that an input consists of."""
+    if name == "scene":
+        return _files_of_scene(path, stage)
+    if name in ("gcps", "profiles", "rpcs"):
+        return [points_file(path)[0]]
+    return files_of(path) + (rpc_sidecars(path) if name == "images" else [])
+
+
+def _files_of_scene(path: str, stage: str) -> List[str]:
+    """A scene's file and those that it names, but for what the stage makes again."""
+    if stage == "pipeline":  # its own scenes, in its workspace
+        return [path]
+    try:
+        scene = Scene.load(path)
+    except (SceneError, ImageError):  # the stage says what is wrong
+        return [path]
+    files = [path]
+
+    def found(file: str) -> str:
+        files.append(file)
+        return file
+
+    with_files(replace(scene, tie_points="") if stage == "reconstruct" else scene, found)
+    return [*files, *(file for view in scene.views for file in (*files_of(view.image), *rpc_sidecars(view.image)))]
+
+
+def _same(path: str, file: str, is_folder: bool) -> bool:
+    """Whether writing to a path would replace a file, which may lie in the folder of that path."""
+    place, read = os.path.realpath(path), os.path.realpath(file)
+    if place == read or (is_folder and read.startswith(os.path.join(place, ""))):
+        return True
+    try:
+        return os.path.samefile(place, read)
+    except OSError:
+        return False
