@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from dataclasses import dataclass, fields, replace
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
@@ -14,9 +16,10 @@ from ..geometry.gridding import grid_points, surface_step
 from ..geometry.interpolation import on_lattice
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
-from ..records import HeightMapRecord
+from ..records import FilePath, HeightMapRecord, Record
 from ..scene import Scene, View
 from ..stereo.height_maps import HeightMap, HeightSource
+from ..workspace import write_text
 from .aggregation import FusedCells, HeightLayer, aggregate
 from .occluded import occluded_ground
 from .ortho import orthophoto
@@ -66,15 +69,15 @@ class FusedTile:
 
 
 @dataclass(frozen=True)
-class StoredTile:
-    """A fused tile on disk, and the facts that the layout of the DSM needs.
+class StoredTile(Record):
+    """A fused tile on disk, and the facts that the layout of the DSM needs, which lie beside it.
 
     ``valid`` counts the cells with a height, ``filled`` those of them that have the background's, ``cells`` the tile's
     own. ``known`` is the part of the window that holds all heights, None where there are none; ``metres_per_px`` is
-    that of each height map.
+    that of each height map. ``reused``: an earlier, stopped run had fused the tile.
     """
 
-    path: str
+    path: FilePath
     valid: int
     filled: int
     cells: int
@@ -82,6 +85,18 @@ class StoredTile:
     needed: int
     known: Optional[Window]
     metres_per_px: Tuple[float, ...]
+    reused: bool = False
+
+    @classmethod
+    def finished(cls, path: str) -> Optional[StoredTile]:
+        """The tile that an earlier run has stored at a path; None where it is not there as a whole."""
+        try:
+            with open(_facts_file(path), encoding="utf-8") as stream:
+                tile = replace(cls.from_mapping(json.load(stream)), path=path, reused=True)
+            tile.load()  # which compares the checksums that the file has
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+            return None
+        return tile
 
     def load(self) -> FusedTile:
         """The tile's cells again, in the precision that products have."""
@@ -102,9 +117,20 @@ def wide_file(path: str) -> str:
     return path + ".wide.npy"
 
 
+def _facts_file(path: str) -> str:
+    """The file that holds what a :class:`StoredTile` says; it is written last, so that the others are whole."""
+    return path + ".json"
+
+
 def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
-    """Fuse a tile and keep it in a file, so that memory does not grow with the number of tiles."""
+    """Fuse a tile and keep it in a file, so that memory does not grow with the number of tiles.
+
+    A tile that an earlier, stopped run has stored there is taken as it is.
+    """
     task, path = work
+    done = StoredTile.finished(path)
+    if done is not None:
+        return done
     tile = fuse_tile(task)
     fused, known = tile.fused, np.isfinite(tile.fused.height)
     parts: Dict[str, Any] = {"count": fused.count, "filled": fused.filled}
@@ -114,7 +140,7 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     np.save(wide_file(path), tile.wide.astype(np.float32))
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
-    return StoredTile(
+    stored = StoredTile(
         path,
         valid=int(known.sum()),
         filled=int(fused.filled.sum()),
@@ -124,6 +150,8 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
         known=Window.spanning(*map(int, ends)) if ends else None,
         metres_per_px=tuple(record.metres_per_px for record in task.records),
     )
+    write_text(_facts_file(path), json.dumps(stored.to_mapping()))
+    return stored
 
 
 def fuse_tile(task: FuseTask) -> FusedTile:

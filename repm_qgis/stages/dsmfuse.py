@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import time
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..dsm.derived import FinishedDsm, make_derived
 from ..dsm.ept import require_ept_place
@@ -15,30 +17,32 @@ from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
 from ..dsm.products import DsmLayout, cloud_of, write_products
-from ..errors import EmptyResultError, SceneError
+from ..errors import Cancelled, EmptyResultError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.vertical import HeightDatum
+from ..imagery.raster import raster_identity
+from ..locks import exclusive
 from ..memory import fusing_mib, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..products import not_requested, paths_of, products_of
-from ..progress import Part, Progress
+from ..progress import Part, Progress, counted
 from ..records import FusionFacts
 from ..scene import Scene
-from ..workspace import ensure_folder, temporary_folder
+from ..workspace import ensure_folder, fingerprint
 from .parameters import ENGINE, EngineParameters
 
 
 @dataclass(frozen=True)
 class _Fusion:
-    """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is a temporary one."""
+    """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is for fused tiles."""
 
     options: DsmFuseOptions
     parameters: EngineParameters
     scene: Scene
     layout: DsmLayout
-    folder: str
+    folder: Path
 
 
 def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
@@ -67,10 +71,11 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     progress.info(f"DSM of {cells}, heights above the {datum.name}; outlier radius {radius:g} m.")
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
-    with temporary_folder(str(scene.path.with_name("fusion"))) as folder:
-        fusion = _Fusion(options, parameters, scene, layout, folder)
+    with _kept_until_done(scene, progress) as kept:
+        fusion = _Fusion(options, parameters, scene, layout, _folder_of(kept, options, scene, layout, parameters))
+        _drop_others(kept, fusion.folder)
         facts, needed = _fused(fusion, Part(progress, 0.0, share))
-        cloud = cloud_of(options, folder) if facts.points else None
+        cloud = cloud_of(options, str(fusion.folder)) if facts.points else None
         made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
         finished = FinishedDsm(options, cloud, datum.file_crs(crs), parameters.fusion)
         for product, path, file in make_derived(finished, progress):
@@ -84,6 +89,46 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     progress.step(1.0, "DSM fused")
     seconds = round(time.monotonic() - start, 3)
     return {**made, "vertical_datum": datum.name, "seconds": seconds, **facts.to_mapping()}
+
+
+@contextmanager
+def _kept_until_done(scene: Scene, progress: Progress) -> Iterator[Path]:
+    """The folder beside the scene for fused tiles: a run that was killed or cancelled leaves them to the next one.
+
+    Two runs on one scene have it one after the other.
+    """
+    folder = scene.folder("fusion")
+    with exclusive("dsmfuse", progress, folders=[str(folder)]):
+        try:
+            yield folder
+        except Cancelled:
+            raise
+        except BaseException:
+            _drop_others(folder)
+            raise
+        _drop_others(folder)
+    with suppress(OSError):  # another run may have it already
+        folder.rmdir()
+
+
+def _drop_others(folder: Path, kept: Optional[Path] = None) -> None:
+    """Remove the fused tiles of all runs but one from the folder for these."""
+    for path in folder.iterdir():
+        if path.is_dir() and path != kept:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _folder_of(
+    folder: Path, options: DsmFuseOptions, scene: Scene, layout: DsmLayout, parameters: EngineParameters
+) -> Path:
+    """The folder for the fused tiles of what is fused: another one wherever a tile would have other cells."""
+    records = [record.to_mapping() for tile in scene.tiles for record in tile.heights]
+    images = [raster_identity(view.image) for view in scene.views] if options.ortho else []
+    chosen = options.method, options.fill, options.outlier_radius, bool(options.cloud or options.ept)
+    cells = layout.crs, layout.grid.bounds, layout.grid.cell, layout.windows
+    return folder / fingerprint(
+        "dsmfuse", scene.fingerprint, records, images, chosen, cells, *parameters.in_fingerprint()
+    )
 
 
 def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]:
@@ -106,6 +151,7 @@ def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]
     )
     places = zip(scene.tiles, layout.windows)
     tasks = [replace(task, bounds=tile.bounds, records=tile.heights, window=window) for tile, window in places]
+    ensure_folder(str(fusion.folder))
     stored: List[StoredTile] = run_tasks(
         fuse_to_disk,
         [(task, f"{fusion.folder}/{i}.npz") for i, task in enumerate(tasks)],
@@ -113,7 +159,10 @@ def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]
         progress,
         lambda work: f"fusing {work[0].records[0].tile}",
     )
-    facts = write_products(options, scene, layout, stored, fusion.folder, parameters.fusion)
+    reused = sum(tile.reused for tile in stored)
+    if reused:
+        progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
+    facts = write_products(options, scene, layout, stored, str(fusion.folder), parameters.fusion)
     for product, path in paths_of("dsmfuse", options):
         if product.style and not product.maker:
             write_style(product.style, path)
@@ -130,10 +179,12 @@ def _one_pair(fusion: _Fusion, pair: Tuple[str, str], progress: Progress) -> Non
     wanted = {**not_requested("dsmfuse"), "output": output, "confidence": confidence, "fill": "none"}
     alone = replace(fusion.options, **wanted)
     scene, layout = replace(fusion.scene, tiles=tiles), replace(fusion.layout, windows=windows)
+    folder = _folder_of(fusion.folder.parent, alone, scene, layout, fusion.parameters)
     try:
-        _fused(replace(fusion, options=alone, scene=scene, layout=layout), progress)
+        _fused(replace(fusion, options=alone, scene=scene, layout=layout, folder=folder), progress)
     except EmptyResultError:
         progress.warn(f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{Path(output).name}' is not written.")
+    shutil.rmtree(folder, ignore_errors=True)  # with many pairs these would take much of the disk
 
 
 def _workers(fusion: _Fusion, progress: Progress) -> int:

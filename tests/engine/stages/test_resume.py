@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import Cancelled, SceneError
+from repm_qgis.errors import Cancelled, EmptyResultError, SceneError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -289,3 +289,76 @@ def test_a_scene_in_place(again, told):
     scene = str(again.workspace / "refined.json")
     run_stage("reconstruct", {"scene": scene, "output_scene": scene, "workers": 1}, told())
     assert [entry.stage for entry in Scene.load(scene).history] == ["epmfit", "refine", "reconstruct"]
+
+
+STOP_AFTER_TWO = """
+import json, os, signal, sys
+from repm_qgis.dsm import fusion
+from repm_qgis.progress import Silent
+from repm_qgis.stages import run_stage
+fuse, done = fusion.fuse_tile, []
+def fuse_tile(task):
+    if len(done) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    done.append(task)
+    return fuse(task)
+fusion.fuse_tile = fuse_tile
+run_stage("dsmfuse", json.loads(sys.argv[1]), Silent())
+"""
+
+
+@pytest.fixture
+def killed_fusion(again, tmp_path):
+    """The options of a fusion that was killed at the third of four tiles, and the folder of its fused tiles."""
+    options = {"scene": str(again.workspace / "reconstructed.json"), "output": again.output, "resolution": 0.5}
+    options.update(workers=1, cloud=str(tmp_path / "cloud.laz"))
+    command = [sys.executable, "-c", STOP_AFTER_TWO, json.dumps(options)]
+    killed = subprocess.run(command, cwd=Path(__file__).resolve().parents[3], check=False)
+    folder = again.workspace / "reconstructed_fusion"
+    assert killed.returncode == -signal.SIGKILL and not os.path.exists(again.output)
+    assert len(list(folder.glob("*/*.npz"))) == 2
+    return options, folder
+
+
+def test_fusion_goes_on_with_the_tiles_it_has_finished(killed_fusion, whole, told):
+    options, folder = killed_fusion
+    result = run_stage("dsmfuse", options, said := told())
+    assert any("Reused 2 of 4 fused tiles" in note for note in said.notes)
+    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    assert not folder.exists() and parts(folder.parent) == []
+
+
+@pytest.mark.parametrize("change", ({"method": "median"}, {"resolution": 1.0}, {"fill": "none"}, {"cloud": None}))
+def test_fusion_takes_no_tile_of_other_options(killed_fusion, told, tmp_path, change):
+    options, folder = killed_fusion
+    result = run_stage("dsmfuse", {**options, **change}, said := told())
+    assert not any("Reused" in note for note in said.notes) and not folder.exists()
+    undisturbed = run_stage("dsmfuse", {**options, **change, "output": str(tmp_path / "other.tif")}, told())
+    np.testing.assert_array_equal(heights(result["output"]), heights(undisturbed["output"]))
+
+
+def test_a_damaged_fused_tile_is_made_again(killed_fusion, whole, told):
+    options, folder = killed_fusion
+    tile = sorted(folder.glob("*/*.npz"))[0]
+    content = bytearray(tile.read_bytes())
+    content[len(content) // 2] ^= 1
+    tile.write_bytes(bytes(content))
+    result = run_stage("dsmfuse", options, said := told())
+    assert any("Reused 1 of 4 fused tiles" in note for note in said.notes)
+    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+
+
+def test_a_cancelled_fusion_keeps_its_tiles_and_a_failed_one_leaves_nothing(again, whole, told, monkeypatch):
+    options = {"scene": str(again.workspace / "reconstructed.json"), "output": again.output, "resolution": 0.5}
+    with pytest.raises(Cancelled):
+        run_stage("dsmfuse", {**options, "workers": 1}, told(cancel_at=3))
+    folder = again.workspace / "reconstructed_fusion"
+    assert list(folder.glob("*/*.npz")) and parts(folder) == [] and not os.path.exists(again.output)
+
+    def fail(*arguments):
+        raise EmptyResultError("None of 1 cells of the DSM has a height: check the reconstruction's report.")
+
+    monkeypatch.setattr("repm_qgis.stages.dsmfuse.write_products", fail)
+    with pytest.raises(EmptyResultError):
+        run_stage("dsmfuse", {**options, "workers": 1}, told())
+    assert not list(folder.glob("*/*"))
