@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-faults fuzz identity lint package models i18n pictures clean
+.PHONY: help setup demo test bench bench-faults fuzz identity lint scan package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -33,6 +33,9 @@ lint: setup ## ruff's rules and format over everything, and types of the engine 
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check --quiet . || { echo "lint: run '$(PYTHON) -m ruff format .'"; exit 1; }
 	@$(PYTHON) -m mypy
+
+scan: setup ## what plugins.qgis.org would find in the zip: Bandit, secrets, names, modes, metadata
+	@$(PYTHON) scripts/scan
 
 identity: setup ## whether this checkout makes the same results as revision BASE (default HEAD), to the byte
 	@$(PYTHON) benchmarks/identity.py $(BASE)

@@ -7,6 +7,7 @@ import os
 from qgis.core import QgsApplication, QgsSettings
 from qgis.PyQt.QtCore import QCoreApplication, QLocale, QTranslator
 
+from .processing_provider import engine
 from .processing_provider.provider import RepmProvider
 
 _FOLDER = os.path.dirname(os.path.abspath(__file__))
@@ -22,6 +23,7 @@ class RepmPlugin:
 
     def initProcessing(self) -> None:
         """Register the provider; qgis_process needs no more than this."""
+        engine.end_at_ctrl_c()
         self._install_translator()
         if self.provider is None:
             self.provider = RepmProvider()

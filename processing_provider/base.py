@@ -265,7 +265,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
 
     def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
         run = engine.run_apart if self.HEAVY else engine.run_here
-        return run(self.ID, options, feedback)
+        with engine.sigterm_cancels(feedback):
+            return run(self.ID, options, feedback)
 
     def _scene_name(self, options: Mapping[str, Any]) -> str:
         """The scene that a run is of: the workspace's name, else that in which the scene began, else the first image's.

@@ -11,14 +11,16 @@ import json
 import os
 import queue
 import signal
-import subprocess
+import subprocess  # nosec B404 # see its one use
 import sys
 import tempfile
 import threading
 import time
-from typing import Any, Callable, Mapping, Optional
+from contextlib import contextmanager
+from typing import Any, Callable, Iterator, Mapping, Optional
 
-from qgis.core import QgsProcessingException, QgsProcessingFeedback, QgsProjUtils
+from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsProjUtils
+from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
 from . import settings
 from .cleanup import remove_half_written
@@ -40,6 +42,7 @@ _POLL_S = 0.1
 _ASK_S = 30
 _GRACE_S = 1.2  # for the engine to remove half-written files; the whole of Cancel must take less than 2 s
 _WINDOWS = os.name == "nt"
+_NORMAL_EXIT = QProcess.ExitStatus.NormalExit
 
 
 class FeedbackProgress:
@@ -62,10 +65,49 @@ class FeedbackProgress:
         self._feedback.pushWarning(text)
 
     def check_cancelled(self) -> None:
-        if self._feedback.isCanceled():
+        if is_cancelled(self._feedback):
             from ..repm_qgis.errors import Cancelled
 
             raise Cancelled
+
+
+def is_cancelled(feedback: QgsProcessingFeedback) -> bool:
+    """Whether the user has cancelled; qgis_process hears of Ctrl-C in its event loop, which only we can run now."""
+    if _in_qgis_process():
+        QCoreApplication.processEvents()
+    return feedback.isCanceled()
+
+
+@contextmanager
+def sigterm_cancels(feedback: QgsProcessingFeedback) -> Iterator[None]:
+    """Within the block, SIGTERM to qgis_process does what Ctrl-C does; QGIS's desktop is left as it is."""
+    if not _in_qgis_process() or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = signal.signal(signal.SIGTERM, lambda number, frame: feedback.cancel())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, former if former is not None else signal.SIG_DFL)
+
+
+def end_at_ctrl_c() -> None:
+    """See that Ctrl-C ends qgis_process while it still prepares the run.
+
+    QGIS listens only from the start of the algorithm on. Before, Python's KeyboardInterrupt would crash QGIS's native
+    code, or be lost there.
+    """
+    if _in_qgis_process() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end_at_once)
+
+
+def _end_at_once(number: int, frame: object) -> None:
+    os.write(2, b"Cancelled by the user.\n")
+    os._exit(1)
+
+
+def _in_qgis_process() -> bool:
+    return QgsApplication.platform() == "qgis_process"
 
 
 def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
@@ -123,7 +165,7 @@ def find_python() -> str:
         if is_program(path):
             return path
     raise QgsProcessingException(
-        f"No Python was found to run the engine (looked for {', '.join(candidates)}): run scripts/setup in "
+        f"No Python was found to run the engine (looked for {', '.join(candidates)}): run 'bash scripts/setup' in "
         f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM."
     )
 
@@ -137,19 +179,29 @@ def backend_remedy(name: str) -> str:
     code = f"from repm_qgis.matching.backends import remedy; print(remedy({name!r}))"
     try:
         python = find_python()
-        done = subprocess.run(
-            [python, "-c", code],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,  # noqa: S603
-            stderr=subprocess.DEVNULL,
-            cwd=PLUGIN_FOLDER,
-            env=environment(python),
-            timeout=_ASK_S,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired, QgsProcessingException):
+    except QgsProcessingException:
         return ""
-    return done.stdout.decode("utf-8", "replace").strip() if done.returncode == 0 else ""
+    process = _quiet_process()
+    variables = QProcessEnvironment()
+    for variable, value in environment(python).items():
+        variables.insert(variable, value)
+    process.setProcessEnvironment(variables)
+    process.setWorkingDirectory(PLUGIN_FOLDER)
+    process.start(python, ["-c", code])
+    if not process.waitForFinished(_ASK_S * 1000):
+        process.kill()
+        process.waitForFinished()
+        return ""
+    answer = bytes(process.readAllStandardOutput()).decode("utf-8", "replace")
+    return answer.strip() if process.exitCode() == 0 and process.exitStatus() == _NORMAL_EXIT else ""
+
+
+def _quiet_process() -> QProcess:
+    """A process with nothing on its standard input, whose standard error goes nowhere."""
+    process = QProcess()
+    process.setStandardInputFile(QProcess.nullDevice())
+    process.setStandardErrorFile(QProcess.nullDevice())
+    return process
 
 
 def _candidates() -> list[str]:
@@ -189,7 +241,8 @@ class _EngineProcess:
         # "-m" looks for modules in the working folder first: that must be ours, and no folder that others write to.
         apart = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
         try:
-            self._process = subprocess.Popen(  # noqa: S603 - an argument list of our own
+            # Before Qt 6, QProcess makes no session.
+            self._process = subprocess.Popen(  # nosec B603 # no shell, and an argument list of our own
                 [python, "-m", "repm_qgis", stage, job],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -226,7 +279,7 @@ class _EngineProcess:
         last: dict[str, Any] = {}
         try:
             while True:
-                if feedback.isCanceled():
+                if is_cancelled(feedback):
                     raise QgsProcessingException("Cancelled by the user.")
                 try:
                     line = self._lines.get(timeout=_POLL_S)
@@ -268,7 +321,7 @@ class _EngineProcess:
             try:
                 return self._process.wait(_POLL_S)
             except subprocess.TimeoutExpired:
-                if feedback.isCanceled():
+                if is_cancelled(feedback):
                     raise QgsProcessingException("Cancelled by the user.") from None
 
     def _outcome(self, last: dict[str, Any], code: int) -> dict[str, Any]:
@@ -334,10 +387,8 @@ class _EngineProcess:
     def _end_on_windows(self, running: bool) -> None:
         if running:
             taskkill = os.path.join(os.environ.get("SYSTEMROOT", r"C:\Windows"), "System32", "taskkill.exe")
-            subprocess.run(
-                [taskkill, "/F", "/T", "/PID", str(self._process.pid)],  # noqa: S603
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                check=False,
-            )
+            ending = _quiet_process()
+            ending.setStandardOutputFile(QProcess.nullDevice())
+            ending.start(taskkill, ["/F", "/T", "/PID", str(self._process.pid)])
+            ending.waitForFinished()
         self._process.wait()

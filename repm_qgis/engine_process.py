@@ -127,7 +127,7 @@ def main(arguments: list[str]) -> int:
             return 2
         missing = MissingPackageError(
             f"The Python package '{error.name}' is not installed for {sys.executable} ({error}): "
-            "run scripts/setup in the plugin's folder, or the Environment report for the command that installs it."
+            "run 'bash scripts/setup' in the plugin's folder, or the command that 'Report the environment' shows."
         )
         lines.send(type="error", kind=type(missing).__name__, text=str(missing))
         return 1

@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import shutil
-import subprocess
+import subprocess  # nosec B404 # see its one use
 import sys
 from dataclasses import dataclass
 from typing import Any, Optional
@@ -101,9 +101,9 @@ def _requirement(distribution: str) -> str:
 def fresh_answer(code: str, seconds: float = _ASK_SECONDS) -> str:
     """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure."""
     try:
-        done = subprocess.run(
+        done = subprocess.run(  # nosec B603 # this interpreter, with code of our own
             [sys.executable, "-c", code],
-            stdin=subprocess.DEVNULL,  # noqa: S603 - our own code
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             timeout=seconds,

@@ -5,11 +5,15 @@ from __future__ import annotations
 import ast
 import importlib.util
 import pathlib
+import subprocess
+import sys
+import zipfile
 
 import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
+PROGRAMS += [ROOT / "scripts" / "scan"]
 PROGRAMS += sorted((ROOT / "benchmarks").glob("*.py"))
 
 
@@ -34,3 +38,66 @@ def test_what_a_program_imports_from_the_project_is_there(path):
 
 def test_there_are_programs():
     assert len(PROGRAMS) > 20
+
+
+METADATA = """[general]
+name=A
+description=A plugin.
+version=1
+qgisMinimumVersion=3.22
+author=A
+email=a@example.org
+about=A plugin.
+tracker=https://example.org/issues
+repository=https://example.org
+icon=icon.svg
+"""
+CLEAN = {
+    "__init__.py": "def classFactory(iface): ...\n",
+    "LICENSE": "-",
+    "icon.svg": "<svg/>",
+    "metadata.txt": METADATA,
+}
+
+
+def scanned(folder, files, mode=0o644):
+    """The exit code and the lines of scripts/scan for a zip of these files."""
+    path = folder / "plugin.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in files.items():
+            entry = zipfile.ZipInfo(f"plugin/{name}")
+            entry.external_attr = mode << 16
+            archive.writestr(entry, text)
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "scan"), str(path)], stdout=subprocess.PIPE, text=True, check=False
+    )
+    return done.returncode, done.stdout.splitlines()
+
+
+def test_the_scan_passes_a_clean_zip(tmp_path):
+    assert scanned(tmp_path, CLEAN) == (0, [])
+
+
+def test_the_scan_names_every_planted_problem_on_a_line_of_its_own(tmp_path):
+    planted = {
+        **CLEAN,
+        "shell.py": "import subprocess  # nosec B404\nsubprocess.call(input(), shell=True)\n",
+        "key.py": f'where = "AKIA{"IOSFODNN7EXAMPLE"}"\n',
+        ".bandit": "",
+        "run.sh": "",
+        "metadata.txt": METADATA.replace("about=A plugin.", "supportsQt6=True").replace("icon.svg", "gone.svg"),
+    }
+    del planted["LICENSE"]
+    code, lines = scanned(tmp_path, planted, mode=0o755)
+    assert code == 1
+    for start, count in {
+        "./plugin/shell.py:2: B602: ": 1,
+        "plugin/key.py:1: detect-secrets: AWS Access Key": 1,
+        "plugin/.bandit: name: ": 1,
+        "plugin/run.sh: name: ": 1,
+        "plugin/LICENSE: name: it is missing": 1,
+        "plugin/metadata.txt: metadata: ": 3,
+        "plugin/icon.svg: mode: ": 1,
+    }.items():
+        assert sum(line.startswith(start) for line in lines) == count, (start, lines)
+    assert not [line for line in lines if "B404" in line]

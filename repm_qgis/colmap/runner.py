@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import queue
-import subprocess
+import subprocess  # nosec B404 # see its one use
 import sys
 import threading
 import time
@@ -108,7 +108,7 @@ def run_patch_match(
     job, log = (os.path.join(workspace, name) for name in ("job.json", "patch_match.log"))
     write_text(job, json.dumps({"workspace": workspace, "options": options, "fusion": fusion}))
     with open(log, "wb") as stream:
-        process = subprocess.Popen(  # noqa: S603 - our own module, an argument list
+        process = subprocess.Popen(  # nosec B603 # this interpreter, with a module of our own
             [sys.executable, "-m", "repm_qgis.colmap.process", job],
             cwd=root,
             stdin=subprocess.DEVNULL,

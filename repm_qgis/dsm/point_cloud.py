@@ -19,7 +19,7 @@ def required_laspy(option: str) -> Any:
     try:
         import laspy
     except ImportError as error:
-        message = "Point clouds need the Python package 'laspy': run scripts/setup in the plugin's folder, or leave"
+        message = "Point clouds need the package 'laspy': run 'bash scripts/setup' in the plugin's folder, or leave"
         raise MissingPackageError(f"{message} {option} empty.") from error
     return laspy
 

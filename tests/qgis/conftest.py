@@ -91,23 +91,37 @@ def feedback(ears):
 
 
 @pytest.fixture(scope="session")
-def headless(tmp_path_factory):
-    """Runs scripts/qgis-headless in a configuration folder of this session's; gives the finished process."""
+def headless_start(tmp_path_factory):
+    """Starts scripts/qgis-headless in a configuration folder of this session's; gives the running process."""
     config = tmp_path_factory.mktemp("headless")
 
-    def run(*arguments, timeout=120, config=config, **variables):
+    def start(*arguments, config=config, **variables):
         # The tests' own interpreter must not tell qgis_process where Python is.
         environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_"))}
         environment.update(REPM_QGIS_CONFIG=str(config), **variables)
-        return subprocess.run(
+        return subprocess.Popen(
             [str(ROOT / "scripts" / "qgis-headless"), *map(str, arguments)],
             env=environment,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            timeout=timeout,
-            check=False,
         )
+
+    return start
+
+
+@pytest.fixture(scope="session")
+def headless(headless_start):
+    """Runs scripts/qgis-headless; gives the finished process."""
+
+    def run(*arguments, timeout=120, **keywords):
+        process = headless_start(*arguments, **keywords)
+        try:
+            texts = process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+        return subprocess.CompletedProcess(process.args, process.returncode, *texts)
 
     return run
 

@@ -6,6 +6,7 @@ import json
 import os
 import pathlib
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -168,6 +169,58 @@ def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
     assert os.path.exists(json.loads(done.stdout)["results"]["TRUTH"])
     ran = [line for line in json.loads(done.stdout)["log"]["info"] if "-m repm_qgis" in line]
     assert ran and not ran[0].startswith(str(ROOT)), "the unzipped plugin has no .venv: QGIS's own Python is to run"
+
+
+def family(mark):
+    """The numbers of the living processes whose environment holds the mark."""
+    found = []
+    for path in pathlib.Path("/proc").glob("[0-9]*"):
+        try:
+            ours = mark in (path / "environ").read_bytes()
+            state = (path / "stat").read_text().rsplit(")", 1)[1].split()[0]
+        except OSError:
+            continue
+        if ours and state != "Z":
+            found.append(int(path.name))
+    return found
+
+
+def wait_for(condition, seconds):
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    return condition()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+@pytest.mark.parametrize("processes", [2, 4])  # qgis_process with its engine, and with workers as well
+def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start, town, tmp_path, number, processes):
+    mark = f"REPM_TEST_MARK={tmp_path}"
+    running = headless_start(
+        "run",
+        "repm:pipeline",
+        "--",
+        *(f"IMAGES={path}" for path in town["images"]),
+        "TILE_SIZE=256",
+        f"OUTPUT={tmp_path / 'dsm.tif'}",
+        f"WORKSPACE={tmp_path / 'w'}",
+        REPM_ENGINE_PYTHON=sys.executable,
+        REPM_TEST_MARK=str(tmp_path),
+    )
+    try:
+        assert wait_for(lambda: len(family(mark.encode())) >= processes, 60), "the run did not get so far"
+        start = time.monotonic()
+        running.send_signal(number)
+        output, errors = running.communicate(timeout=20)
+        seconds = time.monotonic() - start
+    finally:
+        running.kill()
+    assert running.returncode == 1, (running.returncode, output, errors)
+    assert seconds < 2
+    assert "Cancelled by the user." in errors and "Traceback" not in output + errors
+    assert wait_for(lambda: not family(mark.encode()), 0.5)
+    assert not list(tmp_path.rglob("*.part*")) and not (tmp_path / "dsm.tif").exists()
 
 
 def test_setup_has_nothing_to_do_a_second_time(tmp_path):
