@@ -235,7 +235,9 @@ class _EngineProcess:
     """One engine process, from its start to its result."""
 
     def __init__(self, stage: str, python: str, job: str) -> None:
-        self._stage, self._python = stage, python
+        from ..repm_qgis.containers import memory_kills
+
+        self._stage, self._python, self._memory_kills = stage, python, memory_kills()
         self._lines: queue.Queue[Optional[str]] = queue.Queue()
         self._last_words: collections.deque[str] = collections.deque(maxlen=50)
         # "-m" looks for modules in the working folder first: that must be ours, and no folder that others write to.
@@ -337,6 +339,9 @@ class _EngineProcess:
         raise QgsProcessingException(self._crash(code))
 
     def _crash(self, code: int) -> str:
+        from ..repm_qgis.containers import memory_kills
+        from ..repm_qgis.shortage import MEMORY_REMEDY, speaks_of_memory
+
         words = next((text for text in reversed(self._last_words) if text.strip()), "")
         said = f" (its last words: {words.strip()[:300]})" if words else ""
         if code < 0:
@@ -345,16 +350,16 @@ class _EngineProcess:
             except ValueError:
                 name = f"signal {-code}"
             cause = f"was ended by {name}"
-            remedy = (
-                "it probably ran out of memory: use a smaller EXTENT or TILE_SIZE, or fewer workers"
-                if name == "SIGKILL"
-                else "QGIS and finished files are unharmed: run again, or choose another BACKEND"
-            )
+            remedy = "QGIS and finished files are unharmed: run again, or choose another BACKEND"
         else:
             cause, remedy = (
                 f"ended with code {code} and no result",
                 f"check with 'Report the environment' that '{self._python}' has what the engine needs",
             )
+        if self._memory_kills is not None and (memory_kills() or 0) > self._memory_kills:
+            remedy = f"the system says that memory ran out: {MEMORY_REMEDY}"
+        elif cause.endswith("SIGKILL") or any(map(speaks_of_memory, self._last_words)):
+            remedy = f"most likely memory ran out: {MEMORY_REMEDY}"
         return f"The engine process of the stage '{self._stage}' {cause}{said}; {remedy}."
 
     def end(self) -> None:

@@ -24,6 +24,7 @@ from typing import Any, Dict
 from .errors import Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
+from .shortage import said_in_a_sentence
 from .workspace import remove_own_temporaries
 
 _MAX_JOB_BYTES = 64 << 20
@@ -97,6 +98,18 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, name="watch-parent", daemon=True).start()
 
 
+def _run(arguments: list[str], lines: JsonLines) -> Dict[str, Any]:
+    one_thread_for_sums()
+    keep_freed_memory()
+    if len(arguments) != 2:
+        raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
+    from .imagery.raster import bound_cache
+    from .stages import run_stage
+
+    bound_cache()
+    return run_stage(arguments[0], _job(arguments[1]), lines)
+
+
 def main(arguments: list[str]) -> int:
     # Native libraries print to standard output at will: keep it for our lines, and send theirs to standard error.
     lines = JsonLines(os.fdopen(os.dup(1), "w", encoding="utf-8"))
@@ -107,16 +120,8 @@ def main(arguments: list[str]) -> int:
     if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
         _end_with_parent()
     try:
-        one_thread_for_sums()
-        keep_freed_memory()
-        if len(arguments) != 2:
-            raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
-        from .imagery.raster import bound_cache
-        from .stages import run_stage
-
-        bound_cache()
-
-        lines.send(type="result", result=run_stage(arguments[0], _job(arguments[1]), lines))
+        with said_in_a_sentence():
+            lines.send(type="result", result=_run(arguments, lines))
         return 0
     except RepmError as error:
         lines.send(type="error", kind=type(error).__name__, text=str(error))
@@ -125,8 +130,9 @@ def main(arguments: list[str]) -> int:
         if (error.name or "").startswith(__package__ or "repm_qgis"):  # a part of the engine itself, no package
             lines.send(type="bug", kind="bug", text=traceback.format_exc())
             return 2
+        reason = " ".join(str(error).split())[:300]  # numpy's has paragraphs
         missing = MissingPackageError(
-            f"The Python package '{error.name}' is not installed for {sys.executable} ({error}): "
+            f"The Python package '{error.name}' is not installed for {sys.executable} ({reason}): "
             "run 'bash scripts/setup' in the plugin's folder, or the command that 'Report the environment' shows."
         )
         lines.send(type="error", kind=type(missing).__name__, text=str(missing))

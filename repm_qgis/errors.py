@@ -61,6 +61,10 @@ class WorkspaceError(RepmError, OSError):
     """A folder or file cannot be written."""
 
 
+class OutOfMemoryError(RepmError, MemoryError):
+    """Memory ran out in the engine or a worker; the message names the settings that need less."""
+
+
 class MissingPackageError(RepmError, ImportError):
     """A Python package that a stage needs is not installed."""
 

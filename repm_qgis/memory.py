@@ -5,25 +5,24 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from pathlib import Path
 from typing import Any, Dict, Optional, Sequence
 
+from .containers import container_rest, own_rest
 from .errors import OptionError
 from .parallel import cores
 from .progress import Progress
 
 _SHARE = 0.75  # of what is free, where no budget is given
-_CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")
 _MIB = 1024.0 * 1024.0
 
 
-def free_mib(container: Sequence[str] = _CONTAINER) -> Optional[float]:
+def free_mib() -> Optional[float]:
     """Memory that this process and its workers may still take, MiB; None where the system does not say.
 
-    On Linux the kernel's own estimate, or what the container's limit leaves, whichever is less; elsewhere the free
-    (Windows) or a half of all physical memory.
+    On Linux the kernel's own estimate, or what the limits of containers and of the shell (``ulimit -v``) leave,
+    whichever is least; elsewhere the free (Windows) or a half of all physical memory.
     """
-    known = kernel_memory().get("MemAvailable"), _container_rest(container)
+    known = kernel_memory().get("MemAvailable"), container_rest(), own_rest()
     found = [value / _MIB for value in known if value is not None]
     if found:
         return min(found)
@@ -52,15 +51,6 @@ def physical_memory() -> Optional[int]:
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
-        return None
-
-
-def _container_rest(files: Sequence[str]) -> Optional[int]:
-    """What a container's limit leaves (cgroup 2), bytes, of the files with limit and use; None without one."""
-    try:
-        limit, used = (Path(path).read_text(encoding="ascii").strip() for path in files)
-        return max(int(limit) - int(used), 0)
-    except (OSError, ValueError):  # "max" is no number: no limit
         return None
 
 

@@ -6,6 +6,7 @@ import ctypes
 import multiprocessing
 import multiprocessing.context
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -14,13 +15,16 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from .errors import EmptyResultError
+from .containers import memory_kills
+from .errors import EmptyResultError, OutOfMemoryError, RepmError
 from .progress import Progress
+from .shortage import MEMORY_REMEDY, said_in_a_sentence
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's mallopt (malloc.h)
 _POLL_S = 0.3
+_NO_MEMORY = 71  # the exit code of a worker that could not begin
 _FEW = 3
 """With so few tasks, starting processes costs more than it gains: the task's own threads use the cores instead."""
 
@@ -40,8 +44,8 @@ def run_tasks(
     """``[function(task) for task in tasks]``, in worker processes where that pays.
 
     ``function`` and tasks must be picklable, ``workers`` 0 means one a core. Progress moves with every finished
-    task; Cancel drops what has not begun and ends the workers. Exceptions of a task are raised here; a worker that
-    dies (out of memory, a crash in native code) raises EmptyResultError.
+    task; Cancel drops what has not begun and ends the workers. Exceptions of a task are raised here. A worker that
+    is killed or finds no memory raises OutOfMemoryError, one that dies of something else EmptyResultError.
     """
     workers = workers or cores()
     if workers <= 1 or len(tasks) <= _FEW:
@@ -72,6 +76,12 @@ class _Pool:
             self._executor = ProcessPoolExecutor(workers, mp_context=_context(), initializer=begin_worker)
             self._workers = workers
         return self._executor
+
+    def ends(self) -> List[Optional[int]]:
+        """Close a broken pool; gives the exit codes of its workers, negative ones are signals."""
+        processes = list((getattr(self._executor, "_processes", None) or {}).values())
+        self.close()
+        return [process.exitcode for process in processes]
 
     def end(self) -> None:
         """End the workers amid their tasks."""
@@ -152,23 +162,45 @@ def _in_pool(
     describe: Callable[[Any], str],
 ) -> List[Any]:
     results: Dict[int, Any] = {}
+    killed_before = memory_kills()
     try:
         executor = pool.of(workers)
-        pending = {executor.submit(function, task): i for i, task in enumerate(tasks)}
+        pending = {executor.submit(_do, pickle.dumps((function, task))): i for i, task in enumerate(tasks)}
         progress.step(0.0, f"{len(tasks)} tasks on {workers} cores")
         for index, future in as_they_end(pending, progress):
             results[index] = future.result()
             progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
-    except BrokenProcessPool as error:
-        pool.close()
-        raise EmptyResultError(
-            f"A worker process ended without an answer after {len(results)} of {len(tasks)} tasks: "
-            "most likely memory ran out. Use fewer workers or a smaller TILE_SIZE."
-        ) from error
+    except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
+        certain = killed_before is not None and (memory_kills() or 0) > killed_before
+        raise _death(pool.ends(), certain, f"after {len(results)} of {len(tasks)} tasks") from error
     except BaseException:
         pool.end()
         raise
     return [results[i] for i in range(len(tasks))]
+
+
+def _do(work: bytes) -> Any:
+    """A task in a worker. It is unpickled here, so that what an import lacks is said, too."""
+    with said_in_a_sentence():
+        function, task = pickle.loads(work)  # noqa: S301 - our own
+        return function(task)
+
+
+def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmError:
+    """What is said of a worker that ended without an answer, by the exit codes of all."""
+    if certain:
+        return OutOfMemoryError(f"The system killed a worker process {when} because memory ran out: {MEMORY_REMEDY}.")
+    if _NO_MEMORY in codes:
+        return OutOfMemoryError(f"A worker process found no memory to begin with, {when}: {MEMORY_REMEDY}.")
+    signals = {-code for code in codes if code is not None and code < 0}
+    if getattr(signal, "SIGKILL", None) in signals:
+        text = f"A worker process was killed (SIGKILL) {when}, most likely because memory ran out: {MEMORY_REMEDY}."
+        return OutOfMemoryError(text)
+    crash = signals - {signal.SIGTERM}  # which ended those that had not died
+    name = f" ({', '.join(sorted(signal.Signals(number).name for number in crash))})" if crash else ""
+    return EmptyResultError(
+        f"A worker process ended without an answer{name} {when}: run again; if memory ran out, {MEMORY_REMEDY}."
+    )
 
 
 def as_they_end(pending: Dict["Future[Any]", int], progress: Progress) -> Iterator[Tuple[int, "Future[Any]"]]:
@@ -217,6 +249,17 @@ def _end_with_engine() -> None:
 
 def begin_worker() -> None:
     """One thread a worker: N workers use N cores, not N times N. Ctrl-C is for the engine, which ends its workers."""
+    try:
+        with said_in_a_sentence():
+            _prepare()
+    except (OutOfMemoryError, ImportError) as error:
+        if isinstance(error, ModuleNotFoundError):
+            raise
+        # A package that is there, and that the server may have failed to load whole. The engine says it.
+        os._exit(_NO_MEMORY)
+
+
+def _prepare() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_engine()
     one_thread_for_sums()

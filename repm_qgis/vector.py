@@ -9,8 +9,7 @@ import numpy as np
 from osgeo import gdal, ogr, osr
 
 from .arrays import FloatArray
-from .errors import WorkspaceError
-from .workspace import take_name, temporary_folder
+from .workspace import not_written, take_name, temporary_folder
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 Features = Iterable[Tuple[ogr.Geometry, Sequence[Any]]]
@@ -55,11 +54,12 @@ def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, ty
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         with temporary_folder(path) as folder:  # some formats are several files
-            _fill(Path(folder) / Path(path).name, crs, geometry_type, fields, features)
+            try:
+                _fill(Path(folder) / Path(path).name, crs, geometry_type, fields, features)
+            except RuntimeError as error:
+                raise not_written(path, str(error), folder) from error
             for part in sorted(Path(folder).iterdir()):
                 take_name(str(part), str(Path(path).with_name(part.name)))
-    except RuntimeError as error:
-        raise WorkspaceError(f"Cannot write '{path}' ({error}): choose another place.") from error
     finally:
         gdal.PopErrorHandler()
     return path
@@ -77,6 +77,7 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
     for field, kind in fields.items():
         layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))
     layer.StartTransaction()
+    count = 0
     for geometry, values in features:
         feature = ogr.Feature(layer.GetLayerDefn())
         feature.SetGeometry(geometry)
@@ -84,11 +85,20 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
             if value is not None:
                 feature.SetField(index, value)
         _see(layer.CreateFeature(feature) == 0)
-        feature = None
+        feature, count = None, count + 1
     _see(layer.CommitTransaction() == 0)
     gdal.ErrorReset()
     layer = source = None
-    _see(gdal.GetLastErrorType() < gdal.CE_Failure)
+    _see(gdal.GetLastErrorType() < gdal.CE_Failure and _features(str(target)) == count)
+
+
+def _features(path: str) -> int:
+    """How many features a file really holds: OGR says nothing of a full disk where it writes GeoJSON."""
+    source = open_vector(path)
+    layer = source.GetLayer(0) if source is not None and source.GetLayerCount() else ()
+    count = sum(feature.GetGeometryRef() is not None for feature in layer)
+    layer = source = None
+    return count
 
 
 def _see(well: bool) -> None:

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Iterator, List, Set
+from typing import Any, Iterator, List, Optional, Set
 
 from . import __version__
 from .errors import RepmError, WorkspaceError
@@ -28,6 +28,8 @@ def ensure_folder(path: str) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
+        if error.errno in OF_THE_DISK:
+            raise cannot_write(path, error) from error
         raise WorkspaceError(
             f"Cannot write into the folder '{path}' ({error.strerror or error}): choose another one, "
             "or change its permissions."
@@ -157,19 +159,80 @@ def _sync(path: str) -> None:
         os.close(descriptor)
 
 
-def cannot_write(path: str, error: OSError) -> WorkspaceError:
-    """The sentence for a file or folder that cannot be written: what stood in the way, and what helps."""
-    if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)):
+_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+_TOO_MANY = (errno.EMFILE, errno.ENFILE)
+OF_THE_DISK = (*_FULL, *_TOO_MANY, errno.EFBIG, errno.EROFS)
+"""The errors that keep any file from being written: they are nobody's mistake."""
+_PROBE = bytes(1 << 20)
+
+
+def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
+    """The sentence for a file or folder that cannot be written: what stood in the way, and what helps.
+
+    ``written`` are the bytes of it that were.
+    """
+    if error.errno in _FULL:
+        needed = f", more than {written / 2**20:.1f} MiB needed" if written else ""
         return WorkspaceError(
-            f"Cannot write '{path}': the disk is full ({free_text(path)} free): free some space, or choose a place "
-            "on another disk."
+            f"Cannot write '{path}': the disk is full ({free_text(path)} free{needed}): free some space, or choose a "
+            "place on another disk."
         )
-    if error.errno == errno.EMFILE:
+    if error.errno == errno.EROFS:
+        return WorkspaceError(f"Cannot write '{path}': the disk is read-only: choose a place on another disk.")
+    if error.errno in _TOO_MANY:
         return WorkspaceError(
             f"Cannot write '{path}': this process has too many open files: raise the limit (ulimit -n), or use fewer "
             "workers."
         )
     return WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.")
+
+
+def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:
+    """The sentence for a file that a library could not write; its ``reason`` counts where the disk has none.
+
+    Libraries seldom say that the disk is full: an attempt to write to ``temporary``, or beside ``path``, tells.
+    """
+    error = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
+    if error is not None:
+        return cannot_write(path, error, _size(temporary))
+    return WorkspaceError(f"Cannot write '{path}' ({reason or 'no reason given'}): choose another place.")
+
+
+def _obstacle(place: str) -> Optional[OSError]:
+    """What keeps a file from growing, or a folder from taking another, as an attempt shows; None if nothing does."""
+    try:
+        with tempfile.TemporaryFile(dir=place) if os.path.isdir(place) else open(place, "ab") as stream:
+            stream.write(_PROBE)
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError as error:
+        return error
+    return None
+
+
+def _size(path: str) -> int:
+    """The bytes of a file, or of all files in a folder."""
+    inside = [path, *(os.path.join(place, name) for place, _, names in os.walk(path) for name in names)]
+    return sum(os.path.getsize(each) for each in inside if os.path.isfile(each))
+
+
+@contextmanager
+def writing(path: str, temporary: str = "") -> Iterator[None]:
+    """Within the block, what keeps ``path`` from being written raises WorkspaceError, whichever library meets it.
+
+    ``temporary`` is what is written under another name first. Errors that have another cause stay as they are.
+    """
+    try:
+        yield
+    except RepmError:
+        raise
+    except OSError as error:
+        raise cannot_write(path, error, _size(temporary or path)) from error
+    except Exception as error:
+        obstacle = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
+        if obstacle is None:
+            raise
+        raise cannot_write(path, obstacle, _size(temporary or path)) from error
 
 
 def free_text(path: str) -> str:
@@ -191,12 +254,9 @@ def whole_file(path: str) -> Iterator[str]:
     """
     temporary = temporary_name(path)
     try:
-        yield temporary
-        take_name(temporary, path)
-    except OSError as error:
-        if isinstance(error, RepmError):
-            raise
-        raise cannot_write(path, error) from error
+        with writing(path, temporary):
+            yield temporary
+            take_name(temporary, path)
     finally:
         _remove(temporary)
 
@@ -228,17 +288,14 @@ def whole_folder(path: str) -> Iterator[Path]:
     recover_folder(path)
     temporary = Path(temporary_name(path))
     try:
-        temporary.mkdir()
-        yield temporary
-        for place, _, files in os.walk(temporary):
-            for name in files:
-                _sync(os.path.join(place, name))
-            _sync(place)
-        _take_place(temporary, target)
-    except OSError as error:
-        if isinstance(error, RepmError):
-            raise
-        raise cannot_write(path, error) from error
+        with writing(path, str(temporary)):
+            temporary.mkdir()
+            yield temporary
+            for place, _, files in os.walk(temporary):
+                for name in files:
+                    _sync(os.path.join(place, name))
+                _sync(place)
+            _take_place(temporary, target)
     finally:
         _remove(str(temporary))
 

@@ -19,7 +19,7 @@ from ..matching.parameters import MATCHING, MatchingParameters
 from ..records import FilePath, HeightMapRecord, Record
 from ..scene import Scene, View
 from ..stereo.height_maps import HeightMap, HeightSource
-from ..workspace import write_text
+from ..workspace import write_text, writing
 from .aggregation import FusedCells, HeightLayer, aggregate
 from .occluded import occluded_ground
 from .ortho import orthophoto
@@ -136,8 +136,9 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     parts: Dict[str, Any] = {"count": fused.count, "filled": fused.filled}
     parts.update({name: getattr(fused, name).astype(np.float32) for name in ("height", "spread", "score")})
     parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
-    np.savez(path, **parts)
-    np.save(wide_file(path), tile.wide.astype(np.float32))
+    with writing(path):
+        np.savez(path, **parts)
+        np.save(wide_file(path), tile.wide.astype(np.float32))
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
     stored = StoredTile(

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from osgeo import gdal
 
 from ..arrays import FloatImage, Window
-from ..errors import ImageError, WorkspaceError
+from ..errors import ImageError
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import RasterWriter, created, opened, quiet, read
 from ..imagery.warping import warp_strips
 from ..progress import Progress
-from ..workspace import whole_file
+from ..workspace import not_written, whole_file
 from .model import ExportView
 
 _STRIP = 512  # rows
@@ -94,8 +94,7 @@ def encode(plain: str, path: Path) -> None:
             except (RuntimeError, AttributeError) as error:  # AttributeError: a GDAL without the driver
                 reason = str(error)
             if reason or not os.path.exists(temporary):
-                why = f"({reason or 'no reason given'}): is the disk full, or does GDAL lack its {driver} driver?"
-                raise WorkspaceError(f"Cannot write '{path}' {why}")
+                raise not_written(str(path), reason or f"GDAL lacks its {driver} driver", temporary)
     finally:
         if os.path.exists(plain):
             os.unlink(plain)

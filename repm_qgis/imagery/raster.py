@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from osgeo import gdal
 
 from ..arrays import FloatImage, Size, Window
-from ..errors import ImageError, WorkspaceError
-from ..workspace import file_identity, take_name, temporary_name
+from ..errors import ImageError
+from ..shortage import speaks_of_memory
+from ..workspace import file_identity, not_written, take_name, temporary_name
 from .untrusted import require_trusted
 
 NODATA = -9999.0
@@ -46,6 +47,8 @@ def _attempt(work: Callable[[], Any]) -> Tuple[Any, str]:
             result = work()
         except RuntimeError as error:
             reason = str(error) or "no reason given"
+            if speaks_of_memory(reason):  # not the file's fault
+                raise MemoryError(reason) from error
         if not reason and (result is None or gdal.GetLastErrorType() >= gdal.CE_Failure):
             reason = gdal.GetLastErrorMsg() or "no reason given"
     return result, reason.strip().rstrip(".").replace("\n", " ")[:300]
@@ -53,7 +56,7 @@ def _attempt(work: Callable[[], Any]) -> Tuple[Any, str]:
 
 def _require_written(path: str, reason: str) -> None:
     if reason:
-        raise WorkspaceError(f"Cannot write '{path}': {reason}. Is the disk full?")
+        raise not_written(path, reason)
 
 
 class MaskedImage:
@@ -306,7 +309,7 @@ def _create(
     size = (shape[1], shape[0], bands, kinds[dtype.name])
     dataset, reason = _attempt(lambda: gdal.GetDriverByName("GTiff").Create(temporary, *size, options))
     if dataset is None:
-        raise WorkspaceError(f"Cannot write '{path}': {reason}. Choose a folder that can be written.")
+        raise not_written(path, reason)
     return dataset
 
 

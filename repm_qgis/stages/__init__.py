@@ -14,6 +14,7 @@ from ..errors import OptionError
 from ..locks import exclusive
 from ..products import SCENE, paths_of
 from ..progress import Progress
+from ..shortage import said_in_a_sentence
 
 if TYPE_CHECKING:  # QGIS asks for the options alone
     from .parameters import EngineParameters
@@ -33,14 +34,15 @@ STAGES: dict[str, type[_options.Options]] = {
 }
 
 
+@said_in_a_sentence()
 def run_stage(
     name: str, options: Mapping[str, Any], progress: Progress, parameters: Optional[EngineParameters] = None
 ) -> dict[str, Any]:
     """Run a stage by name with options as a JSON object, and give its results as a JSON object.
 
     ``parameters`` are for studies of the pipeline and its stages, which keep what differs from the defaults in their
-    fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, and whatever RepmError the stage
-    raises.
+    fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, OutOfMemoryError, and whatever
+    RepmError the stage raises.
     """
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")

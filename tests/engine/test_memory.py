@@ -124,18 +124,11 @@ def test_without_a_budget_free_memory_decides(told, monkeypatch):
     assert workers_within(8, 1e9, 0, 1600, said) == 8
 
 
-def test_free_memory_is_what_the_machine_has(tmp_path):
+def test_free_memory_is_what_the_machine_has():
     found = free_mib()
     if found is None:
         pytest.skip("this system does not say")
     assert 16 < found < 1 << 24
-    limit, used = tmp_path / "max", tmp_path / "current"
-    limit.write_text(str(300 << 20))
-    used.write_text(str(100 << 20))
-    container = str(limit), str(used)
-    assert free_mib(container) == min(200.0, found) or abs(free_mib(container) - 200.0) < 1
-    limit.write_text("max\n")
-    assert free_mib(container) == pytest.approx(free_mib(), rel=0.5)
 
 
 def test_a_dsm_does_not_depend_on_the_budget(urban, tmp_path, pipeline):

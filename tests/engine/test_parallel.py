@@ -7,12 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import Cancelled, EmptyResultError, OptionError
+from repm_qgis import parallel
+from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, OutOfMemoryError
 from repm_qgis.parallel import cores, kept_workers, run_tasks
+from repm_qgis.shortage import said_in_a_sentence
 
 ROOT = Path(__file__).resolve().parents[2]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
@@ -28,10 +31,14 @@ def picky(x):
         raise OptionError("x", x, "must not be three")
     return x
 
-def deadly(x):
+def deadly(x, number):
     if x == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getpid(), number)
     return x
+
+def hungry(x):
+    import numpy
+    return numpy.empty(1 << 60, numpy.uint8)
 
 def slow(x):
     time.sleep(30)
@@ -45,6 +52,24 @@ def who(x):
     time.sleep(0.05)
     return os.getpid()
 """
+
+
+BOUNDED = """
+import resource, sys
+from repm_qgis.errors import OutOfMemoryError
+from repm_qgis.parallel import run_tasks
+from repm_qgis.progress import Silent
+from repm_qgis.shortage import said_in_a_sentence
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
+    try:
+        with said_in_a_sentence():
+            print(run_tasks(abs, list(range(8)), 2, Silent(), str))
+    except OutOfMemoryError as error:
+        print("OutOfMemoryError", error)
+"""
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems do not bound the address space")
 
 
 @pytest.fixture(scope="module")
@@ -77,8 +102,51 @@ def test_exceptions_of_tasks_are_raised_here(work, told, workers):
 
 
 def test_a_worker_that_dies_is_said(work, told):
-    with pytest.raises(EmptyResultError, match="of 8 tasks: most likely memory ran out"):
-        run_tasks(work.deadly, list(range(8)), 2, told(), str)
+    for number, error, words in (
+        (
+            signal.SIGKILL,
+            OutOfMemoryError,
+            r"killed \(SIGKILL\) after \d of 8 tasks, most likely because memory ran out",
+        ),
+        (signal.SIGSEGV, EmptyResultError, r"without an answer \(SIGSEGV\) after \d of 8 tasks: run again"),
+    ):
+        with pytest.raises(error, match=words) as caught:
+            run_tasks(partial(work.deadly, number=number), list(range(8)), 2, told(), str)
+        assert "MEMORY" in str(caught.value) and "TILE_SIZE" in str(caught.value)
+
+
+def test_where_the_system_says_that_it_killed_for_memory_so_do_we(work, told, monkeypatch):
+    counts = iter((3, 4))
+    monkeypatch.setattr(parallel, "memory_kills", lambda: next(counts))
+    with pytest.raises(OutOfMemoryError, match="The system killed a worker process after . of 8 tasks because memory"):
+        run_tasks(partial(work.deadly, number=signal.SIGKILL), list(range(8)), 2, told(), str)
+
+
+@pytest.mark.parametrize("workers", (1, 2))
+def test_want_of_memory_in_a_task_is_a_sentence(work, told, workers):
+    with pytest.raises(OutOfMemoryError, match=r"Memory ran out \(.*allocate.*\): use fewer WORKERS"):
+        with said_in_a_sentence():
+            run_tasks(work.hungry, list(range(8)), workers, told(), str)
+
+
+@linux
+@pytest.mark.parametrize("limit", (100, 200, 300, 1000))
+def test_workers_that_find_no_memory_to_begin_with_are_a_sentence(tmp_path, limit):
+    """Imports fail then, and threads: whatever the limit, there is one sentence and no traceback, and nothing hangs."""
+    code = tmp_path / "bounded.py"
+    code.write_text(BOUNDED)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, str(code), str(limit)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    last = done.stdout.splitlines()[-1]  # OpenCV may say something before
+    assert last.startswith("[0, 1, 2" if limit == 1000 else "OutOfMemoryError "), done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_workers_live_on_within_a_block_only(work, told):

@@ -5,6 +5,7 @@ The engine here is the real repm_qgis/__main__.py with stages of the test's own.
 
 from __future__ import annotations
 
+import importlib
 import os
 import pathlib
 import shutil
@@ -51,6 +52,10 @@ def run_stage(name, options, progress):
         os.kill(os.getpid(), signal.SIGSEGV)
     if name == "memory":
         os.kill(os.getpid(), signal.SIGKILL)
+    if name == "allocation":
+        sys.stderr.write("terminate called after throwing an instance of 'std::bad_alloc'\\n")
+        sys.stderr.flush()
+        os.abort()
     if name == "mute":
         os._exit(7)
     workers = [multiprocessing.get_context("spawn" if name == "spawned" else "fork").Process(
@@ -131,7 +136,8 @@ def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
         ("sentence", ["No RPC found for 'a.tif'."]),
         ("package", ["'surely_no_such_package' is not installed", VENV_PYTHON]),
         ("segfault", ["'segfault'", "SIGSEGV", "the last words"]),
-        ("memory", ["'memory'", "SIGKILL", "out of memory", "EXTENT"]),
+        ("memory", ["'memory'", "SIGKILL", "most likely memory ran out", "EXTENT", "MEMORY"]),
+        ("allocation", ["'allocation'", "SIGABRT", "bad_alloc", "most likely memory ran out", "TILE_SIZE"]),
         ("mute", ["'mute'", "code 7", "Report the environment"]),
     ],
 )
@@ -141,6 +147,14 @@ def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
     text = str(caught.value)
     assert all(word in text for word in words), text
     assert "\n" not in text and "Traceback" not in text
+
+
+def test_what_the_system_says_of_memory_is_passed_on(engine, feedback, monkeypatch):
+    containers = importlib.import_module(f"{engine.__name__.split('.')[0]}.repm_qgis.containers")
+    counts = iter((3, 4))
+    monkeypatch.setattr(containers, "memory_kills", lambda: next(counts))
+    with pytest.raises(QgsProcessingException, match="SIGKILL; the system says that memory ran out: use fewer WORKERS"):
+        engine.run_apart("memory", {}, feedback, VENV_PYTHON)
 
 
 def test_a_bug_keeps_its_traceback(engine, feedback):
