@@ -25,7 +25,8 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication
 
 from ..repm_qgis import products
-from ..repm_qgis.options import DsmFuseOptions, EpmFitOptions, Number, Options, ReconstructOptions, RefineOptions
+from ..repm_qgis.checks import Number
+from ..repm_qgis.options import DsmFuseOptions, EpmFitOptions, Options, ReconstructOptions, RefineOptions
 
 SCENE_FILTER = products.SCENES
 

@@ -10,6 +10,10 @@ from __future__ import annotations
 class RepmError(Exception):
     """Root of all expected failures. A traceback of anything else is a bug."""
 
+    def __str__(self) -> str:
+        """One line, whatever the names of files that the message holds."""
+        return " ".join(super().__str__().splitlines())
+
 
 class OptionError(RepmError, ValueError):
     """An option has a value it cannot have."""

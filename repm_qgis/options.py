@@ -7,11 +7,11 @@ wanted" for outputs and "not given" for inputs. A field states its bounds or cho
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Dict, List, Mapping, Optional, Tuple, Type, TypeVar
+from typing import Annotated, Any, ClassVar, Dict, List, Mapping, Optional, Tuple, Type, TypeVar
 
+from .checks import Choice, Given, Number, Rectangle, Switch, types_of, unfit
 from .errors import OptionError
 
 MODELS = ("none", "homography", "polynomial", "terrain")
@@ -29,54 +29,8 @@ KINDS = ("urban", "mountains")
 TERRAIN_TILE_PX = 1300
 """Side of automatic tiles with the model terrain: its error does not grow with the tile, only the memory does."""
 
-Extent = Tuple[float, float, float, float]
+Extent = Annotated[Tuple[float, float, float, float], Rectangle()]
 T = TypeVar("T", bound="Options")
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A value that must be one of these words."""
-
-    choices: Tuple[str, ...]
-
-    def problem(self, value: object) -> str:
-        return "" if value in self.choices else f"must be one of {', '.join(self.choices)}"
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number within bounds, whole or not; 0 too where it means that the program decides."""
-
-    low: float
-    high: float
-    unit: str = ""
-    whole: bool = False
-    automatic: bool = False
-
-    def problem(self, value: object) -> str:
-        if isinstance(value, (int, float)) and not isinstance(value, (bool, float) if self.whole else bool):
-            if self.low <= value <= self.high or (self.automatic and value == 0):
-                return ""
-        kind = "a whole number" if self.whole else "a number"
-        unit = f" {self.unit}" if self.unit else ""
-        zero = ", or 0 for automatic" if self.automatic else ""
-        return f"must be {kind} between {self.low:.10g} and {self.high:.10g}{unit}{zero}"
-
-
-@dataclass(frozen=True)
-class Given:
-    """A file or folder that must be named."""
-
-    def problem(self, value: object) -> str:
-        return "" if value and isinstance(value, str) else "must be the path of a file or folder"
-
-
-@dataclass(frozen=True)
-class Switch:
-    """Yes or no."""
-
-    def problem(self, value: object) -> str:
-        return "" if isinstance(value, bool) else "must be true or false"
 
 
 def choice(default: str, choices: Tuple[str, ...]) -> Any:
@@ -121,9 +75,13 @@ class Options(metaclass=_ByName):
     """What all stages' options share: checks, and reading from and writing to JSON."""
 
     def __post_init__(self) -> None:
+        types = types_of(type(self))
         for each in dataclasses.fields(self):
             value, check = getattr(self, each.name), each.metadata.get("check")
-            problem = check.problem(value) if check and not (value is None and each.default is None) else ""
+            if check and not (value is None and each.default is None):
+                problem = check.problem(value)
+            else:
+                problem = unfit(types[each.name], value)
             if problem:
                 raise OptionError(each.name.upper(), value, problem)
 
@@ -206,24 +164,17 @@ class EpmFitOptions(Options):
     report: Optional[str] = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.images, str) or not all(isinstance(i, str) and i for i in self.images):
+        super().__post_init__()
+        if not all(self.images):
             raise OptionError("IMAGES", self.images, "must be a list of image files")
         if len(self.images) < 2:
             raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
         if len(set(self.images)) != len(self.images):
             raise OptionError("IMAGES", list(self.images), "must not name the same image twice")
-        for name, files, kind in (("RPCS", self.rpcs, "RPC files"), ("MASKS", self.masks, "rasters")):
-            if isinstance(files, str) or not all(isinstance(i, str) for i in files):
-                raise OptionError(name, files, f"must be a list of {kind}")
+        for name, files in (("RPCS", self.rpcs), ("MASKS", self.masks)):
             if files and len(files) != len(self.images):
                 count = f"{len(self.images)} files: one for each of IMAGES, in their order"
                 raise OptionError(name, list(files), f"must be empty, or name {count}")
-        if self.extent is not None:
-            if len(self.extent) != 4 or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in self.extent):
-                raise OptionError("EXTENT", self.extent, "must be four finite numbers: xmin, ymin, xmax, ymax")
-            if self.extent[0] >= self.extent[2] or self.extent[1] >= self.extent[3]:
-                raise OptionError("EXTENT", self.extent, "must have xmin < xmax and ymin < ymax")
-        super().__post_init__()
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
             limit = f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)"
             raise OptionError("ALTITUDE_MIN", self.altitude_min, limit)
@@ -436,7 +387,7 @@ class CompareDsmOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.others, str) or not all(isinstance(path, str) and path for path in self.others):
+        if not all(self.others):
             raise OptionError("OTHERS", self.others, "must be a list of rasters")
         if not self.thresholds or any(Number(1e-6, 10000).problem(height) for height in self.thresholds):
             raise OptionError("THRESHOLDS", self.thresholds, "must be heights in metres up to 10000, such as 1; 2.5; 5")

@@ -4,53 +4,58 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import (
-    Annotated,
-    Any,
-    Callable,
-    Dict,
-    Mapping,
-    Optional,
-    Tuple,
-    Type,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Tuple, Type, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from .arrays import Altitudes, Bounds, Size
+from .arrays import Altitudes, Bounds
+from .checks import AnyFile, FileName, Misfit, Number, OwnFile, Range, Rectangle, mapping, typed, types_of, within
 
 R = TypeVar("R", bound="Record")
-FilePath = Annotated[str, "file"]
+FilePath = Annotated[str, AnyFile()]
 """The path of a file that a record names: :func:`with_files` changes it, and a scene keeps it relative to itself."""
-_FIELD_TYPES: Dict[Any, Dict[str, Any]] = {}
+OwnFilePath = Annotated[str, OwnFile()]
+"""The same for a file that a stage wrote."""
+
+# What a scene may hold. Our own stages stay far inside: these are the bounds of what the code after them can work with.
+Name = Annotated[str, FileName()]
+"""Of a view or a tile: products are files of that name."""
+Count = Annotated[int, Number(0, 1 << 53, whole=True)]
+Pixels = Annotated[float, Number(0, 1e9, "px")]
+Metres = Annotated[float, Number(0, 1e9, "m")]
+Heights = Annotated[Altitudes, Range(-22_000, 20_000, "m")]
+"""Those of the Earth's surface, -12,000 to 10,000 m, with as much room."""
+Ground = Annotated[Bounds, Rectangle()]
 
 
 class Record:
-    """The base of dataclasses that are written to JSON: one entry a field, under the field's name."""
+    """The base of dataclasses that are written to JSON: one entry a field, under the field's name.
+
+    The annotations of its fields say what the entries must be (:mod:`repm_qgis.checks`).
+    """
 
     def to_mapping(self) -> Dict[str, Any]:
-        return {name: _plain(getattr(self, name)) for name in _field_types(self.__class__)}
+        return {field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
 
     @classmethod
     def from_mapping(cls: Type[R], values: Mapping[str, Any]) -> R:
-        """Raises KeyError, TypeError or ValueError where an entry is missing or does not fit its field's type."""
-        types = _field_types(cls)
+        """Raises Misfit where an entry is missing, does not fit its field's type, or contradicts another one."""
+        types, entries = types_of(cls), {}
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass
-            if field.name not in values and field.default is field.default_factory is dataclasses.MISSING:
-                raise KeyError(field.name)
-        return cls(**{name: _typed(types[name], values[name]) for name in types if name in values})
+            with within(field.name):
+                if field.name in mapping(values):
+                    entries[field.name] = typed(types[field.name], values[field.name])
+                elif field.default is field.default_factory is dataclasses.MISSING:
+                    raise Misfit("is missing")
+        record = cls(**entries)
+        contradiction = record.contradiction()
+        if contradiction:
+            raise Misfit(contradiction)
+        return record
 
-
-def _field_types(cls: Any) -> Dict[str, Any]:
-    if cls not in _FIELD_TYPES:  # reading annotations is slow
-        hints = get_type_hints(cls, include_extras=True)
-        _FIELD_TYPES[cls] = {field.name: hints[field.name] for field in dataclasses.fields(cls)}
-    return _FIELD_TYPES[cls]
+    def contradiction(self) -> str:
+        """What is wrong with the entries together, each of which is right: "has ..."; "" where nothing is."""
+        return ""
 
 
 def _plain(value: Any) -> Any:
@@ -64,46 +69,18 @@ def _plain(value: Any) -> Any:
     return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
-def _typed(kind: Any, value: Any) -> Any:
-    """A value from JSON as a field's type has it."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if kind is Any:
-        return value
-    if origin is Annotated:
-        return _typed(arguments[0], value)
-    if origin is Union:
-        return None if value is None else _typed(arguments[0], value)
-    if origin is tuple:
-        kinds = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else arguments
-        if len(kinds) != len(value):
-            raise ValueError(f"{value!r} should have {len(kinds)} entries")
-        return tuple(_typed(kind, entry) for kind, entry in zip(kinds, value))
-    if origin is dict:
-        return {str(name): _typed(arguments[1], entry) for name, entry in value.items()}
-    if origin is np.ndarray:
-        return _finite(np.array(value, dtype=np.float64))
-    if hasattr(kind, "from_mapping"):
-        return kind.from_mapping(value)
-    if hasattr(kind, "_fields"):
-        return kind(*_typed(Tuple[tuple(get_type_hints(kind).values())], value))
-    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-        return _finite(float(value))
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise TypeError(f"{value!r} should be of the type {kind.__name__}")
-    return value
-
-
 def with_files(record: R, change: Callable[[str], str]) -> R:
     """The record with every file changed that it, or a record in it, names; where none is named there is no change."""
     found = {
-        name: _files_changed(kind, getattr(record, name), change) for name, kind in _field_types(type(record)).items()
+        field.name: _files_changed(types_of(type(record))[field.name], getattr(record, field.name), change)
+        for field in dataclasses.fields(record)  # type: ignore[arg-type]
     }
     changed = {name: value for name, value in found.items() if value is not getattr(record, name)}
     return dataclasses.replace(record, **changed) if changed else record  # type: ignore[type-var]
 
 
 def _files_changed(kind: Any, value: Any, change: Callable[[str], str]) -> Any:
-    if kind == FilePath:
+    if kind in (FilePath, OwnFilePath):
         return change(value) if value else value
     if isinstance(value, Record):
         return with_files(value, change)
@@ -113,13 +90,6 @@ def _files_changed(kind: Any, value: Any, change: Callable[[str], str]) -> Any:
         return tuple(with_files(each, change) for each in value)
     if isinstance(value, dict) and value and isinstance(next(iter(value.values())), Record):
         return {name: with_files(each, change) for name, each in value.items()}
-    return value
-
-
-def _finite(value: Any) -> Any:
-    """Numbers that are finite: a scene of ours has no others."""
-    if not np.isfinite(value).all():
-        raise ValueError(f"{value!r} should be finite")
     return value
 
 
@@ -136,20 +106,20 @@ class HeightMapRecord(Record):
     file of an earlier run was damaged, and has been made again.
     """
 
-    tile: str
+    tile: Name
     backend: str
-    pair: Tuple[str, str]
-    metres_per_px: float
-    vertical_parallax_px: float
-    table_error_m: float
-    altitudes: Altitudes
-    file: FilePath = ""
-    size: Size = (0, 0)
-    valid: int = 0
-    filled: int = 0
-    sources: Tuple[str, ...] = ()
-    views: Tuple[str, ...] = ()
-    bounds: Optional[Bounds] = None
+    pair: Tuple[Name, Name]
+    metres_per_px: Metres
+    vertical_parallax_px: Pixels
+    table_error_m: Metres
+    altitudes: Heights
+    file: OwnFilePath = ""
+    size: Tuple[Count, Count] = (0, 0)
+    valid: Count = 0
+    filled: Count = 0
+    sources: Tuple[Name, ...] = ()
+    views: Tuple[Name, ...] = ()
+    bounds: Optional[Ground] = None
     part: bool = False
     checksum: str = ""
     reused: bool = False
@@ -169,12 +139,12 @@ class ViewPair(Record):
     each m of height). They are None where a time is unknown, the last two also where the sun had set.
     """
 
-    first: str
-    second: str
-    angle_deg: float
-    base_to_height: float
-    tiles: int
-    share: float = 1.0
+    first: Name
+    second: Name
+    angle_deg: Annotated[float, Number(0, 180, "degrees")]
+    base_to_height: Annotated[float, Number(0, 1e6)]
+    tiles: Count
+    share: Annotated[float, Number(0, 1e6)] = 1.0
     days: Optional[float] = None
     sun_deg: Optional[float] = None
     shadow: Optional[float] = None
@@ -188,9 +158,9 @@ class PairFigures(Record):
     correction, ``spread_px`` the NMAD then.
     """
 
-    pair: Tuple[str, str]
-    candidates: int
-    count: int
+    pair: Tuple[Name, Name]
+    candidates: Count
+    count: Count
     before_px: float
     after_px: float
     spread_px: float
@@ -218,7 +188,7 @@ class PointingFigures(Record):
     ``height_uncertainty_m`` is two standard deviations of the absolute height, None with ground control.
     """
 
-    count: int
+    count: Count
     detector: str
     before_px: float
     after_px: float
@@ -230,8 +200,8 @@ class PointingFigures(Record):
     rejected_gcps: Tuple[str, ...] = ()
     control_noise_px: Optional[float] = None
     height_uncertainty_m: Optional[float] = None
-    ties_by_tile: Dict[str, int] = dataclasses.field(default_factory=dict)
-    ties_by_part: Dict[str, int] = dataclasses.field(default_factory=dict)
+    ties_by_tile: Dict[str, Count] = dataclasses.field(default_factory=dict)
+    ties_by_part: Dict[str, Count] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -262,7 +232,7 @@ class StageRecord(Record):
     stage: str
     fingerprint: str
     engine: str
-    seconds: float
+    seconds: Annotated[float, Number(0, 1e9, "s")]
     options: Dict[str, Any]
     warnings: Tuple[str, ...] = ()
     parameters: Dict[str, Any] = dataclasses.field(default_factory=dict)

@@ -14,27 +14,67 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Annotated, Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from . import __version__
-from .arrays import Altitudes, Bounds, FloatArray, Size, Window
-from .errors import ImageError, RpcInvalidError, SceneError, SceneVersionError
+from .arrays import FloatArray, Size, Window
+from .checks import Array, Choice, Misfit, Number, file_name, mapping, shown, typed, within
+from .errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
-from .geometry.frames import EnuFrame
+from .geometry.footprints import bounds_of_wkt
+from .geometry.frames import EnuFrame, projected_crs
 from .geometry.pinhole import PinholeCamera
-from .geometry.refinement import SensorModel, Terrain, map_from_mapping
+from .geometry.refinement import SensorModel, Terrain
+from .geometry.tiles import enclosing
 from .imagery.acquisition import acquired, moment
-from .records import FilePath, HeightMapRecord, PointingFigures, Record, StageRecord, ViewPair, with_files
+from .options import BACKENDS, MODELS
+from .records import (
+    FilePath,
+    Ground,
+    HeightMapRecord,
+    Heights,
+    Name,
+    OwnFilePath,
+    PointingFigures,
+    Record,
+    StageRecord,
+    ViewPair,
+    with_files,
+)
 from .rpc import Rpc
+from .untrusted import MOST_SIDE_PX
 from .workspace import write_text
 
 SCHEMA = 2
 _MAX_SCENE_BYTES = 512 << 20
 _FIRST_STAGE = "'Fit equivalent pinhole cameras'"
 _CHOOSE = f"choose the scene.json that {_FIRST_STAGE} wrote."
+_GSD_M = 0.01, 1000.0
 _IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+Side = Annotated[int, Number(1, MOST_SIDE_PX, "px", whole=True)]
+
+
+@dataclass(frozen=True)
+class ProjectedCrs:
+    """A projected CRS in metres that PROJ knows."""
+
+    def problem(self, value: str) -> str:
+        try:
+            projected_crs(value)
+        except OptionError as error:
+            return error.reason
+        return ""
+
+
+@dataclass(frozen=True)
+class Area:
+    """An area as WKT."""
+
+    def problem(self, value: str) -> str:
+        return "" if bounds_of_wkt(value) is not None else "must be an area as WKT"
 
 
 @dataclass(frozen=True)
@@ -47,16 +87,20 @@ class View(Record):
     are not to be used, "" where there is none.
     """
 
-    name: str
+    name: Name
     image: FilePath
-    band: int
-    width: int
-    height: int
+    band: Annotated[int, Number(0, 65535, whole=True)]
+    width: Side
+    height: Side
     rpc: Rpc
-    gsd_m: float
-    pointing: FloatArray = field(default_factory=lambda: _IDENTITY.copy())
+    gsd_m: Annotated[float, Number(*_GSD_M, "m")]
+    pointing: Annotated[FloatArray, Array((2, 3), most=1e7)] = field(default_factory=lambda: _IDENTITY.copy())
     acquired: str = ""
     mask: FilePath = ""
+
+    def contradiction(self) -> str:
+        turned = abs(np.linalg.det(self.pointing[:, :2]))
+        return "" if 0.5 < turned < 2.0 else "has a pointing that is no small correction"
 
     @property
     def time(self) -> Optional[datetime]:
@@ -90,36 +134,50 @@ class TileView(Record):
     camera: PinholeCamera
     error: EquivalentError
     refined: Optional[RefinedPinhole] = None
-    image: Optional[FilePath] = None
+    image: Optional[OwnFilePath] = None
 
     @classmethod
     def read(cls, values: Mapping[str, Any], terrain: Callable[[], Optional[Terrain]]) -> "TileView":
         """From JSON; ``terrain`` gives what a terrain-aware refinement needs."""
-        view, refined = cls.from_mapping({**values, "refined": None}), values["refined"]
-        if not refined:
-            return view
-        camera = PinholeCamera.from_mapping(refined["camera"])
-        to_original = map_from_mapping(refined["to_original"], camera, terrain)
-        width, height = map(int, refined["size"])
-        error = EquivalentError(**refined["error"])
-        return replace(view, refined=RefinedPinhole(camera, to_original, (width, height), error))
+        refined = values.get("refined")
+        if isinstance(refined, Mapping):
+            with within("refined"):
+                refined = RefinedPinhole.read(refined, terrain)
+        return cls.from_mapping({**values, "refined": refined})
 
 
 @dataclass(frozen=True)
 class Tile(Record):
     """A ground rectangle (in the scene's CRS) with the altitude range expected in it."""
 
-    id: str
-    bounds: Bounds
-    altitudes: Altitudes
+    id: Name
+    bounds: Ground
+    altitudes: Heights
     views: Dict[str, TileView]
     heights: Tuple[HeightMapRecord, ...] = ()
 
     @classmethod
     def read(cls, values: Mapping[str, Any], terrain: Callable[[str], Optional[Terrain]]) -> "Tile":
         """From JSON; ``terrain`` gives what a view's terrain-aware refinement needs."""
-        views = {str(name): TileView.read(view, partial(terrain, str(name))) for name, view in values["views"].items()}
-        return replace(cls.from_mapping({**values, "views": {}}), views=views)
+        views = {}
+        for name, view in mapping(mapping(values).get("views")).items():
+            with within("views"), within(name):
+                views[name] = TileView.read(mapping(view), partial(terrain, name))
+        return cls.from_mapping({**values, "views": views})
+
+    def misplaced(self, views: Mapping[str, View]) -> str:
+        """What of the tile does not belong to a scene with these views; "" where all does."""
+        for name, seen in self.views.items():
+            if name not in views:
+                return f"has a view '{name}', which the scene does not have"
+            view, (col, row, width, height) = views[name], seen.window
+            if not (0 <= col < col + width <= view.width and 0 <= row < row + height <= view.height):
+                return f"has a window {tuple(seen.window)} outside the view '{name}' of {view.width} x {view.height} px"
+        for record in self.heights:
+            named = {*record.pair, *record.sources, *record.views}
+            if record.tile != self.id or not named <= set(views) or len(set(record.pair)) < 2:
+                return f"has a height map of the tile '{record.tile}' and the views {', '.join(sorted(named))}"
+        return ""
 
 
 @dataclass(frozen=True)
@@ -134,20 +192,51 @@ class Scene(Record):
 
     views: Tuple[View, ...]
     frame: EnuFrame
-    crs: str
-    area: str
-    altitudes: Altitudes
+    crs: Annotated[str, ProjectedCrs()]
+    area: Annotated[str, Area()]
+    altitudes: Heights
     tiles: Tuple[Tile, ...]
-    refinement: str = ""
-    order: int = 2
-    surface: FilePath = ""
+    refinement: Annotated[str, Choice(("", *MODELS))] = ""
+    order: Annotated[int, Number(2, 5, whole=True)] = 2
+    surface: OwnFilePath = ""
     dem: FilePath = ""
     pairs: Tuple[ViewPair, ...] = ()
     pointing: Optional[PointingFigures] = None
-    tie_points: FilePath = ""
-    backend: str = ""
+    tie_points: OwnFilePath = ""
+    backend: Annotated[str, Choice(("", *BACKENDS))] = ""
     history: Tuple[StageRecord, ...] = ()
     path: Path = Path("scene.json")
+
+    def contradiction(self) -> str:
+        views = {view.name: view for view in self.views}
+        if len(self.views) < 2 or len(views) < len(self.views):
+            return "has views without distinct names, or fewer than two"
+        for tile in self.tiles:
+            wrong = tile.misplaced(views)
+            if wrong:
+                return f"has a tile '{tile.id}' that {wrong}"
+        if len({tile.id for tile in self.tiles}) < len(self.tiles):
+            return "has two tiles of the same name"
+        if not self._within_images():
+            return "has an area or a tile that is larger than its images"
+        for pair in (*((pair.first, pair.second) for pair in self.pairs), *self._tied):
+            if pair[0] == pair[1] or not {*pair} <= set(views):
+                return f"has a pair {pair[0]}, {pair[1]}, which are no two views of it"
+        if self.refinement == "terrain" and not self.surface:
+            return "has the refinement 'terrain', and no surface"
+        return ""
+
+    def _within_images(self) -> bool:
+        """Whether tiles and area are no larger than what images of these sizes can show; products are as large."""
+        longest = [2.0 * math.hypot(*view.size) * view.gsd_m + 10.0 for view in self.views]
+        outline, tiles = bounds_of_wkt(self.area), [tile.bounds for tile in self.tiles]
+        whole = enclosing([*tiles, outline] if outline else tiles)
+        sides = [max(box.xmax - box.xmin, box.ymax - box.ymin) for box in (whole, *tiles)]
+        return sides[0] <= sum(longest) and max(sides[1:], default=0.0) <= max(longest)
+
+    @property
+    def _tied(self) -> List[Tuple[str, str]]:
+        return [figures.pair for figures in self.pointing.pairs] if self.pointing else []
 
     def view(self, name: str) -> View:
         """A view by its name; raises SceneError with the names there are."""
@@ -235,14 +324,19 @@ class Scene(Record):
         """
         document = _document(path)
         try:
-            find = partial(_found, os.path.dirname(os.path.abspath(path)), str(document.get("folder", "")))
+            before = typed(str, document.get("folder", ""))
+            find = partial(_found, os.path.dirname(os.path.abspath(path)), before)
             scene = with_files(cls.from_mapping({**document, "tiles": [], "path": Path(path)}), find)
-            # Stored refinements belong to the vendors' RPCs; pointing came later.
-            tiles = [Tile.read(tile, lambda name: scene.terrain(scene.view(name).rpc)) for tile in document["tiles"]]
-            return replace(scene, tiles=tuple(with_files(tile, find) for tile in tiles))
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
-            reason = f"{type(error).__name__}: {error}"
-            raise SceneError(f"The scene '{path}' is damaged ({reason}): make it anew with {_FIRST_STAGE}.") from error
+            tiles = []
+            with within("tiles"):
+                for number, values in enumerate(typed(Tuple[Any, ...], document.get("tiles"))):
+                    # Stored refinements belong to the vendors' RPCs; pointing came later.
+                    with within(number):
+                        tile = Tile.read(values, lambda name: scene.terrain(scene.view(name).rpc))
+                    tiles.append(with_files(tile, find))
+            return cls.from_mapping({**vars(scene), "tiles": tiles})
+        except (Misfit, RpcInvalidError, SceneError) as error:
+            raise SceneError(f"The scene '{path}' is damaged ({error}): make it anew with {_FIRST_STAGE}.") from error
 
 
 _BELOW = "./"  # how a stored path begins that is relative to the scene's folder
@@ -283,7 +377,7 @@ def _document(path: str) -> Dict[str, Any]:
         raise SceneError(f"'{path}' is not a REPM scene: {_CHOOSE}")
     schema = document.get("schema")
     if not isinstance(schema, int) or schema > SCHEMA:
-        found = f"has schema {schema}, this version of the plugin reads up to {SCHEMA}"
+        found = f"has schema {shown(schema)}, this version of the plugin reads up to {SCHEMA}"
         raise SceneVersionError(f"The scene '{path}' {found}: update the plugin, or make the scene anew.")
     if schema < SCHEMA:
         found = f"has schema {schema} of an earlier version of the plugin, this version reads {SCHEMA}"
@@ -323,13 +417,13 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
 
     Raises ImageError or an RpcError with the file's name.
     """
-    from .imagery.raster import grey_band, name_of, opened, opened_masked
+    from .imagery.raster import grey_band, name_of, opened_image, opened_masked
     from .rpc.readers import rpc_of
 
     views: List[View] = []
     none = [""] * len(images)
     for path, rpc_file, mask in zip(images, rpcs or none, masks or none):
-        with opened(path) as dataset:
+        with opened_image(path) as dataset:
             rpc = rpc_of(dataset, path, rpc_file)
             width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
             when = acquired(dataset, path)
@@ -337,9 +431,9 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
             mask = os.path.abspath(mask) if os.path.exists(mask) else mask
         if min(width, height) < 64:
             raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")
-        taken = {view.name for view in views}
-        name = name_of(path)
-        while name in taken:
+        taken = {view.name.lower() for view in views}  # files of products: most systems do not tell cases apart
+        name = file_name(name_of(path))
+        while name.lower() in taken:
             name = f"{name}_{len(views) + 1}"
         image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
         views.append(View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask))
@@ -356,6 +450,6 @@ def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:
         raise RpcInvalidError(f"The RPC of '{path}' does not see {middle}: {question}")
     enu = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
     gsd = math.sqrt(float(np.linalg.norm(enu[1] - enu[0]) * np.linalg.norm(enu[2] - enu[0])))
-    if not 0.01 <= gsd <= 1000:
+    if not _GSD_M[0] <= gsd <= _GSD_M[1]:
         raise RpcInvalidError(f"The RPC of '{path}' gives pixels of {gsd:g} m on the ground: no satellite's.")
     return gsd

@@ -9,6 +9,7 @@ import numpy as np
 from osgeo import gdal, ogr, osr
 
 from .arrays import FloatArray
+from .untrusted import VECTORS, distrust, drivers_for
 from .workspace import not_written, take_name, temporary_folder
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
@@ -18,10 +19,12 @@ _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 
 
 def open_vector(path: str) -> Optional[gdal.Dataset]:
-    """A file or database of layers; None where it cannot be opened."""
+    """A file or database of layers; None where it cannot be opened, or is not to be (:mod:`repm_qgis.untrusted`)."""
+    if distrust(path):
+        return None
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        return gdal.OpenEx(path, gdal.OF_VECTOR | gdal.OF_READONLY)
+        return gdal.OpenEx(path, gdal.OF_VECTOR | gdal.OF_READONLY, allowed_drivers=drivers_for(path, VECTORS))
     except RuntimeError:
         return None
     finally:

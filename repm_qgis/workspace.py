@@ -58,7 +58,7 @@ def real_target(path: str) -> Path:
     Raises WorkspaceError where something is there that is neither a regular file nor a folder.
     """
     target = Path(os.path.realpath(path))
-    if target.exists() and not (target.is_file() or target.is_dir()):
+    if os.path.exists(target) and not (os.path.isfile(target) or os.path.isdir(target)):  # Path's raise for long names
         raise WorkspaceError(f"'{path}' is a device or a pipe, not a file: choose the name of a file.")
     return target
 

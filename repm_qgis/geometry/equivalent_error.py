@@ -6,18 +6,19 @@ Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMS
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, Size
-from ..errors import OptionError
-from ..records import Record
+from ..arrays import Altitudes, FloatArray
+from ..checks import typed
+from ..errors import OptionError, RpcInvalidError
+from ..records import Count, Pixels, Record
 from .footprints import ring
 from .frames import EnuFrame
 from .parameters import VIRTUAL_GRID, VirtualGridParameters
 from .pinhole import PinholeCamera, factorise, fit_projection
-from .refinement import RefinementMap, Terrain, TerrainMap, fit_map
+from .refinement import RefinementMap, Terrain, TerrainMap, fit_map, map_from_mapping
 
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
 Shape = Tuple[int, int, int]
@@ -27,11 +28,11 @@ Shape = Tuple[int, int, int]
 class EquivalentError(Record):
     """Statistics over the virtual grid in px; ``predicted`` is the paper's bound |x (Z - Zmean) / Zmean|."""
 
-    samp_rmse: float
-    line_rmse: float
-    rmse: float
-    max: float
-    predicted: float
+    samp_rmse: Pixels
+    line_rmse: Pixels
+    rmse: Pixels
+    max: Pixels
+    predicted: Pixels
 
     @classmethod
     def of(cls, difference: FloatArray, predicted: float) -> "EquivalentError":
@@ -78,6 +79,8 @@ def _pixel_grid(window: Sequence[float], levels: Tuple[float, float], shape: Sha
 
 def _seen(pixels: FloatArray, ground: FloatArray, frame: EnuFrame) -> VirtualGrid:
     known = np.isfinite(ground).all(axis=1)
+    if known.sum() < 6:  # what a camera needs
+        raise RpcInvalidError("the RPC does not place the window on the ground: use the image's own RPC.")
     return VirtualGrid(pixels[known], ground[known], frame.from_geodetic(ground[known]))
 
 
@@ -112,8 +115,14 @@ class RefinedPinhole(Record):
 
     camera: PinholeCamera
     to_original: RefinementMap
-    size: Size
+    size: Tuple[Count, Count]
     error: EquivalentError
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any], terrain: Callable[[], Optional[Terrain]]) -> RefinedPinhole:
+        """From JSON; ``terrain`` gives what a terrain-aware refinement needs. Raises Misfit."""
+        camera = typed(PinholeCamera, values.get("camera"))
+        return cls.from_mapping({**values, "to_original": map_from_mapping(values.get("to_original"), camera, terrain)})
 
 
 def surface_grid(terrain: Terrain, window: Sequence[float], parameters: VirtualGridParameters) -> VirtualGrid:

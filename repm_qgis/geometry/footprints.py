@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Callable, List, Sequence
+from typing import Callable, List, Optional, Sequence
 
 import numpy as np
-from osgeo import ogr
+from osgeo import gdal, ogr
 
 from ..arrays import Bounds, FloatArray, Size
 from .frames import EnuFrame
@@ -71,6 +71,19 @@ def seen_twice(footprints: Sequence[Sequence[Polygon]]) -> ogr.Geometry:
             if common is not None and common.GetArea() > 0:
                 union = union.Union(common)
     return union
+
+
+def bounds_of_wkt(wkt: str) -> Optional[Bounds]:
+    """The bounding box of the area that a WKT describes; None where it describes none."""
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        geometry = ogr.CreateGeometryFromWkt(wkt)
+        bounds = bounds_of(geometry) if geometry is not None and geometry.GetArea() > 0 else None
+    except RuntimeError:
+        return None
+    finally:
+        gdal.PopErrorHandler()
+    return bounds if bounds is not None and np.isfinite(bounds).all() else None
 
 
 def box(bounds: Sequence[float]) -> ogr.Geometry:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, List, Optional, Tuple
+from typing import Annotated, Any, List, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -17,6 +17,7 @@ from pyproj.aoi import AreaOfInterest
 from pyproj.transformer import TransformerGroup
 
 from ..arrays import FloatArray
+from ..checks import Number
 from ..errors import OptionError
 from ..records import Record
 
@@ -45,9 +46,9 @@ def geodetic_from_ecef(xyz_ecef_m: FloatArray) -> FloatArray:
 class EnuFrame(Record):
     """East, north, up at one point of the ellipsoid, in metres."""
 
-    lon: float
-    lat: float
-    height: float = 0.0
+    lon: Annotated[float, Number(-360, 360, "degrees")]
+    lat: Annotated[float, Number(-90, 90, "degrees")]
+    height: Annotated[float, Number(-22_000, 20_000, "m")] = 0.0
 
     @property
     def _rotation(self) -> FloatArray:

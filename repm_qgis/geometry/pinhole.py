@@ -7,11 +7,12 @@ local metric frame (ENU).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Tuple
+from typing import Annotated, Tuple
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..checks import Array
 from ..errors import RpcInvalidError
 from ..records import Record
 
@@ -20,9 +21,16 @@ from ..records import Record
 class PinholeCamera(Record):
     """K (3, 3) upper triangular with K[2, 2] = 1, R (3, 3) and t (3,): x ~ K (R X + t), depths positive."""
 
-    K: FloatArray
-    R: FloatArray
-    t: FloatArray
+    K: Annotated[FloatArray, Array((3, 3))]
+    R: Annotated[FloatArray, Array((3, 3))]
+    t: Annotated[FloatArray, Array((3,))]
+
+    def contradiction(self) -> str:
+        if np.tril(self.K, -1).any() or (np.diag(self.K) <= 0).any() or self.K[2, 2] != 1:
+            return "has a K that is not upper triangular with a positive diagonal and K[2, 2] = 1"
+        if np.abs(self.R @ self.R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.R) < 0:
+            return "has an R that is not a rotation"
+        return ""
 
     @property
     def P(self) -> FloatArray:

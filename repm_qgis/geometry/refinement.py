@@ -7,12 +7,14 @@ the original at M(p') gives it. Pixels are column, row with the first pixel's ce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping, Optional, Protocol, Union
+from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Protocol, Type, Union
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..errors import OptionError, SceneError
+from ..checks import Array, Misfit, Number, shown
+from ..errors import OptionError
+from ..records import Record
 from .frames import EnuFrame
 from .pinhole import PinholeCamera, linear_transform
 from .surface import Surface
@@ -20,14 +22,18 @@ from .surface import Surface
 # Iterations end long before these limits: they only bound the time on points where a model fails.
 _STEPS = 20
 _INVERSE_TOLERANCE_PX = 1e-7
+_LEAST_DETERMINANT = 1e-9  # of maps that are almost the identity
 _INTERSECTION_TOLERANCE_M = 1e-3  # 1e-5 px at the steepest parallax
 
 
 @dataclass(frozen=True)
-class HomographyMap:
+class HomographyMap(Record):
     """M as a homography (3, 3): the models ``none`` (an affinity that only takes the skew out) and ``homography``."""
 
-    matrix: FloatArray
+    matrix: Annotated[FloatArray, Array((3, 3))]
+
+    def contradiction(self) -> str:
+        return "" if abs(np.linalg.det(self.matrix)) > _LEAST_DETERMINANT else "has a matrix without an inverse"
 
     def original_from_refined(self, points: FloatArray) -> FloatArray:
         return apply_homography(self.matrix, points)
@@ -39,21 +45,31 @@ class HomographyMap:
         return HomographyMap(self.matrix @ translation(col, row))
 
     def to_mapping(self) -> dict[str, Any]:
-        return {"kind": "homography", "matrix": self.matrix.tolist()}
+        return {"kind": "homography", **super().to_mapping()}
 
 
 @dataclass(frozen=True)
-class PolynomialMap:
+class PolynomialMap(Record):
     """M as two polynomials of total degree ``order`` in normalised refined pixels (p - offset) / scale.
 
     ``coefficients`` (terms, 2) belong to :func:`polynomial_terms`; they give the *displacement* M(p) - p in px, so
     that rounding matters as little as the displacement itself.
     """
 
-    order: int
-    offset: FloatArray
-    scale: float
-    coefficients: FloatArray
+    order: Annotated[int, Number(1, 5, whole=True)]
+    offset: Annotated[FloatArray, Array((2,))]
+    scale: Annotated[float, Number(1e-6, 1e9, "px")]
+    coefficients: Annotated[FloatArray, Array((-1, 2))]
+
+    def contradiction(self) -> str:
+        terms = polynomial_terms(np.zeros(2), self.order).size
+        if len(self.coefficients) != terms:
+            return f"has {len(self.coefficients)} coefficients: order {self.order} has {terms}"
+        return "" if abs(np.linalg.det(self._linear)) > _LEAST_DETERMINANT else "has coefficients without an inverse"
+
+    @property
+    def _linear(self) -> FloatArray:
+        return np.asarray(np.eye(2) + self.coefficients[1:3].T / self.scale)
 
     def original_from_refined(self, points: FloatArray) -> FloatArray:
         p = np.asarray(points, dtype=np.float64)
@@ -65,8 +81,7 @@ class PolynomialMap:
         """By fixed-point iteration, as M is almost the identity; NaN far outside the window that M was fitted to."""
         target = np.asarray(points, dtype=np.float64)
         # The linear part first: its inverse makes the rest a strong contraction.
-        linear = np.eye(2) + self.coefficients[1:3].T / self.scale
-        inverse = np.linalg.inv(linear)
+        inverse = np.linalg.inv(self._linear)
         guess: FloatArray = (target - self.offset - self.coefficients[0]) @ inverse.T + self.offset
         error = np.full(target.shape[:-1], np.inf)
         for _ in range(_STEPS):
@@ -85,9 +100,7 @@ class PolynomialMap:
         return PolynomialMap(self.order, self.offset - step, self.scale, coefficients)
 
     def to_mapping(self) -> dict[str, Any]:
-        offset, coefficients = self.offset.tolist(), self.coefficients.tolist()
-        facts = {"order": self.order, "offset": offset, "scale": self.scale, "coefficients": coefficients}
-        return {"kind": "polynomial", **facts}
+        return {"kind": "polynomial", **super().to_mapping()}
 
 
 class SensorModel(Protocol):
@@ -156,23 +169,23 @@ RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
 """M; both directions take and give (..., 2) pixels. ``moved`` is M of the refined image that starts at (col, row)."""
 
 
-def map_from_mapping(
-    values: Mapping[str, Any], camera: PinholeCamera, terrain: Callable[[], Optional[Terrain]]
-) -> RefinementMap:
-    """The inverse of ``to_mapping``; raises SceneError for an unknown kind.
+def map_from_mapping(values: Any, camera: PinholeCamera, terrain: Callable[[], Optional[Terrain]]) -> RefinementMap:
+    """The inverse of ``to_mapping``; raises Misfit for an unknown kind, or for values that are no map.
 
     A terrain map is made again from its camera and from ``terrain()``, which is called only then.
     """
-    kind = values.get("kind")
+    kind = values.get("kind") if isinstance(values, Mapping) else None
     surroundings = terrain() if kind == "terrain" else None
     if surroundings is not None:
         return TerrainMap(camera, surroundings)
-    if kind == "homography":
-        return HomographyMap(np.array(values["matrix"], dtype=np.float64))
-    if kind == "polynomial":
-        offset, coefficients = (np.array(values[name], dtype=np.float64) for name in ("offset", "coefficients"))
-        return PolynomialMap(int(values["order"]), offset, float(values["scale"]), coefficients)
-    raise SceneError(f"the scene has a refinement of the unknown kind {kind!r}: make the scene again.")
+    maps: Dict[Any, Type[Union[HomographyMap, PolynomialMap]]]
+    maps = {"homography": HomographyMap, "polynomial": PolynomialMap}
+    if not isinstance(kind, str) or kind not in maps:
+        raise Misfit(f"must be {', '.join(maps)} or terrain", shown(kind), ("to_original", "kind"))
+    try:
+        return maps[kind].from_mapping(values)
+    except Misfit as misfit:
+        raise misfit.within("to_original") from None
 
 
 def translation(col: float, row: float) -> FloatArray:

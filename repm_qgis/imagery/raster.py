@@ -17,8 +17,8 @@ from osgeo import gdal
 from ..arrays import FloatImage, Size, Window
 from ..errors import ImageError
 from ..shortage import speaks_of_memory
+from ..untrusted import RASTERS, claimed, distrust, drivers_for, unlike_an_image
 from ..workspace import file_identity, not_written, take_name, temporary_name
-from .untrusted import require_trusted
 
 NODATA = -9999.0
 
@@ -93,19 +93,36 @@ def opened_masked(path: str, mask: str = "") -> Iterator[Image]:
 
 @contextmanager
 def opened(path: str) -> Iterator[gdal.Dataset]:
-    """A raster opened for reading, and closed in any case; raises ImageError with GDAL's reason."""
-    require_trusted(str(path))
-    flags = gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR
-    dataset, reason = _attempt(lambda: gdal.OpenEx(str(path), flags))
+    """A raster opened for reading, and closed in any case; raises ImageError with GDAL's reason, or with ours."""
+    path = str(path)
+    _require(path, distrust(path))
+    flags, drivers = gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR, drivers_for(path, RASTERS)
+    dataset, reason = _attempt(lambda: gdal.OpenEx(path, flags, allowed_drivers=drivers))
     if dataset is None:
-        hint = "it does not exist" if not os.path.exists(path) and "/vsi" not in str(path) else reason
+        hint = "it does not exist" if not os.path.exists(path) and "/vsi" not in path else reason
         raise ImageError(f"Cannot open the raster '{path}': {hint}. Check the path, or get the file again.")
     try:
         if dataset.RasterCount < 1:
             raise ImageError(f"'{path}' has no raster band: choose the image itself, not a container.")
+        with quiet():
+            _require(path, claimed(dataset))
         yield dataset
     finally:
         dataset = None
+
+
+def _require(path: str, distrusted: str) -> None:
+    if distrusted:
+        raise ImageError(f"'{path}' {distrusted}")
+
+
+@contextmanager
+def opened_image(path: str) -> Iterator[gdal.Dataset]:
+    """A satellite image opened as :func:`opened` does; raises ImageError too for what is none, by size and content."""
+    with opened(path) as dataset:
+        with quiet():
+            _require(path, unlike_an_image(dataset))
+        yield dataset
 
 
 def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: Optional[Size] = None) -> FloatImage:

@@ -13,6 +13,7 @@ from typing import Any, Mapping
 import numpy as np
 
 from ..arrays import FloatArray
+from ..checks import Misfit
 from ..errors import RpcInvalidError
 from ..records import Record
 
@@ -82,10 +83,8 @@ class Rpc(Record):
         """Raises RpcInvalidError for missing or wrong members."""
         try:
             return super().from_mapping(values)
-        except RpcInvalidError:
-            raise
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise RpcInvalidError(f"the RPC record is not complete ({error}).") from error
+        except Misfit as misfit:
+            raise RpcInvalidError(f"the RPC record cannot be used: {misfit}.") from misfit
 
     @property
     def height_range(self) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
@@ -17,13 +18,15 @@ from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
+from ..untrusted import distrust
 from ..vector import open_vector
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
 
 _MOST_BYTES = 64 << 20  # larger files are no tables of points
-_MOST_ROWS = 1_000_000
+_MOST_ROWS = 200_000
+_INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ def points_file(path: str) -> Tuple[str, str]:
 
 
 def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
-    """Read points from a CSV file or any point layer that OGR opens, one row for each observation.
+    """Read points from a CSV file or a file with a layer of points that OGR opens, one row for each observation.
 
     Fields ``id, lon, lat, height, view, col, row, role``: ``view`` is the image's file name (with or without its
     extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
@@ -65,11 +68,13 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     """
     vertical = vertical_crs(datum, "GCP_DATUM")
     file, layer = points_file(path)
+    _require_size(file)
     rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
     points: Dict[str, Gcp] = {}
     aliases = [(view.name, Path(view.image).name, Path(view.image).stem) for view in views or ()]
     names = {alias: known[0] for known in aliases for alias in known}
     for line, row in rows:
+        _require_count(path, line)
         gcp = _point(path, line, row)
         at = f"'{path}', row {line}: point '{gcp.id}'"
         known = points.setdefault(gcp.id, gcp)
@@ -120,10 +125,26 @@ def _number(path: str, line: int, row: Mapping[str, Any], name: str) -> float:
     return number
 
 
+def _require_size(path: str) -> None:
+    """Raise InputTableError for a pipe or device, and for a file that would have to be read before its rows count."""
+    wrong = distrust(path)
+    if wrong:
+        raise InputTableError(f"'{path}' {wrong}")
+    size = os.path.getsize(path) if os.path.isfile(path) else 0
+    if size > _MOST_BYTES and Path(path).suffix.lower() not in _INDEXED:
+        limit = f"a table or text of points has at most {_MOST_BYTES >> 20} MiB"
+        raise InputTableError(f"'{path}' has {size >> 20} MiB, and {limit}: choose the list of ground control points.")
+
+
+def _require_count(path: str, rows: int) -> None:
+    if rows > _MOST_ROWS:
+        raise InputTableError(
+            f"'{path}' has more than {_MOST_ROWS} rows: choose the list of ground control points, or a part of it."
+        )
+
+
 def _csv_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
     try:
-        if Path(path).stat().st_size > _MOST_BYTES:
-            raise InputTableError(f"'{path}' is larger than {_MOST_BYTES >> 20} MiB: that is not a list of points.")
         with open(path, encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)
             fields = [str(name).strip().lower() for name in reader.fieldnames or ()]
@@ -153,11 +174,10 @@ def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]
     lower = [name.lower() for name in fields]
     placed = ogr.GT_Flatten(layer.GetGeomType()) == ogr.wkbPoint
     _check_fields(path, lower, placed)
+    _require_count(path, layer.GetFeatureCount(0))  # 0: only where the format knows it without counting
     reference = layer.GetSpatialRef()
     transform = pyproj.Transformer.from_crs(reference.ExportToWkt(), "EPSG:4326", always_xy=True) if reference else None
     for line, feature in enumerate(layer, start=1):
-        if line > _MOST_ROWS:
-            raise InputTableError(f"'{path}' has more than {_MOST_ROWS} rows: that is not a list of points.")
         row = {name: feature.GetField(index) for index, name in enumerate(lower)}
         geometry = feature.GetGeometryRef()
         if geometry is not None and placed and ("lon" not in row or "lat" not in row):

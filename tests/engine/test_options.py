@@ -97,3 +97,23 @@ def test_json_there_and_back():
     for stage, needed in ((RefineOptions, {"scene": "s", "output_scene": "o"}), (EpmFitOptions, FILES)):
         made = stage.from_json({name: value for name, value in needed.items() if name in stage.names()})
         assert isinstance(made, Options) and stage.from_json(made.to_json()) == made
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    (
+        ({"dem": 5}, "DEM is 5: it must be a text."),
+        ({"crs": ["EPSG:32631"]}, "CRS is "),
+        ({"images": ["a", 5]}, "IMAGES is ('a', 5): it must be a list, and entry 1 of it must be a text."),
+        ({"images": "a"}, "must be a list"),
+        ({"extent": [0, 0, 1]}, "EXTENT is (0, 0, 1): it must have 4 entries."),
+        ({"extent": [1, 0, 0, 1]}, "xmin < xmax"),
+        ({"workspace": "a\0b"}, "WORKSPACE is 'a\\x00b': it must be the path of a file or folder."),
+        ({"gcps": "a\0b"}, "without the character 0"),
+        ({"masks": {"a": 1}}, "must be a list"),
+    ),
+)
+def test_values_of_other_types_are_refused(wrong, words):
+    with pytest.raises(OptionError) as caught:
+        STAGES["pipeline"].from_json({**FILES, **wrong})
+    assert words in str(caught.value)

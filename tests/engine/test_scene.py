@@ -224,3 +224,116 @@ def test_images_that_are_too_small_or_not_where_their_rpc_is(tmp_path, urban, wr
     )
     with pytest.raises(RpcInvalidError, match="micro.tif.*(no satellite image|cannot be used)"):
         load_views((write_image(tmp_path / "micro.tif", rpc=microscope),))
+
+
+# --- what an edited scene may not do --------------------------------------------------------------------------------
+
+HOSTILE_NAMES = (
+    "../../x", "..", ".", "", "a/b", "/etc/x", "..\\x", "a\\b", "C:x", "C:\\x", "\0", "a\0b", "a\nb", "CON", "nul.txt",
+    "x" * 300, "é" * 200, "end.", "end ", "a?b", "\ud800",
+)  # fmt: skip
+
+
+def renamed(document, old, new):
+    """The document with a view's name changed wherever it stands, as a careful attacker would."""
+    return json.loads(json.dumps(document).replace(json.dumps(old), json.dumps(new)))
+
+
+def refused(tmp_path, document):
+    path = tmp_path / "edited.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(SceneError) as caught:
+        Scene.load(str(path))
+    assert str(caught.value).startswith(f"The scene '{path}' is damaged (") and "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", HOSTILE_NAMES)
+def test_names_that_would_lead_elsewhere_are_refused(fitted, tmp_path, name):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    said = refused(tmp_path, renamed(document, "img_01", name))
+    assert "views.0.name is " in said and "must be a" in said and len(said) < 400
+    document["tiles"][0]["id"] = name
+    assert "tiles.0.id is " in refused(tmp_path, document)
+
+
+@pytest.mark.parametrize(
+    "name", ("a b", "Bär", "x=1", "it's", "a&b", "-v", ".hidden", "100%", "x" * 240, "日本", "CONE")
+)
+def test_names_of_real_images_are_kept(fitted, tmp_path, write_image, urban, name):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    (tmp_path / "s.json").write_text(json.dumps(renamed(document, "img_01", name)))
+    assert Scene.load(str(tmp_path / "s.json")).views[0].name == name
+    image = write_image(tmp_path / f"{name}.tif", rpc=urban.views[0].rpc)
+    assert [view.name for view in load_views([image])] == [name]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such files")
+@pytest.mark.parametrize("stem, name", (("a:b", "a_b"), ("a\\b", "a_b"), ("con", "con_"), ("a\nb", "a_b"), ("..", "_")))
+def test_images_get_names_that_every_system_takes(fitted, tmp_path, write_image, urban, stem, name):
+    image = write_image(tmp_path / f"{stem}.tif", rpc=urban.views[0].rpc)
+    assert [view.name for view in load_views([image])] == [name]
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    (tmp_path / "s.json").write_text(json.dumps(renamed(document, "img_01", name)))
+    assert Scene.load(str(tmp_path / "s.json")).views[0].name == name
+
+
+def first_view(document):
+    return next(iter(document["tiles"][0]["views"].values()))
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    (
+        (
+            lambda d: d["views"][0].update(width=0),
+            "views.0.width is 0: it must be a whole number between 1 and 1000000",
+        ),
+        (lambda d: d["views"][0].update(band=-1), "views.0.band is -1"),
+        (lambda d: d["views"][0].update(pointing=[[1, 0], [0, 1]]), "views.0.pointing"),
+        (lambda d: d["views"][0].update(pointing=[[0, 0, 0], [0, 0, 0]]), "no small correction"),
+        (lambda d: d["views"][0]["rpc"].update(row_num=[1.0] * 19), "row_num has 19 coefficients"),
+        (lambda d: d["views"][1].update(name="img_01"), "distinct names"),
+        (lambda d: d.update(altitudes=[300, 200]), "two rising numbers between -22000 and 20000 m"),
+        (lambda d: d.update(altitudes=[0, 1e6]), "two rising numbers"),
+        (lambda d: d["frame"].update(lat=91), "frame.lat is 91"),
+        (lambda d: d.update(crs="EPSG:4326"), "projected CRS"),
+        (lambda d: d.update(crs="nonsense"), "coordinate reference system"),
+        (lambda d: d.update(area="POLYGON EMPTY"), "area is 'POLYGON EMPTY'"),
+        (lambda d: d.update(order=9), "order is 9"),
+        (lambda d: d.update(refinement="bent"), "refinement is 'bent'"),
+        (lambda d: d.update(refinement="terrain"), "no surface"),
+        (lambda d: d.update(tie_points="/vsicurl/http://127.0.0.1/t.gpkg"), "a file on this machine"),
+        (lambda d: d.update(surface="<VRTDataset/>"), "a file on this machine"),
+        (lambda d: d["tiles"][0].update(bounds=[2, 0, 1, 1]), "xmin < xmax"),
+        (lambda d: d["tiles"][0].update(bounds=[0, 0, 1e6, 1e6]), "larger than its images"),
+        (lambda d: first_view(d).update(window=[0, 0, 100, 401]), "outside the view 'img_01' of 400 x 400 px"),
+        (lambda d: first_view(d)["camera"].update(K=[[1, 0, 0]]), "camera.K"),
+        (lambda d: first_view(d)["camera"].update(R=[[1, 0, 0], [0, 1, 0], [0, 0, 2]]), "not a rotation"),
+        (lambda d: first_view(d)["refined"]["to_original"].update(order=3), "order 3 has 10"),
+        (lambda d: first_view(d)["refined"]["to_original"].update(order=20), "order is 20"),
+        (
+            lambda d: first_view(d)["refined"]["error"].update(rmse="0"),
+            "refined.error.rmse is '0': it must be a number",
+        ),
+        (
+            lambda d: d["tiles"][0]["views"].update(img_09=first_view(d)),
+            "a view 'img_09', which the scene does not have",
+        ),
+        (lambda d: d["tiles"].append(d["tiles"][0]), "two tiles of the same name"),
+        (lambda d: d.update(pairs=[PAIR]), "a pair img_01, img_09"),
+        (lambda d: d["tiles"][0].update(heights=[HEIGHTS]), "a height map of the tile"),
+        (lambda d: d["history"][0]["options"].update(deep=json.loads("[" * 80 + "]" * 80)), "nested"),
+    ),
+)
+def test_values_that_no_scene_of_ours_has(fitted, tmp_path, change, words):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    change(document)
+    assert words in refused(tmp_path, document)
+
+
+PAIR = {"first": "img_01", "second": "img_09", "angle_deg": 20.0, "base_to_height": 0.3, "tiles": 1}
+HEIGHTS = {
+    "tile": "r000c000", "backend": "sgm", "pair": ["img_01", "img_09"], "metres_per_px": 1.0, "altitudes": [0, 100],
+    "vertical_parallax_px": 0.1, "table_error_m": 0.0,
+}  # fmt: skip

@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from repm_qgis.errors import OptionError, SceneError
+from repm_qgis.checks import Misfit
+from repm_qgis.errors import OptionError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.refinement import (
@@ -98,6 +99,6 @@ def test_where_m_cannot_be_inverted_it_says_nan():
 def test_unknown_models_and_kinds():
     with pytest.raises(OptionError, match="MODEL is 'cubic'"):
         fit_map("cubic", pixels(10), pixels(10), np.eye(3))
-    with pytest.raises(SceneError, match="unknown kind 'spline'"):
+    with pytest.raises(Misfit, match="to_original.kind is 'spline': it must be homography, polynomial or terrain"):
         map_from_mapping({"kind": "spline"}, None, None)
     np.testing.assert_array_equal(apply_homography(translation(3, 4), np.zeros(2)), [3, 4])

@@ -1,0 +1,279 @@
+"""What is asked of files before GDAL opens them, and of rasters before they are read: data may come from anybody.
+
+Network paths work where the user typed them, for the file itself. A file that came with data may not send anybody
+there, and may not claim more pixels than it can hold.
+"""
+
+from __future__ import annotations
+
+import ntpath
+import os
+import re
+import stat
+from functools import lru_cache
+from typing import Any, List, Sequence, Set, Tuple
+from xml.parsers import expat  # declarations of types, and so of entities, are refused
+
+from osgeo import gdal
+
+from .checks import INLINE
+from .workspace import file_identity
+
+# Formats of files with pixels or shapes, and of files that list such files. None of them is a service of the network,
+# runs programs, or names files of any other format; VRT does, and is looked through.
+RASTERS = (
+    "GTiff VRT NITF JP2OpenJPEG JP2KAK JP2ECW JP2MrSID JPEG2000 ECW MrSID HFA ENVI EHdr PCIDSK DIMAP TIL RPFTOC "
+    "ECRGTOC SENTINEL2 netCDF HDF4 HDF4Image HDF5 HDF5Image GPKG MBTiles AAIGrid GRASSASCIIGrid AIG SRTMHGT DTED "
+    "USGSDEM BAG SAGA GSAG GSBG GS7BG XYZ PCRaster ILWIS RST RRASTER GTX NTv2 FITS PNG JPEG BMP GIF WEBP PNM"
+).split()
+VECTORS = (
+    "GPKG,ESRI Shapefile,GeoJSON,GeoJSONSeq,FlatGeobuf,SQLite,CSV,MapInfo File,OpenFileGDB,KML,LIBKML,GPX,DXF,"
+    "Parquet,Arrow"
+).split(",")
+_PARTS = ("GTIFF_DIR", "NITF_IM", "HDF4_SDS", "HDF5", "NETCDF", "GPKG")  # parts of files: format, colon, file, part
+_FILE_KEYS = {"X_DATASET": "GEOLOCATION", "Y_DATASET": "GEOLOCATION", "OVERVIEW_FILE": "OVERVIEWS"}  # with domains
+
+_NETWORK = re.compile(r"/vsi(?!(?:zip|tar|gzip)/)\w*", re.IGNORECASE)  # all of GDAL's file systems but archives
+_ARCHIVE = re.compile(r"/vsi(?:zip|tar|gzip)/", re.IGNORECASE)
+_REMOTE = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
+_DRIVER = re.compile(r'"?(\w{2,}):', re.ASCII)
+_MOST_BYTES = 64 << 20  # of a VRT; those of mosaics with 100,000 parts have 50 MB
+_DEEPEST = 8  # VRTs that name each other
+
+MOST_SIDE_PX = 1_000_000
+"""The longest strips of today's satellites have 720,000 lines: 360 km of 0.5 m."""
+_MOST_PX = 50_000_000_000
+_HARMLESS_PX = 100_000_000  # read within a second, whatever the file holds
+_MOST_PX_A_BYTE = 100_000  # a JPEG 2000 of one value has 35,000, real images have less than 100
+_LEAST_SHARE = 1.0  # per cent
+
+
+def drivers_for(path: str, formats: Sequence[str]) -> List[str]:
+    """GDAL's drivers for a file of these formats; none, which GDAL takes as all, for a network path that was typed."""
+    return list(formats) if os.path.exists(path) else []
+
+
+def distrust(path: str) -> str:
+    """Why a path should not be opened, as the rest of a sentence that begins with it; "" where it may be.
+
+    Not opened are pipes and devices, on which reading would wait, XML and JSON in place of a path, and files that reach
+    for the network, run Python, or are in a format that might.
+    """
+    if path.lstrip().startswith(INLINE):
+        return "is a description and not a path: choose a file."
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return _archived_description(path)  # no file of this machine: GDAL knows, or says what is wrong
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        return "is a pipe or a device, not a file: choose a file."
+    return _distrust(*file_identity(path))
+
+
+@lru_cache(maxsize=4096)
+def _distrust(path: str, *_: Any) -> str:
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        _look_through(path, 0, set())
+    except _DistrustedError as error:
+        return str(error)
+    except RuntimeError:  # GDAL's, about a file that it cannot open: nothing comes of that
+        return ""
+    finally:
+        gdal.PopErrorHandler()
+    return ""
+
+
+def claimed(dataset: gdal.Dataset) -> str:
+    """Why an opened raster cannot be what it claims to be, in the form of :func:`distrust`; "" where it can.
+
+    Raster files of a few kB can claim billions of pixels: reading them takes as long as if they were there.
+    """
+    try:
+        _look_at_metadata(dataset, os.path.abspath(dataset.GetDescription()), 0, set())
+    except _DistrustedError as error:
+        return str(error)
+    size = f"{dataset.RasterXSize} x {dataset.RasterYSize} px"
+    pixels = dataset.RasterXSize * dataset.RasterYSize
+    if pixels <= _HARMLESS_PX:
+        return ""
+    held = [gdal.VSIStatL(file) for file in dataset.GetFileList() or ()]
+    total = sum(file.size for file in held if file is not None)
+    if total and pixels > total * _MOST_PX_A_BYTE:
+        return f"claims {size} and has only {total} bytes, too few for any image: get the file again."
+    return ""
+
+
+def unlike_an_image(dataset: gdal.Dataset) -> str:
+    """Why an opened raster is no satellite image, in the form of :func:`distrust`; "" where it may be one."""
+    width, height = dataset.RasterXSize, dataset.RasterYSize
+    if max(width, height) > MOST_SIDE_PX or width * height > _MOST_PX:
+        most = f"{MOST_SIDE_PX} px a side and {_MOST_PX:.0e} px in all"
+        return f"claims {width} x {height} px, more than any satellite's image ({most}): get the file again."
+    if width * height > _HARMLESS_PX:
+        flags, share = dataset.GetRasterBand(1).GetDataCoverageStatus(0, 0, width, height)[:2]
+        if not flags & gdal.GDAL_DATA_COVERAGE_STATUS_UNIMPLEMENTED and 0 <= share < _LEAST_SHARE:
+            held = f"claims {width} x {height} px and holds {share:.2g} % of them, the rest of the file is empty"
+            return f"{held}: get the file again, or crop it to what it holds."
+    return ""
+
+
+class _DistrustedError(Exception):
+    """The rest of a sentence that begins with the path that was given."""
+
+
+def _look_through(path: str, depth: int, seen: Set[str]) -> None:
+    """Raise _DistrustedError for what a file would make GDAL open: itself, what lies beside it, what it names."""
+    real = os.path.realpath(path)
+    if real in seen:
+        return
+    seen.add(real)
+    if depth > _DEEPEST:
+        raise _DistrustedError(f"is a VRT of VRTs more than {_DEEPEST} deep: make one VRT of the images themselves.")
+    for beside in (f"{path}.ovr", f"{path}.msk"):
+        if os.path.exists(beside):
+            _look_through(beside, depth + 1, seen)
+    if os.path.exists(f"{path}.aux.xml"):
+        _look_at_xml(f"{path}.aux.xml", depth, seen)
+    head = _head(path)
+    if b"\0" in head or not head:
+        # Binary files hold pixels: only in their metadata can they name other files.
+        if depth:  # else whoever opens it looks there
+            alone = [os.path.basename(path)]  # without a listing of its folder, which may have as many files as the VRT
+            dataset = gdal.OpenEx(path, gdal.OF_RASTER, allowed_drivers=RASTERS, sibling_files=alone)
+            if dataset is not None:
+                _look_at_metadata(dataset, path, depth, seen)
+        return
+    name, found = _format(path, gdal.OF_RASTER), ""
+    if name not in RASTERS:
+        found = _format(path, gdal.OF_VECTOR) or name
+    if found and found not in VECTORS:
+        raise _DistrustedError(
+            f"leads to a file of the format {found}, which is not opened here: use the data themselves."
+        )
+    if name in ("VRT", "DIMAP") or b"<VRTDataset" in head:
+        _look_at_xml(path, depth, seen)
+    elif name == "TIL":
+        _refuse_network(head.decode("latin-1"))
+
+
+def _archived_description(path: str) -> str:
+    """Why a path into an archive should not be opened: what lies there names other files, and is not looked through."""
+    if not _ARCHIVE.match(path) or _NETWORK.search(path):
+        return ""
+    stream = gdal.VSIFOpenL(path, "rb")
+    if stream is None:
+        return ""
+    try:
+        head = bytes(gdal.VSIFReadL(1, 1024, stream) or b"")
+    finally:
+        gdal.VSIFCloseL(stream)
+    named = head.lstrip().startswith(tuple(mark.encode() for mark in INLINE)) or b"<VRTDataset" in head
+    return "is a description in an archive: unpack the archive." if named else ""
+
+
+def _format(path: str, kind: int) -> str:
+    driver = gdal.IdentifyDriverEx(path, kind)
+    return str(driver.ShortName) if driver is not None else ""
+
+
+def _head(path: str) -> bytes:
+    try:
+        with open(path, "rb") as stream:
+            return stream.read(1024)
+    except OSError:
+        return b""
+
+
+def _look_at_xml(path: str, depth: int, seen: Set[str]) -> None:
+    """All texts and attributes of a VRT, and of the metadata beside an image, with entities replaced."""
+    try:
+        texts = _texts(path)
+    except OSError:
+        return
+    except (expat.ExpatError, ValueError) as error:
+        raise _DistrustedError(f"leads to '{path}', which cannot be read ({error}): get the file again.") from error
+    for element, key, relative, text in texts:
+        if element == "pixelfunctionlanguage" and text.lower() == "python":
+            raise _DistrustedError("is a VRT that runs Python: save it as a GeoTIFF.")
+        if element in ("mdi", "option"):
+            if key in _FILE_KEYS or key == "RPC_DEM":
+                _look_at(text, path, depth, seen)
+        elif element.startswith("source") or element == "dempath":
+            _look_at(text, path, depth, seen, relative)
+        else:
+            _refuse_network(text)
+
+
+def _texts(path: str) -> List[Tuple[str, str, bool, str]]:
+    """Each element's name in lower case, its key, whether it is relative, and its text; attributes have no name."""
+    if os.path.getsize(path) > _MOST_BYTES:
+        raise ValueError(f"it is larger than {_MOST_BYTES >> 20} MiB")
+    found: List[Tuple[str, str, bool, str]] = []
+    stack: List[Tuple[str, str, bool, List[str]]] = []
+
+    def start(name: str, attributes: Any) -> None:
+        found.extend(("", "", False, value) for value in attributes.values())
+        relative = attributes.get("relativeToVRT", attributes.get("relativetoVRT", "0")) == "1"
+        stack.append((name.lower(), attributes.get("key", attributes.get("name", "")).upper(), relative, []))
+
+    def end(_: str) -> None:
+        name, key, relative, parts = stack.pop()
+        text = "".join(parts).strip()
+        if text:
+            found.append((name, key, relative, text))
+
+    def refuse(*_: Any) -> None:
+        raise ValueError("it declares a type or entities")
+
+    # GDAL takes all bytes as they are, whatever the encoding that the file declares.
+    parser = expat.ParserCreate("iso-8859-1")
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = lambda text: stack[-1][3].append(text)
+    parser.StartDoctypeDeclHandler = refuse
+    parser.buffer_text = True
+    with open(path, "rb") as stream:
+        data = stream.read().rstrip(b"\0")
+    parser.Parse(data[3:] if data.startswith(b"\xef\xbb\xbf") else data, True)
+    return found
+
+
+def _look_at_metadata(dataset: gdal.Dataset, path: str, depth: int, seen: Set[str]) -> None:
+    for key, domain in _FILE_KEYS.items():
+        named = dataset.GetMetadataItem(key, domain)
+        if named:
+            _look_at(named.replace(":::BASE:::", ""), path, depth, seen)
+
+
+def _look_at(text: str, base: str, depth: int, seen: Set[str], relative: bool = True) -> None:
+    """What a file names as a source: it must be a file of this machine, and is looked through itself."""
+    _refuse_network(text)
+    driver = _DRIVER.match(text)
+    elsewhere = os.name == "nt" and ntpath.splitdrive(text)[0].startswith(("\\\\", "//"))
+    if elsewhere and ntpath.splitdrive(text)[0].lower() == ntpath.splitdrive(os.path.abspath(base))[0].lower():
+        elsewhere = False
+    if text.startswith(INLINE) or _REMOTE.match(text) or elsewhere or (driver and driver[1].upper() not in _PARTS):
+        raise _names_network(text)
+    archived = _archived_description(text)
+    if archived:
+        raise _DistrustedError(f"leads to '{text}', which {archived}")
+    try:
+        name = os.fsdecode(text.encode("latin-1"))
+    except UnicodeEncodeError:
+        name = text
+    for source in {os.path.join(os.path.dirname(base), name) if relative else name, name}:
+        if os.path.isfile(source):
+            _look_through(source, depth + 1, seen)
+
+
+def _refuse_network(text: str) -> None:
+    found = _NETWORK.search(text)
+    if found:
+        raise _names_network(found.group())
+
+
+def _names_network(text: str) -> _DistrustedError:
+    return _DistrustedError(
+        f"leads to the network source '{text[:80].splitlines()[0]}': a file that comes with data may not do that; "
+        "download the image, or give its network path itself."
+    )
