@@ -171,5 +171,7 @@ def refine_pinhole(
     border = ring(np.linspace(col, col + width - 1, 9), np.linspace(row, row + height - 1, 9))
     corners = to_original.refined_from_original(border)
     low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+    if not np.isfinite([low, high]).all():
+        raise RpcInvalidError("the RPC gives no refinement that can be inverted: use the image's own RPC.")
     size = (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
     return RefinedPinhole(straight.moved(*low), to_original.moved(*low), size, error)
