@@ -26,9 +26,9 @@ class SgmParameters(Parameters):
     paths: int = 3  # directions of aggregation, 3, 5 or 8: 3 are as good as 8 in a quarter of the time; matching table
     prefilter_cap: int = 31  # of OpenCV's gradients, in its intensities of 0..255; chosen
     left_right_px: float = 1.0  # by which the disparities of the two directions may differ; matching table
-    speckle_px: int = 80  # least pixels of a connected component; matching table
+    speckle_px: int = 80  # connected components of so many pixels or fewer go; matching table
     speckle_step_px: float = 1.0  # of disparity between neighbours of one component; chosen
-    tower_px: int = 12  # least pixels of a component that matches well: towers and chimneys; matching table
+    tower_px: int = 12  # the same for components that match well: towers and chimneys; matching table
     tower_score: float = 0.8  # correlation of such a component's pixels; chosen
     score_window_px: int = 7  # side of the correlation window of the score; chosen
     rim_px: int = 9  # window around pixels without data: block, pre-filter and median reach 4 px to each side

@@ -128,7 +128,7 @@ def speckle_filter(
 
 
 def _components(disparity: FloatImage, low: int, pixels: int, parameters: SgmParameters) -> FloatImage:
-    """Only connected components of at least so many pixels; a step of disparity between neighbours separates them."""
+    """Only connected components of more than so many pixels; a step of disparity between neighbours separates them."""
     steps = np.where(np.isfinite(disparity), (disparity - (low - 1)) * _STEPS, 0).astype(np.int16)
     cv2.filterSpeckles(steps, 0, pixels, int(_STEPS * parameters.speckle_step_px))
     return np.where(steps > 0, disparity, np.float32(np.nan)).astype(np.float32)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -183,6 +182,42 @@ def test_what_workers_use_is_counted_as_used_by_this_process(work, told):
     assert after.children_user + after.children_system - before.children_user - before.children_system > 1.2
 
 
-def test_cores():
+def test_cores(monkeypatch):
+    """Those that this process may use, or all of the machine where a system does not tell."""
     assert 1 <= cores() <= (os.cpu_count() or 1)
-    assert signal.SIGTERM  # the handlers of this process are left alone
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 16)
+    assert cores() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    assert cores() == 16
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert cores() == 1
+
+
+def test_the_environment_of_this_process_stays(work, told, monkeypatch):
+    """The server process gets one thread for sums; this one keeps what it has."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+    run_tasks(work.square, list(range(4)), 2, told(), str)
+    assert dict(os.environ) == before
+
+
+def test_few_tasks_are_done_here(work, told):
+    """Starting processes would take longer; and so with one worker."""
+    assert set(run_tasks(work.who, [1, 2, 3], 2, told(), str)) == {os.getpid()}
+    assert set(run_tasks(work.who, list(range(4)), 1, told(), str)) == {os.getpid()}
+    assert os.getpid() not in run_tasks(work.who, list(range(4)), 2, told(), str)
+
+
+def test_what_is_said_of_tasks(work, told):
+    said = told()
+    steps = []
+    said.step = lambda fraction, text="": steps.append((fraction, text))
+    run_tasks(work.square, [5, 6], 1, said, "tile {}".format)
+    assert steps == [(0.0, "tile 5"), (0.5, "tile 6")]
+    steps.clear()
+    run_tasks(work.square, [5, 6, 7, 8], 2, said, "tile {}".format)
+    assert steps[0] == (0.0, "4 tasks on 2 cores") and [fraction for fraction, _ in steps[1:]] == [0.25, 0.5, 0.75, 1.0]
+    assert sorted(text.split(" (")[0] for _, text in steps[1:]) == ["tile 5", "tile 6", "tile 7", "tile 8"]
+    assert steps[-1][1].endswith("(4 of 4)")

@@ -6,6 +6,7 @@ import errno
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -104,12 +105,183 @@ def test_a_folder_takes_the_place_of_another_and_a_killed_swap_is_put_right(tmp_
     assert (place / "a").read_text() == "new" and os.listdir(tmp_path) == ["ept"]
 
 
+def without_exchange(monkeypatch, failure=None):
+    """As on Windows: names cannot be exchanged; and with a failure, the second renaming of a swap meets it."""
+    monkeypatch.setattr(workspace, "_exchange", lambda *_: False)
+    replace, seen = os.replace, []
+
+    def watched(source, target):
+        seen.append(os.path.basename(target))
+        if failure is not None and len(seen) == 2:
+            raise failure
+        replace(source, target)
+
+    monkeypatch.setattr(workspace.os, "replace", watched)
+    return seen
+
+
+def swapped(place):
+    with whole_folder(str(place)) as folder:
+        (folder / "a").write_text("new")
+
+
+@pytest.fixture
+def older(tmp_path):
+    (tmp_path / "ept").mkdir()
+    (tmp_path / "ept" / "a").write_text("old")
+    return tmp_path / "ept"
+
+
+def test_a_swap_without_exchange_puts_the_older_folder_aside_first(older, monkeypatch):
+    names = without_exchange(monkeypatch)
+    swapped(older)
+    assert names == [".ept.aside", "ept"] and (older / "a").read_text() == "new"
+    assert os.listdir(older.parent) == ["ept"]
+
+
+def test_a_swap_that_fails_halfway_leaves_the_older_folder(older, monkeypatch):
+    without_exchange(monkeypatch, OSError(errno.EACCES, "Permission denied"))
+    with pytest.raises(WorkspaceError, match=r"Cannot write '.*ept' \(Permission denied\)"):
+        swapped(older)
+    assert (older / "a").read_text() == "old" and os.listdir(older.parent) == ["ept"]
+
+
+def test_a_swap_that_is_killed_halfway_leaves_the_older_folder_to_the_next_run(older, monkeypatch):
+    without_exchange(monkeypatch, KeyboardInterrupt())  # nothing in the way of it, as of a kill
+    with pytest.raises(KeyboardInterrupt):
+        swapped(older)
+    assert (older.parent / ".ept.aside" / "a").read_text() == "old"
+    with pytest.raises(OSError), whole_folder(str(older)):  # the next run finds the older folder, even if it fails too
+        raise OSError(errno.EIO, "Input/output error")
+    assert (older / "a").read_text() == "old" and os.listdir(older.parent) == ["ept"]
+
+
+def test_a_backup_beside_the_newer_folder_goes(older):
+    """A kill between the second renaming and the removal: the folder of that name is whole, and newer."""
+    (older.parent / ".ept.aside").mkdir()
+    recover_folder(str(older))
+    assert (older / "a").read_text() == "old" and os.listdir(older.parent) == ["ept"]
+
+
 def test_a_full_disk_is_named_with_what_is_free(tmp_path):
     with pytest.raises(WorkspaceError, match=r"'.*a\.txt': the disk is full \([\d.]+ MiB free\): free some space"):
         with whole_file(str(tmp_path / "a.txt")):
             raise OSError(errno.ENOSPC, "No space left on device")
     with pytest.raises(WorkspaceError, match="too many open files"), whole_file(str(tmp_path / "a.txt")):
         raise OSError(errno.EMFILE, "Too many open files")
+
+
+@pytest.mark.parametrize("fact", ("st_size", "st_mtime_ns", "st_ino", "st_ctime_ns"))
+def test_each_fact_alone_tells_a_changed_file(tmp_path, fact, monkeypatch):
+    """On a disk they mostly change together: here one at a time."""
+    path = str(tmp_path / "a.tif")
+    facts = {"st_size": 5, "st_mtime_ns": 10**18, "st_ino": 77, "st_ctime_ns": 10**18}
+    found = []
+    for changed in (facts, dict(facts), {**facts, fact: facts[fact] + 1}):
+        with monkeypatch.context() as patch:
+            patch.setattr(workspace.os, "stat", lambda _, now=changed: SimpleNamespace(**now))
+            found.append(file_identity(path))
+    assert found[0] == found[1] != found[2]
+    (tmp_path / "b.tif").write_text("x")
+    os.link(tmp_path / "b.tif", tmp_path / "c.tif")
+    assert file_identity(str(tmp_path / "b.tif")) != file_identity(str(tmp_path / "c.tif"))
+
+
+def test_free_space_is_in_mebibytes_and_may_be_unknown(tmp_path, monkeypatch):
+    asked = []
+
+    def usage(place):
+        asked.append(place)
+        return SimpleNamespace(free=5 * 1024 * 1024)
+
+    monkeypatch.setattr(workspace.shutil, "disk_usage", usage)
+    assert workspace.free_text(str(tmp_path / "not" / "yet" / "a.tif")) == "5.0 MiB" and asked == [str(tmp_path)]
+
+    def refuse(_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(workspace.shutil, "disk_usage", refuse)
+    assert workspace.free_text(str(tmp_path)) == "an unknown amount is"
+
+
+def test_another_users_process_exists(monkeypatch):
+    assert workspace.process_exists(os.getpid())
+
+    def refuse(number, signal):
+        assert signal == 0
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(workspace.os, "kill", refuse)
+    assert workspace.process_exists(77)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="renameat2 is Linux's")
+def test_linux_exchanges_two_folders_in_one_step(tmp_path):
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    assert workspace._exchange(tmp_path / "a", tmp_path / "b")
+    assert os.listdir(tmp_path / "a") == ["b"] and os.listdir(tmp_path / "b") == ["a"]
+    assert not workspace._exchange(tmp_path / "a", tmp_path / "none")
+
+
+def test_a_name_that_cannot_be_taken_is_said(tmp_path):
+    temporary = workspace.temporary_name(str(tmp_path / "a.txt"))
+    with open(temporary, "w", encoding="utf-8") as stream:
+        stream.write("text")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(WorkspaceError, match=r"Cannot write '.*folder' \(Is a directory\): choose another place"):
+        workspace.take_name(temporary, str(tmp_path / "folder"))
+    workspace.remove_own_temporaries()
+    assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_what_a_process_is_writing_goes_with_it(tmp_path):
+    whole, half, folder = (workspace.temporary_name(str(tmp_path / name)) for name in ("a.txt", "b.txt", "c"))
+    for name in (whole, half):
+        with open(name, "w", encoding="utf-8") as stream:
+            stream.write("text")
+    os.makedirs(os.path.join(folder, "deep"))
+    workspace.take_name(whole, str(tmp_path / "a.txt"))
+    workspace.remove_own_temporaries()
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize(
+    "number, passes", ((errno.EINVAL, True), (errno.ENOTSUP, True), (errno.EROFS, True), (errno.EIO, False))
+)
+def test_file_systems_that_know_no_fsync(tmp_path, number, passes, monkeypatch):
+    def refuse(_):
+        raise OSError(number, "fsync failed")
+
+    monkeypatch.setattr(workspace.os, "fsync", refuse)
+    if passes:
+        write_text(str(tmp_path / "a.txt"), "text")
+        assert os.listdir(tmp_path) == ["a.txt"]
+    else:
+        with pytest.raises(WorkspaceError, match="fsync failed"):
+            write_text(str(tmp_path / "a.txt"), "text")
+        assert os.listdir(tmp_path) == []
+
+
+def test_a_quota_is_a_full_disk(tmp_path):
+    with pytest.raises(WorkspaceError, match="the disk is full"), whole_file(str(tmp_path / "a.txt")):
+        raise OSError(errno.EDQUOT, "Disk quota exceeded")
+
+
+def test_a_temporary_folder_lives_within_the_block(tmp_path):
+    with pytest.raises(ValueError), workspace.temporary_folder(str(tmp_path / "work")) as folder:
+        assert os.path.isdir(folder) and os.path.dirname(folder) == str(tmp_path)
+        (tmp_path / os.path.basename(folder) / "a").write_text("text")
+        raise ValueError
+    assert os.listdir(tmp_path) == []
+
+
+def test_errors_of_the_engine_stay_what_they_are(tmp_path):
+    for block in (whole_file, whole_folder):
+        with pytest.raises(WorkspaceError, match="^mine$"), block(str(tmp_path / "a")):
+            raise WorkspaceError("mine")
+    assert os.listdir(tmp_path) == []
 
 
 def test_fingerprints_tell_changes(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.gridding import grid_points
+from repm_qgis.geometry.parameters import GRIDDING
 
 
 def lattice(spacing, phase, size=40.0):
@@ -143,3 +144,73 @@ def test_the_grid_covers_and_lies_on_whole_cells():
     assert (same.west, same.north, same.shape) == (10.0, 24.0, (8, 10))
     assert grid.window((10.0, 20.0, 11.0, 24.0), 3) == (0, 0, 5, 8)
     assert grid.window((100.0, 20.0, 110.0, 24.0))[2] == 0
+
+
+def one_by_one(grid, x, y, height, score, spacing, numbers):
+    """What grid_points must give, from areas of squares and lists of each cell."""
+    rows, columns = grid.shape
+    side, step = min(spacing, grid.cell), numbers.surface_step * max(grid.cell, numbers.surface_step_cell_m)
+    inside = {}
+    for px, py, z, s in zip(x, y, height, score):
+        if np.isnan(z):
+            continue
+        for row in range(rows):
+            south = grid.north - (row + 1) * grid.cell
+            tall = min(py + side / 2, south + grid.cell) - max(py - side / 2, south)
+            for column in range(columns):
+                west = grid.west + column * grid.cell
+                wide = min(px + side / 2, west + grid.cell) - max(px - side / 2, west)
+                if tall > 0 and wide > 0:
+                    inside.setdefault((row, column), []).append((tall * wide / side**2, z, np.nan_to_num(s)))
+    found = np.full((3, rows, columns), np.nan)
+    found[2] = 0.0
+    for cell, points in inside.items():
+        weight, z, s = np.array(points).T
+        found[(2, *cell)] = weight.sum()
+        if weight.sum() < numbers.cell_weight:
+            continue
+        if np.average((z - np.average(z, weights=weight)) ** 2, weights=weight) > (numbers.mixed * step) ** 2:
+            evidence = weight > numbers.surface_weight
+            surfaces = [evidence & (z >= start) & (z <= start + step) for start in sorted(z[evidence])]
+            most = max(weight[surface].sum() for surface in surfaces)
+            chosen = [surface for surface in surfaces if weight[surface].sum() >= most - 1e-9][-1]
+            weight, z, s = weight[chosen], z[chosen], s[chosen]
+        found[(0, *cell)], found[(1, *cell)] = np.average(z, weights=weight), np.average(s, weights=weight)
+    return found
+
+
+@pytest.mark.parametrize("spacing", (0.3, 0.5, 1.0, np.inf))
+@pytest.mark.parametrize("cell, relief", ((0.5, 0.0), (0.5, 1.0), (0.5, 6.0), (0.2, 2.0)))
+def test_every_cell_is_what_its_points_one_by_one_give(spacing, cell, relief):
+    """Sparse and dense, one surface and several, over the borders of the grid, with missing heights and scores."""
+    numbers = np.random.default_rng(3)
+    grid = CellGrid(-1.0, 7.0, cell, (7, 9))
+    count = 160
+    x = grid.west + numbers.uniform(-1.2, 10.2, count) * cell
+    y = grid.north - numbers.uniform(-1.2, 8.2, count) * cell
+    height = 500.0 + 0.2 * x + relief * numbers.choice([0.0, 0.4, 1.0], count) + 0.01 * numbers.normal(size=count)
+    score = numbers.uniform(0.2, 1.0, count)
+    height[::17], score[::13] = np.nan, np.nan
+    expected = one_by_one(grid, x, y, height, score, spacing, GRIDDING)
+    found = grid_points(grid, x, y, height, score, spacing)
+    assert np.isfinite(expected[0]).mean() > 0.2
+    for ours, naive in zip(found, expected):
+        np.testing.assert_allclose(ours, naive, atol=1e-9)
+
+
+def test_of_two_surfaces_that_cover_the_same_the_upper_one_is_taken():
+    grid = CellGrid(0.0, 1.0, 1.0, (1, 1))
+    middle = np.full(4, 0.5)
+    heights, scores, weights = grid_points(
+        grid, middle, middle, np.array([10.0, 20.0, 10.2, 20.2]), np.array([0.1, 0.7, 0.1, 0.9])
+    )
+    assert (heights.item(), scores.item(), weights.item()) == pytest.approx((20.1, 0.8, 4.0))
+
+
+def test_points_within_a_step_are_one_surface_and_its_mean():
+    """3 m for a cell of 1 m: as far apart as that is one surface, farther is not."""
+    grid = CellGrid(0.0, 1.0, 1.0, (1, 1))
+    for apart, expected in ((3.0, 11.0), (3.01, 10.0)):
+        height = np.array([10.0, 10.0, 10.0 + apart])
+        heights, _, _ = grid_points(grid, np.full(3, 0.5), np.full(3, 0.5), height, np.ones(3))
+        assert heights.item() == pytest.approx(expected)

@@ -96,6 +96,28 @@ def test_where_m_cannot_be_inverted_it_says_nan():
     assert np.isfinite(found[0]).all() and np.isnan(found[1]).all()
 
 
+@pytest.mark.parametrize(
+    "target, found",
+    (
+        (0.2, True),  # steps shrink by 0.34 each
+        (-0.05, True),
+        (0.6525, False),  # by 0.9: after all steps some hundredths of a px are left
+        (1.3, False),  # the iteration runs through four places for ever, all finite
+        (-0.5, False),  # no pixel has this image
+    ),
+)
+def test_an_inverse_that_is_not_found_is_nan_and_not_the_last_guess(target, found):
+    """M(x, y) = (x + x^2, y), whose inverse is known: (sqrt(1 + 4 x) - 1) / 2."""
+    square = PolynomialMap(2, np.zeros(2), 1.0, np.array([[0, 0], [0, 0], [0, 0], [0, 0], [1.0, 0], [0, 0]]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        near, asked = square.refined_from_original(np.array([[0.0, 7.0], [target, -3.0]]))
+    np.testing.assert_allclose(near, [0.0, 7.0], atol=1e-9)
+    if found:
+        np.testing.assert_allclose(asked, [(np.sqrt(1 + 4 * target) - 1) / 2, -3.0], atol=1e-6)
+    else:
+        assert np.isnan(asked).all()
+
+
 def test_unknown_models_and_kinds():
     with pytest.raises(OptionError, match="MODEL is 'cubic'"):
         fit_map("cubic", pixels(10), pixels(10), np.eye(3))

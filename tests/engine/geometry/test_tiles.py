@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
+from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.footprints import box, geometry_of
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.geometry.tiles import largest_within, lay_tiles, pixel_window
+from repm_qgis.geometry.tiles import enclosing, largest_within, lay_tiles, pixel_window
 
 AREAS = {
     "square": box((500000.0, 4800000.0, 501000.0, 4801000.0)),
@@ -94,3 +95,63 @@ def test_the_largest_size_within_the_budget():
     assert largest_within(1.2, (1600, 1200, 800), error_of) == (1200, 1.2)
     assert asked == [1600, 1200]
     assert largest_within(0.1, (1600, 1200, 800), error_of) == (800, 0.8)
+
+
+def test_tiles_are_equal_and_begin_at_whole_metres_in_the_north_west():
+    tiles = lay_tiles(box((99.4, 200.6, 1299.2, 900.3)), 500.0)
+    # 1199.8 m need three columns, 699.7 m two rows: from 99 and 901, of ceil(1200.2 / 3) by ceil(700.4 / 2) m.
+    assert [tile.id for tile in tiles] == [f"r{i:03d}c{j:03d}" for i in range(2) for j in range(3)]
+    assert [tile.bounds for tile in tiles] == [
+        (99.0 + 401 * j, 901.0 - 351 * (i + 1), 99.0 + 401 * (j + 1), 901.0 - 351 * i)
+        for i in range(2)
+        for j in range(3)
+    ]
+    side = sum([33.3] * 6)  # a little more than 6 * 33.3
+    assert side / 33.3 > 6 and [tile.id for tile in lay_tiles(box((0.0, 0.0, side, side)), 33.3)][-1] == "r005c005"
+
+
+def test_tiles_outside_the_area_are_omitted():
+    corner = geometry_of(np.array([[0.0, 0.0], [1000.0, 0.0], [0.0, 900.0]]))
+    assert [tile.id for tile in lay_tiles(corner, 400.0)] == [
+        "r000c000", "r001c000", "r001c001", "r002c000", "r002c001", "r002c002",
+    ]  # fmt: skip
+
+
+def test_the_rectangle_around_rectangles():
+    boxes = [Bounds(0.0, 5.0, 4.0, 9.0), Bounds(-2.0, 6.0, 1.0, 7.0), Bounds(1.0, 4.0, 8.0, 5.0)]
+    assert enclosing(boxes) == Bounds(-2.0, 4.0, 8.0, 9.0) and enclosing(boxes[:1]) == boxes[0]
+
+
+@pytest.mark.parametrize(
+    "bounds, margin, window",
+    (
+        ((100.2, 100.7, 180.4, 190.1), 0, (100, 109, 84, 92)),  # columns 100.2 to 182.4, rows 109.9 to 199.3
+        ((100.2, 100.7, 180.4, 190.1), 5, (95, 104, 94, 102)),
+        ((-50.0, 100.7, 60.4, 190.1), 0, (0, 109, 64, 92)),  # cut at the left border,
+        ((350.0, 100.7, 500.0, 190.1), 0, (350, 109, 50, 92)),  # at the right one,
+        ((100.2, 250.0, 180.4, 400.0), 0, (100, 0, 84, 51)),  # at the top
+        ((100.2, -100.0, 180.4, 52.0), 3, (97, 245, 90, 55)),  # and at the bottom
+        ((100.0, 100.0, 145.0, 190.0), 0, (100, 110, 48, 91)),  # as small as it may be,
+        ((100.0, 100.0, 144.9, 190.0), 0, (100, 110, 48, 91)),
+        ((100.0, 100.0, 143.9, 190.0), 0, None),  # and smaller
+        ((100.0, 100.0, 200.0, 144.0), 0, None),
+        ((410.0, 100.0, 500.0, 190.0), 0, None),
+    ),
+)
+def test_a_window_reaches_from_the_first_pixel_to_the_last_at_all_altitudes(bounds, margin, window):
+    """An image of 400 x 300 px with pixels of 1 m, whose columns grow by 0.01 px for each metre of altitude."""
+
+    def project(points):
+        assert points.shape == (25, 3)
+        return np.column_stack([points[:, 0] + 0.01 * points[:, 2], 300.0 - points[:, 1]])
+
+    found = pixel_window(project, lambda xy: xy, bounds, (0.0, 200.0), (400, 300), margin)
+    assert found == window
+
+
+def test_a_window_that_the_model_cannot_place_is_none():
+    def project(points):
+        return np.where(points[:, :1] > 140, np.nan, points[:, :2])
+
+    assert pixel_window(project, lambda xy: xy, (0.0, 0.0, 150.0, 150.0), (0.0, 1.0), (400, 300)) is None
+    assert pixel_window(project, lambda xy: xy, (0.0, 0.0, 139.0, 150.0), (0.0, 1.0), (400, 300)) == (0, 0, 140, 151)

@@ -12,6 +12,7 @@ from osgeo import gdal
 from repm_qgis.errors import OptionError, RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
 from repm_qgis.options import EpmFitOptions, PipelineOptions
+from repm_qgis.rpc.formats import _signed_areas, checked
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of, rpc_sidecars
 from repm_qgis.scene import load_views
 from repm_qgis.simulation.scene import rpc_tags
@@ -80,9 +81,46 @@ def test_variants_of_key_value_texts(tmp_path, synthetic_rpc):
         text.replace("LONG_", "LON_"),
         text.replace("e-05", "D-05"),
         "# 5 \u00b0\n" + text,
+        together(rpc),
         text + "RFM_CORRECTION_PARAMETERS\n" + "".join(f"a{i}: 0.0\n" for i in range(6)),
     ):
         assert read_rpc_file(written(tmp_path, variant.encode("latin-1"))) == rpc
+
+
+def together(rpc):
+    """Each polynomial in one line, as GDAL's metadata has it."""
+    head = "".join(line + "\n" for line in key_value(rpc).splitlines() if "COEFF" not in line)
+    names = {"LINE_NUM": rpc.row_num, "LINE_DEN": rpc.row_den, "SAMP_NUM": rpc.col_num, "SAMP_DEN": rpc.col_den}
+    return head + "".join(f"{name}_COEFF: {' '.join(map(repr, values))}\n" for name, values in names.items())
+
+
+def test_much_side_by_side_is_not_deep(tmp_path, synthetic_rpc):
+    rpc = synthetic_rpc()
+    wide = dimap_v2(rpc).replace("<Global_RFM>", "<Global_RFM>" + "<a/>" * 100 + "<b></b>" * 100)
+    assert read_rpc_file(written(tmp_path, wide)) == rpc
+    wide = rpcm_json(rpc).replace("{", '{"x": [' + ", ".join(["[{}]"] * 50) + "], ", 1)
+    assert read_rpc_file(written(tmp_path, wide)) == rpc
+
+
+@pytest.mark.parametrize("mirrored", (1, -1))
+def test_areas_of_cells_are_those_of_their_corners(mirrored):
+    """Parallelograms at the upper left corner of each cell, against the cross product; a mirrored one is negative."""
+    grid = np.random.default_rng(1).normal(0, 0.2, (3, 3, 2)) + np.stack(np.meshgrid(range(3), range(3)), axis=-1)
+    grid[..., 0] *= mirrored
+    ground = np.concatenate([grid.reshape(9, 2), np.full((9, 1), 500.0)], axis=1)
+    expected = []
+    for i in range(2):
+        for j in range(2):
+            (ax, ay), (bx, by) = grid[i, j + 1] - grid[i, j], grid[i + 1, j] - grid[i, j]
+            expected.append(ax * by - ay * bx)
+    np.testing.assert_allclose(_signed_areas(ground), expected)
+    assert (np.sign(expected) == mirrored).all()
+
+
+def test_a_model_is_checked_around_its_own_centre(synthetic_rpc):
+    """An RPC of a crop far from the first pixel is none of those that fit nowhere."""
+    far = synthetic_rpc().shifted(-2e6, 3e6)
+    assert checked(far) == far
 
 
 def test_image_tags_are_read_from_any_name(tmp_path, synthetic_rpc, write_image):

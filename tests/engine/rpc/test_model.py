@@ -199,3 +199,69 @@ def test_incomplete_records_are_refused(synthetic_rpc):
     ):
         with pytest.raises(RpcInvalidError):
             Rpc.from_mapping(broken)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    (
+        {"lat_off": 90.0},
+        {"lat_off": -90.0},
+        {"lon_off": 360.0},
+        {"lon_off": -360.0},
+        {"row_off": -999999999.0},
+        {"height_scale": -400.0},
+        {"lat_scale": 2e-12},
+        {"row_num": (1e30,) * 20},
+    ),
+)
+def test_the_most_that_is_possible_is_accepted(synthetic_rpc, changes):
+    (name, value) = next(iter(changes.items()))
+    assert getattr(synthetic_rpc(**changes), name) == value
+
+
+@pytest.mark.parametrize(
+    "changes",
+    (
+        {"lat_off": 90.5},
+        {"lat_off": -90.5},
+        {"lon_off": 360.5},
+        {"lon_off": -360.5},
+        {"row_off": 1e9},
+        {"col_off": -1e9},
+        {"height_scale": 1e9},
+        {"lat_scale": 1e-12},
+        {"row_num": (2e30,) * 20},
+        {"col_den": (1.0,) * 21},
+    ),
+)
+def test_what_is_beyond_is_refused(synthetic_rpc, changes):
+    with pytest.raises(RpcInvalidError):
+        synthetic_rpc(**changes)
+
+
+def test_heights_of_a_negative_scale_are_ordered(synthetic_rpc):
+    assert synthetic_rpc(height_scale=-400.0).height_range == (100.0, 900.0)
+
+
+@pytest.mark.parametrize("scale", (0.1, -0.1))
+@pytest.mark.parametrize("side", (1.0, -1.0))
+@pytest.mark.parametrize("axis", ("lon", "lat"))
+def test_a_pixel_near_a_pole_of_the_model_is_found(synthetic_rpc, axis, side, scale):
+    """x / (1 - 0.4 x) has the value 3 at 15 / 11, before its pole at 2.5; the first step of Newton's method goes to 3,
+    beyond it. The other axis is linear."""
+    term = {"lon": 1, "lat": 2}
+
+    def linear(name):
+        return tuple(float(i == term[name]) for i in range(20))
+
+    one, other = ("lon", "lat") if axis == "lon" else ("lat", "lon")
+    bent = tuple(1.0 if i == 0 else -0.4 * side if i == term[one] else 0.0 for i in range(20))
+    flat = (1.0,) + (0.0,) * 19
+    rpc = synthetic_rpc(
+        lon_off=10.0, lat_off=45.0, lon_scale=scale, lat_scale=scale, col_off=0.0, row_off=0.0, col_scale=1000.0,
+        row_scale=1000.0, col_num=linear(one), col_den=bent, row_num=linear(other), row_den=flat,
+    )  # fmt: skip
+    found = rpc.localise(np.array([[3000.0 * side, 100.0], [0.0, 0.0]]), 500.0)
+    place = {one: 15 / 11 * side * scale, other: 0.1 * scale}
+    np.testing.assert_allclose(found[0, :2] - [10.0, 45.0], [place["lon"], place["lat"]], atol=1e-9)
+    np.testing.assert_allclose(found[1], [10.0, 45.0, 500.0], atol=1e-12)

@@ -6,12 +6,15 @@ import shutil
 
 import numpy as np
 import pytest
+from osgeo import gdal
 
 from repm_qgis.errors import RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
+from repm_qgis.rpc import readers
 from repm_qgis.rpc.formats import rpc_from_texts
-from repm_qgis.rpc.readers import read_rpc_file, rpc_of
+from repm_qgis.rpc.readers import files_in_folder, read_rpc_file, rpc_of
 from repm_qgis.simulation.scene import rpc_tags
+from tests.engine.rpc.writers import key_value
 
 
 def read(path):
@@ -260,3 +263,105 @@ def test_a_further_tile_of_a_cut_product_does_not_get_the_whole_images_rpc(tmp_p
     (tmp_path / "RPC_PHR1A_P_2012.XML").write_text(dimap(synthetic_rpc()))
     with pytest.raises((RpcMissingError, RpcInvalidError)):
         read(image)
+
+
+def differing(rpc, terms):
+    """The RPC with columns that are off by so many px for each unit of some of RPC00B's terms (1 L, 2 P, 3 H, 10 PLH).
+
+    Its denominators are 1, so that the differences are these to the digit.
+    """
+    flat = (1.0,) + (0.0,) * 19
+    base = type(rpc)(**{**vars(rpc), "col_den": flat, "row_den": flat})
+    moved = tuple(value + terms.get(i, 0.0) / rpc.col_scale for i, value in enumerate(base.col_num))
+    return base, type(rpc)(**{**vars(base), "col_num": moved})
+
+
+@pytest.mark.parametrize(
+    "terms, most",
+    (
+        ({1: 1.0}, 0.6),  # linear in one direction: half a unit and the shear of rows and columns
+        ({1: -1.0}, 0.6),
+        ({2: 1.0}, 0.6),
+        ({3: 1.0}, 0.5),
+        ({10: 1.0}, 0.15),  # only the corners in all three directions differ
+        ({2: 1.0, 3: 1.0}, 1.1),  # where height and row grow together, they cancel
+        ({2: 1.0, 3: -1.0}, 1.1),
+    ),
+)
+def test_two_files_may_differ_by_half_a_pixel_in_the_middle_half_of_the_model(synthetic_rpc, terms, most):
+    """Differences are measured up to half of the normalisers in each direction, corners included."""
+    for factor, agree in ((0.4 / most, True), (0.7 / most, False)):
+        rpc, other = differing(synthetic_rpc(), {term: factor * value for term, value in terms.items()})
+        if agree:
+            readers._require_agreement("a", rpc, "b", other)
+        else:
+            with pytest.raises(RpcInvalidError, match="a and b differ by"):
+                readers._require_agreement("a", rpc, "b", other)
+
+
+@pytest.mark.parametrize("moved", ((100, 0), (0, 30), (0, 1)))
+def test_a_crop_that_begins_at_a_border_is_one(tmp_path, write_image, synthetic_rpc, moved):
+    rpc = synthetic_rpc()
+    image = write_image(tmp_path / "a.tif", rpc=rpc.shifted(*moved))
+    (tmp_path / "a_RPC.TXT").write_text(key_value(rpc))
+    close(read(image), rpc.shifted(*moved))
+
+
+@pytest.mark.parametrize("moved", ((-100, 0), (0, -30), (100.4, 0), (0.2, 40)))
+def test_what_is_no_shift_by_whole_pixels_to_the_right_and_down_is_another_model(
+    tmp_path, write_image, synthetic_rpc, moved
+):
+    rpc = synthetic_rpc()
+    image = write_image(tmp_path / "a.tif", rpc=rpc.shifted(*moved))
+    (tmp_path / "a_RPC.TXT").write_text(key_value(rpc))
+    with pytest.raises(RpcInvalidError, match="differ by"):
+        read(image)
+
+
+@pytest.mark.parametrize(
+    "transform, moved",
+    (
+        ((200.0, 1.0, 0.0, 100.0, 0.0, 1.0), (200.0, 100.0)),
+        ((200.0, 1.0, 0.0, -100.0, 0.0, -1.0), (200.0, 100.0)),
+        ((0.0, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 100.0)),
+        ((200.0, 2.0, 0.0, 100.0, 0.0, 2.0), (0.0, 0.0)),  # zoomed,
+        ((200.0, 1.0, 0.0, 100.0, 0.0, 0.5), (0.0, 0.0)),
+        ((200.0, 1.0, 0.1, 100.0, 0.0, 1.0), (0.0, 0.0)),  # turned,
+        ((200.0, 1.0, 0.0, 100.0, 0.1, 1.0), (0.0, 0.0)),
+        ((-0.5, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 0.0)),  # or outside
+        ((200.0, 1.0, 0.0, -0.5, 0.0, 1.0), (0.0, 0.0)),
+        ((900.0, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 0.0)),
+    ),
+)
+def test_which_geotransforms_count_pixels(tmp_path, write_image, synthetic_rpc, transform, moved):
+    rpc = synthetic_rpc(col_off=449.0, col_scale=450.0, row_off=349.0, row_scale=350.0)
+    image = write_image(tmp_path / "a.tif")
+    dataset = gdal.Open(image, gdal.GA_Update)
+    dataset.SetGeoTransform(transform)
+    dataset = None  # noqa: F841
+    (tmp_path / "a_RPC.TXT").write_text(key_value(rpc))
+    assert read(image) == rpc.shifted(*moved)
+
+
+def test_pixel_coordinates_without_a_crs_are_no_map(tmp_path, write_image):
+    image = write_image(tmp_path / "a.tif")
+    dataset = gdal.Open(image, gdal.GA_Update)
+    dataset.SetGeoTransform((200.0, 1.0, 0.0, 100.0, 0.0, 1.0))
+    dataset = None  # noqa: F841
+    with pytest.raises(RpcMissingError, match="No RPC found"):
+        read(image)
+
+
+def test_folders_and_files_that_cannot_be_read_have_nothing(tmp_path, monkeypatch):
+    (tmp_path / "A.XML").write_text("x")
+    (tmp_path / "a.xml").write_text("x")
+    (tmp_path / "folder.xml").mkdir()
+    assert files_in_folder(tmp_path / "a.tif") == {"a.xml": ["A.XML", "a.xml"]}
+    assert files_in_folder(tmp_path / "nowhere" / "a.tif") == {}
+    assert not readers._is_image(str(tmp_path / "a.xml"))
+
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(readers, "open", refuse, raising=False)
+    assert not readers._is_image(str(tmp_path / "a.xml"))

@@ -1,0 +1,214 @@
+"""The steps around semi-global matching, pixel by pixel against their definitions."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from repm_qgis.matching import sgm
+from repm_qgis.matching.parameters import MATCHING
+
+LOW, HIGH = -6, 9
+SGM = MATCHING.sgm
+
+
+def texture(shape, seed=0):
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), 1.0)
+    return np.clip(0.5 + 0.15 * noise / noise.std(), 0, 1).astype(np.float32)
+
+
+def pair(disparity):
+    """Images of a whole disparity that is the same in each row: the second shows at c - d + HIGH what the first has."""
+    first = texture((60, 120), 1)
+    second = texture((60, 120 + HIGH - LOW), 2)
+    for column in np.argsort(disparity, kind="stable"):
+        second[:, column - disparity[column] + HIGH] = first[:, column]
+    return first, second
+
+
+def test_bytes_of_intensities():
+    found = sgm.intensity_bytes(np.array([[0.0, 1.0, 0.5, np.nan]], np.float32))
+    assert found.tolist() == [[0, 255, 127, 0]] and found.dtype == np.uint8
+
+
+@pytest.mark.parametrize("rim", (3, 9))
+def test_the_rim_is_what_a_window_with_missing_pixels_reaches(rim):
+    image = texture((30, 40))
+    image[10, 20] = image[0, 39] = np.nan
+    rows, columns = np.indices(image.shape)
+    half = rim // 2
+    near = [(np.abs(rows - r) <= half) & (np.abs(columns - c) <= half) for r, c in ((10, 20), (0, 39))]
+    found = sgm._without_rim(image, rim)
+    np.testing.assert_array_equal(np.isnan(found), near[0] | near[1])
+    np.testing.assert_array_equal(found[np.isfinite(found)], image[np.isfinite(found)])
+
+
+@pytest.mark.parametrize("shift", (LOW, LOW + 1, 0, 5, HIGH - 1, HIGH))
+def test_both_directions_find_a_shift_up_to_the_ends_of_the_range(shift):
+    first, second = pair(np.full(120, shift))
+    a, b = sgm.intensity_bytes(first), sgm.intensity_bytes(second)
+    left, right = sgm._left_to_right(a, b, LOW, HIGH, SGM), sgm._right_to_left(a, b, LOW, HIGH, SGM)
+    assert left.shape == first.shape and right.shape == second.shape
+    assert (np.abs(left[:, 20:-20] - shift) < 0.6).mean() > 0.97
+    there = np.arange(120) - shift + HIGH  # where the second image shows the first one's columns
+    assert (np.abs(right[:, there][:, 20:-20] - shift) < 0.6).mean() > 0.97
+    for found in (left, right):
+        assert np.nanmin(found) >= LOW - 0.5 and np.nanmax(found) <= HIGH + 0.5
+    assert np.nanmax(left) <= HIGH
+
+
+def test_nothing_beyond_the_range_is_found():
+    """OpenCV searches whole multiples of 16 px: a surface at 9 px is not found where 5 px are the most."""
+    first, second = pair(np.full(120, HIGH))
+    a, b = sgm.intensity_bytes(first), sgm.intensity_bytes(second)[:, 4:]
+    left = sgm._left_to_right(a, b, LOW, 5, SGM)
+    assert np.nanmax(left) <= 5 and np.isnan(left[:, 20:-20]).mean() > 0.8
+
+
+def test_a_match_must_point_back():
+    numbers = np.random.default_rng(4)
+    left = numbers.uniform(LOW - 1, HIGH + 1, (20, 30)).astype(np.float32)
+    right = numbers.uniform(LOW, HIGH, (20, 30 + HIGH - LOW)).astype(np.float32)
+    left[numbers.uniform(size=left.shape) < 0.1] = np.nan
+    right[numbers.uniform(size=right.shape) < 0.1] = np.nan
+    left[:, :3] = -4.0  # whole disparities: differences of exactly the limit
+    right[:, 13:16] = -5.0
+    right[::2, 13:16] = -5.5
+    left[:5, -1], right[:5, 0] = -6.9, -6.5  # its match would lie beyond the right border
+    expected = np.zeros(left.shape, bool)
+    for row, column in np.ndindex(left.shape):
+        d = left[row, column]
+        if np.isfinite(d):
+            there = round(float(column - d + HIGH))
+            if 0 <= there < right.shape[1]:
+                expected[row, column] = abs(right[row, there] - d) <= 1.0
+    np.testing.assert_array_equal(sgm._consistent(left, right, HIGH, 1.0), expected)
+    assert expected[1, :3].all() and not expected[0, :3].any() and not expected[:5, -1].any()
+    assert 0.05 < expected.mean() < 0.5
+
+
+def by_flooding(disparity, pixels, step):
+    """Disparities in 4-connected components of more than so many pixels, by flooding."""
+    found, seen = np.full(disparity.shape, np.nan, np.float32), np.isnan(disparity)
+    for start in np.ndindex(disparity.shape):
+        if seen[start]:
+            continue
+        seen[start], component, queue = True, [], deque([start])
+        while queue:
+            row, column = queue.popleft()
+            component.append((row, column))
+            for near in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+                inside = 0 <= near[0] < disparity.shape[0] and 0 <= near[1] < disparity.shape[1]
+                if inside and not seen[near] and abs(disparity[near] - disparity[row, column]) <= step:
+                    seen[near] = True
+                    queue.append(near)
+        if len(component) > pixels:
+            for place in component:
+                found[place] = disparity[place]
+    return found
+
+
+@pytest.mark.parametrize("step", (1.0, 0.5))
+def test_components_end_where_neighbours_differ_by_more_than_a_step(step):
+    numbers = np.random.default_rng(6)
+    disparity = (LOW + numbers.integers(0, 16 * (HIGH - LOW), (10, 10)) / 16).repeat(4, 0).repeat(4, 1)
+    disparity[:, 20:] = np.round(2 * ndimage.gaussian_filter(disparity, 2)[:, 20:] * 8) / 16
+    disparity[numbers.uniform(size=disparity.shape) < 0.1] = np.nan
+    disparity[0, 0] = LOW
+    disparity = disparity.astype(np.float32)
+    for pixels in (0, 3, 12, 40):
+        expected = by_flooding(disparity, pixels, step)
+        found = sgm._components(disparity, LOW, pixels, replace(SGM, speckle_step_px=step))
+        np.testing.assert_array_equal(found, expected)
+    assert 0.05 < np.isfinite(expected).mean() < 0.9
+
+
+def patch(rows, columns, top, left, match):
+    """How many pixels of a patch the speckle filter leaves; its images match everywhere, in a part, or nowhere."""
+    first, second = pair(np.full(120, 4))
+    if match is not True:
+        other = texture(first.shape, 9)
+        if match:
+            other[match] = first[match]
+        first = other
+    disparity = np.full(first.shape, np.nan, np.float32)
+    disparity[top : top + rows, left : left + columns] = 4.0
+    kept = sgm.speckle_filter(disparity, first, second, LOW, HIGH, SGM)
+    np.testing.assert_array_equal(kept[np.isfinite(kept)], 4.0)
+    return int(np.isfinite(kept).sum())
+
+
+def test_speckles_go_unless_they_match_well():
+    assert patch(9, 9, 20, 40, match=False) == 81 and patch(8, 10, 20, 40, match=False) == 0
+    assert patch(3, 5, 20, 40, match=True) == 15 and patch(3, 4, 20, 40, match=True) == 0
+    assert patch(3, 5, 20, 40, match=False) == 0
+    assert patch(8, 9, 20, 40, match=np.s_[20:24, 40:44]) == 0  # too few of its pixels match
+    assert 12 < patch(8, 9, 20, 40, match=np.s_[20:28, 40:45]) < 60
+
+
+def test_scores_are_correlations_of_matched_windows():
+    first, second = pair(np.full(120, 4))
+    second[30:, 60:] = texture(second.shape, 12)[30:, 60:]
+    disparity = np.full(first.shape, 4.0, np.float32)
+    disparity[:, 50] = np.nan
+    first[12, 30] = np.nan
+    score = sgm._score(first, second, disparity, HIGH, SGM)
+    assert np.isnan(score[:, 50]).all() and np.isnan(score[12, 30])
+    for row, column in ((20, 30), (40, 90), (50, 100), (22, 70)):
+        a, b = first[row - 3 : row + 4, column - 3 : column + 4], second[row - 3 : row + 4, column + 2 : column + 9]
+        assert score[row, column] == pytest.approx(np.corrcoef(a.ravel(), b.ravel())[0, 1], abs=1e-3)
+
+
+def test_a_map_is_consistent_in_itself():
+    """Scores belong to matches only, fills to neither; nothing lies outside the range or where there is no image."""
+    disparity = np.where(np.arange(120) < 60, -3, 5)
+    first, second = pair(disparity)
+    first[:10, :15] = np.nan
+    found = sgm.match(first, second, (LOW, HIGH), 1.0)
+    matched = np.isfinite(found.disparity) & ~found.filled
+    np.testing.assert_array_equal(np.isfinite(found.score), matched)
+    assert found.filled.any() and np.isfinite(found.disparity[found.filled]).all()
+    assert np.nanmin(found.score) >= 0 and np.nanmax(found.score) <= 1
+    assert np.nanmin(found.disparity) > LOW - 1 and np.nanmax(found.disparity) < HIGH + 1
+    assert np.isnan(found.disparity[:10, :15]).all() and np.isfinite(found.disparity[20:30, 2:20]).all()
+    # Greater disparities are higher: what they hide is filled from the ground, -3, to the left of the step.
+    hidden = np.s_[5:55, 53:58]
+    assert found.filled[hidden].all() and np.abs(found.disparity[hidden] + 3).max() < 0.5
+
+
+def test_a_gap_of_the_image_is_not_filled():
+    """Beside a step it looks like an occlusion."""
+    first, second = pair(np.where(np.arange(120) < 60, -3, 5))
+    first[20:40, 54:57] = np.nan
+    found = sgm.match(first, second, (LOW, HIGH), 1.0)
+    missing = np.s_[20:40, 50:61]  # with the rim of 4 px
+    assert found.filled[:15, 53:58].all() and np.isnan(found.disparity[missing]).all()
+
+
+def test_small_components_go():
+    first, second = pair(np.full(120, 4))
+    least = replace(MATCHING, sgm=replace(SGM, speckle_px=first.size, tower_px=first.size))
+    assert np.isfinite(sgm.match(first, second, (LOW, HIGH), 1.0).disparity).mean() > 0.9
+    assert np.isnan(sgm.match(first, second, (LOW, HIGH), 1.0, parameters=least).disparity).all()
+
+
+def test_fills_are_smoothed_and_matches_are_not(monkeypatch):
+    """A fill that differs from all around it, as rows filled one by one do; and what the filling is told."""
+    first, second = pair(np.full(120, 4))
+    first[20:30, 60:70] = texture(first.shape, 9)[20:30, 60:70]
+    told = []
+
+    def fill(disparity, height_sign, relief_displacement, left, parameters):
+        told.append((height_sign, relief_displacement, left.shape, parameters))
+        dense = np.where(np.isfinite(disparity), disparity, np.float32(4))
+        dense[25, 65] = 9.0
+        return dense
+
+    monkeypatch.setattr(sgm, "fill_occlusions", fill)
+    found = sgm.match(first, second, (LOW, HIGH), -1.0, 0.7)
+    assert told == [(-1.0, 0.7, first.shape, MATCHING.occlusions)]
+    assert found.filled[25, 65] and abs(found.disparity[25, 65] - 4) < 0.5
