@@ -133,7 +133,6 @@ def _clouds(height: FloatImage, first: FloatImage, known: Mask, step_m: float, p
     count, component, facts, _ = cv2.connectedComponentsWithStats(even.astype(np.uint8), connectivity=4)
     area, reach = facts[:, cv2.CC_STAT_AREA], p.around_px
     shine = np.bincount(component[bright], minlength=count) > p.bright_share * area
-    shine[0] = False
     result = np.zeros(known.shape, dtype=bool)
     for number in np.flatnonzero(shine & (area >= p.least_px)):
         col, row, width, tall = facts[number, :4]

@@ -130,13 +130,14 @@ def test_a_cloud_goes_with_its_rim_and_the_ground_stays():
     second[rows, target] = first
     second[rows[inside], target[inside]] = first[inside]
     matched = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    matched.filled[90:100, 80:90] = True
+    matched.filled[90:100, 30:90] = True  # a fill that leads farther than the surroundings of the cloud
     for sign, gone in ((-1.0, True), (1.0, False)):  # lower disparities are higher ground, or a deep hole
         left = mask_unreliable(matched, first, second, (-20, 20), sign, 10.0)
         assert np.isnan(left.disparity[inside]).all() == gone
         assert np.isfinite(left.disparity[:60]).all() and np.isfinite(left.disparity[:, 210:]).all()
         assert (np.isnan(left.disparity) <= np.isnan(left.score)).all() or not gone
         assert not (left.filled & np.isnan(left.disparity)).any()
+        assert np.isnan(left.disparity[90:100, 30:90]).all() == gone
     strict = replace(NUMBERS, cloud_m=149.0)
     left = mask_unreliable(matched, first, second, (-20, 20), -1.0, 10.0, strict)
     assert np.isnan(left.disparity[inside]).all()
@@ -147,17 +148,16 @@ def test_a_cloud_goes_with_its_rim_and_the_ground_stays():
 # --- limits of what has no support ----------------------------------------------------------------------------------
 
 
-def unsupported(side, wobble=3.0, filled=None, numbers=NUMBERS):
+def unsupported(side, wobble=3.0, numbers=NUMBERS):
     """Share of a square of noise that stays: correlations 0 in it and 1 around it."""
     inside = np.zeros(SHAPE, bool)
     inside[40 : 40 + side, 40 : 40 + side] = True
     score = np.where(inside, np.float32(0), np.float32(1))
     patches = ndimage.gaussian_filter(np.random.default_rng(2).normal(size=SHAPE), 4)
     disparity = np.where(inside, wobble * patches / patches.std(), 0.0).astype(np.float32)
-    fills = np.zeros(SHAPE, bool) if filled is None else filled
-    matched = DisparityMap(disparity, score, fills)
+    matched = DisparityMap(disparity, score, np.zeros(SHAPE, bool))
     everywhere = np.ones(SHAPE, bool)
-    gone = reliability._unsupported(matched, score, ~fills, everywhere, numbers)
+    gone = reliability._unsupported(matched, score, everywhere, everywhere, numbers)
     return 1 - gone[inside].mean(), 1 - gone[~ndimage.binary_dilation(inside, iterations=12)].mean()
 
 
@@ -172,7 +172,58 @@ def test_what_has_no_support_goes_if_it_is_large_and_scatters():
 
 
 def test_occlusions_need_no_support():
-    """A filled half of the square counts for nothing: what matches beside it is still enough support."""
+    """Of a large square three quarters are filled, in stripes: what was to be matched between them matches well."""
     filled = np.zeros(SHAPE, bool)
-    filled[40:140, 40:140] = True
-    assert unsupported(100, filled=filled) == (1.0, 1.0)
+    filled[40:200, 40:200] = np.arange(160) % 20 < 15
+    score = np.where(filled, np.float32(0), np.float32(1))
+    matched = DisparityMap(np.zeros(SHAPE, np.float32), score, filled)
+    everywhere = np.ones(SHAPE, bool)
+    assert not reliability._unsupported(matched, score, ~filled, everywhere, NUMBERS).any()
+    unfilled = DisparityMap(matched.disparity, score, np.zeros(SHAPE, bool))
+    assert reliability._unsupported(unfilled, score, ~filled, everywhere, NUMBERS)[50:190, 50:190].all()
+
+
+def test_the_shore_goes_too():
+    """Windows of 5 px beside the square: the first pixel has support 0.6, the second 0.8, which is enough."""
+    score = np.ones(SHAPE, np.float32)
+    score[40:140, 40:140] = 0
+    patches = ndimage.gaussian_filter(np.random.default_rng(2).normal(size=SHAPE), 4)
+    matched = DisparityMap((3 * patches / patches.std()).astype(np.float32), score, np.zeros(SHAPE, bool))
+    everywhere = np.ones(SHAPE, bool)
+    gone = reliability._unsupported(matched, score, everywhere, everywhere, NUMBERS)
+    assert gone[39:141, 60:120].all() and not gone[:38, 60:120].any() and not gone[142:, 60:120].any()
+
+
+def whole_pair(disparity, first):
+    """A second image for a whole disparity between -20 and 20; the higher surface hides the other."""
+    second = np.full((SHAPE[0], SHAPE[1] + 40), 0.4, np.float32)
+    rows, columns = np.indices(SHAPE)
+    order = np.argsort(disparity, axis=None, kind="stable")
+    target = (columns - disparity + 20).astype(int)
+    second[rows.ravel()[order], target.ravel()[order]] = first.ravel()[order]
+    return second
+
+
+def test_pixels_without_a_match_have_no_support():
+    """Where only every fourth pixel was matched, well, the share of good matches is a quarter."""
+    first = texture().astype(np.float32)
+    disparity = np.zeros(SHAPE, np.float32)
+    disparity[40:200:2, 40:200] = disparity[40:200, 40:200:2] = np.nan
+    matched = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
+    left = mask_unreliable(matched, first, whole_pair(np.zeros(SHAPE), first), (-20, 20), 1.0, 1.0)
+    assert np.isnan(left.disparity[50:190, 50:190]).all() and np.isfinite(left.disparity[:30]).all()
+
+
+def test_an_island_in_water_is_no_cloud():
+    """Water has heights that nothing supports: they say nothing about how high the island is."""
+    rows, columns = np.indices(SHAPE)
+    island = (rows >= 80) & (rows < 150) & (columns >= 100) & (columns < 170)
+    first = np.where(island, texture() + 0.45, 0.1).astype(np.float32)
+    disparity = np.where(island, np.float32(15), np.float32(0))
+    second = whole_pair(disparity, first)
+    second[second < 0.3] = 0.1
+    noise = np.random.default_rng(3)
+    first, second = (image + noise.normal(0, 0.004, image.shape).astype(np.float32) for image in (first, second))
+    matched = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
+    left = mask_unreliable(matched, first, second, (-20, 20), 1.0, 10.0)
+    assert np.isfinite(left.disparity[90:140, 110:160]).all() and np.isnan(left.disparity[:60, :80]).all()

@@ -55,6 +55,16 @@ def test_brightness_of_one_image_alone_changes_nothing():
     np.testing.assert_allclose(brighter[INNER], after(("step",), start, first, second)[INNER], atol=2e-3)
 
 
+def test_unknown_disparities_do_not_disturb_their_neighbours():
+    """Their pixels are matched to nothing; the images differ in brightness, so that this is far from no difference."""
+    first, second = images(2.0)
+    start = np.full(first.shape, 2.1, np.float32)
+    start[50:70, 70:90] = np.nan
+    found = after(("step",) * 4, start, first, second + np.float32(0.2))
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(start))
+    assert np.nanmax(np.abs(found[45:75, 65:95] - 2.0)) < 0.05
+
+
 @pytest.mark.parametrize("noise", (0.01, 0.02))
 @pytest.mark.parametrize("steps", (1, 4))
 def test_noise_shortens_steps_as_the_two_variances_say(steps, noise):
@@ -80,7 +90,7 @@ def test_the_median_is_that_of_the_window():
 def test_unknown_pixels_stay_so_and_lonely_ones_keep_their_own():
     image = np.full((20, 20), np.nan, np.float32)
     image[4, 4], image[10:17, 8:15] = 3.0, 5.0
-    image[13, 11] = 50.0
+    image[13, 11], image[12, 10] = 50.0, np.nan
     found = known_median(image, 5)
     np.testing.assert_array_equal(np.isnan(found), np.isnan(image))
     assert found[4, 4] == 3.0 and found[13, 11] == 5.0 and np.nanmax(found) == 5.0

@@ -1,0 +1,349 @@
+#!/usr/bin/env python3
+"""Mutation testing ('make mutation'): what share of small faults in the code makes a test fail.
+
+Cosmic Ray makes the faults (mutants), one at a time, in a copy of the checkout, and runs the fast tests of the mutated
+module: the module's own file first, then the others of its folder, until one fails. Of the tool's mutations of an
+operator those that a person might write are taken (``_TAKEN``); the others, such as a shift of floats, fail at once and
+would only flatter the share.
+
+Every mutant belongs to a rule or to none. *Platform* rules name code that Linux never runs: such mutants are not made.
+*Equivalent* rules name code in which a mutation changes nothing that a caller can rely on; these mutants are tried, and
+the share is given with them and without.
+
+``dist/mutation/survivors.diff`` shows the mutants that no test noticed; ``--again`` tries only these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from difflib import unified_diff
+from multiprocessing import Queue, get_context
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Sequence, Tuple
+
+ROOT = Path(__file__).resolve().parents[1]
+PLACE = ROOT / "dist" / "mutation"
+PYTHON = str(ROOT / ".venv" / "bin" / "python")
+PACKAGES = ("geometry", "rpc")
+MODULES = ("workspace.py", "parallel.py")
+SLOW = ("test_fuzz.py", "test_gridding_of_truth.py")  # whole campaigns and scenes
+MEMORY_BYTES = 8 << 30  # of one test process: a mutant may ask for any size
+
+_BINARY = "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Div Mod_Mul Pow_Mul BitAnd_BitOr BitOr_BitAnd LShift_RShift"
+_COMPARISON = "Lt_LtE Lt_GtE LtE_Lt LtE_Gt Gt_GtE Gt_LtE GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot IsNot_Is"
+_TAKEN = {
+    *(f"ReplaceBinaryOperator_{pair}" for pair in _BINARY.split()),
+    *(f"ReplaceComparisonOperator_{pair}" for pair in _COMPARISON.split()),
+    *(f"ReplaceUnaryOperator_Delete_{name}" for name in ("USub", "Not", "Invert")),
+    *("AddNot", "ReplaceAndWithOr", "ReplaceOrWithAnd", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue"),
+    *("ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "NumberReplacer", "ZeroIterationForLoop"),
+    *("ExceptionReplacer", "RemoveDecorator"),
+}
+
+# --- rules ----------------------------------------------------------------------------------------------------------
+
+PLATFORM = "platform: branches for Windows and macOS"
+MESSAGE = "equivalent: what a message says"
+LIMIT = "equivalent: limits of iterations, and of what hostile files may have"
+SPEED = "equivalent: speed only"
+TYPING = "equivalent: types, and that objects are frozen"
+_LIMITS = re.compile(r"_?(MAX_\w+|STEPS|\w+_STEPS|\w*TOLERANCE\w*)")
+_SPEED = re.compile(r"_CHUNK|_POLL_S|_FEW|\w+_THRESHOLD|keep_freed_memory|lru_cache")
+_OTHER_SYSTEM = re.compile(r"(sys\.platform|os\.name) [!=]= '(win32|darwin|nt)'|'forkserver' not in")
+
+Span = Tuple[Tuple[int, int], Tuple[int, int], str]
+
+
+def spans(source: str) -> List[Span]:
+    """The parts of a module that belong to a rule: first and last place (line, column), and the rule."""
+    return [_span(node, rule) for node, rule in _ruled(ast.parse(source))]
+
+
+def _span(node: Any, rule: str) -> Span:
+    return (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset), rule
+
+
+def _ruled(tree: ast.Module) -> Iterator[Tuple[ast.AST, str]]:
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.If, ast.IfExp)) and _OTHER_SYSTEM.search(ast.unparse(node.test)):
+            yield from ((part, PLATFORM) for part in (node.body if isinstance(node, ast.If) else [node]))
+        elif isinstance(node, ast.FunctionDef):
+            if node.name.startswith("_windows"):
+                yield node, PLATFORM
+            elif _SPEED.fullmatch(node.name):
+                yield node, SPEED
+            yield from ((one, SPEED) for one in node.decorator_list if _SPEED.search(ast.unparse(one)))
+            arguments = [*node.args.args, *node.args.kwonlyargs]
+            yield from ((one, TYPING) for one in [node.returns, *(a.annotation for a in arguments)] if one is not None)
+        elif isinstance(node, ast.ClassDef):
+            yield from ((word, TYPING) for one in node.decorator_list for word in getattr(one, "keywords", ()))
+        elif isinstance(node, ast.Raise) and node.exc is not None:
+            yield node.exc, MESSAGE
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error"):
+            yield node, MESSAGE
+        elif isinstance(node, ast.Assign):
+            names = " ".join(ast.unparse(target) for target in node.targets)
+            for pattern, rule in ((_LIMITS, LIMIT), (_SPEED, SPEED)):
+                if any(pattern.fullmatch(name) for name in re.findall(r"\w+", names)):
+                    yield node.value, rule
+        elif isinstance(node, ast.For) and re.fullmatch(r"range\(\d+\)", ast.unparse(node.iter)):
+            yield node.iter, LIMIT
+
+
+def rule_of(start: Tuple[int, int], parts: Sequence[Span]) -> str:
+    """The rule that a place belongs to, "" for none; a platform's before all others."""
+    found = sorted(rule for first, last, rule in parts if (first[0], max(first[1] - 1, 0)) <= start < last)
+    return next((rule for rule in found if rule == PLATFORM), found[0] if found else "")
+
+
+# --- mutants --------------------------------------------------------------------------------------------------------
+
+
+def modules(only: str) -> List[Path]:
+    """The modules to mutate, relative to the checkout, whose names contain a text."""
+    engine = ROOT / "repm_qgis"
+    every = [path for package in PACKAGES for path in sorted((engine / package).glob("*.py"))]
+    every += [engine / name for name in MODULES]
+    return [path.relative_to(ROOT) for path in every if only in path.as_posix() and path.name != "__init__.py"]
+
+
+def mutants_of(module: Path) -> List[Dict[str, Any]]:
+    """All mutants of a module that are taken, each with the rule that it belongs to."""
+    from cosmic_ray.commands import init
+    from cosmic_ray.work_db import WorkDB, use_db
+
+    path = str(PLACE / "session.sqlite")
+    parts = spans((ROOT / module).read_text(encoding="utf-8"))
+    found = []
+    with use_db(path, WorkDB.Mode.create) as session:
+        init([ROOT / module], session, {})
+        for item in session.work_items:
+            (mutation,) = item.mutations
+            operator = mutation.operator_name
+            if operator.split("/")[-1] in _TAKEN:
+                place = {"operator": operator, "occurrence": mutation.occurrence, "line": mutation.start_pos[0]}
+                found.append({"module": str(module), **place, "rule": rule_of(mutation.start_pos, parts)})
+    return sorted(found, key=lambda one: (one["line"], one["operator"], one["occurrence"]))
+
+
+def drawn(mutants: Sequence[Dict[str, Any]], sample: int, seed: int) -> List[Dict[str, Any]]:
+    """A sample of about so many (0: all), of each module in proportion to its mutants."""
+    share, result = (sample / len(mutants) if 0 < sample < len(mutants) else 1.0), []
+    for module in sorted({one["module"] for one in mutants}):
+        own = [one for one in mutants if one["module"] == module]
+        chance = random.Random(f"{seed} {module}")  # noqa: S311
+        result += chance.sample(own, max(1, round(share * len(own))))
+    return result
+
+
+def tests_of(module: str) -> Tuple[str, ...]:
+    """The fast tests of a module: its own file, then the others of the folder."""
+    path = Path(module)
+    folder = Path("tests/engine", *path.parts[1:-1])
+    own = folder / f"test_{path.name}"
+    every = [own] if len(path.parts) == 2 else sorted(one.relative_to(ROOT) for one in (ROOT / folder).glob("test_*"))
+    ordered = sorted(every, key=lambda one: (one != own, one))
+    return tuple(str(one) for one in ordered if one.name not in SLOW)
+
+
+# --- trying them ----------------------------------------------------------------------------------------------------
+
+
+def copy_checkout(number: int) -> Path:
+    """A copy of the files that git knows or would add, for one worker; and the shared data beside it."""
+    copy = PLACE / f"copy{number}" / "checkout"
+    shutil.rmtree(copy.parent, ignore_errors=True)
+    listed = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    for name in subprocess.run(listed, stdout=subprocess.PIPE, check=True, text=True).stdout.split("\0"):
+        if name and (ROOT / name).is_file():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, copy / name)
+    (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
+    # Compiled by content: times of two mutants may be the same.
+    compile_all = [PYTHON, "-m", "compileall", "-q", "--invalidation-mode", "checked-hash", "repm_qgis"]
+    subprocess.run(compile_all, cwd=copy, check=True)
+    return copy
+
+
+_SERVER = """
+import os, signal, sys, time
+sys.path.insert(0, os.getcwd())
+import cv2, numpy, pyproj, pytest, scipy.interpolate, scipy.ndimage
+from osgeo import gdal, gdal_array, ogr, osr
+for line in sys.stdin:
+    limit, *files = line.split()
+    child = os.fork()
+    if not child:
+        os.setsid()
+        quiet = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1, 2):
+            os.dup2(quiet, stream)
+        os._exit(pytest.main(["-q", "-x", "-p", "no:pytest_qgis", "-p", "no:cacheprovider", *files]))
+    end = time.monotonic() + float(limit)
+    status = None
+    while status is None and time.monotonic() < end:
+        time.sleep(0.02)
+        number, code = os.waitpid(child, os.WNOHANG)
+        status = os.waitstatus_to_exitcode(code) if number else None
+    try:
+        os.killpg(child, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+    if status is None:
+        os.waitpid(child, 0)
+    print(124 if status is None else status, flush=True)
+"""
+"""What runs tests in a copy of itself for each mutant: to import numpy, OpenCV, GDAL and pytest takes a second."""
+
+
+class Tests:
+    """Runs tests in the folder that is the current one; after a time limit they count as failed."""
+
+    def __init__(self) -> None:
+        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._server = subprocess.Popen([PYTHON, "-c", _SERVER], text=True, env=environment, **pipes)
+
+    def code(self, files: Sequence[str], limit_s: float) -> int:
+        """pytest's exit code, 0 where all passed; 124 after the time limit."""
+        if self._server.stdin is None or self._server.stdout is None:
+            raise RuntimeError("the server of tests has no pipes")
+        self._server.stdin.write(f"{limit_s} {' '.join(files)}\n")
+        self._server.stdin.flush()
+        return int(self._server.stdout.readline())
+
+
+_tests: List[Tests] = []
+
+
+def _enter(copies: "Queue[str]") -> None:
+    """Begin a worker in a copy of its own."""
+    os.chdir(copies.get())
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a mutant of kill(number, 0) sends it
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    _tests.append(Tests())
+
+
+def _try(mutant: Dict[str, Any], files: Sequence[str], limit_s: float) -> Dict[str, Any]:
+    from cosmic_ray.mutating import use_mutation
+    from cosmic_ray.plugins import get_operator
+
+    with use_mutation(Path(mutant["module"]), get_operator(mutant["operator"])(), mutant["occurrence"]) as (old, new):
+        code = _tests[0].code(files, limit_s)
+    changed = "\n".join(line for line in unified_diff(old.splitlines(), new.splitlines(), n=1, lineterm=""))
+    return {**mutant, "outcome": "killed" if code else "survived", "diff": changed}
+
+
+def _seconds(files: Sequence[str]) -> float:
+    """How long tests take without a mutant, s; raises RuntimeError where they fail."""
+    start = time.monotonic()
+    if _tests[0].code(files, 600.0):
+        raise RuntimeError(f"these tests fail without any mutant, make them pass first: {' '.join(files)}")
+    return time.monotonic() - start
+
+
+def try_all(mutants: Sequence[Dict[str, Any]], jobs: int, before: Sequence[Dict[str, Any]]) -> List[Dict[str, Any]]:
+    """Earlier results, and each mutant with its outcome, "killed" or "survived"; kept as they come."""
+    copies = [copy_checkout(number) for number in range(jobs)]
+    tests = {module: tests_of(module) for module in sorted({one["module"] for one in mutants})}
+    context = get_context("fork")
+    places = context.Queue()
+    for copy in copies:
+        places.put(str(copy))
+    results, count = list(before), len(before) + len(mutants)
+    with ProcessPoolExecutor(jobs, context, _enter, (places,)) as pool:
+        # The order of the files differs from module to module, the time does not.
+        groups = {module: tuple(sorted(files)) for module, files in tests.items()}
+        seconds = {group: pool.submit(_seconds, group) for group in sorted(set(groups.values()))}
+        limits = {module: 15 + 4 * seconds[group].result() for module, group in groups.items()}
+        futures = [pool.submit(_try, one, tests[one["module"]], limits[one["module"]]) for one in mutants]
+        for future in futures:
+            results.append(future.result())
+            if len(results) % 25 == 0 or len(results) == count:
+                sys.stderr.write(f"mutation: {len(results)} of {count} tried, {len(alive(results))} not noticed\n")
+                keep(results)
+    for copy in copies:
+        shutil.rmtree(copy.parent, ignore_errors=True)
+    return results
+
+
+# --- what came of it ------------------------------------------------------------------------------------------------
+
+
+def alive(results: Sequence[Dict[str, Any]]) -> List[Dict[str, Any]]:
+    """Those that no test noticed."""
+    return [one for one in results if one["outcome"] != "killed"]
+
+
+def keep(results: Sequence[Dict[str, Any]]) -> None:
+    """Write the results, and the changes that no test noticed, where a person or the next run finds them."""
+    (PLACE / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
+    titles = [
+        f"# {one['module']}:{one['line']} {one['operator']} {one['rule']}\n{one['diff']}\n" for one in alive(results)
+    ]
+    (PLACE / "survivors.diff").write_text("\n".join(titles), encoding="utf-8")
+
+
+def _share(results: Sequence[Dict[str, Any]]) -> str:
+    killed = sum(one["outcome"] == "killed" for one in results)
+    return f"{killed} of {len(results)} ({100 * killed / max(len(results), 1):.1f} %)"
+
+
+def report(mutants: Sequence[Dict[str, Any]], results: Sequence[Dict[str, Any]]) -> str:
+    """The table by module and the shares with and without the mutants of equivalent rules, in Markdown."""
+    ours = [one for one in results if not one["rule"]]
+    lines = [
+        "| module | mutants | tried | killed, of those without a rule | killed, of all tried |",
+        "|---|---|---|---|---|",
+    ]
+    for module in sorted({one["module"] for one in results}):
+        every = sum(one["module"] == module for one in mutants)
+        tried, free = ([one for one in part if one["module"] == module] for part in (results, ours))
+        lines.append(f"| `{module[len('repm_qgis/') :]}` | {every} | {len(tried)} | {_share(free)} | {_share(tried)} |")
+    lines.append(f"| all | {len(mutants)} | {len(results)} | {_share(ours)} | {_share(results)} |")
+    for rule, count in sorted(Counter(one["rule"] for one in results if one["rule"]).items()):
+        killed = sum(one["outcome"] == "killed" for one in results if one["rule"] == rule)
+        lines.append(f"- {rule}: {count} tried, {killed} killed.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    options.add_argument("--sample", type=int, default=600, help="how many mutants to try; 0 for all")
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) // 2))
+    options.add_argument("--only", default="", help="only modules whose path contains this")
+    options.add_argument("--again", action="store_true", help="only what survived the last time; the table is of all")
+    asked = options.parse_args()
+    try:
+        import cosmic_ray  # noqa: F401
+    except ImportError:
+        sys.exit("mutation: this Python has no Cosmic Ray: run 'make mutation', which makes an environment for it.")
+    PLACE.mkdir(parents=True, exist_ok=True)
+    start = time.monotonic()
+    mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
+    if asked.again:
+        last = json.loads((PLACE / "results.json").read_text(encoding="utf-8"))
+        results = try_all(alive(last), asked.jobs, [one for one in last if one["outcome"] == "killed"])
+    else:
+        results = try_all(drawn(mutants, asked.sample, asked.seed), asked.jobs, [])
+    sys.stdout.write(f"{report(mutants, results)}\n\n")
+    sys.stdout.write(f"Seed {asked.seed}, {(time.monotonic() - start) / 60:.0f} min with {asked.jobs} jobs. ")
+    sys.stdout.write(f"What no test noticed is in {PLACE / 'survivors.diff'}.\n")
+
+
+if __name__ == "__main__":
+    main()
