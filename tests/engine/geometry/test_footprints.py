@@ -81,10 +81,11 @@ def test_the_slope_of_a_ray(east, north):
 
 def test_polygons_are_made_valid():
     bow = geometry_of(np.array([[0.0, 0.0], [10.0, 10.0], [10.0, 0.0], [0.0, 10.0]]))
-    assert bow.IsValid() and bow.GetArea() > 0
+    assert bow.IsValid() and bow.GetArea() in (pytest.approx(25.0), pytest.approx(50.0))
     assert geometry_of(square(3, 4)).GetArea() == pytest.approx(100.0)
 
 
 def test_what_touches_only_is_not_seen_twice():
+    assert seen_twice([[square(0, 0, 1.0), square(0.5, 0, 1.0)]]).GetArea() == pytest.approx(0.5)
     seen = seen_twice([[square(0, 0), square(10, 0), square(2, 2, 4.0)]])
     assert seen.GetArea() == pytest.approx(16.0) and bounds_of(seen) == (2.0, 2.0, 6.0, 6.0)

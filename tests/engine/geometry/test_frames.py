@@ -10,12 +10,15 @@ from repm_qgis.errors import OptionError
 from repm_qgis.geometry.frames import (
     EnuFrame,
     ecef_from_geodetic,
+    flat_crs,
     geodetic_from_ecef,
     geodetic_from_projected,
     projected_crs,
     projected_crs_at,
     projected_from_geodetic,
     utm_crs,
+    vertical_operations,
+    vertical_part,
 )
 
 PLACES = np.array(
@@ -139,3 +142,55 @@ def test_a_crs_must_be_made_for_the_place(text, fit):
         with pytest.raises(OptionError) as caught:
             projected_crs_at(text, 1.44, 43.6)
         assert "longitude 1.44, latitude 43.60" in str(caught.value) and "such as EPSG:32631" in str(caught.value)
+
+
+def test_a_frame_as_a_matrix():
+    frame = EnuFrame(6.9, 45.8)
+    assert frame.height == 0.0
+    enu = np.random.default_rng(3).uniform(-5000, 5000, (20, 3))
+    xyz = np.column_stack([enu, np.ones(20)]) @ frame.ecef_from_enu.T
+    np.testing.assert_allclose(xyz[:, :3], ecef_from_geodetic(frame.to_geodetic(enu)), atol=1e-6)
+    assert (xyz[:, 3] == 1.0).all()
+
+
+@pytest.mark.parametrize("scale, fits", ((0.51, True), (0.49, False), (1.39, True)))
+def test_metres_of_a_crs_are_metres_there_to_a_factor_of_two(scale, fits):
+    """An equirectangular projection that is true at one latitude: x is too long by cos(that) / cos(45)."""
+    true_at = np.degrees(np.arccos(np.cos(np.radians(45.0)) * scale))
+    text = f"+proj=eqc +lat_ts={true_at} +datum=WGS84"
+    if fits:
+        assert projected_crs_at(text, 5.0, 45.0).is_projected
+    else:
+        with pytest.raises(OptionError, match="is not made for longitude 5.00, latitude 45.00"):
+            projected_crs_at(text, 5.0, 45.0)
+
+
+@pytest.mark.parametrize("lat, fits", ((59.5, True), (60.5, False)))
+def test_mercator_doubles_lengths_at_sixty_degrees(lat, fits):
+    if fits:
+        assert projected_crs_at("EPSG:3395", 5.0, lat).is_projected
+    else:
+        with pytest.raises(OptionError, match="is not made for"):
+            projected_crs_at("EPSG:3395", 5.0, lat)
+
+
+def test_parts_of_a_crs():
+    flat, compound, tall = (pyproj.CRS(code) for code in ("EPSG:32631", "EPSG:32631+5773", "EPSG:4979"))
+    upright = pyproj.CRS("EPSG:32631").to_3d()
+    assert flat_crs(flat) == flat and flat_crs(compound) == flat
+    for crs, expected in ((tall, "EPSG:4326"), (upright, "EPSG:32631")):
+        found = flat_crs(crs)
+        assert len(found.axis_info) == 2 and found == pyproj.CRS(expected)
+    assert vertical_part(flat) is None and vertical_part(compound) == "EGM96 height"
+    assert vertical_part(tall) == vertical_part(upright) == "ellipsoidal height (WGS 84)"
+
+
+def test_operations_without_bounds_and_those_of_a_place():
+    """Without ballpark operations, and with the grids that are missing by name."""
+    source, target = pyproj.CRS("EPSG:4979"), pyproj.CRS("EPSG:4326+5773")
+    for bounds in ((5.0, 45.0, 6.0, 46.0), (0.0, 0.0, 0.0, 0.0)):
+        group, missing = vertical_operations(source, target, bounds)
+        assert group.transformers or missing
+        assert all(name.endswith((".tif", ".gtx")) for name in missing)
+        if group.transformers:
+            assert abs(group.transformers[0].transform(5.5, 45.5, 0.0)[2]) > 40

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.cell_grid import CellGrid
-from repm_qgis.geometry.gridding import grid_points
+from repm_qgis.geometry.gridding import grid_points, surface_step
 from repm_qgis.geometry.parameters import GRIDDING
 
 
@@ -214,3 +214,18 @@ def test_points_within_a_step_are_one_surface_and_its_mean():
         height = np.array([10.0, 10.0, 10.0 + apart])
         heights, _, _ = grid_points(grid, np.full(3, 0.5), np.full(3, 0.5), height, np.ones(3))
         assert heights.item() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("covered, known", ((0.14, False), (0.16, True)))
+def test_a_cell_that_is_hardly_covered_has_no_height(covered, known):
+    """A point that represents a whole cell, beside the first cell's middle by one minus that share of a cell."""
+    grid = CellGrid(0.0, 1.0, 1.0, (1, 2))
+    heights, scores, weights = grid_points(grid, *(np.array([v]) for v in (1.5 - covered, 0.5, 7.0, 0.5)))
+    assert weights[0].tolist() == pytest.approx([covered, 1 - covered])
+    assert np.isfinite(heights[0, 0]) == np.isfinite(scores[0, 0]) == known and heights[0, 1] == 7.0
+
+
+def test_small_cells_have_the_step_of_larger_ones():
+    """1 m at least: noise within it is no second surface, however small the cell is."""
+    assert surface_step(0.1, GRIDDING) == surface_step(0.33, GRIDDING) == pytest.approx(0.99)
+    assert surface_step(2.0, GRIDDING) == pytest.approx(6.0)

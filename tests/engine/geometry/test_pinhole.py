@@ -101,6 +101,9 @@ def test_points_that_determine_nothing_are_refused():
     flat = ground(300.0, 0.0)
     with pytest.raises(RpcInvalidError, match="too small to determine a camera"):
         fit_projection(flat, camera.project(flat))
+    line = ground(300.0, 100.0) * [1.0, 0.0, 0.0]
+    with pytest.raises(RpcInvalidError, match="too small to determine a camera"):
+        fit_projection(line, camera.project(line))
     points = ground(300.0, 100.0)
     pixels = camera.project(points)
     pixels[3] = np.nan

@@ -72,6 +72,8 @@ def test_angles_and_shadows():
     assert sun_angle((120.0, 40.0), (120.0, 70.0)) == pytest.approx(30.0)
     assert sun_angle((0.0, 90.0), (200.0, 60.0)) == pytest.approx(30.0)
     assert sun_angle((10.0, 30.0), (10.0, 30.0)) == pytest.approx(0.0, abs=1e-5)
+    assert sun_angle((90.0, 10.0), (270.0, 20.0)) == pytest.approx(150.0)
+    assert sun_angle((90.0, 0.0), (270.0, 0.0)) == pytest.approx(180.0)
     # 45 degrees high: a shadow as long as the thing is high; from the east and from the south they end sqrt(2) apart.
     assert shadow_shift((90.0, 45.0), (180.0, 45.0)) == pytest.approx(np.sqrt(2))
     assert shadow_shift((150.0, 30.0), (150.0, 60.0)) == pytest.approx(np.sqrt(3) - 1 / np.sqrt(3))

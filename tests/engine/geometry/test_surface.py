@@ -74,15 +74,15 @@ def test_on_the_surface_the_terrain_map_is_exact(slope):
     refined, original = camera.project(terrain.frame.from_geodetic(ground)), terrain.sensor.project(ground)
     assert np.abs(refined - original).max() > 0.05
     terrain_map = TerrainMap(camera, terrain)
-    np.testing.assert_allclose(terrain_map.original_from_refined(refined), original, atol=2e-3)
-    np.testing.assert_allclose(terrain_map.refined_from_original(original), refined, atol=2e-3)
+    np.testing.assert_allclose(terrain_map.original_from_refined(refined), original, atol=3e-5)
+    np.testing.assert_allclose(terrain_map.refined_from_original(original), refined, atol=3e-5)
     shaped = refined.reshape(20, 10, 2)
     np.testing.assert_array_equal(
         terrain_map.original_from_refined(shaped).reshape(-1, 2), terrain_map.original_from_refined(refined)
     )
     moved = terrain_map.moved(100, 250)
-    np.testing.assert_allclose(moved.original_from_refined(refined - [100, 250]), original, atol=2e-3)
-    np.testing.assert_allclose(moved.refined_from_original(original), refined - [100, 250], atol=2e-3)
+    np.testing.assert_allclose(moved.original_from_refined(refined - [100, 250]), original, atol=3e-5)
+    np.testing.assert_allclose(moved.refined_from_original(original), refined - [100, 250], atol=3e-5)
 
 
 def test_the_terrain_map_is_made_again_from_its_surroundings(slope):

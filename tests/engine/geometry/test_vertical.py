@@ -9,7 +9,7 @@ from pyproj.transformer import TransformerGroup
 
 from repm_qgis.errors import MissingPackageError, OptionError
 from repm_qgis.geometry.frames import vertical_part
-from repm_qgis.geometry.vertical import HeightDatum
+from repm_qgis.geometry.vertical import HeightDatum, _bounds
 
 UTM = "EPSG:32631"
 PLACES = np.array([[[500000.0, 4800000.0], [540000.0, 4810000.0]], [[500000.0, 4850000.0], [512345.6, 4799999.9]]])
@@ -55,3 +55,16 @@ def test_a_grid_that_is_not_there_is_named():
 def test_what_is_no_vertical_crs(text):
     with pytest.raises(OptionError, match=f"VERTICAL_DATUM is '{text}'.*EGM96, EGM2008"):
         HeightDatum.of(text)
+
+
+def test_a_vertical_crs_without_a_code_keeps_its_definition():
+    crs = pyproj.CRS("EPSG:5773").to_wkt().replace("EGM96 height", "our heights").replace(',ID["EPSG",5773]', "")
+    datum = HeightDatum.of(crs)
+    assert datum.name == "our heights" and pyproj.CRS(datum.code).is_vertical
+    assert HeightDatum.of("EPSG:5773").code == "EPSG:5773"
+    assert pyproj.CRS(datum.file_crs(UTM)).sub_crs_list[0] == pyproj.CRS(UTM)
+
+
+def test_bounds_are_whole_degrees_around_all_points():
+    assert _bounds(np.array([[[5.2, -3.7], [6.9, 44.0]], [[7.0, 1.0], [-0.5, 2.0]]])) == (-1, -4, 8, 45)
+    assert _bounds(np.array([[3.0, 43.0]])) == (3, 43, 4, 44)
