@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from repm_qgis.errors import OptionError, SceneError
+from repm_qgis.errors import OptionError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, refine_pinhole, surface_grid, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.parameters import VIRTUAL_GRID
@@ -89,8 +89,6 @@ def test_the_terrain_map_is_made_again_from_its_surroundings(slope):
     terrain, camera, _ = slope
     again = map_from_mapping(TerrainMap(camera, terrain).to_mapping(), camera, lambda: terrain)
     assert again.terrain is terrain and again.camera is camera
-    with pytest.raises(SceneError, match="unknown kind 'terrain'"):
-        map_from_mapping({"kind": "terrain"}, camera, lambda: None)
     with pytest.raises(OptionError, match="MODEL is 'terrain': it needs a surface"):
         refine_pinhole("terrain", camera, None, WINDOW)
 
