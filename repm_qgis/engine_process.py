@@ -24,7 +24,7 @@ from typing import Any, Dict
 from .errors import Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
-from .shortage import said_in_a_sentence
+from .shortage import reserve_buffers, said_in_a_sentence
 from .workspace import remove_own_temporaries
 
 _MAX_JOB_BYTES = 64 << 20
@@ -107,6 +107,7 @@ def _run(arguments: list[str], lines: JsonLines) -> Dict[str, Any]:
     from .stages import run_stage
 
     bound_cache()
+    reserve_buffers()
     return run_stage(arguments[0], _job(arguments[1]), lines)
 
 

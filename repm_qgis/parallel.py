@@ -18,7 +18,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 from .containers import memory_kills
 from .errors import EmptyResultError, OutOfMemoryError, RepmError
 from .progress import Progress
-from .shortage import MEMORY_REMEDY, said_in_a_sentence
+from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
@@ -270,3 +270,4 @@ def _prepare() -> None:
 
     cv2.setNumThreads(1)
     bound_cache(64)
+    reserve_buffers()

@@ -7,14 +7,17 @@ import re
 from contextlib import contextmanager
 from typing import Iterator, List, Optional
 
+from .containers import own_rest
 from .errors import OutOfMemoryError, RepmError, WorkspaceError
 from .workspace import OF_THE_DISK, cannot_write
 
 MEMORY_REMEDY = "use fewer WORKERS, a smaller TILE_SIZE or EXTENT, or set MEMORY to what all workers may take"
+_BUFFERS = 192 << 20  # OpenBLAS takes 128 MiB on x86-64
 # numpy, OpenCV, GDAL, C++, the dynamic linker, Python's threads, OpenBLAS, and Windows with a full paging file.
 _MEMORY_WORDS = re.compile(
     r"insufficient memory|out of memory|cannot allocate|unable to allocate|failed to allocate|bad_alloc|bad alloc"
-    r"|failed to map segment|can't start new thread|cannot start new thread|pthread_create|paging file|memory ran out",
+    r"|failed to map segment|can't start new thread|cannot start new thread|pthread_create"
+    r"|thread pool has not been|paging file|memory ran out",
     re.IGNORECASE,
 )
 
@@ -24,14 +27,31 @@ def speaks_of_memory(text: str) -> bool:
     return _MEMORY_WORDS.search(text) is not None
 
 
+def reserve_buffers() -> None:
+    """Where the address space is bounded, have linear algebra take its buffer now; raises OutOfMemoryError.
+
+    OpenBLAS tries forever to get a buffer that it cannot have. To be called once numpy is imported.
+    """
+    rest = own_rest()
+    if rest is None:
+        return
+    if rest < _BUFFERS:
+        left = f"only {rest / 2**20:.0f} MiB of address space are left, and {_BUFFERS >> 20} MiB are needed to begin"
+        raise OutOfMemoryError(f"Memory ran out ({left}): raise the limit (ulimit -v), or {MEMORY_REMEDY}.")
+    import numpy as np
+
+    square = np.ones((256, 256))
+    square @ square
+
+
 @contextmanager
 def said_in_a_sentence() -> Iterator[None]:
     """Within the block want of memory, disk space or open files raises OutOfMemoryError or WorkspaceError."""
     try:
         yield
-    except (OutOfMemoryError, WorkspaceError):
+    except (OutOfMemoryError, WorkspaceError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except Exception as error:
+    except BaseException as error:  # a panic of a library in Rust is no Exception
         said = _sentence(error)
         if said is None:
             raise
@@ -48,7 +68,10 @@ def _sentence(error: BaseException) -> Optional[RepmError]:
         return None
     for each in chain:
         if isinstance(each, OSError) and each.errno in OF_THE_DISK:
-            return cannot_write(str(each.filename or "a temporary file"), each)
+            if each.filename:
+                return cannot_write(str(each.filename), each)
+            remedy = "free some space, raise the limit of open files (ulimit -n), or use fewer workers"
+            return WorkspaceError(f"No file or pipe can be opened or written ({each.strerror}): {remedy}.")
     return None
 
 

@@ -172,9 +172,10 @@ def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
     ``written`` are the bytes of it that were.
     """
     if error.errno in _FULL:
+        free = (free_bytes(path) or 0) / 2**20
         needed = f", more than {written / 2**20:.1f} MiB needed" if written else ""
         return WorkspaceError(
-            f"Cannot write '{path}': the disk is full ({free_text(path)} free{needed}): free some space, or choose a "
+            f"Cannot write '{path}': the disk is full ({free:.1f} MiB free{needed}): free some space, or choose a "
             "place on another disk."
         )
     if error.errno == errno.EROFS:
@@ -194,7 +195,7 @@ def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:
     """
     error = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
     if error is not None:
-        return cannot_write(path, error, _size(temporary))
+        return cannot_write(path, error, size_of(temporary))
     return WorkspaceError(f"Cannot write '{path}' ({reason or 'no reason given'}): choose another place.")
 
 
@@ -210,7 +211,7 @@ def _obstacle(place: str) -> Optional[OSError]:
     return None
 
 
-def _size(path: str) -> int:
+def size_of(path: str) -> int:
     """The bytes of a file, or of all files in a folder."""
     inside = [path, *(os.path.join(place, name) for place, _, names in os.walk(path) for name in names)]
     return sum(os.path.getsize(each) for each in inside if os.path.isfile(each))
@@ -227,23 +228,28 @@ def writing(path: str, temporary: str = "") -> Iterator[None]:
     except RepmError:
         raise
     except OSError as error:
-        raise cannot_write(path, error, _size(temporary or path)) from error
+        raise cannot_write(path, error, size_of(temporary or path)) from error
     except Exception as error:
         obstacle = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
         if obstacle is None:
             raise
-        raise cannot_write(path, obstacle, _size(temporary or path)) from error
+        raise cannot_write(path, obstacle, size_of(temporary or path)) from error
 
 
-def free_text(path: str) -> str:
-    """The free space of the disk that a path lies on, for a message."""
+def existing_place(path: str) -> str:
+    """A path, or the nearest folder above it that exists."""
     place = os.path.abspath(path)
     while not os.path.exists(place) and os.path.dirname(place) != place:
         place = os.path.dirname(place)
+    return place
+
+
+def free_bytes(path: str) -> Optional[int]:
+    """The free space of the disk that a path lies on; None where the system does not say."""
     try:
-        return f"{shutil.disk_usage(place).free / 2**20:.1f} MiB"
+        return shutil.disk_usage(existing_place(path)).free
     except OSError:
-        return "an unknown amount is"
+        return None
 
 
 @contextmanager

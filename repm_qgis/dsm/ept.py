@@ -29,7 +29,7 @@ from ..progress import Progress, Silent
 from ..workspace import whole_folder
 from .derived import FinishedDsm
 from .parameters import FUSION, EptParameters
-from .point_cloud import required_laspy
+from .point_cloud import laz_backend, required_laspy
 
 Points = NDArray[Any]
 """Records of the type ``_RECORD``."""
@@ -153,7 +153,7 @@ def write_ept(
     laspy = required_laspy("EPT")
     progress = progress or Silent()
     require_ept_place(folder)
-    with laspy.open(cloud) as reader:
+    with laspy.open(cloud, laz_backend=laz_backend(laspy)) as reader:
         header = reader.header
         if not header.point_count:
             raise EmptyResultError(f"The cloud '{cloud}' has no points: there is nothing to write into '{folder}'.")

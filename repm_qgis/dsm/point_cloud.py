@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 
 from ..arrays import FloatArray
+from ..containers import own_rest
 from ..errors import MissingPackageError, OptionError
 from ..workspace import whole_file
 
@@ -22,6 +23,15 @@ def required_laspy(option: str) -> Any:
         message = "Point clouds need the package 'laspy': run 'bash scripts/setup' in the plugin's folder, or leave"
         raise MissingPackageError(f"{message} {option} empty.") from error
     return laspy
+
+
+def laz_backend(laspy: Any) -> Any:
+    """Compression by all cores, but by one where the address space is bounded: threads that find none end the process.
+
+    The files are the same.
+    """
+    bounded = own_rest() is not None
+    return laspy.LazBackend.Lazrs if bounded else laspy.LazBackend.detect_available()
 
 
 class PointCloudWriter:
@@ -55,5 +65,6 @@ def created_cloud(path: str, crs: str, origin: Sequence[float]) -> Iterator[Poin
     header.scales = np.array([0.001, 0.001, 0.001])
     header.offsets = np.floor(np.asarray(origin, dtype=np.float64))
     header.add_crs(pyproj.CRS.from_user_input(crs))
-    with whole_file(path) as temporary, laspy.open(temporary, mode="w", header=header) as writer:
+    way = {"mode": "w", "header": header, "laz_backend": laz_backend(laspy)}
+    with whole_file(path) as temporary, laspy.open(temporary, **way) as writer:
         yield PointCloudWriter(writer, header)

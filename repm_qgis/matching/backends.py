@@ -123,6 +123,11 @@ def pair_matcher(backend: Backend) -> PairMatcher:
     return next(found for found in (candidate.pair_matcher for candidate in candidates) if found is not None)
 
 
+def matched_pairs(pairs: Sequence[ViewPair], backend: Backend) -> Sequence[ViewPair]:
+    """The pairs that have a height map each; one where a backend matches all views of a tile together."""
+    return pairs if backend.pair_matcher is not None else pairs[:1]
+
+
 def match_scene(job: MatchingJob, backends: Sequence[Backend], progress: Progress) -> List[Optional[HeightMapRecord]]:
     """Records of all tiles' height maps; tiles on which a backend fails are matched by the next one.
 

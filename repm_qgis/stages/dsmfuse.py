@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
+from ..disk_space import fusion_needs, require_space
 from ..dsm.derived import FinishedDsm, make_derived
 from ..dsm.ept import require_ept_place
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
@@ -28,7 +29,7 @@ from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
-from ..records import FusionFacts
+from ..records import FusionFacts, ViewPair
 from ..scene import Scene
 from ..workspace import ensure_folder, fingerprint
 from .parameters import ENGINE, EngineParameters
@@ -71,6 +72,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     progress.info(f"DSM of {cells}, heights above the {datum.name}; outlier radius {radius:g} m.")
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
+    require_space("fusion", fusion_needs(scene, _matched(scene), options, cell), progress)
     with _kept_until_done(scene, progress) as kept:
         fusion = _Fusion(options, parameters, scene, layout, _folder_of(kept, options, scene, layout, parameters))
         _drop_others(kept, fusion.folder)
@@ -89,6 +91,12 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     progress.step(1.0, "DSM fused")
     seconds = round(time.monotonic() - start, 3)
     return {**made, "vertical_datum": datum.name, "seconds": seconds, **facts.to_mapping()}
+
+
+def _matched(scene: Scene) -> List[ViewPair]:
+    """The pairs that the height maps were matched from; the first views of a tile where all were matched together."""
+    made = {record.pair for tile in scene.tiles for record in tile.heights}
+    return [pair for pair in scene.pairs if (pair.first, pair.second) in made]
 
 
 @contextmanager

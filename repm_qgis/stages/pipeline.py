@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict
+from typing import Any, Callable, Dict, List
 
+from ..disk_space import Need, fusion_needs, heights_need, require_space
 from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
-from ..matching.backends import require
+from ..matching.backends import matched_pairs, require, resolve
 from ..options import PipelineOptions
 from ..parallel import kept_workers
 from ..products import FOLDER, paths_of
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
 from ..sfm.ground_control import read_gcps
+from ..sfm.pair_selection import choose_pairs
 from ..workspace import ensure_folder
 from . import dsmfuse, epmfit, reconstruct, refine
 from .parameters import ENGINE, EngineParameters
@@ -45,8 +47,9 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
         return result
 
     first = stage("epmfit", "Pinhole cameras", epmfit.run, options.fit)
-    middle = Scene.load(first["scene"]).frame
-    HeightDatum.of(options.fuse.vertical_datum).require(middle.lon, middle.lat)
+    scene = Scene.load(first["scene"])
+    HeightDatum.of(options.fuse.vertical_datum).require(scene.frame.lon, scene.frame.lat)
+    require_space("this run", _needs(options, scene, parameters), progress)
     stage("refine", "Refinement", refine.run, options.refine)
     heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
     fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
@@ -58,6 +61,15 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     progress.step(1.0, "done")
     errors = {"rmse": first["rmse"], "max_error": first["max_error"]}
     return {**products, **errors, "n_tie_points": heights["n_tie_points"], "seconds": seconds}
+
+
+def _needs(options: PipelineOptions, scene: Scene, parameters: EngineParameters) -> List[Need]:
+    """The disk space of all stages to come."""
+    pairs = choose_pairs(scene, parameters.pointing.pairs)
+    matched = matched_pairs(pairs, resolve(options.reconstruct.backend)[0])
+    cell = options.fuse.resolution or parameters.tiles.cell_gsd * scene.gsd_m
+    heights = heights_need(scene, matched, reconstruct.heights_folder(options.reconstruct))
+    return [heights, *fusion_needs(scene, matched, options.fuse, cell)]
 
 
 def _check_early(options: PipelineOptions) -> None:

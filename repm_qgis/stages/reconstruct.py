@@ -12,12 +12,13 @@ from osgeo import ogr
 
 from ..altitudes import AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray
+from ..disk_space import heights_need, require_space
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..imagery.enhancement import Stretch, view_stretch
 from ..imagery.raster import raster_identity
-from ..matching.backends import Backend, MatchingJob, match_scene, pair_matcher, resolve
+from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
 from ..options import ReconstructOptions
 from ..progress import Part, Progress, Recorder, counted
@@ -55,7 +56,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     place = Path(options.output_scene)
     ties_path = options.tie_points or str(place.with_name("tie_points.gpkg"))
     report_path = str(place.with_name("reconstruction.html"))
-    folder = ensure_folder(options.heights or str(place.parent / f"{place.stem}_heights"))
+    folder = ensure_folder(heights_folder(options))
     done = reusable(options.output_scene, "reconstruct", key)
     if done is not None and _complete(done, folder) and Path(ties_path).exists():
         maps = counted(sum(len(t.heights) for t in done.tiles), "height map")
@@ -63,6 +64,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene, parameters.pointing.pairs)
+        require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
         _log_pairs(scene, notes)
         stretches = {v.name: view_stretch(v.image, v.band, v.mask, parameters.stretch) for v in scene.views}
@@ -79,6 +81,12 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}
     count = done.pointing.count if done.pointing else 0
     return {"output_scene": options.output_scene, **written, "n_tie_points": count}
+
+
+def heights_folder(options: ReconstructOptions) -> str:
+    """The folder of the height maps: the one that was given, or one beside the scene."""
+    place = Path(options.output_scene)
+    return options.heights or str(place.parent / f"{place.stem}_heights")
 
 
 def _log_pairs(scene: Scene, progress: Progress) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Dict, Optional
 
 import numpy as np
 
+from ..disk_space import images_need, require_space
 from ..dsm.terrain_feedback import lon_lat_bounds, surface_of_heights
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
@@ -40,6 +41,8 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
         scene = done
     else:
         notes = Recorder(progress)
+        if options.write_images:
+            require_space("refinement", [images_need(scene, options.output_scene)], progress)
         scene = _refine(replace(scene, path=Path(options.output_scene)), options, parameters, notes)
         seconds, changes = time.monotonic() - start, parameters.changes()
         scene = scene.recorded("refine", key, options.to_json(), seconds, notes.warnings, changes)

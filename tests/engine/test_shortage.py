@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +14,8 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
+from repm_qgis import shortage
+from repm_qgis.dsm import point_cloud
 from repm_qgis.dsm.ept import write_ept
 from repm_qgis.dsm.mesh import write_mesh
 from repm_qgis.dsm.point_cloud import created_cloud
@@ -27,6 +31,8 @@ if sys.platform != "win32":
     import resource
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limits")
 CRS = "EPSG:32631"
+ROOT = Path(__file__).resolve().parents[2]
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems do not bound it")
 NOISE = np.random.default_rng(1).uniform(0, 250, (400, 400))
 DSM = (NOISE.astype(np.float32), (5e5, 1, 0, 4.8e6, 0, -1))
 
@@ -177,8 +183,43 @@ def test_memory_is_named_where_another_error_hides_it():
 def test_the_disk_is_named_where_nobody_did():
     with pytest.raises(WorkspaceError, match="'/w/a': the disk is full"), said_in_a_sentence():
         raise OSError(errno.ENOSPC, "No space left on device", "/w/a")
-    with pytest.raises(WorkspaceError, match="too many open files"), said_in_a_sentence():
+    with pytest.raises(WorkspaceError, match=r"\(Too many open files\): .*ulimit -n"), said_in_a_sentence():
         raise OSError(errno.EMFILE, "Too many open files")
+
+
+@linux
+@pytest.mark.parametrize("limit, fails", ((200, True), (400, True), (3000, False)))
+def test_a_bounded_address_space_ends_in_a_sentence_and_never_hangs(tmp_path, limit, fails):
+    """OpenBLAS would try forever to get its buffer."""
+    (tmp_path / "job.json").write_text(json.dumps({"report": str(tmp_path / "a.html")}))
+    done = subprocess.run(
+        [sys.executable, "-m", "repm_qgis", "environment", str(tmp_path / "job.json")],
+        cwd=ROOT,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit << 20, limit << 20)),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    last = json.loads(done.stdout.splitlines()[-1])
+    assert last["type"] == ("error" if fails else "result") and "Traceback" not in done.stderr
+    assert not fails or last["text"].startswith("Memory ran out")
+
+
+def test_buffers_are_taken_only_where_there_is_room(monkeypatch):
+    for rest in (None, 1 << 40):
+        monkeypatch.setattr(shortage, "own_rest", lambda rest=rest: rest)
+        shortage.reserve_buffers()
+    monkeypatch.setattr(shortage, "own_rest", lambda: 100 << 20)
+    with pytest.raises(OutOfMemoryError, match="only 100 MiB of address space are left, and 192 MiB are needed"):
+        shortage.reserve_buffers()
+
+
+def test_a_cloud_is_the_same_where_only_one_core_compresses(tmp_path, monkeypatch):
+    cloud(str(tmp_path / "a.laz"))
+    monkeypatch.setattr(point_cloud, "own_rest", lambda: 1 << 40)
+    cloud(str(tmp_path / "b.laz"))
+    assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
 
 
 def test_other_errors_stay_as_they_are():

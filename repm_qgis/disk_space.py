@@ -1,0 +1,119 @@
+"""How much disk space a run takes: estimated before its work begins, and refused where it cannot fit.
+
+Bytes are those of measured runs whose images see all of the ground; a run may match as little as a third of it.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
+
+from osgeo import ogr
+
+from .errors import WorkspaceError
+from .options import DsmFuseOptions
+from .progress import Progress
+from .records import ViewPair
+from .scene import Scene
+from .stereo.parameters import STEREO
+from .workspace import existing_place, free_bytes, size_of
+
+_LEAST = 1 / 3  # of what is expected: less is not refused
+_HEIGHT_MAP = 6.5  # bytes for each pixel of ground that a pair sees: three bands, compressed
+_REFINED_IMAGE = 1.2  # for each pixel of 16 bits, compressed
+_FUSED_CELL, _FUSED_ORTHO, _FUSED_POINT = 18.0, 4.0, 32.0  # between the two halves of fusion, not compressed
+_RASTERS = {"output": 3.2, "confidence": 12.0, "ortho": 3.5}  # for each cell, with overviews
+_ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
+_LAZ, _LAS, _EPT = 4.2, 30.0, 14.0  # for each point; EPT: while it is built
+_VERTEX = 48.0  # with its two triangles
+
+
+class Need(NamedTuple):
+    """Bytes that will be written at a path: as many as are expected, and the least that are possible."""
+
+    path: str
+    least: float
+    expected: float
+
+
+def _need(path: str, expected: float, there: float = 0.0) -> Need:
+    """``there`` are bytes that an earlier run has left and that this one takes as they are."""
+    return Need(path, max(_LEAST * expected - there, 0.0), max(expected - there, 0.0))
+
+
+def images_need(scene: Scene, folder: str) -> Need:
+    """The refined images of all tiles."""
+    windows = [view.window for tile in scene.tiles for view in tile.views.values()]
+    return _need(folder, _REFINED_IMAGE * sum(window.width * window.height for window in windows))
+
+
+def heights_need(scene: Scene, pairs: Sequence[ViewPair], folder: str) -> Need:
+    """The height maps of these pairs, over all tiles with their margins, but for those that are there."""
+    margin = 2 * STEREO.tile_margin_px * scene.gsd_m
+    sides = [(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (tile.bounds for tile in scene.tiles)]
+    grown = sum((x + margin) * (y + margin) for x, y in sides) / sum(x * y for x, y in sides)
+    return _need(folder, _HEIGHT_MAP * _seen_px(scene, pairs) * grown, size_of(folder))
+
+
+def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOptions, cell: float) -> List[Need]:
+    """Fused tiles and products on cells of a side (m), without what an earlier run has left of the tiles."""
+    cells, points = _area(scene) / cell**2, _seen_px(scene, pairs) if options.cloud or options.ept else 0.0
+    folder = str(scene.path.parent)
+    between = cells * (_FUSED_CELL + (_FUSED_ORTHO if options.ortho else 0.0)) + points * _FUSED_POINT
+    needs = [_need(folder, between, size_of(os.path.join(folder, "fusion")))]
+    if options.fill == "all":
+        needs.append(_need(folder, cells * _ALL_HEIGHTS))
+    rasters = {**_RASTERS, "output": 2 * _RASTERS["output"]}  # the last to be copied in its final form
+    needs += [_need(getattr(options, name), cells * size) for name, size in rasters.items() if getattr(options, name)]
+    if options.view_heights:
+        needs.append(_need(options.view_heights, len(pairs) * cells * (_RASTERS["output"] + _RASTERS["confidence"])))
+    if points:
+        each = _LAS if options.cloud and options.cloud.lower().endswith(".las") else _LAZ
+        needs.append(_need(options.cloud or folder, points * each))
+    if options.ept:
+        needs.append(_need(options.ept, points * _EPT))
+    if options.mesh:
+        step = math.ceil(math.sqrt(cells / options.mesh_vertices)) if options.mesh_vertices else 1
+        needs.append(_need(options.mesh, cells / max(step, 1) ** 2 * _VERTEX))
+    return needs
+
+
+def _area(scene: Scene) -> float:
+    """The ground that two views see at least, square metres."""
+    return float(ogr.CreateGeometryFromWkt(scene.area).GetArea()) if scene.area else 0.0
+
+
+def _seen_px(scene: Scene, pairs: Sequence[ViewPair]) -> float:
+    """The pixels of ground that both views of a pair see, of all pairs together."""
+    return _area(scene) / scene.gsd_m**2 * sum(pair.share for pair in pairs)
+
+
+def require_space(work: str, needs: Iterable[Need], progress: Progress) -> None:
+    """Say what ``work`` will write on which disk; files that it replaces stay until the new ones are whole.
+
+    Raises WorkspaceError where a disk has not even the least; a warning says where it may not have enough.
+    """
+    disks: Dict[Any, List[Need]] = {}
+    for need in needs:
+        disks.setdefault(os.stat(existing_place(need.path)).st_dev, []).append(need)
+    for group in disks.values():
+        least, expected = sum(need.least for need in group), sum(need.expected for need in group)
+        path = max(group, key=lambda need: need.expected).path
+        free = free_bytes(path)
+        if free is None or not expected:
+            continue
+        if free < least:
+            raise WorkspaceError(
+                f"The disk of '{path}' has {_text(free)} free, and {work} writes at least {_text(least)} there: free "
+                "some space, or choose a place on another disk."
+            )
+        text = f"{work.capitalize()} will write about {_text(expected)} on the disk of '{path}' ({_text(free)} free)"
+        if free < expected:
+            progress.warn(f"{text}: if it fills up, free some space and run again, which continues there.")
+        else:
+            progress.info(f"{text}.")
+
+
+def _text(count: float) -> str:
+    return f"{count / 2**30:.1f} GiB" if count >= 2**30 else f"{count / 2**20:.1f} MiB"
