@@ -346,3 +346,8 @@ def test_a_message_is_one_line_whatever_the_file_is_called(tmp_path):
     with pytest.raises(ImageError) as caught, opened(str(tmp_path / "a\nb.tif")):
         pass
     assert "a b.tif" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_text_in_place_of_a_layer_is_not_opened():
+    text = '{"type": "FeatureCollection", "features": []}'
+    assert gdal.OpenEx(text, gdal.OF_VECTOR) is not None and open_vector(text) is None
