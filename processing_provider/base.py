@@ -183,8 +183,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return ""
 
     def _check_files(self, name: str, value: object, context: QgsProcessingContext) -> str:
+        from ..repm_qgis.vector import file_and_layer
+
         for item in raster_items(value, context):
-            if isinstance(item, str) and not os.path.exists(item.split("|")[0]):
+            if isinstance(item, str) and not os.path.exists(file_and_layer(item)[0]):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
             if isinstance(item, QgsMapLayer) and not isinstance(item, QgsVectorLayer):
                 return self.tr("The layer '{layer}' of {name} is a raster: choose a vector layer or a table.").format(

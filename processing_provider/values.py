@@ -75,10 +75,14 @@ def points_path(value: object, context: QgsProcessingContext) -> Optional[str]:
 
     A layer that is no file, or of which a filter shows a part, is written to a temporary one.
     """
+    from ..repm_qgis.vector import file_and_layer
+
     item = next(iter(raster_items(value, context)), None)
+    if item is None:
+        return None
     if not isinstance(item, QgsVectorLayer):
-        path, *rest = str(item).split("|") if item is not None else [""]
-        return "|".join([os.path.abspath(path), *rest]) if path else None
+        path, name = file_and_layer(str(item))
+        return f"{os.path.abspath(path)}|layername={name}" if name else os.path.abspath(path)
     parts = QgsProviderRegistry.instance().decodeUri(item.providerType(), item.source())
     path, name = parts.get("path", ""), parts.get("layerName")
     plain = (

@@ -7,7 +7,6 @@ A check has a method ``problem(value)``: what the value must be, "" where it is 
 
 from __future__ import annotations
 
-import os
 import re
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -199,9 +198,9 @@ class Rectangle:
 
 def _text_problem(value: str) -> str:
     try:
-        return "" if "\0" not in os.fsencode(value).decode("latin-1") else "must be a text without the character 0"
-    except ValueError:
-        return "must be a text that files can hold"
+        return "" if b"\0" not in value.encode() else "must be a text without the character 0"
+    except UnicodeError:  # Python's stand-ins for bytes of another encoding: no report and no GDAL takes them
+        return "must be a text in UTF-8: rename the file"
 
 
 def types_of(cls: Any) -> Dict[str, Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from pathlib import Path
 from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple
 
@@ -29,6 +31,18 @@ def open_vector(path: str) -> Optional[gdal.Dataset]:
         return None
     finally:
         gdal.PopErrorHandler()
+
+
+def file_and_layer(path: str) -> Tuple[str, str]:
+    """The file and the layer ("": the first one) of a name in QGIS's form: ``points.gpkg|layername=gcps``.
+
+    A "|" belongs to the file's own name where there is such a file.
+    """
+    parts = path.split("|")
+    ends = [end for end in range(len(parts), 1, -1) if os.path.exists("|".join(parts[:end]))]
+    count = ends[0] if ends else 1
+    name = next((part[len("layername=") :] for part in parts[count:] if part.startswith("layername=")), "")
+    return "|".join(parts[:count]), name
 
 
 def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatArray:
@@ -75,7 +89,7 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
     reference = osr.SpatialReference()
     reference.SetFromUserInput(crs)
     reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
-    layer = source.CreateLayer(target.stem, reference, geometry_type)
+    layer = source.CreateLayer(_layer_name(target.stem), reference, geometry_type)
     _see(layer is not None)
     for field, kind in fields.items():
         layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))
@@ -102,6 +116,11 @@ def _features(path: str) -> int:
     count = sum(feature.GetGeometryRef() is not None for feature in layer)
     layer = source = None
     return count
+
+
+def _layer_name(stem: str) -> str:
+    """A file's name as its layer's: GeoPackage's tables may not begin with a sign, nor with words that it reserves."""
+    return stem if re.match(r"(?!gpkg|sqlite_|rtree_)\w", stem, re.IGNORECASE) else f"_{stem}"
 
 
 def _see(well: bool) -> None:

@@ -13,7 +13,7 @@ from osgeo import ogr, osr
 from ..arrays import Bounds, FloatArray, FloatImage
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
-from ..vector import open_vector
+from ..vector import file_and_layer, open_vector
 from .coregistration import Alignment
 from .grids import Grid, HeightWarper, metres_per_unit
 
@@ -54,7 +54,7 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
 
     A line is named by its field ``name``, or else by its number. Raises InputTableError where there is no line.
     """
-    file, _, name = path.partition("|layername=")
+    file, name = file_and_layer(path)
     source = open_vector(file)
     layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
     if layer is None:

@@ -19,7 +19,7 @@ from ..geometry.frames import EnuFrame, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
 from ..untrusted import distrust
-from ..vector import open_vector
+from ..vector import file_and_layer, open_vector
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
@@ -49,12 +49,6 @@ class Gcp:
         return np.array([self.lon, self.lat, self.height])
 
 
-def points_file(path: str) -> Tuple[str, str]:
-    """The file and the layer ("": the first one) of a name in QGIS's form: ``points.gpkg|layername=gcps``."""
-    file, *rest = path.split("|")
-    return file, next((part[len("layername=") :] for part in rest if part.startswith("layername=")), "")
-
-
 def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
     """Read points from a CSV file or a file with a layer of points that OGR opens, one row for each observation.
 
@@ -67,7 +61,7 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     Raises InputTableError with the file, the row and the wrong value, OptionError for an unknown datum.
     """
     vertical = vertical_crs(datum, "GCP_DATUM")
-    file, layer = points_file(path)
+    file, layer = file_and_layer(path)
     _require_size(file)
     rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
     points: Dict[str, Gcp] = {}

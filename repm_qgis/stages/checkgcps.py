@@ -16,8 +16,8 @@ from ..imagery.raster import opened
 from ..options import CheckGcpsOptions
 from ..progress import Progress, counted
 from ..scene import Scene
-from ..sfm.ground_control import Gcp, points_file, read_gcps
-from ..vector import write_layer
+from ..sfm.ground_control import Gcp, read_gcps
+from ..vector import file_and_layer, write_layer
 
 _SHORT = {"east": "e", "north": "n", "height": "h"}
 
@@ -61,7 +61,7 @@ def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions)
     if any(gcp.pixels for gcp in found.gcps):
         measure_images(found, scene.views)
         if "compensated" not in found.errors:
-            points = f"No point of '{points_file(options.gcps)[0]}' with image measurements has the role control"
+            points = f"No point of '{file_and_layer(options.gcps)[0]}' with image measurements has the role control"
             found.warnings.append(f"{points}: there is no image-space compensation to show.")
     elif not options.dsm:
         remedy = "fill the fields view, col and row, or give a DSM to check its heights"

@@ -13,7 +13,7 @@ from ..products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
 from ..records import with_files
 from ..rpc.readers import rpc_sidecars
 from ..scene import Scene
-from ..sfm.ground_control import points_file
+from ..vector import file_and_layer
 
 
 def require_distinct(stage: str, options: Options) -> None:
@@ -48,7 +48,7 @@ def _files(name: str, path: str, stage: str) -> List[str]:
     if name == "scene":
         return _files_of_scene(path, stage)
     if name in ("gcps", "profiles", "rpcs"):
-        return [points_file(path)[0]]
+        return [file_and_layer(path)[0]]
     return files_of(path) + (rpc_sidecars(path) if name == "images" else [])
 
 

@@ -26,13 +26,13 @@ from ..records import HeightMapRecord
 from ..scene import Scene, Tile, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice
-from ..sfm.ground_control import points_file, read_gcps
+from ..sfm.ground_control import read_gcps
 from ..sfm.pair_selection import choose_pairs
 from ..sfm.pointing import point_views
 from ..sfm.tie_patches import covered_by_ties
 from ..sfm.vertical_parallax import largest_parallax
 from ..stereo.height_maps import is_whole
-from ..vector import write_layer
+from ..vector import file_and_layer, write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
@@ -48,7 +48,9 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     scene.require_images()
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
-    control = [options.gcps, file_identity(points_file(options.gcps)[0]), options.gcp_datum] if options.gcps else None
+    control = (
+        [options.gcps, file_identity(file_and_layer(options.gcps)[0]), options.gcp_datum] if options.gcps else None
+    )
     chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
     files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
     others = *backends[0].settings(options), *parameters.in_fingerprint()

@@ -28,6 +28,10 @@ def features(count=3):
         ("a.shp", "ESRI Shapefile"),
         ("a.fgb", "FlatGeobuf"),
         ("a.GPKG", "GPKG"),
+        ("-a.gpkg", "GPKG"),  # words and signs that GeoPackage refuses at the beginning
+        ("gpkg_a.gpkg", "GPKG"),
+        ("sqlite_a.gpkg", "GPKG"),
+        ("rtree_a.gpkg", "GPKG"),
     ),
 )
 def test_layers_come_back(tmp_path, name, driver):

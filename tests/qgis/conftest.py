@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import pathlib
@@ -88,6 +89,36 @@ def ears(plugin):
 @pytest.fixture
 def feedback(ears):
     return ears()
+
+
+@pytest.fixture
+def load(plugin, feedback):
+    """Runs an algorithm as the dialog does, and gives its results and the layers by output name."""
+    from processing.gui.Postprocessing import handleAlgorithmResults
+    from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingOutputLayerDefinition, QgsProject
+
+    project = QgsProject()
+
+    def run(name, parameters, layers):
+        context = QgsProcessingContext()
+        context.setProject(project)
+        given = {
+            **parameters,
+            **{key: QgsProcessingOutputLayerDefinition(str(path), project) for key, path in layers.items()},
+        }
+        algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
+        results, fine = algorithm.run(given, context, feedback)
+        assert fine, feedback.heard["error"]
+        gc.collect()  # a post-processor that only QGIS knows would be gone now
+        assert handleAlgorithmResults(algorithm, context, feedback, parameters=given)
+        by_source = {
+            pathlib.Path(layer.source().split("|")[0]).resolve(): layer for layer in project.mapLayers().values()
+        }
+        return results, {key: by_source[pathlib.Path(path).resolve()] for key, path in layers.items()}
+
+    run.project = project
+    yield run
+    project.clear()
 
 
 @pytest.fixture(scope="session")

@@ -207,7 +207,7 @@ def test_a_backend_that_needs_nothing_costs_no_start_of_the_engine(plugin, monke
     def never(*arguments, **options):
         raise AssertionError("the engine was started")
 
-    monkeypatch.setattr(engine.subprocess, "run", never)
+    monkeypatch.setattr(engine, "_quiet_process", never)
     assert engine.backend_remedy("sgm") == ""
     with pytest.raises(AssertionError):
         engine.backend_remedy("colmap")
