@@ -172,9 +172,11 @@ class Running:
         messages = []
         for line in texts[0].splitlines():
             try:
-                messages.append(json.loads(line))
+                message = json.loads(line)
             except ValueError:
                 continue
+            if isinstance(message, dict):  # qgis_process prints bare numbers, its progress
+                messages.append(message)
         return Ended(code, messages, texts[1], seconds)
 
     def orphans(self) -> List[str]:
@@ -266,6 +268,35 @@ def kills(bench: Bench, count: int, score: Score) -> None:
         if ended.code == -999:
             problems.append("it hung")
         score.add(problems + again(bench, place), f"kill -9 of the {victim}")
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def kills_of_qgis(bench: Bench, count: int, score: Score) -> None:
+    """kill -9 of qgis_process, at random moments of a run of the pipeline that it starts."""
+    if shutil.which("qgis_process") is None:
+        score.skipped = "no qgis_process here"
+        return
+    variables = {"REPM_QGIS_CONFIG": str(bench.folder / "qgis"), "REPM_ENGINE_PYTHON": sys.executable}
+    program = str(ROOT / "scripts" / "qgis-headless")
+    start = time.monotonic()
+    Running([program, "plugins"], environment=variables).end()
+    most = time.monotonic() - start + 1.05 * bench.seconds
+    for _ in range(count):
+        place = bench.place()
+        job = {name: value for name, value in bench.job(place).items() if name not in ("images", "workers")}
+        words = [f"IMAGES={image}" for image in bench.images]
+        words += [f"{name.upper()}={value}" for name, value in job.items()]
+        running = Running([program, "run", "repm:pipeline", "--", *words], environment=variables)
+        moment = bench.random.uniform(0.0, most)
+        time.sleep(moment)
+        running.process.kill()
+        ended = running.end()
+        problems = ended.problems(killed=True) + running.orphans() + state_of(place, bench.reference)
+        if ended.code == 0 and digest(place) != bench.reference:
+            problems.append("exit code 0 with another result")
+        elif ended.code not in (0, -signal.SIGKILL):
+            problems.append(f"exit code {ended.code}: {ended.errors.strip()[-160:]}")
+        score.add(problems + again(bench, place), f"kill -9 of qgis_process at {moment:.2f} s")
         shutil.rmtree(place, ignore_errors=True)
 
 
@@ -411,6 +442,7 @@ def mutations(bench: Bench, count: int, score: Score) -> None:
 
 KINDS: Dict[str, Tuple[Callable[[Bench, int, Score], None], int]] = {
     "kill -9": (kills, 100),
+    "kill -9 of QGIS": (kills_of_qgis, 20),
     "cancel": (cancels, 40),
     "full or read-only disk": (full_disks, 40),
     "two runs side by side": (side_by_side, 20),
