@@ -6,7 +6,7 @@ import ctypes
 import multiprocessing
 import multiprocessing.context
 import os
-import pickle
+import pickle  # nosec B403 # see its one reading
 import signal
 import sys
 import threading
@@ -182,7 +182,7 @@ def _in_pool(
 def _do(work: bytes) -> Any:
     """A task in a worker. It is unpickled here, so that what an import lacks is said, too."""
     with said_in_a_sentence():
-        function, task = pickle.loads(work)  # noqa: S301 - our own
+        function, task = pickle.loads(work)  # nosec B301 # noqa: S301 - made by the process that started this one
         return function(task)
 
 
