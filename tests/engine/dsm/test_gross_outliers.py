@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from osgeo import gdal
 
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from repm_qgis.stereo.height_maps import write_height_map
 
 
 def spoilt(scene_path, folder):
@@ -22,14 +22,11 @@ def spoilt(scene_path, folder):
         records = []
         for record in tile.heights:
             path = os.path.join(folder, os.path.basename(record.file))
-            shutil.copy(record.file, path)
-            dataset = gdal.Open(path, gdal.GA_Update)
-            height = dataset.GetRasterBand(1).ReadAsArray()
+            height, score, filled = gdal.Open(record.file).ReadAsArray()
             wrong = (rng.random(height.shape) < 0.1) & (height > -9000)
             height[wrong] += (rng.uniform(10, 40, height.shape) * rng.choice([-1, 1], height.shape))[wrong]
-            dataset.GetRasterBand(1).WriteArray(height)
-            dataset = None
-            records.append(replace(record, file=path))
+            height, score = (np.where(values == -9999, np.float32(np.nan), values) for values in (height, score))
+            records.append(write_height_map(path, "spoilt", record, height, score, filled > 0))
         tiles.append(replace(tile, heights=tuple(records)))
     return replace(scene, tiles=tuple(tiles)).save(os.path.join(folder, "spoilt.json"))
 
