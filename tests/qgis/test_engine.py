@@ -279,13 +279,16 @@ def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch)
         engine.find_python()
 
 
-def test_light_stages_turn_errors_into_sentences(plugin, feedback, tmp_path):
+def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
     from repm.processing_provider import engine
 
     with pytest.raises(QgsProcessingException, match="TILE_SIZE is 3: it must be a whole number between"):
         engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w", "tile_size": 3}, feedback)
-    with pytest.raises(TypeError):  # a bug keeps its traceback
+    with pytest.raises(QgsProcessingException, match="IMAGES is 5: it must be a list"):
         engine.run_here("epmfit", {"images": 5, "workspace": "w"}, feedback)
+    with monkeypatch.context() as bug, pytest.raises(ZeroDivisionError):  # a bug keeps its traceback
+        bug.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments: 1 / 0)
+        engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w"}, feedback)
     feedback.cancel()
     from repm.repm_qgis.errors import Cancelled
 
