@@ -32,6 +32,7 @@ from concurrent.futures import ProcessPoolExecutor
 from difflib import unified_diff
 from multiprocessing import Queue, get_context
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Sequence, Tuple
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,6 +45,7 @@ MEMORY_BYTES = 8 << 30  # of one test process: a mutant may ask for any size
 
 _BINARY = "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Div Mod_Mul Pow_Mul BitAnd_BitOr BitOr_BitAnd LShift_RShift"
 _COMPARISON = "Lt_LtE Lt_GtE LtE_Lt LtE_Gt Gt_GtE Gt_LtE GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot IsNot_Is"
+_SIDES = ("_Lt_LtE", "_LtE_Lt", "_Gt_GtE", "_GtE_Gt")  # of a limit
 _TAKEN = {
     *(f"ReplaceBinaryOperator_{pair}" for pair in _BINARY.split()),
     *(f"ReplaceComparisonOperator_{pair}" for pair in _COMPARISON.split()),
@@ -60,8 +62,11 @@ MESSAGE = "equivalent: what a message says"
 LIMIT = "equivalent: limits of iterations, and of what hostile files may have"
 SPEED = "equivalent: speed only"
 TYPING = "equivalent: types, and that objects are frozen"
+EQUALITY = "equivalent: which side of a limit its very value, a float, belongs to"
+ROUNDING = "equivalent: clamps against rounding, and the start of a maximum"
 _LIMITS = re.compile(r"_?(MAX_\w+|STEPS|\w+_STEPS|\w*TOLERANCE\w*)")
 _SPEED = re.compile(r"_CHUNK|_POLL_S|_FEW|\w+_THRESHOLD|keep_freed_memory|lru_cache")
+_FLOAT = re.compile(r"\b\d+\.\d|\de-|\bnp\.(abs|median|linalg)|_(px|m|PX|weight|score)\b")
 _OTHER_SYSTEM = re.compile(r"(sys\.platform|os\.name) [!=]= '(win32|darwin|nt)'|'forkserver' not in")
 
 Span = Tuple[Tuple[int, int], Tuple[int, int], str]
@@ -76,7 +81,15 @@ def _span(node: Any, rule: str) -> Span:
     return (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset), rule
 
 
-def _ruled(tree: ast.Module) -> Iterator[Tuple[ast.AST, str]]:
+def _between(comparison: ast.Compare) -> Iterator[Any]:
+    """The places of a comparison's operators: from the end of one side to the start of the next."""
+    sides: List[Any] = [comparison.left, *comparison.comparators]
+    for first, second in zip(sides, sides[1:]):
+        start, end = (first.end_lineno, first.end_col_offset), (second.lineno, second.col_offset)
+        yield SimpleNamespace(lineno=start[0], col_offset=start[1] + 1, end_lineno=end[0], end_col_offset=end[1])
+
+
+def _ruled(tree: ast.Module) -> Iterator[Tuple[Any, str]]:
     for node in ast.walk(tree):
         if isinstance(node, (ast.If, ast.IfExp)) and _OTHER_SYSTEM.search(ast.unparse(node.test)):
             yield from ((part, PLATFORM) for part in (node.body if isinstance(node, ast.If) else [node]))
@@ -90,10 +103,16 @@ def _ruled(tree: ast.Module) -> Iterator[Tuple[ast.AST, str]]:
             yield from ((one, TYPING) for one in [node.returns, *(a.annotation for a in arguments)] if one is not None)
         elif isinstance(node, ast.ClassDef):
             yield from ((word, TYPING) for one in node.decorator_list for word in getattr(one, "keywords", ()))
+        elif isinstance(node, ast.Compare) and _FLOAT.search(ast.unparse(node)):
+            yield from ((one, EQUALITY) for one in _between(node))
         elif isinstance(node, ast.Raise) and node.exc is not None:
             yield node.exc, MESSAGE
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error"):
             yield node, MESSAGE
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("max", "min"):
+            yield from ((one, ROUNDING) for one in node.args if re.fullmatch(r"-?1\.0", ast.unparse(one)))
+        elif isinstance(node, ast.keyword) and node.arg == "initial":
+            yield node.value, ROUNDING
         elif isinstance(node, ast.Assign):
             names = " ".join(ast.unparse(target) for target in node.targets)
             for pattern, rule in ((_LIMITS, LIMIT), (_SPEED, SPEED)):
@@ -135,7 +154,10 @@ def mutants_of(module: Path) -> List[Dict[str, Any]]:
             operator = mutation.operator_name
             if operator.split("/")[-1] in _TAKEN:
                 place = {"operator": operator, "occurrence": mutation.occurrence, "line": mutation.start_pos[0]}
-                found.append({"module": str(module), **place, "rule": rule_of(mutation.start_pos, parts)})
+                rule = rule_of(mutation.start_pos, parts)
+                if rule == EQUALITY and not operator.endswith(_SIDES):
+                    rule = ""
+                found.append({"module": str(module), **place, "rule": rule})
     return sorted(found, key=lambda one: (one["line"], one["operator"], one["occurrence"]))
 
 

@@ -186,7 +186,7 @@ def test_what_workers_use_is_counted_as_used_by_this_process(work, told):
 def test_cores(monkeypatch):
     """Those that this process may use, or all of the machine where a system does not tell."""
     assert 1 <= cores() <= (os.cpu_count() or 1)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 3, 5} if process == 0 else {1}, raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 16)
     assert cores() == 3
     monkeypatch.delattr(os, "sched_getaffinity")

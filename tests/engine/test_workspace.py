@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -51,6 +52,38 @@ def test_temporary_names_lie_beside_keep_the_extension_and_are_never_shared(tmp_
     names = [temporary_name(path) for _ in range(3)]
     assert all(os.path.dirname(name) == str(tmp_path / "a") and name.endswith(".tif") for name in names)
     assert all(os.path.basename(name).startswith(".dsm.part-") for name in names) and len(set(names)) == 3
+
+
+def test_a_temporary_name_says_machine_and_process(tmp_path):
+    name = os.path.basename(temporary_name(str(tmp_path / "dsm.tif")))
+    assert re.fullmatch(rf"\.dsm\.part-[0-9a-f]{{8}}-{os.getpid()}-[0-9a-f]{{8}}\.tif", name)
+
+
+def test_the_sentence_of_a_full_disk_says_how_much_was_written(tmp_path):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    sentence = str(workspace.cannot_write(str(tmp_path / "a"), full, 5 << 20))
+    assert re.search(r"\([\d.]+ MiB free, more than 5\.0 MiB needed\): free some space", sentence)
+    assert "needed" not in str(workspace.cannot_write(str(tmp_path / "a"), full))
+
+
+def test_what_a_library_could_not_write_is_asked_of_the_disk(tmp_path, monkeypatch):
+    """A mebibyte is tried, in the half-written file or beside it."""
+    (tmp_path / "half").write_bytes(b"")
+    assert workspace._obstacle(str(tmp_path / "half")) is None and workspace._obstacle(str(tmp_path)) is None
+    assert os.path.getsize(tmp_path / "half") == 2**20 and os.listdir(tmp_path) == ["half"]
+    path = str(tmp_path / "a.tif")
+    assert "(TIFF is sad)" in str(workspace.not_written(path, "TIFF is sad"))
+    assert "(no reason given)" in str(workspace.not_written(path, ""))
+    with pytest.raises(ValueError, match="^mine$"), workspace.writing(path):
+        raise ValueError("mine")
+
+    def refuse(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(workspace.os, "fsync", refuse)
+    assert "the disk is full" in str(workspace.not_written(path, "TIFF is sad"))
+    with pytest.raises(WorkspaceError, match="the disk is full"), workspace.writing(path):
+        raise ValueError("mine")
 
 
 def of_another_process(path, process):

@@ -52,6 +52,20 @@ def test_three_ways_to_interpolate_agree():
     np.testing.assert_allclose(bilinear(grid, *np.meshgrid(columns, rows)), expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("shape", ((40, 21), (9, 56), (37, 50), (1, 1)))
+def test_steps_may_end_before_the_last_node(shape):
+    nodes = np.random.default_rng(1).uniform(size=(6, 8))
+    whole = interpolate_steps(nodes, (40, 56), 8)
+    np.testing.assert_array_equal(interpolate_steps(nodes, shape, 8), whole[: shape[0], : shape[1]])
+
+
+def test_a_lattice_has_17_nodes_each_way():
+    """Where nothing else is said: few enough for a function that takes long."""
+    asked = []
+    on_lattice(np.arange(50.0), np.arange(40.0), lambda xy: asked.append(xy.shape) or xy[..., 0])
+    assert asked == [(17, 17, 2)]
+
+
 def test_means_and_medians_of_what_is_known():
     stack = np.random.default_rng(2).uniform(size=(7, 20, 30))
     stack[np.random.default_rng(3).uniform(size=stack.shape) < 0.4] = np.nan

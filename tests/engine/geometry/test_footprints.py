@@ -34,6 +34,7 @@ def test_what_two_see():
     assert seen_twice([[square(0, 0), square(5, 0)], [square(0, 0), square(7, 0)]]).GetArea() == pytest.approx(50.0)
     assert seen_twice([[square(0, 0), square(20, 0)]]).IsEmpty()
     assert seen_twice([[square(0, 0), square(0, 0)[:2]]]).IsEmpty()
+    assert seen_twice([[square(0, 0), square(0, 0)[:3]]]).GetArea() == pytest.approx(50.0)
 
 
 def test_box_and_bounds():

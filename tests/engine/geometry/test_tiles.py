@@ -117,6 +117,12 @@ def test_tiles_outside_the_area_are_omitted():
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("size", (400.0, 10000.0))
+def test_a_small_area_is_one_tile(size):
+    (tile,) = lay_tiles(box((10.5, 20.5, 390.0, 110.0)), size)
+    assert tile.id == "r000c000" and tile.bounds == (10.0, 20.0, 390.0, 110.0)
+
+
 def test_the_rectangle_around_rectangles():
     boxes = [Bounds(0.0, 5.0, 4.0, 9.0), Bounds(-2.0, 6.0, 1.0, 7.0), Bounds(1.0, 4.0, 8.0, 5.0)]
     assert enclosing(boxes) == Bounds(-2.0, 4.0, 8.0, 9.0) and enclosing(boxes[:1]) == boxes[0]

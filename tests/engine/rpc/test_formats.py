@@ -304,6 +304,8 @@ def test_numbers_that_are_no_sensor_model(tmp_path, synthetic_rpc):
         {"col_num": flat},
         {"row_den": (0.0, 1.0) + (0.0,) * 18},
         {"row_num": (5.0,) + rpc.row_num[1:]},
+        # x - 2.5 x^3 turns back at 0.37, before the pixels at 0.5 of the scale
+        {"col_num": tuple({1: 1.0, 11: -2.5}.get(i, 0.0) for i in range(20)), "col_den": flat},
     ):
         broken = type(rpc)(**{**vars(rpc), **changes})
         assert "its numbers are not a sensor model" in refused(tmp_path, key_value(broken))
@@ -313,6 +315,7 @@ def test_corrections_in_the_image_are_refused(tmp_path, synthetic_rpc):
     text = key_value(synthetic_rpc()) + "RFM_CORRECTION_PARAMETERS\n"
     assert "RFM_CORRECTION_PARAMETERS" in refused(tmp_path, text + "".join(f"a{i}: {i * 0.1}\n" for i in range(6)))
     assert "RFM_CORRECTION_PARAMETERS" in refused(tmp_path, text)
+    assert "RFM_CORRECTION_PARAMETERS" in refused(tmp_path, text + "".join(f"a{i}: 0.0\n" for i in range(5)))
 
 
 def test_sizes_are_bounded(tmp_path, synthetic_rpc):
