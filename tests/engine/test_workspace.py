@@ -220,7 +220,7 @@ def test_each_fact_alone_tells_a_changed_file(tmp_path, fact, monkeypatch):
     assert file_identity(str(tmp_path / "b.tif")) != file_identity(str(tmp_path / "c.tif"))
 
 
-def test_free_space_is_in_mebibytes_and_may_be_unknown(tmp_path, monkeypatch):
+def test_free_space_is_that_of_the_nearest_folder_and_may_be_unknown(tmp_path, monkeypatch):
     asked = []
 
     def usage(place):
@@ -228,13 +228,15 @@ def test_free_space_is_in_mebibytes_and_may_be_unknown(tmp_path, monkeypatch):
         return SimpleNamespace(free=5 * 1024 * 1024)
 
     monkeypatch.setattr(workspace.shutil, "disk_usage", usage)
-    assert workspace.free_text(str(tmp_path / "not" / "yet" / "a.tif")) == "5.0 MiB" and asked == [str(tmp_path)]
+    assert workspace.free_bytes(str(tmp_path / "not" / "yet" / "a.tif")) == 5 << 20 and asked == [str(tmp_path)]
+    full = OSError(errno.ENOSPC, "No space left on device")
+    assert "(5.0 MiB free)" in str(workspace.cannot_write(str(tmp_path / "a"), full))
 
     def refuse(_):
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(workspace.shutil, "disk_usage", refuse)
-    assert workspace.free_text(str(tmp_path)) == "an unknown amount is"
+    assert workspace.free_bytes(str(tmp_path)) is None
 
 
 def test_another_users_process_exists(monkeypatch):
