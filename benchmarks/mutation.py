@@ -357,11 +357,14 @@ def main() -> None:
     PLACE.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
+    last: List[Dict[str, Any]] = []
     if asked.again:
         last = json.loads((PLACE / "results.json").read_text(encoding="utf-8"))
-        results = try_all(alive(last), asked.jobs, [one for one in last if one["outcome"] == "killed"])
-    else:
-        results = try_all(drawn(mutants, asked.sample, asked.seed), asked.jobs, [])
+    chosen = alive(last) if asked.again else drawn(mutants, asked.sample, asked.seed)
+    try:
+        results = try_all(chosen, asked.jobs, [one for one in last if one["outcome"] == "killed"])
+    except RuntimeError as error:
+        sys.exit(f"mutation: {error}")
     sys.stdout.write(f"{report(mutants, results)}\n\n")
     sys.stdout.write(f"Seed {asked.seed}, {(time.monotonic() - start) / 60:.0f} min with {asked.jobs} jobs. ")
     sys.stdout.write(f"What no test noticed is in {PLACE / 'survivors.diff'}.\n")
