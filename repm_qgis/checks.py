@@ -7,6 +7,7 @@ A check has a method ``problem(value)``: what the value must be, "" where it is 
 
 from __future__ import annotations
 
+import math
 import re
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,8 +25,6 @@ from typing import (
     get_origin,
     get_type_hints,
 )
-
-import numpy as np
 
 _NOT_IN_NAMES = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]')  # Windows allows the fewest characters
 _DEVICES = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)(?:\..*)?", re.IGNORECASE)  # Windows: with any ending
@@ -167,7 +166,7 @@ class Array:
 
     def problem(self, value: Any) -> str:
         fits = value.ndim == len(self.shape) and all(n in (-1, m) for n, m in zip(self.shape, value.shape))
-        if fits and (np.abs(value) <= self.most).all():
+        if fits and (abs(value) <= self.most).all():
             return ""
         return f"must have the shape {' x '.join(map(str, self.shape))} and numbers up to {self.most:g}"
 
@@ -231,7 +230,7 @@ def typed(kind: Any, value: Any) -> Any:
         return _tuple(arguments, value)
     if origin is dict:
         return {str(name): _entry(arguments[1], entry, name) for name, entry in mapping(value).items()}
-    if origin is np.ndarray:
+    if getattr(origin, "__name__", "") == "ndarray":
         return _array(value)
     if isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
         reason = _text_problem(value) if kind is str else _not_finite(value)
@@ -275,6 +274,8 @@ def _tuple(kinds: Tuple[Any, ...], value: Any) -> Tuple[Any, ...]:
 
 
 def _array(value: Any) -> Any:
+    import numpy as np  # options need none, and QGIS asks for them alone
+
     try:
         array = np.array(value)
     except ValueError:  # rows of unequal length
@@ -284,7 +285,7 @@ def _array(value: Any) -> Any:
 
 
 def _not_finite(value: Any) -> str:
-    return "must be finite" if isinstance(value, float) and not np.isfinite(value) else ""
+    return "must be finite" if isinstance(value, float) and not math.isfinite(value) else ""
 
 
 def _shallow(value: Any, depth: int) -> Any:

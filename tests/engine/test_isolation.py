@@ -81,9 +81,9 @@ def test_no_file_prints_exits_or_reaches_for_qgis():
                 found.append(f"{path.name}: {name}")
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [alias.name for alias in node.names] + [getattr(node, "module", "") or ""]
-                found += [
-                    f"{path.name}: {n}" for n in names if n.split(".")[0] in ("qgis", "PyQt5", "random", "pickle")
-                ]
+                # Pickles go from this process to its workers, in one module, and come from no file.
+                refused = ("qgis", "PyQt5", "random", *(() if path.name == "parallel.py" else ("pickle",)))
+                found += [f"{path.name}: {n}" for n in names if n.split(".")[0] in refused]
             if isinstance(node, ast.Assert):
                 found.append(f"{path.name}: assert")
             if isinstance(node, ast.Attribute) and node.attr == "exit" and path.name != "__main__.py":

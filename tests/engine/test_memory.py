@@ -52,7 +52,8 @@ from repm_qgis.geometry.vertical import HeightDatum
 records = tuple(tile.heights[:1] * int(extra))
 layout = DsmLayout.of(scene, [tile], scene.crs, HeightDatum.of(""), side)
 grid, windows = layout.grid, layout.windows
-fuse_to_disk((FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, radius=1.5), out + ".npz"))
+task = FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, radius=1.5)
+fuse_to_disk((task, f"{out}{side}{extra}.npz"))
 end([record.pixels for record in records], grid.shape[0] * grid.shape[1])
 """
 )
