@@ -25,7 +25,7 @@ from .errors import Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
 from .shortage import reserve_buffers, said_in_a_sentence
-from .workspace import remove_own_temporaries
+from .workspace import name_nothing_more, remove_own_temporaries
 
 _MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
@@ -69,6 +69,7 @@ class _Cancelling:
         if self._asked:  # asked twice: the clean-up already runs, and the thread sees to its end
             return
         self._asked = True
+        name_nothing_more()
         threading.Thread(target=self._end_in_time, name="end-in-time", daemon=True).start()
         raise Cancelled
 
@@ -124,13 +125,18 @@ def main(arguments: list[str]) -> int:
         with said_in_a_sentence():
             lines.send(type="result", result=_run(arguments, lines))
         return 0
-    except RepmError as error:
+    except Exception as error:
+        # Native code that was interrupted amid a callback turns the exception into one of its own.
+        return _said(Cancelled() if cancelling.asked() else error, lines)
+
+
+def _said(error: Exception, lines: JsonLines) -> int:
+    """Send the last line of a run that failed; gives its exit code."""
+    if isinstance(error, RepmError):
         lines.send(type="error", kind=type(error).__name__, text=str(error))
         return 1
-    except ImportError as error:
-        if (error.name or "").startswith(__package__ or "repm_qgis"):  # a part of the engine itself, no package
-            lines.send(type="bug", kind="bug", text=traceback.format_exc())
-            return 2
+    # A part of the engine itself that is missing is no package.
+    if isinstance(error, ImportError) and not (error.name or "").startswith(__package__ or "repm_qgis"):
         reason = " ".join(str(error).split())[:300]  # numpy's has paragraphs
         missing = MissingPackageError(
             f"The Python package '{error.name}' is not installed for {sys.executable} ({reason}): "
@@ -138,6 +144,6 @@ def main(arguments: list[str]) -> int:
         )
         lines.send(type="error", kind=type(missing).__name__, text=str(missing))
         return 1
-    except Exception:
-        lines.send(type="bug", kind="bug", text=traceback.format_exc())
-        return 2
+    text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    lines.send(type="bug", kind="bug", text=text)
+    return 2

@@ -167,7 +167,7 @@ def _in_pool(
         executor = pool.of(workers)
         pending = {executor.submit(_do, pickle.dumps((function, task))): i for i, task in enumerate(tasks)}
         progress.step(0.0, f"{len(tasks)} tasks on {workers} cores")
-        for index, future in as_they_end(pending, progress):
+        for index, future in as_they_end(pending, progress, lambda: _require_manager(executor)):
             results[index] = future.result()
             progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
     except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
@@ -203,11 +203,26 @@ def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmErro
     )
 
 
-def as_they_end(pending: Dict["Future[Any]", int], progress: Progress) -> Iterator[Tuple[int, "Future[Any]"]]:
-    """Futures with their numbers as they end, taken out of ``pending``; Cancel is heard while waiting."""
+def _require_manager(executor: ProcessPoolExecutor) -> None:
+    """Raise OutOfMemoryError where the executor's own thread has died: it could not start another one, and none of the
+    tasks would ever end."""
+    manager = getattr(executor, "_executor_manager_thread", None)
+    if manager is not None and not manager.is_alive():
+        raise OutOfMemoryError(f"This process could not start a thread, for want of memory: {MEMORY_REMEDY}.")
+
+
+def as_they_end(
+    pending: Dict["Future[Any]", int], progress: Progress, check: Callable[[], None] = lambda: None
+) -> Iterator[Tuple[int, "Future[Any]"]]:
+    """Futures with their numbers as they end, taken out of ``pending``; Cancel is heard while waiting.
+
+    ``check`` is called where none has ended for a while.
+    """
     while pending:
         done, _ = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
         progress.check_cancelled()
+        if not done:
+            check()
         for future in done:
             yield pending.pop(future), future
 

@@ -12,12 +12,13 @@ import shutil
 import socket
 import sys
 import tempfile
+import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Iterator, List, Optional, Set
 
 from . import __version__
-from .errors import RepmError, WorkspaceError
+from .errors import Cancelled, RepmError, WorkspaceError
 
 
 def ensure_folder(path: str) -> Path:
@@ -133,16 +134,30 @@ def _remove(path: str) -> None:
 def take_name(temporary: str, path: str) -> None:
     """Give a whole file its name, for good: what it holds is on the disk before the name is.
 
-    Raises WorkspaceError where the name is taken by a folder, say.
+    Raises WorkspaceError where the name is taken by a folder, say, and Cancelled after :func:`name_nothing_more`.
     """
     target = real_target(path)
     try:
         _sync(temporary)
+        _require_naming()
         os.replace(temporary, target)
         _sync(str(target.parent))
     except OSError as error:
         raise cannot_write(path, error) from error
     _own_temporaries.discard(temporary)
+
+
+_naming_ended = threading.Event()
+
+
+def name_nothing_more() -> None:
+    """From now on no file or folder of this process takes its name: a cancel may have left it with a part missing."""
+    _naming_ended.set()
+
+
+def _require_naming() -> None:
+    if _naming_ended.is_set():
+        raise Cancelled
 
 
 def _sync(path: str) -> None:
@@ -312,6 +327,7 @@ def _take_place(temporary: Path, target: Path) -> None:
     Where the system can exchange two names in one step, there is a whole folder at every moment. Where it cannot, the
     older one is put aside first, and :func:`recover_folder` finds it there after a kill between the two steps.
     """
+    _require_naming()
     if not target.exists():
         os.replace(temporary, target)
     elif not _exchange(temporary, target):

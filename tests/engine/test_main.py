@@ -10,6 +10,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
@@ -91,3 +93,31 @@ def test_the_engine_runs_where_qgis_cannot_be_imported(tmp_path):
         check=False,
     )
     assert done.returncode == 0 and messages(done)[-1]["type"] == "result"
+
+
+SWALLOWED = """
+import os, signal, sys, time
+from repm_qgis import engine_process
+from repm_qgis.workspace import write_text
+def run(arguments, lines):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+    except Exception:  # as native code does with what a callback raises
+        if arguments[0] == "writes":
+            write_text(arguments[1], "not all of it")
+        raise ValueError("Failed to call write") from None
+engine_process._run = run
+sys.exit(engine_process.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
+@pytest.mark.parametrize("what", ("fails", "writes"))
+def test_a_cancel_that_native_code_swallows_is_a_cancel_and_names_no_file(tmp_path, what):
+    path = tmp_path / "product.txt"
+    path.write_text("the old one")
+    command = [sys.executable, "-c", SWALLOWED, what, str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 1 and json.loads(done.stdout.splitlines()[-1])["kind"] == "Cancelled", done.stderr
+    assert path.read_text() == "the old one" and [each.name for each in tmp_path.iterdir()] == ["product.txt"]

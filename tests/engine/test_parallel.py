@@ -222,3 +222,18 @@ def test_what_is_said_of_tasks(work, told):
     assert steps[0] == (0.0, "4 tasks on 2 cores") and [fraction for fraction, _ in steps[1:]] == [0.25, 0.5, 0.75, 1.0]
     assert sorted(text.split(" (")[0] for _, text in steps[1:]) == ["tile 5", "tile 6", "tile 7", "tile 8"]
     assert steps[-1][1].endswith("(4 of 4)")
+
+
+def test_an_executor_whose_thread_has_died_is_a_sentence_and_no_hang(work, told, monkeypatch):
+    """Where there is no memory for the thread that feeds the workers, nobody would ever end the tasks."""
+    import concurrent.futures.process as pool
+
+    def die(self):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(pool._ExecutorManagerThread, "add_call_item_to_queue", die)
+    monkeypatch.setattr("threading.excepthook", lambda arguments: None)
+    start = time.monotonic()
+    with pytest.raises(OutOfMemoryError, match="could not start a thread, for want of memory: use fewer WORKERS"):
+        run_tasks(work.square, list(range(8)), 2, told(), str)
+    assert time.monotonic() - start < 10
