@@ -60,6 +60,14 @@ class _Cancelling:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._hear)
 
+    def stop_listening(self) -> None:
+        """The work has ended, one way or the other: what comes now must not change the exit code.
+
+        Python gives up its own handlers when it ends, and the system's would kill it then.
+        """
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)
+
     def asked(self) -> bool:
         return self._asked
 
@@ -122,12 +130,24 @@ def main(arguments: list[str]) -> int:
     if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
         _end_with_parent()
     try:
+        return _ended(arguments, lines, cancelling)
+    except Cancelled as cancelled:  # heard while the last line was being prepared
+        cancelling.stop_listening()
+        return _said(cancelled, lines)
+
+
+def _ended(arguments: list[str], lines: JsonLines, cancelling: _Cancelling) -> int:
+    """Run the stage and send the last line; gives the exit code."""
+    try:
         with said_in_a_sentence():
-            lines.send(type="result", result=_run(arguments, lines))
-        return 0
+            result = _run(arguments, lines)
+        cancelling.stop_listening()
     except Exception as error:
+        cancelling.stop_listening()
         # Native code that was interrupted amid a callback turns the exception into one of its own.
         return _said(Cancelled() if cancelling.asked() else error, lines)
+    lines.send(type="result", result=result)
+    return 0
 
 
 def _said(error: Exception, lines: JsonLines) -> int:

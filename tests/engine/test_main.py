@@ -121,3 +121,19 @@ def test_a_cancel_that_native_code_swallows_is_a_cancel_and_names_no_file(tmp_pa
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=20, check=False)
     assert done.returncode == 1 and json.loads(done.stdout.splitlines()[-1])["kind"] == "Cancelled", done.stderr
     assert path.read_text() == "the old one" and [each.name for each in tmp_path.iterdir()] == ["product.txt"]
+
+
+LATE = """
+import os, signal, sys
+from repm_qgis import engine_process
+engine_process._run = lambda arguments, lines: {}
+code = engine_process.main(["a", "b"])
+os.kill(os.getpid(), signal.SIGTERM)
+sys.exit(code)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
+def test_a_signal_after_the_result_changes_nothing():
+    done = subprocess.run([sys.executable, "-c", LATE], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and json.loads(done.stdout) == {"type": "result", "result": {}}
