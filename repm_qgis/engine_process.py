@@ -125,13 +125,13 @@ def main(arguments: list[str]) -> int:
     lines = JsonLines(os.fdopen(os.dup(1), "w", encoding="utf-8"))
     cancelling = _Cancelling(lines)
     lines.cancelled_by(cancelling.asked)
-    cancelling.listen()
-    os.dup2(2, 1)
-    if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
-        _end_with_parent()
     try:
+        cancelling.listen()
+        os.dup2(2, 1)
+        if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
+            _end_with_parent()
         return _ended(arguments, lines, cancelling)
-    except Cancelled as cancelled:  # heard while the last line was being prepared
+    except Cancelled as cancelled:  # heard before the stage began, or while the last line was being prepared
         cancelling.stop_listening()
         return _said(cancelled, lines)
 

@@ -137,3 +137,21 @@ sys.exit(code)
 def test_a_signal_after_the_result_changes_nothing():
     done = subprocess.run([sys.executable, "-c", LATE], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and json.loads(done.stdout) == {"type": "result", "result": {}}
+
+
+EARLY = """
+import os, signal, sys
+from repm_qgis import engine_process
+listen = engine_process._Cancelling.listen
+def heard_at_once(self):
+    listen(self)
+    os.kill(os.getpid(), signal.SIGTERM)
+engine_process._Cancelling.listen = heard_at_once
+sys.exit(engine_process.main(["epmfit", "none.json"]))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
+def test_a_signal_before_the_stage_is_a_cancel():
+    done = subprocess.run([sys.executable, "-c", EARLY], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and json.loads(done.stdout)["kind"] == "Cancelled" and done.stderr == ""
