@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from pathlib import Path
 from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
 
 from osgeo import ogr
@@ -15,7 +16,7 @@ from .errors import WorkspaceError
 from .options import DsmFuseOptions
 from .progress import Progress
 from .records import ViewPair
-from .scene import Scene
+from .scene import Scene, folder_of
 from .stereo.parameters import STEREO
 from .workspace import existing_place, free_bytes, size_of
 
@@ -61,7 +62,7 @@ def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOption
     cells, points = _area(scene) / cell**2, _seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
     between = cells * (_FUSED_CELL + (_FUSED_ORTHO if options.ortho else 0.0)) + points * _FUSED_POINT
-    needs = [_need(folder, between, size_of(os.path.join(folder, "fusion")))]
+    needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":
         needs.append(_need(folder, cells * _ALL_HEIGHTS))
     rasters = {**_RASTERS, "output": 2 * _RASTERS["output"]}  # the last to be copied in its final form

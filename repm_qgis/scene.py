@@ -287,7 +287,7 @@ class Scene(Record):
 
     def folder(self, kind: str) -> Path:
         """The folder of one kind of products: next to the scene's file, with its name."""
-        return self.path.parent / f"{self.path.stem}_{kind}"
+        return folder_of(self.path, kind)
 
     def recorded(
         self,
@@ -337,6 +337,11 @@ class Scene(Record):
             return cls.from_mapping({**vars(scene), "tiles": tiles})
         except (Misfit, RpcInvalidError, SceneError) as error:
             raise SceneError(f"The scene '{path}' is damaged ({error}): make it anew with {_FIRST_STAGE}.") from error
+
+
+def folder_of(scene: Path, kind: str) -> Path:
+    """The folder of one kind of products of the scene with this file."""
+    return scene.parent / f"{scene.stem}_{kind}"
 
 
 _BELOW = "./"  # how a stored path begins that is relative to the scene's folder
