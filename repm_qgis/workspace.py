@@ -67,8 +67,17 @@ def real_target(path: str) -> Path:
 def drop_temporary(path: str) -> None:
     """Remove what processes of this machine that are gone have left of earlier attempts to write ``path``."""
     target = Path(os.path.realpath(path))
-    for leftover in target.parent.glob(f"{glob.escape(_prefix(target))}{_MACHINE}-*"):
-        process = leftover.name[len(_prefix(target)) :].split("-")[1]
+    _drop(target.parent, glob.escape(_prefix(target)))
+
+
+def drop_temporaries(folder: str) -> None:
+    """Remove what processes of this machine that are gone have left of attempts to write anything into a folder."""
+    _drop(Path(folder), ".*.part-")
+
+
+def _drop(folder: Path, prefix: str) -> None:
+    for leftover in folder.glob(f"{prefix}{_MACHINE}-*"):
+        process = leftover.name.rsplit(f"{_MACHINE}-", 1)[1].split("-")[0]
         if process.isdigit() and not process_exists(int(process)):
             _remove(str(leftover))
 

@@ -27,7 +27,7 @@ from ..stereo.pairing import rectified_pair
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
-from ..workspace import drop_temporary, fingerprint
+from ..workspace import drop_temporaries, fingerprint
 from .backends import MatchingJob, MatchingResult
 from .disparity_map import DisparityMap, PairMatcher
 from .disparity_prior import DisparityPrior, find_prior, sampled_on
@@ -65,8 +65,7 @@ class PairBackend:
         try:
             records = run_tasks(match_pair_over_tile, tasks, _workers(tasks, job, progress), progress, _describe)
         except BaseException:
-            for task in tasks:  # a worker that is ended while it writes cannot clean up
-                drop_temporary(task.path)
+            drop_temporaries(job.folder)  # a worker that is ended while it writes cannot clean up
             raise
         return MatchingResult(records, {})
 

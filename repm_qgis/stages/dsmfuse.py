@@ -31,7 +31,7 @@ from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
 from ..records import FusionFacts, ViewPair
 from ..scene import Scene
-from ..workspace import ensure_folder, fingerprint
+from ..workspace import drop_temporaries, ensure_folder, fingerprint
 from .parameters import ENGINE, EngineParameters
 
 
@@ -110,6 +110,8 @@ def _kept_until_done(scene: Scene, progress: Progress) -> Iterator[Path]:
         try:
             yield folder
         except Cancelled:
+            for path in folder.iterdir():
+                drop_temporaries(str(path))  # a worker that is ended while it writes cannot clean up
             raise
         except BaseException:
             _drop_others(folder)

@@ -14,6 +14,7 @@ import pytest
 from repm_qgis import workspace
 from repm_qgis.errors import WorkspaceError
 from repm_qgis.workspace import (
+    drop_temporaries,
     drop_temporary,
     ensure_folder,
     file_identity,
@@ -102,9 +103,15 @@ def test_what_dead_processes_have_left_goes_and_what_living_ones_write_stays(tmp
     for name in (dead, alive, elsewhere, str(tmp_path / "dsm2.tif")):
         with open(name, "w", encoding="utf-8") as stream:
             stream.write("half")
+    other = of_another_process(str(tmp_path / "tile.json"), ended.pid)
+    with open(other, "w", encoding="utf-8") as stream:
+        stream.write("half")
     drop_temporary(path)
     drop_temporary(path)
-    assert sorted(os.listdir(tmp_path)) == sorted(map(os.path.basename, (alive, elsewhere, "dsm2.tif")))
+    kept = [os.path.basename(name) for name in (alive, elsewhere, "dsm2.tif")]
+    assert sorted(os.listdir(tmp_path)) == sorted([*kept, os.path.basename(other)])
+    drop_temporaries(str(tmp_path))
+    assert sorted(os.listdir(tmp_path)) == sorted(kept)
 
 
 def test_links_stay_links_and_devices_stay_devices(tmp_path):
