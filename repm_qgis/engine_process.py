@@ -57,8 +57,15 @@ class _Cancelling:
         self._lines, self._engine, self._asked = lines, os.getpid(), False
 
     def listen(self) -> None:
+        sys.unraisablehook = self._unheard
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._hear)
+
+    @staticmethod
+    def _unheard(lost: Any) -> None:
+        """An exception that got lost in a destructor, say, is printed; a cancel is not, as the thread sees to it."""
+        if not isinstance(lost.exc_value, Cancelled):
+            sys.__unraisablehook__(lost)
 
     def stop_listening(self) -> None:
         """The work has ended, one way or the other: what comes now must not change the exit code.

@@ -366,7 +366,9 @@ def files_of(path: str) -> List[str]:
     """All files that GDAL says belong to a raster, in their order; of one that it cannot open, the path alone."""
     try:
         with opened(path) as dataset:
-            files = dataset.GetFileList() or []
+            files = _attempt(dataset.GetFileList)[0]
+            if files is None:  # where GDAL raises exceptions: for a damaged sidecar file, when it first reads it
+                files = _attempt(dataset.GetFileList)[0]
     except ImageError:
         files = []
-    return sorted({path, *files})
+    return sorted({path, *(files or [])})

@@ -123,7 +123,10 @@ def _tags(path: str) -> Dict[str, str]:
 
 def _from_metadata(dataset: gdal.Dataset) -> Optional[Rpc]:
     """The RPC that GDAL finds: tags, and the sidecar files of vendors that only GDAL reads."""
-    metadata = dataset.GetMetadata("RPC")
+    try:
+        metadata = dataset.GetMetadata("RPC")
+    except RuntimeError:  # where GDAL raises exceptions it does so for a damaged sidecar file, when it first reads it
+        metadata = dataset.GetMetadata("RPC")
     return checked(rpc_from_texts(metadata)) if metadata else None
 
 

@@ -12,7 +12,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.errors import ImageError, WorkspaceError
-from repm_qgis.imagery.raster import created, grey_band, name_of, opened, read, write
+from repm_qgis.imagery.raster import created, files_of, grey_band, name_of, opened, read, write
 
 ROOT = Path(__file__).resolve().parents[3]
 WKT = (
@@ -255,3 +255,18 @@ def test_the_band_to_match_on(tmp_path):
     assert grey_band(dataset) == 2
     dataset = None
     assert name_of("/a/b/IMG_1.x.TIF") == "IMG_1.x"
+
+
+@pytest.mark.parametrize("raises", (True, False))
+def test_the_files_of_an_image_whose_rpc_file_is_damaged(tmp_path, raises):
+    """Whether GDAL raises exceptions is for QGIS and its plugins to say."""
+    path, sidecar, mask = (str(tmp_path / name) for name in ("a.tif", "a_RPC.TXT", "a.tif.msk"))
+    write(path, [np.ones((64, 64), np.float32)], None, "")
+    write(mask, [np.ones((64, 64), np.uint8)], None, "", nodata=None)
+    Path(sidecar).write_text("LINE_OFF: 1\n")
+    before = gdal.GetUseExceptions()
+    (gdal.UseExceptions if raises else gdal.DontUseExceptions)()
+    try:
+        assert files_of(path) == sorted([path, sidecar, mask])
+    finally:
+        (gdal.UseExceptions if before else gdal.DontUseExceptions)()

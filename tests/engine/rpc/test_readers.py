@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import RpcInvalidError, RpcMissingError
+from repm_qgis.errors import RpcError, RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
 from repm_qgis.rpc import readers
 from repm_qgis.rpc.formats import rpc_from_texts
@@ -365,3 +365,19 @@ def test_folders_and_files_that_cannot_be_read_have_nothing(tmp_path, monkeypatc
 
     monkeypatch.setattr(readers, "open", refuse, raising=False)
     assert not readers._is_image(str(tmp_path / "a.xml"))
+
+
+def test_a_damaged_sidecar_is_the_same_sentence_where_gdal_raises_exceptions(write_image, tmp_path):
+    path = write_image(tmp_path / "a.tif")
+    (tmp_path / "a_RPC.TXT").write_text("LINE_OFF: 1\n")
+    said = []
+    before = gdal.GetUseExceptions()
+    for choose in (gdal.UseExceptions, gdal.DontUseExceptions):
+        choose()
+        try:
+            with opened(str(path)) as dataset:
+                rpc_of(dataset, str(path))
+        except RpcError as error:
+            said.append(str(error))
+    (gdal.UseExceptions if before else gdal.DontUseExceptions)()
+    assert len(said) == 2 and said[0] == said[1] and "a_RPC.TXT" in said[0]
