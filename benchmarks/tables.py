@@ -17,7 +17,7 @@ class Details(str):
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page: the name of its markers, its title, the command that writes it, and its parts.
+    """A section of a page: the name of its markers, its title, the command that writes it, its parts, and the page.
 
     A part is a function that measures something and returns paragraphs and tables. It can be run alone, by its name.
     """
@@ -26,6 +26,7 @@ class Section:
     title: str
     command: str
     parts: Dict[str, Callable[[], List[str]]]
+    page: str = "benchmarks.md"
 
 
 def table(headers: Union[str, Sequence[str]], rows: Iterable[Sequence[Any]]) -> str:
@@ -53,7 +54,7 @@ def publish(section: Section, texts: Sequence[str], docs: Path = DOCS) -> None:
         (docs / file).write_text("\n\n".join([f"# {section.title}", back, *details]) + "\n", encoding="utf-8")
     begin, end = f"<!-- {section.name}: begin -->", f"<!-- {section.name}: end -->"
     block = begin + "\n" + "\n\n".join([f"## {section.title}", made, *short]) + "\n" + end
-    path = docs / "benchmarks.md"
+    path = docs / section.page
     page = path.read_text(encoding="utf-8") if path.exists() else "# Benchmarks\n"
     if begin in page:
         page = re.sub(re.escape(begin) + ".*?" + re.escape(end), lambda _: block, page, flags=re.DOTALL)

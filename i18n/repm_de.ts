@@ -267,6 +267,65 @@
     </message>
 </context>
 <context>
+    <name>Mosaic</name>
+    <message>
+        <source>Make a mosaic of DSMs</source>
+        <translation>Mosaik aus DOM erzeugen</translation>
+    </message>
+    <message>
+        <source>One DSM from many that overlap: their vertical offsets are removed, and no seam is seen.</source>
+        <translation>Ein DOM aus vielen, die sich überlappen: ihre Höhenversätze werden entfernt, und keine Naht ist zu sehen.</translation>
+    </message>
+    <message>
+        <source>DSMs</source>
+        <translation>DOM</translation>
+    </message>
+    <message>
+        <source>Two or more DSMs, of this plugin or of others, in any CRS; heights in metres, of one datum.</source>
+        <translation>Zwei oder mehr DOM, von dieser Erweiterung oder anderen, in beliebigem KBS; Höhen in Metern, mit einem Höhenbezug.</translation>
+    </message>
+    <message>
+        <source>DSMs whose heights are right</source>
+        <translation>DOM, deren Höhen richtig sind</translation>
+    </message>
+    <message>
+        <source>Those of the DSMs that were registered, to control points say: their heights stay, and all others are brought to them. Empty: the mean of all offsets is zero.</source>
+        <translation>Diejenigen DOM, die eingepasst wurden, etwa auf Passpunkte: ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Leer: das Mittel aller Versätze ist null.</translation>
+    </message>
+    <message>
+        <source>Resolution (m, 0: the first DSM's)</source>
+        <translation>Auflösung (m, 0: die des ersten DOM)</translation>
+    </message>
+    <message>
+        <source>Cell size in units of the CRS.</source>
+        <translation>Zellgröße in Einheiten des KBS.</translation>
+    </message>
+    <message>
+        <source>CRS (empty: the first DSM's)</source>
+        <translation>KBS (leer: das des ersten DOM)</translation>
+    </message>
+    <message>
+        <source>A projected CRS.</source>
+        <translation>Ein projiziertes KBS.</translation>
+    </message>
+    <message>
+        <source>Confidence rasters (empty: equal weights)</source>
+        <translation>Konfidenzraster (leer: gleiche Gewichte)</translation>
+    </message>
+    <message>
+        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres. The better of two heights counts for more.</source>
+        <translation>Ein Raster für jedes DOM, in der Reihenfolge der DOM: das Konfidenzraster dieser Erweiterung oder ein Kanal mit dem erwarteten Fehler in Metern. Die bessere von zwei Höhen zählt mehr.</translation>
+    </message>
+    <message>
+        <source>Cells with a height (%)</source>
+        <translation>Zellen mit Höhe (%)</translation>
+    </message>
+    <message>
+        <source>Difference of two DSMs along the seams, median (m)</source>
+        <translation>Unterschied zweier DOM entlang der Nähte, Median (m)</translation>
+    </message>
+</context>
+<context>
     <name>Pipeline</name>
     <message>
         <source>Make a DSM from satellite images</source>
@@ -415,6 +474,14 @@
     <message>
         <source>A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). The geometry of a layer can replace lon and lat.</source>
         <translation>Eine CSV-Datei oder ein Punktlayer mit einer Zeile je Punkt und Bild: id, lon, lat, height, view (Dateiname des Bildes), col, row (die Mitte des ersten Pixels ist 0, 0), role (control oder check). Die Geometrie eines Layers kann lon und lat ersetzen.</translation>
+    </message>
+    <message>
+        <source>Dask cluster (empty: this machine)</source>
+        <translation>Dask-Cluster (leer: dieser Rechner)</translation>
+    </message>
+    <message>
+        <source>The address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its scheduler file: the work is done by the cluster's workers. They must see the images, the workspace and the products under the same paths. Empty: the cluster of the settings, or this machine where there is none.</source>
+        <translation>Die Adresse eines Dask-Schedulers wie tcp://10.0.0.1:8786 oder seine Scheduler-Datei: Die Arbeit tun die Prozesse des Clusters. Sie müssen die Bilder, den Arbeitsordner und die Produkte unter denselben Pfaden sehen. Leer: der Cluster der Einstellungen, oder dieser Rechner, wenn dort keiner steht.</translation>
     </message>
     <message>
         <source>Heights of the control points refer to (empty: the WGS 84 ellipsoid)</source>
@@ -685,6 +752,14 @@
         <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich ergibt, mit ihrer Konfidenz: um zu finden, von welchem Paar ein Fehler kommt.</translation>
     </message>
     <message>
+        <source>Sources of the mosaic</source>
+        <translation>Quellen des Mosaiks</translation>
+    </message>
+    <message>
+        <source>The number of the DSM that each height comes from, how many DSMs have one there, and their spread.</source>
+        <translation>Die Nummer des DOM, aus dem jede Höhe stammt, wie viele DOM dort eine haben, und ihre Streuung.</translation>
+    </message>
+    <message>
         <source>Equivalent error</source>
         <translation>Äquivalenter Fehler</translation>
     </message>
@@ -729,6 +804,10 @@
     <message>
         <source>Memory of all workers together (MiB, 0: three quarters of what is free)</source>
         <translation>Speicher aller Arbeitsprozesse zusammen (MiB, 0: drei Viertel des freien)</translation>
+    </message>
+    <message>
+        <source>Dask cluster: address of the scheduler, or its scheduler file (empty: this machine)</source>
+        <translation>Dask-Cluster: Adresse des Schedulers oder seine Scheduler-Datei (leer: dieser Rechner)</translation>
     </message>
 </context>
 <context>

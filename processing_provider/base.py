@@ -140,7 +140,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
     ) -> str:
         name = definition.name()
-        if name in ("RPCS", "MASKS", "GCPS", "PROFILES"):
+        if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES"):
             return self._check_files(name, value, context)
         if name == "IMAGES":
             return self._check_images(name, value, context)
@@ -222,6 +222,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                 self._inputs.update(input_options(self, definition, parameters, context))
         if self.USES_WORKERS:
             self._inputs.update(workers=settings.workers(), memory=settings.memory())
+        if "cluster" in self._inputs:
+            self._inputs["cluster"] = self._inputs["cluster"] or settings.cluster()
         return True
 
     def processAlgorithm(
@@ -266,7 +268,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return options
 
     def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
-        run = engine.run_apart if self.HEAVY else engine.run_here
+        run = engine.run_apart if self.HEAVY or options.get("cluster") else engine.run_here
         with engine.sigterm_cancels(feedback):
             return run(self.ID, options, feedback)
 

@@ -87,6 +87,7 @@ class CompareDsm(RepmAlgorithm):
                     "middle."
                 ),
             ),
+            parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("error", "report")),
         ]
 

@@ -29,6 +29,7 @@ class DsmFuse(RepmAlgorithm):
             parameters.crs(),
             parameters.vertical_datum(),
             *parameters.fusion(),
+            parameters.cluster(),
             *parameters.dsm_products(),
         ]
 

@@ -179,6 +179,19 @@ def gcps(optional: bool = True) -> QgsProcessingParameterDefinition:
     )
 
 
+def cluster() -> QgsProcessingParameterDefinition:
+    return advanced(
+        helped(
+            QgsProcessingParameterString("CLUSTER", tr("Dask cluster (empty: this machine)"), "", optional=True),
+            tr(
+                "The address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its scheduler file: the work is done "
+                "by the cluster's workers. They must see the images, the workspace and the products under the same "
+                "paths. Empty: the cluster of the settings, or this machine where there is none."
+            ),
+        )
+    )
+
+
 def gcp_datum() -> QgsProcessingParameterDefinition:
     return advanced(
         helped(

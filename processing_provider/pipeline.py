@@ -47,6 +47,7 @@ class Pipeline(RepmAlgorithm):
             parameters.advanced(parameters.backend()),
             *parameters.patch_match(),
             *parameters.fusion(),
+            parameters.cluster(),
             dsm,
             *(parameters.product(self.ID, name) for name in ("workspace", "report", "tiles", "tie_points")),
             *extras,

@@ -19,6 +19,7 @@ from .environment import Environment
 from .epmfit import EpmFit
 from .errormap import ErrorMap
 from .exportcameras import ExportCameras
+from .mosaic import Mosaic
 from .pipeline import Pipeline
 from .reconstruct import Reconstruct
 from .refine import Refine
@@ -30,6 +31,7 @@ ALGORITHMS = (
     Refine,
     Reconstruct,
     DsmFuse,
+    Mosaic,
     Pipeline,
     CompareDsm,
     CheckGcps,

@@ -34,6 +34,7 @@ class Reconstruct(RepmAlgorithm):
             parameters.pointing(),
             parameters.adjustment(),
             *parameters.patch_match(),
+            parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output_scene", "tie_points", "heights")),
         ]
 

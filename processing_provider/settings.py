@@ -11,6 +11,7 @@ GROUP = "REPM"
 ENGINE_PYTHON = "REPM_ENGINE_PYTHON"
 WORKERS = "REPM_WORKERS"
 MEMORY = "REPM_MEMORY"
+CLUSTER = "REPM_CLUSTER"
 
 
 def _tr(text: str) -> str:
@@ -46,6 +47,15 @@ def register(icon_path: str) -> None:
             valuetype=Setting.INT,
         )
     )
+    ProcessingConfig.addSetting(
+        Setting(
+            GROUP,
+            CLUSTER,
+            _tr("Dask cluster: address of the scheduler, or its scheduler file (empty: this machine)"),
+            "",
+            valuetype=Setting.STRING,
+        )
+    )
     ProcessingConfig.readSettings()
 
 
@@ -56,7 +66,7 @@ def unregister() -> None:
     except ImportError:
         return
 
-    for name in (ENGINE_PYTHON, WORKERS, MEMORY):
+    for name in (ENGINE_PYTHON, WORKERS, MEMORY, CLUSTER):
         ProcessingConfig.removeSetting(name)
     ProcessingConfig.settingIcons.pop(GROUP, None)
 
@@ -82,6 +92,11 @@ def workers() -> int:
 def memory() -> int:
     """What all workers may take together, MiB; 0 means a share of what is free."""
     return _whole(MEMORY)
+
+
+def cluster() -> str:
+    """The address or the scheduler file of a Dask cluster; "" for this machine."""
+    return str(_value(CLUSTER) or "").strip()
 
 
 def _whole(name: str) -> int:

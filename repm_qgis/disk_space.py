@@ -13,7 +13,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
 from osgeo import ogr
 
 from .errors import WorkspaceError
-from .options import DsmFuseOptions
+from .options import DsmFuseOptions, MosaicOptions
 from .progress import Progress
 from .records import ViewPair
 from .scene import Scene, folder_of
@@ -26,6 +26,7 @@ _REFINED_IMAGE = 1.2  # for each pixel of 16 bits, compressed
 _FUSED_CELL, _FUSED_ORTHO, _FUSED_POINT = 18.0, 4.0, 32.0  # between the two halves of fusion, not compressed
 _RASTERS = {"output": 3.2, "confidence": 12.0, "ortho": 3.5}  # for each cell, with overviews
 _ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
+_MOSAIC_CELL, _MOSAIC_SOURCES = 16.0, 1.5  # of a block, not compressed, and of the sources, with overviews
 _LAZ, _LAS, _EPT = 4.2, 30.0, 14.0  # for each point; EPT: while it is built
 _VERTEX = 48.0  # with its two triangles
 
@@ -77,6 +78,14 @@ def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOption
     if options.mesh:
         step = math.ceil(math.sqrt(cells / options.mesh_vertices)) if options.mesh_vertices else 1
         needs.append(_need(options.mesh, cells / max(step, 1) ** 2 * _VERTEX))
+    return needs
+
+
+def mosaic_needs(options: MosaicOptions, cells: int) -> List[Need]:
+    """Blocks and products of a mosaic of so many cells."""
+    needs = [_need(options.output, cells * (_MOSAIC_CELL + 2 * _RASTERS["output"]))]
+    if options.sources:
+        needs.append(_need(options.sources, cells * 2 * _MOSAIC_SOURCES))
     return needs
 
 

@@ -77,6 +77,10 @@ class DeviceError(RepmError, RuntimeError):
     """A GPU is missing, lost or full."""
 
 
+class ClusterError(RepmError, RuntimeError):
+    """A cluster cannot be reached, its workers cannot do the work, or they were lost."""
+
+
 class EmptyResultError(RepmError, RuntimeError):
     """A stage ran, but what it made is empty or too little to go on with; the message gives the counts."""
 

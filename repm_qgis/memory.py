@@ -8,8 +8,8 @@ import sys
 from typing import Any, Dict, Optional, Sequence
 
 from .containers import container_rest, own_rest
-from .errors import OptionError
-from .parallel import cores
+from .errors import ClusterError, OptionError
+from .parallel import cores, task_mib
 from .progress import Progress
 
 _SHARE = 0.75  # of what is free, where no budget is given
@@ -78,7 +78,16 @@ def workers_within(workers: int, each_mib: float, budget_mib: int, tile_px: int,
     Raises OptionError where one task alone exceeds a budget that was given; where it exceeds what is free, one worker
     tries, and a warning says so. What is computed does not depend on the number of workers.
     """
-    wanted = workers or cores()
+    wanted, limit = workers or cores(), task_mib()
+    if limit is not None:
+        if each_mib > limit:
+            takes = (
+                f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and the cluster's smallest worker has {limit:.0f}"
+            )
+            raise ClusterError(
+                f"{takes} MiB: choose a TILE_SIZE of {largest_tile(tile_px, each_mib, limit)} px or less."
+            )
+        return wanted
     free = None if budget_mib else free_mib()
     budget = float(budget_mib) if budget_mib else None if free is None else _SHARE * free
     if budget is None:

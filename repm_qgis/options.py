@@ -7,6 +7,7 @@ wanted" for outputs and "not given" for inputs. A field states its bounds or cho
 from __future__ import annotations
 
 import dataclasses
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Dict, List, Mapping, Optional, Tuple, Type, TypeVar
@@ -244,7 +245,8 @@ class ReconstructOptions(Options):
     ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical CRS; ""
     is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or COLMAP's
     of principal points (shifts only, and without ground control). ``workers`` 0 means one for each core. ``memory`` in
-    MiB bounds what the workers take together, 0 means three quarters of what is free.
+    MiB bounds what the workers take together, 0 means three quarters of what is free. ``cluster`` is the address or the
+    scheduler file of a Dask cluster whose workers do the work; "" is this machine.
     ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
     colmap's.
     ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
@@ -261,6 +263,7 @@ class ReconstructOptions(Options):
     workers: int = whole(0, 0, 1024)
     adjustment: str = choice("rpc", ADJUSTMENTS)
     memory: int = whole(0, 0, 1 << 24, "MiB")
+    cluster: str = ""
     geometric: bool = switch(True)
     colmap_fusion: bool = switch(False)
     window_radius: int = whole(5, 1, 20, "px")
@@ -287,7 +290,7 @@ class DsmFuseOptions(Options):
     background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
     None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``: files to write, None = not wanted;
     ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone. ``mesh_vertices``: at most so many in
-    the mesh, 0 = one a cell. ``memory`` as in ``ReconstructOptions``.
+    the mesh, 0 = one a cell. ``memory`` and ``cluster`` as in ``ReconstructOptions``.
     """
 
     scene: str = read()
@@ -303,6 +306,7 @@ class DsmFuseOptions(Options):
     workers: int = whole(0, 0, 1024)
     vertical_datum: str = ""
     memory: int = whole(0, 0, 1 << 24, "MiB")
+    cluster: str = ""
     ept: Optional[str] = None
     mesh: Optional[str] = None
     mesh_vertices: int = whole(500_000, 0, 2**31 - 1)  # a PLY's indices
@@ -372,7 +376,7 @@ class CompareDsmOptions(Options):
     ``align`` removes a vertical offset, or a 3-D shift, first. ``thresholds`` in metres, for the completeness.
     ``others`` are further DSMs for the same table, each aligned for itself; ``classes`` is a raster whose values errors
     are grouped by; ``profiles`` is a line layer along which all surfaces are shown, None = two lines through the
-    middle.
+    middle. ``cluster`` as in ``ReconstructOptions``.
     """
 
     dsm: str = read()
@@ -384,6 +388,7 @@ class CompareDsmOptions(Options):
     profiles: Optional[str] = read(None)
     error: Optional[str] = None
     report: Optional[str] = None
+    cluster: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -391,6 +396,48 @@ class CompareDsmOptions(Options):
             raise OptionError("OTHERS", self.others, "must be a list of rasters")
         if not self.thresholds or any(Number(1e-6, 10000).problem(height) for height in self.thresholds):
             raise OptionError("THRESHOLDS", self.thresholds, "must be heights in metres up to 10000, such as 1; 2.5; 5")
+
+
+@dataclass(frozen=True)
+class MosaicOptions(Options):
+    """Put many DSMs together to one.
+
+    ``fixed`` are those of ``dsms`` whose heights stay (they were registered); without any, the mean of all offsets is
+    zero. ``confidences`` names in the order of ``dsms`` rasters with the expected error of each height, "" where there
+    is none; empty: none at all. ``resolution`` in units of the CRS, 0 = the first DSM's cells; ``crs`` any projected
+    CRS, None the first DSM's. ``sources``: a raster to write that says from which DSM each height comes, None = not
+    wanted. ``memory`` and ``cluster`` as in ``ReconstructOptions``.
+    """
+
+    dsms: Tuple[str, ...] = field(metadata=_READ)
+    output: str = given()
+    fixed: Tuple[str, ...] = read(())
+    confidences: Tuple[str, ...] = read(())
+    resolution: float = number(0.0, 0.01, 1000, "m", automatic=True)
+    crs: Optional[str] = None
+    sources: Optional[str] = None
+    report: Optional[str] = None
+    workers: int = whole(0, 0, 1024)
+    memory: int = whole(0, 0, 1 << 24, "MiB")
+    cluster: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, files in (("DSMS", self.dsms), ("FIXED", self.fixed)):
+            if not all(files):
+                raise OptionError(name, list(files), "must be a list of rasters")
+        if len(self.dsms) < 2:
+            raise OptionError("DSMS", list(self.dsms), "must name at least two DSMs: one alone needs no mosaic")
+        places = [os.path.realpath(path) for path in self.dsms]
+        for path, place in zip(self.dsms, places):
+            if places.count(place) > 1:
+                raise OptionError("DSMS", path, "is named twice: name each DSM once")
+        for path in self.fixed:
+            if os.path.realpath(path) not in places:
+                raise OptionError("FIXED", path, "must be one of DSMS: add it there, or leave it out here")
+        if self.confidences and len(self.confidences) != len(self.dsms):
+            count = f"{len(self.dsms)} rasters: one for each of DSMS, in their order"
+            raise OptionError("CONFIDENCES", list(self.confidences), f"must be empty, or name {count}")
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ import threading
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 from .containers import memory_kills
 from .errors import EmptyResultError, OutOfMemoryError, RepmError
-from .progress import Progress
+from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
@@ -34,6 +34,27 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class Workers(Protocol):
+    """What runs tasks: this machine's processes, or those of a cluster (:mod:`repm_qgis.cluster`)."""
+
+    @property
+    def task_mib(self) -> Optional[float]:
+        """The memory that a task may take, MiB; None where that is for this machine to say."""
+
+    def run(
+        self,
+        function: Callable[[Any], Any],
+        tasks: Sequence[Any],
+        workers: int,
+        progress: Progress,
+        describe: Callable[[Any], str],
+    ) -> List[Any]:
+        """See :func:`run_tasks`."""
+
+    def kill(self) -> None:
+        """End the workers without waiting for anything that a lock might hold."""
+
+
 def run_tasks(
     function: Callable[[Any], Any],
     tasks: Sequence[Any],
@@ -43,32 +64,95 @@ def run_tasks(
 ) -> List[Any]:
     """``[function(task) for task in tasks]``, in worker processes where that pays.
 
-    ``function`` and tasks must be picklable, ``workers`` 0 means one a core. Progress moves with every finished
-    task; Cancel drops what has not begun and ends the workers. Exceptions of a task are raised here. A worker that
-    is killed or finds no memory raises OutOfMemoryError, one that dies of something else EmptyResultError.
+    ``function`` and tasks must be picklable, ``workers`` 0 means one a core; a cluster uses all that it has. Progress
+    moves with every finished task; Cancel drops what has not begun and ends the workers. Exceptions of a task are
+    raised here. A worker that is killed or finds no memory raises OutOfMemoryError, one that dies of something else
+    EmptyResultError; a cluster's raises ClusterError.
     """
-    workers = workers or cores()
-    if workers <= 1 or len(tasks) <= _FEW:
+    if _workers is None:
+        with kept_workers():
+            return run_tasks(function, tasks, workers, progress, describe)
+    return _workers.run(function, tasks, workers or cores(), progress, describe)
+
+
+def run_whole(function: Callable[[Any, Progress], Any], task: Any, progress: Progress, description: str) -> Any:
+    """``function(task, progress)``: here, or on a worker of a cluster, where there is one, so that no pixel comes here.
+
+    The notes and warnings of a cluster's worker are passed on when it is done.
+    """
+    if _workers is None or isinstance(_workers, _Pool):
+        return function(task, progress)
+    ((result, notes, warnings),) = run_tasks(_noted, [(function, task)], 1, progress, lambda _: description)
+    for text in notes:
+        progress.info(text)
+    for text in warnings:
+        progress.warn(text)
+    return result
+
+
+def _noted(work: Tuple[Callable[[Any, Progress], Any], Any]) -> Tuple[Any, List[str], List[str]]:
+    function, task = work
+    recorder = Recorder(Silent())
+    return function(task, recorder), recorder.notes, recorder.warnings
+
+
+def task_mib() -> Optional[float]:
+    """The memory that a task may take where a cluster's workers say so, MiB; else None."""
+    return None if _workers is None else _workers.task_mib
+
+
+class _Pool:
+    """Worker processes of this machine that wait for tasks; each begins when there is a task for it."""
+
+    task_mib = None
+
+    def __init__(self) -> None:
+        self._executor: Optional[ProcessPoolExecutor] = None
+        self._workers = 0
+
+    def run(
+        self,
+        function: Callable[[Any], Any],
+        tasks: Sequence[Any],
+        workers: int,
+        progress: Progress,
+        describe: Callable[[Any], str],
+    ) -> List[Any]:
+        if workers > 1 and len(tasks) > _FEW:
+            return self._in_processes(function, tasks, workers, progress, describe)
         results = []
         for index, task in enumerate(tasks):
             progress.check_cancelled()
             progress.step(index / len(tasks), describe(task))
             results.append(function(task))
         return results
-    if _kept is not None:
-        return _in_pool(_kept, function, tasks, workers, progress, describe)
-    with kept_workers() as pool:
-        return _in_pool(pool, function, tasks, workers, progress, describe)
 
+    def _in_processes(
+        self,
+        function: Callable[[Any], Any],
+        tasks: Sequence[Any],
+        workers: int,
+        progress: Progress,
+        describe: Callable[[Any], str],
+    ) -> List[Any]:
+        results: Dict[int, Any] = {}
+        killed_before = memory_kills()
+        try:
+            executor = self._of(workers)
+            pending = {executor.submit(do_task, packed(function, task)): i for i, task in enumerate(tasks)}
+            progress.step(0.0, f"{len(tasks)} tasks on {workers} cores")
+            for index, future in as_they_end(pending, progress, lambda: _require_manager(executor)):
+                results[index] = future.result()
+                progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
+        except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
+            certain = killed_before is not None and (memory_kills() or 0) > killed_before
+            raise _death(self._ends(), certain, f"after {len(results)} of {len(tasks)} tasks") from error
+        except BaseException:
+            self._end()
+            raise
+        return [results[i] for i in range(len(tasks))]
 
-class _Pool:
-    """Worker processes that wait for tasks; each begins when there is a task for it."""
-
-    def __init__(self) -> None:
-        self._executor: Optional[ProcessPoolExecutor] = None
-        self._workers = 0
-
-    def of(self, workers: int) -> ProcessPoolExecutor:
+    def _of(self, workers: int) -> ProcessPoolExecutor:
         """The pool with so many workers: another number, by which memory is bounded, needs another pool."""
         if self._workers != workers:
             self.close()
@@ -77,13 +161,13 @@ class _Pool:
             self._workers = workers
         return self._executor
 
-    def ends(self) -> List[Optional[int]]:
+    def _ends(self) -> List[Optional[int]]:
         """Close a broken pool; gives the exit codes of its workers, negative ones are signals."""
         processes = list((getattr(self._executor, "_processes", None) or {}).values())
         self.close()
         return [process.exitcode for process in processes]
 
-    def end(self) -> None:
+    def _end(self) -> None:
         """End the workers amid their tasks."""
         if self._executor is not None:
             for process in list((self._executor._processes or {}).values()):
@@ -91,7 +175,6 @@ class _Pool:
         self.close()
 
     def kill(self) -> None:
-        """End the workers without waiting for anything that a lock might hold."""
         for process in list((getattr(self._executor, "_processes", None) or {}).values()):
             process.kill()
 
@@ -130,57 +213,51 @@ def _stop_server() -> None:
         stop()
 
 
-_kept: Optional[_Pool] = None
+_workers: Optional[Workers] = None
 
 
 def end_workers() -> None:
     """End all workers at once, whatever they do; for a process that is about to end itself."""
-    if _kept is not None:
-        _kept.kill()
+    if _workers is not None:
+        _workers.kill()
 
 
 @contextmanager
-def kept_workers() -> Iterator[_Pool]:
-    """Within the block workers live on from one :func:`run_tasks` to the next: to start them costs 0.4 s of imports."""
-    global _kept
-    outer, _kept = _kept, _Pool()
+def use_workers(workers: Workers) -> Iterator[None]:
+    """Within the block tasks run on these."""
+    global _workers
+    outer, _workers = _workers, workers
     try:
-        yield _kept
+        yield
     finally:
-        _kept.close()
-        _kept = outer
-        if outer is None:
-            _stop_server()
+        _workers = outer
 
 
-def _in_pool(
-    pool: _Pool,
-    function: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    workers: int,
-    progress: Progress,
-    describe: Callable[[Any], str],
-) -> List[Any]:
-    results: Dict[int, Any] = {}
-    killed_before = memory_kills()
+@contextmanager
+def kept_workers() -> Iterator[None]:
+    """Within the block workers live on from one :func:`run_tasks` to the next: to start them costs 0.4 s of imports.
+
+    Where workers are in use already, these go on.
+    """
+    if _workers is not None:
+        yield
+        return
+    pool = _Pool()
     try:
-        executor = pool.of(workers)
-        pending = {executor.submit(_do, pickle.dumps((function, task))): i for i, task in enumerate(tasks)}
-        progress.step(0.0, f"{len(tasks)} tasks on {workers} cores")
-        for index, future in as_they_end(pending, progress, lambda: _require_manager(executor)):
-            results[index] = future.result()
-            progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
-    except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
-        certain = killed_before is not None and (memory_kills() or 0) > killed_before
-        raise _death(pool.ends(), certain, f"after {len(results)} of {len(tasks)} tasks") from error
-    except BaseException:
-        pool.end()
-        raise
-    return [results[i] for i in range(len(tasks))]
+        with use_workers(pool):
+            yield
+    finally:
+        pool.close()
+        _stop_server()
 
 
-def _do(work: bytes) -> Any:
-    """A task in a worker. It is unpickled here, so that what an import lacks is said, too."""
+def packed(function: Callable[[Any], Any], task: Any) -> bytes:
+    """A task as it travels to a worker."""
+    return pickle.dumps((function, task))
+
+
+def do_task(work: bytes) -> Any:
+    """A :func:`packed` task, in a worker. It is unpacked here, so that what an import lacks is said."""
     with said_in_a_sentence():
         function, task = pickle.loads(work)  # nosec B301 # noqa: S301 - made by the process that started this one
         return function(task)
@@ -277,6 +354,11 @@ def begin_worker() -> None:
 def _prepare() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_engine()
+    prepare_process()
+
+
+def prepare_process() -> None:
+    """Have one thread and a small cache of GDAL in a process that does one task at a time."""
     one_thread_for_sums()
     keep_freed_memory()
     import cv2

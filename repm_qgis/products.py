@@ -75,6 +75,7 @@ _PAIRS = (
     "A folder for the surface that each pair of images gives on its own, with its confidence: to find out which pair "
     "an error comes from."
 )
+_SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 PRODUCTS = (
     Product("epmfit", "workspace", "Workspace", FOLDER, ALWAYS, help=_WORKSPACE),
     Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles"),
@@ -91,6 +92,8 @@ PRODUCTS = (
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
     Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh"),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
+    Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm"),
+    Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="confidence", help=_SOURCES),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error"),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS),
     Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error"),
@@ -99,7 +102,7 @@ PRODUCTS = (
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
     *(
         Product(stage, "report", "Report", FILE, UNLESS_SKIPPED, filter=_HTML)
-        for stage in ("epmfit", "refine", "pipeline", "errormap", "comparedsm", "checkgcps")
+        for stage in ("epmfit", "refine", "pipeline", "mosaic", "errormap", "comparedsm", "checkgcps")
     ),
     Product("environment", "report", "Report", FILE, ALWAYS, filter=_HTML),
 )

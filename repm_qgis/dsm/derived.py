@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Iterator, Optional, Tuple
 
 from ..options import DsmFuseOptions
+from ..parallel import run_whole
 from ..products import Product, paths_of
 from ..progress import Progress
 from .parameters import FusionParameters
@@ -29,5 +30,11 @@ def make_derived(finished: FinishedDsm, progress: Progress) -> Iterator[Tuple[Pr
     """
     for product, path in paths_of("dsmfuse", finished.options):
         if product.maker:
-            maker = importlib.import_module(f"{__package__}.{product.maker}")
-            yield product, path, maker.make(finished, path, progress)
+            yield product, path, run_whole(_made, (product, finished, path), progress, product.title)
+
+
+def _made(task: Tuple[Product, FinishedDsm, str], progress: Progress) -> Optional[str]:
+    product, finished, path = task
+    maker = importlib.import_module(f"{__package__}.{product.maker}")
+    file: Optional[str] = maker.make(finished, path, progress)
+    return file

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, List, Optional, Tuple
 
 import numpy as np
@@ -53,7 +54,7 @@ class Grid:
             remedy = "assign the right one (Raster > Projections > Assign projection) and try again."
             raise ImageError(f"'{self.path}' has no coordinate reference system: {remedy}")
         try:
-            return CRS.from_user_input(self.wkt)
+            return _parsed(self.wkt)
         except CRSError as error:
             unknown = f"The coordinate reference system of '{self.path}' is not understood ({error})"
             raise ImageError(f"{unknown}: assign the right one and try again.") from error
@@ -85,6 +86,24 @@ class Grid:
         """The same cells, moved by x, y in units of the CRS."""
         a, b, c, d, e, f = self.transform
         return replace(self, transform=(a + x, b, c, d + y, e, f))
+
+
+# Work in blocks opens the same rasters many times, and PROJ takes 5 ms for each CRS and each way between two.
+
+
+@lru_cache(maxsize=64)
+def _parsed(wkt: str) -> CRS:
+    return CRS.from_user_input(wkt)
+
+
+@lru_cache(maxsize=64)
+def _flat(crs: CRS) -> CRS:
+    return flat_crs(crs)
+
+
+@lru_cache(maxsize=64)
+def _between(source: CRS, target: CRS) -> Transformer:
+    return Transformer.from_crs(source, target, always_xy=True)
 
 
 def metres_per_unit(grid: Grid) -> Tuple[float, float]:
@@ -128,10 +147,10 @@ def _text(bounds: Bounds) -> str:
     return "x {0:.0f}..{2:.0f}, y {1:.0f}..{3:.0f}".format(*bounds)
 
 
-def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None) -> FloatImage:
-    """Heights of band 1, NaN where there is none; -9999 and the like count as none if no nodata value is declared."""
-    values = raster.read(dataset, window)
-    if dataset.GetRasterBand(1).GetNoDataValue() is None:
+def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1) -> FloatImage:
+    """Heights of a band, NaN where there is none; -9999 and the like count as none if no nodata value is declared."""
+    values = raster.read(dataset, window, band)
+    if dataset.GetRasterBand(band).GetNoDataValue() is None:
         for value in _UNDECLARED:
             values[values == value] = np.nan
     return values
@@ -149,11 +168,13 @@ class HeightWarper:
     Raises ImageError where the vertical datums differ and PROJ lacks the grid between them.
     """
 
-    def __init__(self, dataset: gdal.Dataset, target: Grid, parameters: ComparisonParameters = COMPARISON) -> None:
-        self.dataset, self._source, self._target = dataset, Grid.of(dataset), target
+    def __init__(
+        self, dataset: gdal.Dataset, target: Grid, parameters: ComparisonParameters = COMPARISON, band: int = 1
+    ) -> None:
+        self.dataset, self._source, self._target, self._band = dataset, Grid.of(dataset), target, band
         self._least_share = parameters.least_share
-        self._source_flat, self._target_flat = flat_crs(self._source.crs), flat_crs(target.crs)
-        self._to_source = Transformer.from_crs(self._target_flat, self._source_flat, always_xy=True)
+        self._source_flat, self._target_flat = _flat(self._source.crs), _flat(target.crs)
+        self._to_source = _between(self._target_flat, self._source_flat)
         self.warnings: List[str] = []
         self.vertical = self._vertical_transformer()
 
@@ -172,7 +193,7 @@ class HeightWarper:
         """The aligned DSM on ``cells``, which are a part of the target grid: (rows, columns), NaN = no height."""
         cells = _before(cells, alignment)
         window = self._source_window(cells)
-        heights = read_heights(self.dataset, window) if window is not None else np.empty(0, np.float32)
+        heights = read_heights(self.dataset, window, self._band) if window is not None else np.empty(0, np.float32)
         good = np.isfinite(heights)
         if window is None or not good.any():
             return np.full(cells.size[::-1], np.nan, np.float32)
@@ -200,7 +221,7 @@ class HeightWarper:
             return np.full(columns, np.nan, np.float32)
         x, y = self._to_source.transform(*cells.to_ground(np.arange(columns) + 0.5, np.full(columns, 0.5)))
         column, row = self._source.window(window).to_cells(np.asarray(x), np.asarray(y))
-        heights = sample(read_heights(self.dataset, window), column - 0.5, row - 0.5)
+        heights = sample(read_heights(self.dataset, window, self._band), column - 0.5, row - 0.5)
         if self.vertical is not None and np.isfinite(heights).any():
             scale, offset = self._vertical_at(self.vertical, cells, float(np.nanmean(heights)))
             heights = (heights * scale + offset[0]).astype(np.float32)

@@ -274,12 +274,14 @@ def created(
     cog: bool = False,
     compress: bool = True,
     own: bool = False,
+    overviews: str = "AVERAGE",
 ) -> Iterator[RasterWriter]:
     """A new tiled GeoTIFF to fill by window: it gets its name only if the block ends without an error.
 
     ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews, for
     products that people look at; it is a copy of the filled one, because windows may be filled in any order. ``own``:
-    for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
+    for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD. ``overviews`` is GDAL's
+    resampling for these; numbers that name something must not be averaged.
     """
     temporary = temporary_name(path)
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
@@ -290,7 +292,7 @@ def created(
         writer.flush()
         writer.close()
         if cog:
-            _to_cog(temporary, whole, path, dtype)
+            _to_cog(temporary, whole, path, dtype, overviews)
             os.replace(whole, temporary)
         take_name(temporary, path)
     finally:
@@ -300,10 +302,10 @@ def created(
                 os.unlink(part)
 
 
-def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any]) -> None:
+def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any], overviews: str) -> None:
     """Copy a raster as a Cloud Optimized GeoTIFF, with overviews."""
     options = ["COMPRESS=DEFLATE", "LEVEL=1", f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}"]
-    options += ["OVERVIEWS=IGNORE_EXISTING", "RESAMPLING=AVERAGE", "BLOCKSIZE=256", "BIGTIFF=IF_SAFER"]
+    options += ["OVERVIEWS=IGNORE_EXISTING", f"RESAMPLING={overviews}", "BLOCKSIZE=256", "BIGTIFF=IF_SAFER"]
     with opened(source) as dataset:
 
         def copy() -> Optional[bool]:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import importlib
 import os
-from typing import TYPE_CHECKING, Any, Callable, Mapping, Optional
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any, Callable, ContextManager, Mapping, Optional
 
 from .. import options as _options
-from ..errors import OptionError
+from ..errors import MissingPackageError, OptionError
 from ..locks import exclusive
-from ..products import SCENE, paths_of
+from ..products import FOLDER, SCENE, paths_of
 from ..progress import Progress
 from ..shortage import said_in_a_sentence
 
@@ -27,6 +28,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "reconstruct": _options.ReconstructOptions,
     "dsmfuse": _options.DsmFuseOptions,
     "pipeline": _options.PipelineOptions,
+    "mosaic": _options.MosaicOptions,
     "comparedsm": _options.CompareDsmOptions,
     "checkgcps": _options.CheckGcpsOptions,
     "sampledata": _options.SampleDataOptions,
@@ -51,7 +53,7 @@ def run_stage(
 
     require_distinct(name, checked)
     run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
-    with exclusive(name, progress, *_written(name, checked)):
+    with exclusive(name, progress, *_written(name, checked)), _workers_for(name, checked, progress):
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
 
 
@@ -61,3 +63,23 @@ def _written(name: str, options: _options.Options) -> tuple[list[str], list[str]
     folders = [path for product, path in made if product.option == "workspace"]
     folders += [os.path.dirname(path) or "." for product, path in made if product.form == SCENE]
     return folders, [path for product, path in made if product.option == "output"]
+
+
+def _workers_for(name: str, options: _options.Options, progress: Progress) -> ContextManager[None]:
+    """The workers of the cluster that the options name; this machine's come by themselves."""
+    named: list[str] = [getattr(part, "cluster", "") for part in options.parts()]
+    address = next(filter(None, named), "")
+    if not address:
+        return nullcontext()
+    try:
+        from ..cluster import cluster_workers
+    except ImportError as error:
+        remedy = "run 'bash scripts/setup --cluster' in the plugin's folder, or leave CLUSTER empty"
+        raise MissingPackageError(f"CLUSTER needs the Python package 'distributed' ({error}): {remedy}.") from error
+    made = list(paths_of(name, options))
+    for option, path in [*options.read_paths(), *((product.option, path) for product, path in made)]:
+        if not os.path.isabs(path) and os.path.exists(os.path.dirname(path) or "."):
+            reason = "must be a whole path where there is a CLUSTER: its workers have working folders of their own"
+            raise OptionError(option.upper(), path, reason)
+    folders = {path if product.form == FOLDER else os.path.dirname(path) for product, path in made}
+    return cluster_workers(address, [path for _, path in options.read_paths()], sorted(folders), progress)

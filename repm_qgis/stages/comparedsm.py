@@ -17,6 +17,7 @@ from ..evaluation.profiles import read_lines
 from ..evaluation.styles import write_style
 from ..imagery import raster
 from ..options import CompareDsmOptions
+from ..parallel import run_whole
 from ..progress import Part, Progress
 
 
@@ -26,6 +27,11 @@ def run(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
 
     Raises ImageError, InputTableError, OverlapError, EmptyResultError, WorkspaceError.
     """
+    result: Dict[str, Any] = run_whole(_all_compared, options, progress, "comparing with the reference")
+    return result
+
+
+def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
     paths = [options.dsm, *options.others]
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
     found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]

@@ -18,7 +18,7 @@ from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
 from ..dsm.products import DsmLayout, cloud_of, write_products
-from ..errors import Cancelled, EmptyResultError, SceneError
+from ..errors import Cancelled, ClusterError, EmptyResultError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.vertical import HeightDatum
@@ -26,7 +26,7 @@ from ..imagery.raster import raster_identity
 from ..locks import exclusive
 from ..memory import fusing_mib, workers_within
 from ..options import DsmFuseOptions
-from ..parallel import run_tasks
+from ..parallel import run_tasks, run_whole
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
 from ..records import FusionFacts, ViewPair
@@ -101,7 +101,8 @@ def _matched(scene: Scene) -> List[ViewPair]:
 
 @contextmanager
 def _kept_until_done(scene: Scene, progress: Progress) -> Iterator[Path]:
-    """The folder beside the scene for fused tiles: a run that was killed or cancelled leaves them to the next one.
+    """The folder beside the scene for fused tiles: a run that was killed or cancelled, or that has lost its cluster,
+    leaves them to the next one.
 
     Two runs on one scene have it one after the other.
     """
@@ -109,7 +110,7 @@ def _kept_until_done(scene: Scene, progress: Progress) -> Iterator[Path]:
     with exclusive("dsmfuse", progress, folders=[str(folder)]):
         try:
             yield folder
-        except Cancelled:
+        except (Cancelled, ClusterError):
             for path in folder.iterdir():
                 drop_temporaries(str(path))  # a worker that is ended while it writes cannot clean up
             raise
@@ -172,11 +173,19 @@ def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]
     reused = sum(tile.reused for tile in stored)
     if reused:
         progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
-    facts = write_products(options, scene, layout, stored, str(fusion.folder), parameters.fusion)
+    facts: FusionFacts = run_whole(_written, (fusion, stored), progress, "writing the products")
+    return facts, [tile.needed for tile in stored]
+
+
+def _written(task: Tuple[_Fusion, List[StoredTile]], progress: Progress) -> FusionFacts:
+    """Write the products of all tiles, with their styles."""
+    fusion, stored = task
+    options, folder = fusion.options, str(fusion.folder)
+    facts = write_products(options, fusion.scene, fusion.layout, stored, folder, fusion.parameters.fusion)
     for product, path in paths_of("dsmfuse", options):
         if product.style and not product.maker:
             write_style(product.style, path)
-    return facts, [tile.needed for tile in stored]
+    return facts
 
 
 def _one_pair(fusion: _Fusion, pair: Tuple[str, str], progress: Progress) -> None:

@@ -9,6 +9,7 @@ from ..altitudes import AltitudeParameters
 from ..dsm.parameters import FusionParameters
 from ..imagery.parameters import StretchParameters
 from ..matching.parameters import MatchingParameters
+from ..mosaic.parameters import MosaicParameters
 from ..parameters import Parameters
 from ..sfm.parameters import PointingParameters
 
@@ -37,6 +38,7 @@ class EngineParameters(Parameters):
     pointing: PointingParameters = PointingParameters()
     matching: MatchingParameters = MatchingParameters()
     fusion: FusionParameters = FusionParameters()
+    mosaic: MosaicParameters = MosaicParameters()
 
     def in_fingerprint(self) -> List[Any]:
         """What a fingerprint has of the parameters: nothing of the defaults."""

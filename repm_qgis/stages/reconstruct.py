@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Optional, Sequence
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -17,13 +17,15 @@ from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..imagery.enhancement import Stretch, view_stretch
+from ..imagery.parameters import StretchParameters
 from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
 from ..options import ReconstructOptions
+from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..records import HeightMapRecord
-from ..scene import Scene, Tile, reusable
+from ..scene import Scene, Tile, View, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice
 from ..sfm.ground_control import read_gcps
@@ -69,8 +71,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
         _log_pairs(scene, notes)
-        stretches = {v.name: view_stretch(v.image, v.band, v.mask, parameters.stretch) for v in scene.views}
-        scene = _pointed(scene, stretches, options, parameters, Part(notes, 0.0, 0.35))
+        stretches = _stretches(scene, options.workers, parameters, Part(notes, 0.0, 0.02))
+        scene = _pointed(scene, stretches, options, parameters, Part(notes, 0.02, 0.35))
         scene = _with_coarse_surface(scene, stretches, backends[0], options, parameters, Part(notes, 0.35, 0.4))
         matching = parameters.matching
         job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder), matching)
@@ -89,6 +91,18 @@ def heights_folder(options: ReconstructOptions) -> str:
     """The folder of the height maps: the one that was given, or one beside the scene."""
     place = Path(options.output_scene)
     return options.heights or str(place.parent / f"{place.stem}_heights")
+
+
+def _stretches(scene: Scene, workers: int, parameters: EngineParameters, progress: Progress) -> Stretches:
+    """Each view's stretch: an image without overviews is read as a whole for it."""
+    tasks = [(view, parameters.stretch) for view in scene.views]
+    found = run_tasks(_stretch, tasks, workers, progress, lambda task: f"brightness of {task[0].name}")
+    return {view.name: stretch for view, stretch in zip(scene.views, found)}
+
+
+def _stretch(task: Tuple[View, StretchParameters]) -> Stretch:
+    view, parameters = task
+    return view_stretch(view.image, view.band, view.mask, parameters)
 
 
 def _log_pairs(scene: Scene, progress: Progress) -> None:

@@ -93,6 +93,7 @@ def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context
         "fill": "occlusions",
         "outlier_radius": None,
         "mesh_vertices": 500000,
+        "cluster": "",
         "workers": 0,
         "memory": 0,
     }
@@ -119,6 +120,29 @@ def test_memory_comes_from_the_settings(plugin, context, feedback):
         assert options("pipeline", {}, context, feedback)["memory"] == 2000
     finally:
         ProcessingConfig.settings["REPM_MEMORY"].setValue(0)
+
+
+def test_a_cluster_comes_from_the_parameter_or_the_settings(plugin, context, feedback, rasters):
+    from processing.core.ProcessingConfig import ProcessingConfig
+
+    given = {"DSM": rasters[0], "REFERENCE": rasters[1]}
+    ProcessingConfig.settings["REPM_CLUSTER"].setValue("tcp://10.0.0.1:8786")
+    try:
+        assert options("comparedsm", given, context, feedback)["cluster"] == "tcp://10.0.0.1:8786"
+        found = options("comparedsm", {**given, "CLUSTER": "/shared/scheduler.json"}, context, feedback)
+        assert found["cluster"] == "/shared/scheduler.json"
+        assert "cluster" not in options("epmfit", {"IMAGES": rasters}, context, feedback)
+    finally:
+        ProcessingConfig.settings["REPM_CLUSTER"].setValue("")
+
+
+def test_a_comparison_on_a_cluster_runs_apart(plugin, context, feedback, rasters):
+    """QGIS's own Python need not have Dask: the engine's has, and says what is wrong with the address."""
+    from qgis.core import QgsProcessingException
+
+    given = {"DSM": rasters[0], "REFERENCE": rasters[1], "CLUSTER": "tcp://127.0.0.1:1", "THRESHOLDS": "1"}
+    with pytest.raises(QgsProcessingException, match="No Dask scheduler answers at 'tcp://127.0.0.1:1'"):
+        algorithm("comparedsm").run(given, context, feedback, {}, False)
 
 
 def test_masks_keep_their_places(plugin, context, feedback, rasters):

@@ -1,0 +1,79 @@
+"""repm:mosaic."""
+
+from __future__ import annotations
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingOutputNumber,
+    QgsProcessingParameterCrs,
+    QgsProcessingParameterMultipleLayers,
+)
+
+from ..repm_qgis.options import MosaicOptions
+from . import parameters
+from .base import RepmAlgorithm
+
+
+class Mosaic(RepmAlgorithm):
+    """Puts many DSMs together to one."""
+
+    ID = "mosaic"
+    GROUP = "surface"
+    TAGS = "mosaic,merge,seam,blend,offset,block adjustment,surface model"
+    USES_WORKERS = True
+
+    def displayName(self) -> str:
+        return self.tr("Make a mosaic of DSMs")
+
+    def shortDescription(self) -> str:
+        return self.tr("One DSM from many that overlap: their vertical offsets are removed, and no seam is seen.")
+
+    def parameters(self) -> list:
+        rasters = QgsProcessing.SourceType.TypeRaster
+        dsms = parameters.Rasters("DSMS", self.tr("DSMs"), rasters)
+        dsms.setMinimumNumberInputs(2)
+        return [
+            parameters.helped(
+                dsms,
+                self.tr("Two or more DSMs, of this plugin or of others, in any CRS; heights in metres, of one datum."),
+            ),
+            parameters.helped(
+                parameters.Rasters("FIXED", self.tr("DSMs whose heights are right"), rasters, optional=True),
+                self.tr(
+                    "Those of the DSMs that were registered, to control points say: their heights stay, and all "
+                    "others are brought to them. Empty: the mean of all offsets is zero."
+                ),
+            ),
+            parameters.number(
+                MosaicOptions,
+                "resolution",
+                self.tr("Resolution (m, 0: the first DSM's)"),
+                self.tr("Cell size in units of the CRS."),
+            ),
+            parameters.helped(
+                QgsProcessingParameterCrs("CRS", self.tr("CRS (empty: the first DSM's)"), optional=True),
+                self.tr("A projected CRS."),
+            ),
+            parameters.advanced(
+                parameters.helped(
+                    QgsProcessingParameterMultipleLayers(
+                        "CONFIDENCES",
+                        self.tr("Confidence rasters (empty: equal weights)"),
+                        QgsProcessing.SourceType.TypeFile,
+                        optional=True,
+                    ),
+                    self.tr(
+                        "One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one "
+                        "band with the expected error in metres. The better of two heights counts for more."
+                    ),
+                )
+            ),
+            parameters.cluster(),
+            *(parameters.product(self.ID, name) for name in ("output", "sources", "report")),
+        ]
+
+    def extra_outputs(self) -> list:
+        return [
+            QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)")),
+            QgsProcessingOutputNumber("SEAM", self.tr("Difference of two DSMs along the seams, median (m)")),
+        ]

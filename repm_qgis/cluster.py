@@ -1,0 +1,301 @@
+"""The workers of a Dask cluster, in place of this machine's: the same tasks, the same results.
+
+Only tasks and small records travel; pixels are read and written by the workers, on storage that all of them share.
+What a worker lacks, or cannot see, is found before the work begins. Dask (https://distributed.dask.org) is imported
+here alone, and this module only where a cluster is asked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import time
+import uuid
+from contextlib import contextmanager, suppress
+from itertools import islice
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+
+from distributed import Client, WorkerPlugin, as_completed
+from distributed.scheduler import KilledWorker
+
+from .errors import ClusterError
+from .parallel import do_task, packed, prepare_process, use_workers
+from .progress import Progress
+from .workspace import ensure_folder
+
+_CONNECT_S = 5
+_MOST_BYTES = 10 << 20  # of a scheduler file
+_POLL_S = 0.02
+_LOOK_S = 5.0  # between two looks at whether there are workers left
+_OUTSTANDING = 2000  # tasks that the scheduler knows at a time, so that memory does not grow with their number
+_PACKAGES = ("repm_qgis", "osgeo.gdal", "numpy", "cv2", "scipy", "pyproj", "laspy", "lazrs")
+_MIB = 1024.0 * 1024.0
+_VERSIONS = "Give all machines the same versions (docs/cluster.md)."
+
+
+@contextmanager
+def cluster_workers(address: str, read: Sequence[str], folders: Sequence[str], progress: Progress) -> Iterator[None]:
+    """Within the block all tasks run on the workers of a cluster.
+
+    ``address`` is that of its scheduler ("tcp://host:port"), or the path of a scheduler file. ``read`` are files and
+    ``folders`` the folders for products, which all workers must see as this machine does. Raises ClusterError.
+    """
+    client = _client(address)
+    try:
+        workers = _same_everywhere(client, address)
+        _require_shared(client, workers, read, folders)
+        client.register_plugin(_Prepared())
+        limits = [int(worker["memory_limit"]) for worker in workers.values() if worker.get("memory_limit")]
+        hosts = len({worker["host"] for worker in workers.values()})
+        progress.info(f"The tasks run on {len(workers)} workers of the cluster at '{address}' ({hosts} machines).")
+        with use_workers(_ClusterWorkers(client, address, min(limits) / _MIB if limits else None)):
+            yield
+    finally:
+        _close(client)
+
+
+def _client(address: str) -> Client:
+    remedy = "start one with scripts/repm-cluster, or correct CLUSTER"
+    try:
+        scheduler = address if "://" in address else _in_scheduler_file(address)
+        return Client(scheduler, timeout=_CONNECT_S, set_as_default=False, name="repm")
+    except (OSError, asyncio.TimeoutError, ValueError, TypeError, KeyError) as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ClusterError(f"No Dask scheduler answers at '{address}' ({reason}): {remedy}.") from error
+
+
+def _in_scheduler_file(path: str) -> str:
+    """The address that a scheduler has written into its file; raises OSError, ValueError or KeyError."""
+    if not os.path.isfile(path):
+        known = "the address of a scheduler, such as tcp://10.0.0.1:8786, or a scheduler file"
+        raise ClusterError(f"CLUSTER '{path}' is neither a file nor an address: give {known}.")
+    with open(path, encoding="utf-8") as stream:
+        document = json.loads(stream.read(_MOST_BYTES))
+    if not isinstance(document, dict) or not isinstance(document.get("address"), str):
+        raise ValueError("it holds no address")
+    found: str = document["address"]
+    return found
+
+
+def _close(client: Client) -> None:
+    with suppress(Exception):  # the scheduler may be gone
+        client.close(timeout=1)
+    client.status = "closed"  # else it would try again, for as long as it waits for answers, when it is collected
+
+
+class _Prepared(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
+    """Every worker, also one that joins later, computes with the settings of this machine's workers."""
+
+    name = "repm"
+
+    def setup(self, worker: Any) -> None:
+        prepare_process()
+
+
+# What workers are asked must run where REPM or a package is missing: functions within functions travel as their code.
+
+
+def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
+    def facts(packages: Sequence[str]) -> Dict[str, Any]:
+        """The versions of packages, what REPM's code is, and how many threads linear algebra has."""
+        import hashlib
+        import importlib
+        import os
+        import pathlib
+        import platform
+
+        found = {"Python": ".".join(platform.python_version_tuple()[:2])}
+        for name in packages:
+            try:
+                module = importlib.import_module(name)
+            except Exception as error:  # noqa: BLE001 - whatever a broken package does
+                found[name] = f"missing ({type(error).__name__}: {error})"
+                continue
+            found[name] = str(getattr(module, "__version__", "of an unknown version"))
+            if name == "repm_qgis":
+                files = sorted(pathlib.Path(str(module.__file__)).parent.rglob("*.py"))
+                code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+                found[name] += f" (code {code[:8]})"
+        return {"versions": found, "threads": os.environ.get("OMP_NUM_THREADS", "as many as cores")}
+
+    return facts
+
+
+def _seen() -> Callable[[Dict[str, int], Dict[str, str]], List[Tuple[str, str]]]:
+    def seen(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[str, str]]:
+        """What cannot be used, and why: files by their sizes, -1 for unknown, and folders by a file's text in them."""
+        import os
+        import pathlib
+
+        wrong = []
+        for path, size in files.items():
+            try:
+                found = os.stat(path).st_size
+            except OSError as error:
+                wrong.append((path, error.strerror or str(error)))
+                continue
+            if size not in (-1, found):
+                wrong.append((path, f"it has {found} bytes there, and {size} here"))
+        for path, text in probes.items():
+            try:
+                if pathlib.Path(path).read_text(encoding="ascii") != text:
+                    wrong.append((os.path.dirname(path), "it is another folder there"))
+                    continue
+                answer = pathlib.Path(f"{path}-{os.getpid()}")
+                answer.write_text(text, encoding="ascii")
+                answer.unlink()
+            except OSError as error:
+                wrong.append((os.path.dirname(path), error.strerror or str(error)))
+        return wrong
+
+    return seen
+
+
+def _ask(client: Client, question: Callable[..., Any], *arguments: Any) -> Dict[str, Any]:
+    """Every worker's answer by its address; raises ClusterError where one cannot answer."""
+    answers: Dict[str, Any] = client.run(question, *arguments, on_error="return")
+    for worker, answer in answers.items():
+        if isinstance(answer, BaseException):
+            reason = " ".join(f"{type(answer).__name__}: {answer}".split())[:200]
+            raise ClusterError(f"The cluster's worker {worker} cannot answer ({reason}). {_VERSIONS}")
+    return answers
+
+
+def _same_everywhere(client: Client, address: str) -> Dict[str, Dict[str, Any]]:
+    """What the scheduler knows of its workers; raises ClusterError for none, or one that differs from this machine."""
+    try:
+        client.wait_for_workers(1, timeout=_CONNECT_S)
+    except (OSError, asyncio.TimeoutError) as error:
+        remedy = "start workers with scripts/repm-cluster or 'dask worker'"
+        raise ClusterError(f"The cluster at '{address}' has no workers: {remedy}.") from error
+    workers: Dict[str, Dict[str, Any]] = client.scheduler_info(n_workers=-1)["workers"]
+    own = _facts()(_PACKAGES)["versions"]
+    for worker, answer in sorted(_ask(client, _facts(), _PACKAGES).items()):
+        name = f"The worker {worker} on '{workers.get(worker, {}).get('host', 'an unknown machine')}'"
+        for package, version in answer["versions"].items():
+            if version != own[package]:
+                raise ClusterError(f"{name} has {package} {version}, this machine {own[package]}. {_VERSIONS}")
+        if answer["threads"] != "1":
+            found = f"lets linear algebra use {answer['threads']} threads, which changes last digits of the results"
+            raise ClusterError(f"{name} {found}: start it with OMP_NUM_THREADS=1, or with a nanny, which sets it.")
+        threads = workers.get(worker, {}).get("nthreads", 1)
+        if threads != 1:
+            raise ClusterError(f"{name} runs {threads} tasks at a time: start it with --nthreads 1, and more workers.")
+    return workers
+
+
+def _require_shared(
+    client: Client, workers: Dict[str, Dict[str, Any]], read: Sequence[str], folders: Sequence[str]
+) -> None:
+    """Raise ClusterError with the first machine and path where a worker does not see what this machine sees."""
+    files = {path: os.stat(path).st_size if os.path.isfile(path) else -1 for path in read if os.path.exists(path)}
+    text, probes = uuid.uuid4().hex, {}
+    try:
+        for folder in sorted({os.path.abspath(folder) for folder in folders}):
+            probe = str(ensure_folder(folder) / f".repm-probe-{text}")
+            with open(probe, "w", encoding="ascii") as stream:
+                stream.write(text)
+            probes[probe] = text
+        answers = _ask(client, _seen(), files, probes)
+    finally:
+        for probe in probes:
+            with suppress(OSError):
+                os.unlink(probe)
+    for worker, wrong in sorted(answers.items()):
+        for path, reason in wrong:
+            host = workers.get(worker, {}).get("host", worker)
+            remedy = "put images, workspace and products on storage that all machines have under one path"
+            raise ClusterError(f"The worker {worker} on '{host}' cannot use '{path}' ({reason}): {remedy}.")
+
+
+class _ClusterWorkers:
+    """Dask's workers, as :class:`repm_qgis.parallel.Workers`."""
+
+    def __init__(self, client: Client, address: str, task_mib: Optional[float]) -> None:
+        self._client, self._address, self.task_mib = client, address, task_mib
+
+    def run(
+        self,
+        function: Callable[[Any], Any],
+        tasks: Sequence[Any],
+        workers: int,
+        progress: Progress,
+        describe: Callable[[Any], str],
+    ) -> List[Any]:
+        """See :func:`repm_qgis.parallel.run_tasks`; a task whose worker is lost is done again by another, three times.
+
+        Then the rest is finished, and ClusterError names those that were lost.
+        """
+        run, rest = uuid.uuid4().hex[:8], iter(range(len(tasks)))
+        numbers: Dict[Any, int] = {}  # of the tasks that the scheduler knows, by their futures
+        results: Dict[int, Any] = {}
+        lost: List[int] = []
+        ended = as_completed(with_results=True, raise_errors=False, loop=self._client.loop)
+        progress.step(0.0, f"{len(tasks)} tasks on the cluster")
+        look = time.monotonic() + _LOOK_S
+        try:
+            while len(results) + len(lost) < len(tasks):
+                if len(numbers) < _OUTSTANDING // 2:
+                    more = list(islice(rest, _OUTSTANDING - len(numbers)))
+                    keys = [f"{describe(tasks[number])} {run}-{number}" for number in more]
+                    work = [packed(function, tasks[number]) for number in more]
+                    futures = self._client.map(do_task, work, key=keys, pure=False) if more else []
+                    numbers.update(zip(futures, more))
+                    ended.update(futures)
+                batch = list(ended.next_batch(block=False)) if numbers else []
+                for future, result in batch:
+                    number = numbers.pop(future)
+                    if self._is_result(future, result):
+                        results[number] = result
+                    else:
+                        lost.append(number)
+                    progress.step(
+                        len(results) / len(tasks), f"{describe(tasks[number])} ({len(results)} of {len(tasks)})"
+                    )
+                progress.check_cancelled()
+                if not batch:
+                    time.sleep(_POLL_S)
+                if time.monotonic() > look:
+                    self._look(progress)
+                    look = time.monotonic() + _LOOK_S
+        finally:
+            self._drop(list(numbers))
+        if lost:
+            names = "; ".join(describe(tasks[number]) for number in sorted(lost)[:20])
+            found = f"{len(lost)} of {len(tasks)} tasks lost four workers each, most likely for want of memory"
+            remedy = "give the workers more memory, or choose a smaller TILE_SIZE, and run again"
+            raise ClusterError(f"{found} ({names}); all others are done: {remedy}.")
+        return [results[number] for number in range(len(tasks))]
+
+    def _is_result(self, future: Any, result: Any) -> bool:
+        """Whether a task has a result; False where its workers were lost. Raises the error of a task that failed."""
+        if future.status == "finished":
+            return True
+        if future.status == "error" and not isinstance(result, BaseException):
+            result = result[1]  # as sys.exc_info() has it
+        if isinstance(result, KilledWorker):
+            return False
+        if future.status == "error":
+            raise result
+        raise self._gone()
+
+    def _gone(self) -> ClusterError:
+        remedy = "start it again and run again: what is finished is kept"
+        return ClusterError(f"The scheduler of the cluster at '{self._address}' is gone: {remedy}.")
+
+    def _look(self, progress: Progress) -> None:
+        """See that there is a scheduler, and say where there is no worker."""
+        if self._client.status != "running":
+            raise self._gone()
+        if not self._client.nthreads():
+            progress.warn(f"The cluster at '{self._address}' has no workers at the moment: this run waits for one.")
+
+    def _drop(self, futures: List[Any]) -> None:
+        """Have the scheduler forget tasks; a worker ends the one that it does."""
+        if futures:
+            with suppress(Exception):  # the scheduler may be gone
+                self._client.cancel(futures, force=True)
+
+    def kill(self) -> None:
+        """Nothing: the scheduler forgets the tasks of a client that is gone."""

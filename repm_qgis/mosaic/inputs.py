@@ -1,0 +1,178 @@
+"""The DSMs of a mosaic: whether they can be put together, and where they lie on its cells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import List, Optional, Sequence, Tuple
+
+import numpy as np
+import pyproj
+from osgeo import gdal
+from pyproj.exceptions import ProjError
+
+from ..arrays import Bounds, Window
+from ..dsm.products import CONFIDENCE_BANDS
+from ..errors import ImageError
+from ..evaluation.grids import Grid, metres_per_unit
+from ..geometry.cell_grid import CellGrid
+from ..geometry.frames import flat_crs, projected_crs_at, utm_crs, vertical_part
+from ..geometry.tiles import enclosing
+from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
+from ..imagery.raster import opened
+from ..options import MosaicOptions
+from ..progress import Progress
+
+_METRES = ("", "m", "metre", "metres", "meter", "meters")
+_ERROR_BAND = CONFIDENCE_BANDS[-1].split(" (")[0]
+
+
+@dataclass(frozen=True)
+class Dsm:
+    """One DSM: its file, the raster with its expected error ("" for none) and that band, and its place in the mosaic.
+
+    ``ratio`` is how many of its cells one cell of the mosaic is wide.
+    """
+
+    path: str
+    confidence: str
+    band: int
+    window: Window
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The mosaic's cells, its projected CRS as WKT, the datum of its heights (None: unknown), and its DSMs."""
+
+    grid: CellGrid
+    crs: str
+    datum: Optional[HeightDatum]
+    dsms: Tuple[Dsm, ...]
+
+    @property
+    def file_crs(self) -> str:
+        return self.datum.file_crs(self.crs) if self.datum else self.crs
+
+    @property
+    def target(self) -> Grid:
+        """The mosaic's frame as rasters are warped onto it; its CRS is horizontal, as all have one datum."""
+        return Grid("the mosaic", self.grid.size, self.grid.geotransform, self.crs)
+
+
+@dataclass(frozen=True)
+class _Found:
+    grid: Grid
+    datum: Optional[HeightDatum]
+
+
+def layout_of(options: MosaicOptions, progress: Progress) -> Layout:
+    """Look at all DSMs; raises ImageError for one that cannot be used, and OptionError for an unsuitable CRS."""
+    found = []
+    for path in options.dsms:
+        progress.check_cancelled()
+        with opened(path) as dataset:
+            found.append(_looked_at(dataset, path))
+    datum = _common_datum(options.dsms, found, progress)
+    crs, cell, corner = _frame(options, found[0].grid)
+    boxes = [_bounds_in(each.grid, crs) for each in found]
+    west, north = corner
+    whole = enclosing(boxes)
+    cells = CellGrid.covering((whole.xmin - west, whole.ymin - north, whole.xmax - west, whole.ymax - north), cell)
+    grid = replace(cells, west=cells.west + west, north=cells.north + north)
+    confidences = options.confidences or ("",) * len(found)
+    dsms = tuple(
+        Dsm(each.grid.path, path, _error_band(path) if path else 0, grid.window(box), _ratio(each.grid, cell))
+        for each, path, box in zip(found, confidences, boxes)
+    )
+    return Layout(grid, crs.to_wkt("WKT2_2019"), datum, dsms)
+
+
+def _looked_at(dataset: gdal.Dataset, path: str) -> _Found:
+    grid = replace(Grid.of(dataset), path=path)
+    if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
+        raise ImageError(f"The DSM '{path}' is not georeferenced: give it a place on the ground first.")
+    crs = grid.crs
+    units = [dataset.GetRasterBand(1).GetUnitType()]
+    units += [axis.unit_name for part in crs.sub_crs_list if part.is_vertical for axis in part.axis_info]
+    for unit in units:
+        if unit.lower() not in _METRES:
+            raise ImageError(f"The DSM '{path}' has heights in '{unit}': convert them to metres first (gdal_calc).")
+    vertical = vertical_part(crs)
+    if vertical is None:
+        name = dataset.GetMetadataItem(TAG) or ""
+        return _Found(grid, HeightDatum("", name) if name else None)
+    if crs.is_compound:
+        return _Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")))
+    return _Found(grid, HeightDatum("", ELLIPSOID if "WGS 84" in vertical else vertical))
+
+
+def _common_datum(paths: Sequence[str], found: Sequence[_Found], progress: Progress) -> Optional[HeightDatum]:
+    """What all heights refer to; raises ImageError where two DSMs say otherwise."""
+    known = [(path, each.datum) for path, each in zip(paths, found) if each.datum is not None]
+    for path, datum in known:
+        if datum.name != known[0][1].name:
+            first = f"'{known[0][0]}' has heights above '{known[0][1].name}', '{path}' above '{datum.name}'"
+            raise ImageError(f"{first}: convert all DSMs to one vertical datum first.")
+    silent = [path for path, each in zip(paths, found) if each.datum is None]
+    if silent:
+        more = f" and {len(silent) - 1} more" if len(silent) > 1 else ""
+        others = known[0][1].name if known else "one datum, which is unknown"
+        text = f"'{silent[0]}'{more} do not state" if more else f"'{silent[0]}' does not state"
+        progress.warn(f"{text} a vertical datum: all heights are taken to refer to {others}.")
+    return known[0][1] if known else None
+
+
+def _frame(options: MosaicOptions, first: Grid) -> Tuple[pyproj.CRS, float, Tuple[float, float]]:
+    """The mosaic's CRS and cell size, and a corner of its cells: those of the first DSM where nothing else is asked."""
+    own, (_, width, turn, _, tilt, height) = flat_crs(first.crs), first.transform
+    middle = pyproj.Transformer.from_crs(own, "EPSG:4326", always_xy=True).transform(*_middle(first))
+    if options.crs:
+        crs = projected_crs_at(options.crs, *middle)
+    elif own.is_projected and all(abs(axis.unit_conversion_factor - 1.0) < 1e-9 for axis in own.axis_info):
+        crs = own
+    else:
+        such = f"such as {utm_crs(*middle)}"
+        raise ImageError(f"'{first.path}' is in {own.name}, whose unit is not the metre: give a projected CRS, {such}.")
+    cell = float(f"{math.sqrt(abs(width * height - turn * tilt)) * metres_per_unit(first)[0]:.6g}")
+    same = crs == own and not turn and not tilt and width == -height
+    if same and options.resolution in (0.0, width):
+        return crs, width, (first.transform[0], first.transform[3])
+    return crs, options.resolution or cell, (0.0, 0.0)
+
+
+def _middle(grid: Grid) -> Tuple[float, float]:
+    xmin, ymin, xmax, ymax = grid.bounds
+    return (xmin + xmax) / 2, (ymin + ymax) / 2
+
+
+def _bounds_in(grid: Grid, crs: pyproj.CRS) -> Bounds:
+    transformer = pyproj.Transformer.from_crs(flat_crs(grid.crs), crs, always_xy=True)
+    try:
+        bounds = Bounds(*transformer.transform_bounds(*grid.bounds, densify_pts=21))
+    except ProjError:
+        bounds = Bounds(*(math.nan,) * 4)
+    if not np.isfinite(bounds).all():
+        raise ImageError(f"The DSM '{grid.path}' has no place in {crs.name}: choose a CRS that suits all DSMs.")
+    return bounds
+
+
+def _ratio(grid: Grid, cell: float) -> float:
+    per_unit = metres_per_unit(grid)
+    _, b, c, _, e, f = grid.transform
+    own = min(math.hypot(b * per_unit[0], e * per_unit[1]), math.hypot(c * per_unit[0], f * per_unit[1]))
+    return cell / own
+
+
+def _error_band(path: str) -> int:
+    """The band with the expected error, m: the one of that name, or the only one."""
+    with opened(path) as dataset:
+        names: List[str] = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
+        Grid.of(dataset).crs  # noqa: B018 - raises ImageError where there is none
+    for band, name in enumerate(names, start=1):
+        if name.startswith(_ERROR_BAND):
+            return band
+    if len(names) == 1:
+        return 1
+    what = f"has {len(names)} bands, and none is called '{_ERROR_BAND}'"
+    raise ImageError(f"'{path}' of CONFIDENCES {what}: give the confidence raster of the DSM, or one band of errors.")

@@ -1,0 +1,108 @@
+"""The HTML page of a mosaic."""
+
+from __future__ import annotations
+
+import os
+from typing import Dict, List, Optional, Sequence
+
+import numpy as np
+
+from ..evaluation import charts, pictures
+from ..evaluation.report import Report, fixed
+from ..options import MosaicOptions
+from ..progress import counted
+from .inputs import Layout
+from .offsets import Offsets, Overlap
+
+_PICTURE_PX = 1000
+
+
+def mosaic_page(
+    options: MosaicOptions,
+    layout: Layout,
+    overlaps: Sequence[Overlap],
+    offsets: Offsets,
+    cells: Dict[int, int],
+    seam: Optional[float],
+    warnings: Sequence[str],
+) -> Report:
+    """What a mosaic was made of; ``cells`` counts those of each DSM by its number, ``seam`` is the median step, m."""
+    page = Report("Mosaic of DSMs", f"{options.output}, of {counted(len(layout.dsms), 'DSM')}")
+    for text in warnings:
+        page.warning(text)
+    _surface(page, options, layout, cells, seam)
+    _dsms(page, options, layout, overlaps, offsets, cells)
+    _overlaps(page, layout, overlaps, offsets)
+    if options.sources:
+        _sources(page, options.sources, len(layout.dsms))
+    return page
+
+
+def _surface(
+    page: Report, options: MosaicOptions, layout: Layout, cells: Dict[int, int], seam: Optional[float]
+) -> None:
+    values, cell = pictures.preview(options.output, _PICTURE_PX)
+    relief = pictures.png_bytes(pictures.shaded_relief(values, cell))
+    page.png(relief, "The mosaic, shaded from the north-west, north up. White: no DSM has a height there.")
+    above = f"m above the {layout.datum.name}" if layout.datum else "m"
+    page.svg(charts.colour_bar(pictures.RAMPS["elevation"], *pictures.percentile_range(values), above))
+    columns, rows = layout.grid.size
+    known = sum(cells.values())
+    page.facts(
+        [
+            ("Cells", f"{columns} x {rows} of {layout.grid.cell:g} m"),
+            ("Cells with a height", f"{known} ({100.0 * known / (columns * rows):.1f} %)"),
+            ("Difference of two DSMs along the seams, median", "–" if seam is None else f"{seam:.3f} m"),
+        ]
+    )
+
+
+def _dsms(
+    page: Report,
+    options: MosaicOptions,
+    layout: Layout,
+    overlaps: Sequence[Overlap],
+    offsets: Offsets,
+    cells: Dict[int, int],
+) -> None:
+    fixed_places = {os.path.realpath(path) for path in options.fixed}
+    group_of = {number: place for place, group in enumerate(offsets.groups, start=1) for number in group}
+    known, rows = max(sum(cells.values()), 1), []
+    for number, dsm in enumerate(layout.dsms):
+        count = sum(number in (overlap.first, overlap.second) for overlap in overlaps)
+        stays = "yes" if os.path.realpath(dsm.path) in fixed_places else ""
+        added = fixed(float(offsets.added[number]), sign="+") + fixed(float(offsets.deviation[number]))
+        share = f"{100.0 * cells.get(number, 0) / known:.1f}"
+        rows.append([number + 1, dsm.path, *added, stays, count, group_of[number], share])
+    page.section("DSMs").table(
+        "number | DSM | added, m | standard deviation, m | fixed | overlaps | group | cells from it, %",
+        rows,
+        "Offsets are solved together by least squares over all overlaps. DSMs of different groups do not hang "
+        "together: their heights are not compared with each other. A group without a fixed DSM keeps its mean height.",
+    )
+
+
+def _overlaps(page: Report, layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets) -> None:
+    rows: List[List[object]] = []
+    for overlap in sorted(overlaps, key=lambda each: -abs(each.after(offsets.added))):
+        medians = fixed(overlap.median, overlap.after(offsets.added), sign="+")
+        numbers = [overlap.first + 1, overlap.second + 1]
+        rows.append([*numbers, overlap.cells, *medians, *fixed(overlap.nmad)])
+    page.section("Overlaps").table(
+        "first | second | cells, about | median before, m | median after, m | NMAD, m",
+        rows,
+        "Heights of the first DSM minus those of the second, before and after the offsets are added, worst first. The "
+        "NMAD is the spread of the differences about their median; an offset does not change it.",
+    )
+    for name, values in (
+        ("before", [overlap.median for overlap in overlaps]),
+        ("after", [overlap.after(offsets.added) for overlap in overlaps]),
+    ):
+        page.facts([(f"Median differences {name}, root mean square", f"{np.sqrt(np.mean(np.square(values))):.3f} m")])
+
+
+def _sources(page: Report, path: str, count: int) -> None:
+    values, _ = pictures.preview(path, _PICTURE_PX)
+    drawn = pictures.png_bytes(pictures.colour_map(values, 1.0, float(count), "viridis"))
+    page.section("Sources").png(drawn, "The number of the DSM that each height comes from, north up.")
+    page.svg(charts.colour_bar(pictures.RAMPS["viridis"], 1.0, float(count), "number of the DSM"))

@@ -1,0 +1,46 @@
+"""The numbers that mosaics choose; docs/method.md, "Mosaics", says what each is for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class OffsetParameters(Parameters):
+    """Differences of two DSMs where both have heights, and offsets from them. Chosen, unless a source is given."""
+
+    patch_cells: int = 128  # side of a part of an overlap that is read at once
+    patches: int = 64  # of an overlap, evenly spread, at most: a million cells
+    least_cells: int = 400  # with both heights: fewer say nothing about an offset
+    independent: float = 25.0  # neighbouring cells that err alike, and count as one (as in co-registration)
+    least_deviation_m: float = 0.001  # of an overlap's median: no overlap counts for more
+    huber: float = 1.345  # standard deviations: 95 % efficiency (Huber and Ronchetti, Robust Statistics)
+    reweightings: int = 30
+
+
+@dataclass(frozen=True)
+class SeamParameters(Parameters):
+    """Which DSM a cell has its height from, and how neighbouring ones change into each other. All are chosen."""
+
+    tolerance: float = 2.5  # expected errors of both together: heights this close mean the same surface (as in fusion)
+    least_error_m: float = 0.02  # of a height: no DSM is better
+    unknown_error_m: float = 0.5  # where neither a confidence raster nor an overlap says it
+    object_cells: int = 32  # seams go around what both DSMs show differently and what is smaller than this
+    feather_cells: int = 6  # radius of the mean that is taken twice: a seam is four times as wide
+    closed_cells: int = 4  # radius within which half of the cells have heights in a DSM without a hole
+    interior_px: int = 1000  # side of the map of how far inside a DSM a place lies
+
+
+@dataclass(frozen=True)
+class MosaicParameters(Parameters):
+    """All choices of mosaics."""
+
+    offsets: OffsetParameters = OffsetParameters()
+    seams: SeamParameters = SeamParameters()
+    block_cells: int = 512  # side of a block, at most
+    stack_cells: int = 4_000_000  # of all DSMs of a block with their margins together, about: bounds the memory
+
+
+MOSAIC = MosaicParameters()

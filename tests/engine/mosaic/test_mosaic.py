@@ -1,0 +1,278 @@
+"""Many DSMs to one, from files to files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyproj
+import pytest
+from scipy import ndimage
+
+from repm_qgis.errors import ImageError, OptionError, OverlapError, RepmError
+from repm_qgis.geometry.vertical import ELLIPSOID, TAG
+from repm_qgis.imagery import raster
+from repm_qgis.stages import run_stage
+from repm_qgis.stages.parameters import ENGINE
+
+UTM31, UTM32 = "EPSG:32631", "EPSG:32632"
+WEST, NORTH = 740000.0, 4850000.0  # where both zones have a place
+STARTS = ((0, 0), (110, 0), (0, 110), (110, 110))  # columns and rows of the first cells of four DSMs
+SIDE = 190
+ADDED = (2.5, -3.0, 0.75, -0.25)  # what must be added to each; their mean is zero
+
+
+def ground(x, y):
+    """A slope with houses every 30 m, at places in UTM 31."""
+    u, v = x - WEST, NORTH - y
+    house = (np.mod(u, 30.0) > 16.0) & (np.mod(v, 30.0) > 18.0)
+    return 200.0 + 0.05 * u - 0.02 * v + 8.0 * house
+
+
+def write(path, start, side, values=None, crs=UTM31, cell=1.0, tags=None, unit="m", vertical=None):
+    """A DSM whose first cell lies at columns and rows from the corner of all, in its own CRS; gives its path."""
+    place = (WEST + start[0], cell, 0.0, NORTH - start[1], 0.0, -cell)
+    if crs != UTM31:
+        x, y = pyproj.Transformer.from_crs(UTM31, crs, always_xy=True).transform(place[0], place[3])
+        place = (round(x), cell, 0.0, round(y), 0.0, -cell)
+    rows, columns = np.indices((side, side)) + 0.5
+    x, y = place[0] + columns * cell, place[3] - rows * cell
+    if crs != UTM31:
+        x, y = pyproj.Transformer.from_crs(crs, UTM31, always_xy=True).transform(x, y)
+    heights = (values or ground)(x, y)
+    tags = {TAG: ELLIPSOID} if tags is None else tags
+    wkt = pyproj.CRS.from_user_input(f"{crs}+{vertical}" if vertical else crs).to_wkt()
+    return raster.write(str(path), [heights.astype(np.float32)], place, wkt, metadata=tags, unit=unit)
+
+
+def noisy(number, noise=0.06):
+    """A DSM's surface: the ground with its offset, noise with a grain of two cells, and a hole."""
+
+    def surface(x, y):
+        rng = np.random.default_rng(number)
+        grain = ndimage.gaussian_filter(rng.normal(0, 1, x.shape), 1.0)
+        heights = ground(x, y) - ADDED[number] + noise * grain / grain.std()
+        heights[20:40, 100 + 8 * number : 115 + 8 * number] = np.nan
+        return heights
+
+    return surface
+
+
+@pytest.fixture(scope="module")
+def four(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dsms")
+    return [write(folder / f"dsm_{i}.tif", start, SIDE, noisy(i)) for i, start in enumerate(STARTS)]
+
+
+def mosaic(told, folder, dsms, progress=None, parameters=ENGINE, **options):
+    options = {"output": str(folder / "mosaic.tif"), "workers": 1, **options}
+    return run_stage("mosaic", {"dsms": list(dsms), **options}, progress or told(), parameters)
+
+
+def read(path, band=1):
+    with raster.opened(path) as dataset:
+        return raster.read(dataset, band=band)
+
+
+@pytest.fixture(scope="module")
+def made(four, tmp_path_factory, told):
+    folder, said = tmp_path_factory.mktemp("mosaic"), told()
+    more = {"sources": str(folder / "sources.tif"), "report": str(folder / "report.html")}
+    return mosaic(told, folder, four, said, **more), said
+
+
+def test_offsets_are_solved_and_seams_are_below_a_decimetre(made):
+    result, said = made
+    added, deviation = ([each[name] for each in result["offsets"]] for name in ("added", "deviation"))
+    assert added == pytest.approx(ADDED, abs=0.01) and 0 < max(deviation) < 0.02
+    assert (result["groups"], result["overlaps"]) == (1, 6) and result["seam"] < 0.1
+    heights, source = read(result["output"]), read(result["sources"])
+    rows, columns = np.indices(heights.shape) + 0.5
+    error = heights - ground(WEST + columns, NORTH - rows)
+    assert np.nanmax(np.abs(error)) < 0.6  # a roof that was averaged with the ground would be 4 m wrong
+    for turned, from_dsm in ((error, source), (error.T, source.T)):
+        step = np.abs(np.diff(turned, axis=1))[from_dsm[:, 1:] != from_dsm[:, :-1]]
+        assert len(step) > 200 and np.nanmedian(step) < 0.06
+    assert any("the mean of all offsets is zero" in text for text in said.notes)
+    assert sum("m are added" in text for text in said.notes) == 4 and not said.warnings
+
+
+def test_products_say_where_heights_come_from(made, four):
+    result, _ = made
+    heights = read(result["output"])
+    number, count, spread = (read(result["sources"], band) for band in (1, 2, 3))
+    with raster.opened(result["output"]) as dataset:
+        assert dataset.GetMetadataItem(TAG) == ELLIPSOID and dataset.GetRasterBand(1).GetUnitType() == "m"
+        assert dataset.GetMetadata("IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert dataset.GetGeoTransform() == (WEST, 1.0, 0.0, NORTH, 0.0, -1.0)
+    with raster.opened(result["sources"]) as dataset:
+        assert [dataset.GetMetadataItem(f"DSM_{i + 1}") for i in range(4)] == four
+    # Where one DSM alone has heights, the mosaic has these and its offset, to the digit.
+    own = read(four[0]) + np.float32(result["offsets"][0]["added"])
+    alone = (count == 1)[:100, :100]
+    assert alone.sum() > 8000 and (number[:100, :100][alone] == 1).all()
+    assert heights[:100, :100][alone] == pytest.approx(own[:100, :100][alone], abs=1e-4)
+    assert np.nanmax(count) == 4 and (np.isnan(spread) == (np.nan_to_num(count) < 2)).all()
+    assert (np.isnan(heights) == np.isnan(number)).all() and np.isnan(
+        heights
+    ).sum() == 20 * 25  # two holes that no other DSM sees
+    page = open(result["report"], encoding="utf-8").read()
+    assert page.count("data:image/png") == 2 and all(path in page for path in four) and "+2.499" in page
+    json.dumps(result, allow_nan=False)
+
+
+def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
+    said = told()
+    found = mosaic(told, tmp_path, four, said, fixed=[four[1]])["offsets"]
+    assert found[1]["added"] == 0 and found[1]["deviation"] == 0
+    assert [each["added"] for each in found] == pytest.approx(np.array(ADDED) - ADDED[1], abs=0.01)
+    assert any("its heights are fixed" in text for text in said.notes)
+
+
+def test_neither_blocks_nor_workers_change_the_result(four, made, tmp_path, told):
+    small = replace(ENGINE, mosaic=replace(ENGINE.mosaic, block_cells=96))
+    parts = mosaic(told, tmp_path, four, parameters=small, workers=2)
+    one, other = read(parts["output"]), read(made[0]["output"])
+    assert (np.isnan(one) == np.isnan(other)).all()
+    # Rounding decides for a house that both DSMs have an equal share of: these lie symmetrically.
+    assert (np.abs(one - other)[np.isfinite(one)] < 1e-3).mean() > 0.999
+    again = mosaic(told, tmp_path, four, parameters=small, workers=1, output=str(tmp_path / "again.tif"))
+    assert open(again["output"], "rb").read() == open(parts["output"], "rb").read()
+
+
+def test_dsms_of_other_crs_and_cells_are_not_shifted(tmp_path, told):
+    """A plane of 10 % slope: half a cell of 2 m would be 0.1 m."""
+
+    def plane(x, y):
+        return 0.1 * (x - WEST) + 0.07 * (y - NORTH) + 500.0
+
+    first = write(tmp_path / "a.tif", (0, 0), 150, plane)
+    second = write(tmp_path / "b.tif", (90, 20), 80, plane, UTM32, cell=2.0)
+    result = mosaic(told, tmp_path, [first, second], sources=str(tmp_path / "s.tif"))
+    assert [each["added"] for each in result["offsets"]] == pytest.approx([0, 0], abs=0.01)
+    heights = read(result["output"])
+    with raster.opened(result["output"]) as dataset:
+        x0, cell, _, y0, _, _ = dataset.GetGeoTransform()
+    rows, columns = np.indices(heights.shape) + 0.5
+    error = heights - plane(x0 + columns * cell, y0 - rows * cell)
+    # In the outer half of its border cells a DSM has no slope.
+    assert np.nanpercentile(np.abs(error), 97) < 0.02 and np.nanmax(np.abs(error)) < 0.15 and cell == 1.0
+    assert (read(result["sources"]) == 2).sum() > 10_000
+    coarse = mosaic(told, tmp_path, [first, second], resolution=3.0, crs=UTM32)
+    with raster.opened(coarse["output"]) as dataset:
+        x0, cell, _, y0, _, _ = dataset.GetGeoTransform()
+        assert cell == 3.0 and pyproj.CRS.from_wkt(dataset.GetProjection()).to_epsg() == 32632
+    heights = read(coarse["output"])
+    rows, columns = np.indices(heights.shape) + 0.5
+    x, y = pyproj.Transformer.from_crs(UTM32, UTM31, always_xy=True).transform(x0 + columns * 3, y0 - rows * 3)
+    assert np.nanpercentile(np.abs(heights - plane(x, y)), 95) < 0.02
+
+
+def test_confidences_give_cells_to_the_better_dsm(four, tmp_path, told):
+    """One band of errors, or the plugin's confidence with its five; one DSM has none."""
+    good = write(tmp_path / "good.tif", STARTS[0], SIDE, lambda x, y: np.full(x.shape, 0.03))
+    with raster.opened(four[1]) as dataset:
+        place, crs = dataset.GetGeoTransform(), dataset.GetProjection()
+    bands = [np.full((SIDE, SIDE), value, np.float32) for value in (0.01, 0.01, 0.01, 0.01, 0.6)]
+    names = ["a", "b", "c", "d", "expected error (m): two thirds are within"]
+    bad = raster.write(str(tmp_path / "bad.tif"), bands, place, crs, descriptions=names)
+    shares = {}
+    for label, confidences in (("equal", ()), ("given", (good, bad, "", ""))):
+        out = str(tmp_path / f"{label}.tif")
+        result = mosaic(told, tmp_path, four, sources=out, confidences=confidences)
+        shares[label] = [int((read(result["sources"]) == number).sum()) for number in (1, 2)]
+    assert shares["given"][0] > 1.1 * shares["equal"][0] and shares["given"][1] < 0.9 * shares["equal"][1]
+    several = raster.write(str(tmp_path / "several.tif"), bands[:2], place, crs)
+    with pytest.raises(ImageError, match=r"several\.tif' of CONFIDENCES has 2 bands, and none is called 'expected er"):
+        mosaic(told, tmp_path, four, confidences=(good, several, "", ""))
+
+
+def test_groups_that_do_not_overlap_are_named(four, tmp_path, told):
+    far = [write(tmp_path / f"far_{i}.tif", (600 + 40 * i, 0), 100) for i in range(2)]
+    said = told()
+    result = mosaic(told, tmp_path, [*four, *far], said)
+    assert result["groups"] == 2 and "far_0.tif, far_1.tif)" in said.warnings[0]
+    with raster.opened(result["output"]) as dataset:
+        assert dataset.RasterXSize == 740
+
+
+def test_vertical_datums_must_agree(four, tmp_path, told):
+    silent = write(tmp_path / "silent.tif", (0, 0), 100, tags={})
+    said = told()
+    assert mosaic(told, tmp_path, [four[0], silent], said)["vertical_datum"] == ELLIPSOID
+    assert said.warnings == [
+        f"'{silent}' does not state a vertical datum: all heights are taken to refer to {ELLIPSOID}."
+    ]
+    geoid = write(tmp_path / "geoid.tif", (0, 0), 100, tags={}, vertical=5773)
+    with pytest.raises(ImageError, match="convert all DSMs to one vertical datum") as caught:
+        mosaic(told, tmp_path, [four[0], geoid])
+    assert geoid in str(caught.value) and "EGM96" in str(caught.value)
+    other = write(tmp_path / "other.tif", (50, 0), 100, tags={}, vertical=5773)
+    both = mosaic(told, tmp_path, [geoid, other])
+    with raster.opened(both["output"]) as dataset:
+        assert "EGM96" in dataset.GetMetadataItem(TAG) and pyproj.CRS.from_wkt(dataset.GetProjection()).is_compound
+
+
+def bad_inputs(folder, four):
+    """Options, the kind of error, and the words that the one sentence must have."""
+    text = folder / "notes.tif"
+    text.write_text("no raster")
+    feet = write(folder / "feet.tif", (0, 0), 60, unit="ft")
+    away = write(folder / "away.tif", (900, 0), 60)
+    degrees = raster.write(
+        str(folder / "degrees.tif"), [np.ones((50, 50), np.float32)], (6, 1e-4, 0, 43.8, 0, -1e-4), "EPSG:4326"
+    )
+    nowhere = raster.write(str(folder / "nowhere.tif"), [np.ones((50, 50), np.float32)], None, "")
+    empty = [write(folder / f"empty_{i}.tif", (i, 0), 60, lambda x, y: np.full(x.shape, np.nan)) for i in range(2)]
+    return {
+        "one DSM": ({"dsms": four[:1]}, OptionError, "must name at least two DSMs"),
+        "none": ({"dsms": []}, OptionError, "must name at least two DSMs"),
+        "twice": ({"dsms": [four[0], four[1], four[0]]}, OptionError, f"DSMS is '{four[0]}': it is named twice"),
+        "not there": ({"dsms": [four[0], "gone.tif"]}, ImageError, "'gone.tif'"),
+        "no raster": ({"dsms": [four[0], str(text)]}, ImageError, "notes.tif"),
+        "feet": ({"dsms": [four[0], feet]}, ImageError, f"'{feet}' has heights in 'ft': convert them to metres"),
+        "no overlap": ({"dsms": [four[0], away]}, OverlapError, "choose DSMs that overlap"),
+        "no heights": ({"dsms": empty}, OverlapError, "No two of the 2 DSMs have heights in 400 common cells"),
+        "degrees": ({"dsms": [degrees, four[0]]}, ImageError, "give a projected CRS, such as EPSG:32632"),
+        "nowhere": ({"dsms": [nowhere, four[0]]}, ImageError, "not georeferenced"),
+        "other crs": ({"dsms": four, "crs": "EPSG:4326"}, OptionError, "CRS"),
+        "not among": ({"dsms": four[:2], "fixed": [four[2]]}, OptionError, f"FIXED is '{four[2]}': it must be one of"),
+        "count": ({"dsms": four, "confidences": four[:2]}, OptionError, "or name 4 rasters"),
+        "overwritten": ({"dsms": four, "output": four[2]}, OptionError, "is also a file of the input DSMS"),
+        "no such option": ({"dsms": four, "blend": 3}, OptionError, "blend"),
+    }
+
+
+def test_bad_input_is_one_sentence_and_nothing_is_left(four, tmp_path, told):
+    cases = bad_inputs(tmp_path, four)
+    assert len(cases) == 15
+    out = tmp_path / "out"
+    out.mkdir()
+    for label, (options, kind, words) in cases.items():
+        with pytest.raises(kind) as caught:
+            run_stage("mosaic", {"output": str(out / "m.tif"), **options}, told())
+        message = str(caught.value)
+        assert isinstance(caught.value, RepmError) and words in message and "\n" not in message, (label, message)
+        assert not list(out.iterdir()), label
+
+
+def test_cancel_leaves_nothing(four, tmp_path, told):
+    from repm_qgis.errors import Cancelled
+
+    counting = told()
+    mosaic(told, tmp_path, four, counting)
+    (tmp_path / "mosaic.tif").unlink()
+    before = set(tmp_path.iterdir())
+    for share in (0.1, 0.5, 0.9):
+        with pytest.raises(Cancelled):
+            mosaic(told, tmp_path, four, told(cancel_at=max(1, int(share * counting.checks))))
+        assert set(tmp_path.iterdir()) == before
+
+
+def test_numbers_of_dsms_are_not_averaged_in_overviews(tmp_path):
+    numbers = np.where(np.indices((900, 900))[1] < 451, 1, 4).astype(np.float32)
+    for overviews, found in (("NEAREST", {1, 4}), ("AVERAGE", {1, 2.5, 4})):
+        path = raster.write(str(tmp_path / f"{overviews}.tif"), [numbers], None, "", cog=True, overviews=overviews)
+        with raster.opened(path) as dataset:
+            assert set(np.unique(dataset.GetRasterBand(1).GetOverview(0).ReadAsArray()).tolist()) == found

@@ -1,0 +1,188 @@
+"""The same bytes from a Dask cluster as from this machine: a real scheduler, and workers with folders of their own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from repm_qgis.errors import Cancelled, ClusterError, MissingPackageError, OptionError
+from repm_qgis.parallel import run_tasks, run_whole, task_mib
+from repm_qgis.stages import run_stage
+from tests.engine import cluster_tasks as tasks
+from tests.engine.local_cluster import MEMORY_MIB, ROOT, Cluster
+
+pytest.importorskip("distributed", reason="the package 'distributed' is not installed")
+FILES = ("dsm.tif", "confidence.tif", "cloud.laz", "mesh.ply")
+
+
+@pytest.fixture(scope="module")
+def start_cluster(tmp_path_factory):
+    """start_cluster(): a new cluster with two workers."""
+    started = []
+
+    def start(workers=2):
+        started.append(Cluster(tmp_path_factory.mktemp("cluster"), workers))
+        return started[-1]
+
+    yield start
+    for cluster in started:
+        cluster.end()
+
+
+@pytest.fixture(scope="module")
+def cluster(start_cluster):
+    return start_cluster()
+
+
+@pytest.fixture
+def on(told):
+    """on(cluster, **changes): the block in which tasks run on a cluster, and what was said."""
+    from repm_qgis.cluster import cluster_workers
+
+    def block(cluster, read=(), folders=(), cancel_at=None):
+        said = told(cancel_at)
+        return cluster_workers(getattr(cluster, "address", cluster), read, folders, said), said
+
+    return block
+
+
+def test_tasks_run_on_all_workers_and_come_back_in_order(cluster, on):
+    block, said = on(cluster)
+    with block:
+        assert run_tasks(tasks.square, list(range(500)), 0, said, str) == [x * x for x in range(500)]
+        assert len(set(run_tasks(tasks.who, [1, 2, 3, 4], 0, said, str)) - {os.getpid()}) == 2
+        assert task_mib() == pytest.approx(MEMORY_MIB, rel=0.01)
+        assert os.getpid() != run_whole(tasks.noted, "it", said, "something")
+        with pytest.raises(OptionError, match="x is 7: it must not be seven"):
+            run_tasks(tasks.picky, list(range(20)), 0, said, str)
+        assert run_tasks(tasks.square, [3], 0, said, str) == [9]  # the cluster works after an error, too
+    assert "it was done" in said.notes and "by another process" in said.warnings
+    assert any(
+        re.search(r"The tasks run on 2 workers of the cluster at '.*scheduler.json'", text) for text in said.notes
+    )
+    assert task_mib() is None and run_whole(tasks.noted, "it", said, "") == os.getpid()
+    assert max(said.fractions) == 1.0
+
+
+def test_cancel_ends_a_run_within_two_seconds(cluster, on):
+    block, said = on(cluster, cancel_at=20)
+    start = time.monotonic()
+    with pytest.raises(Cancelled), block:
+        run_tasks(tasks.slow, list(range(10)), 0, said, str)
+    assert time.monotonic() - start < 4  # with the connection, which is no part of Cancel
+    cluster.renew()
+
+
+def test_the_pipeline_gives_the_same_bytes(cluster, urban, told, tmp_path):
+    options = {"images": urban.images[:2], "tile_size": 256, "resolution": 0.5, "workers": 1}
+
+    def run(name, **more):
+        made = {file.split(".")[0]: str(tmp_path / name / file) for file in FILES}
+        options_ = {**options, **made, "workspace": str(tmp_path / name / "w"), "output": made.pop("dsm"), **more}
+        options_.pop("dsm")
+        return run_stage("pipeline", options_, told())
+
+    here, there = run("here"), run("there", cluster=cluster.address)
+    for file in FILES:
+        assert Path(tmp_path / "here" / file).read_bytes() == Path(tmp_path / "there" / file).read_bytes(), file
+    assert {**here, "seconds": 0}.keys() == {**there, "seconds": 0}.keys() and here["valid"] == there["valid"]
+    compare = {"dsm": there["output"], "reference": urban.truth, "align": "vertical"}
+    figures = [run_stage("comparedsm", {**compare, "cluster": each}, told()) for each in ("", cluster.address)]
+    assert figures[0] == figures[1]
+
+
+def test_a_task_whose_worker_dies_is_done_again_elsewhere(cluster, on, tmp_path):
+    block, said = on(cluster)
+    with block:
+        work = [(x, str(tmp_path / "mark")) for x in range(20)]
+        assert run_tasks(tasks.deadly_once, work, 0, said, str) == [x * x for x in range(20)]
+    assert os.path.exists(tmp_path / "mark")
+    cluster.renew()
+
+
+def test_a_tile_that_kills_every_worker_is_named_and_the_rest_is_done(start_cluster, on, tmp_path):
+    block, said = on(start_cluster(workers=5))
+    words = r"1 of 12 tasks lost four workers each, most likely for want of memory \(tile 3\); all others are done"
+    with pytest.raises(ClusterError, match=words), block:
+        run_tasks(tasks.deadly, list(range(12)), 0, said, "tile {}".format)
+
+
+def test_a_scheduler_that_dies_ends_the_run_in_a_sentence(start_cluster, on):
+    cluster = start_cluster()
+    block, said = on(cluster)
+    threading.Timer(1.0, cluster.scheduler.kill).start()
+    start = time.monotonic()
+    with pytest.raises(ClusterError, match="The scheduler of the cluster at '.*' is gone: start it again"), block:
+        run_tasks(tasks.slow, list(range(10)), 0, said, str)
+    assert time.monotonic() - start < 15
+
+
+@pytest.mark.parametrize(
+    "address, words",
+    (
+        ("tcp://127.0.0.1:1", "No Dask scheduler answers at 'tcp://127.0.0.1:1'"),
+        ("nonsense", "CLUSTER 'nonsense' is neither a file nor an address"),
+        ("foo://x", "No Dask scheduler answers at 'foo://x'"),
+        ("empty.json", "No Dask scheduler answers at '.*empty.json' .it holds no address"),
+    ),
+)
+def test_a_bad_address_is_a_sentence(on, tmp_path, address, words):
+    (tmp_path / "empty.json").write_text("{}")
+    block, _ = on(str(tmp_path / address) if address.endswith(".json") else address)
+    with pytest.raises(ClusterError, match=words), block:
+        pass
+
+
+def test_workers_that_differ_are_a_sentence(cluster, on, monkeypatch):
+    import numpy
+
+    with monkeypatch.context() as change, pytest.raises(ClusterError) as caught:
+        change.setattr(numpy, "__version__", "9.9")
+        with on(cluster)[0]:
+            pass
+    assert re.search(r"The worker tcp://\S+ on '127.0.0.1' has numpy \S+, this machine 9.9", str(caught.value))
+    monkeypatch.setattr("repm_qgis.cluster._PACKAGES", ("repm_qgis", "tests.engine.cluster_tasks", "nowhere"))
+    monkeypatch.setitem(sys.modules, "nowhere", numpy)
+    with pytest.raises(ClusterError, match="has nowhere missing .ModuleNotFoundError"), on(cluster)[0]:
+        pass
+
+
+def test_storage_that_is_not_shared_is_a_sentence(cluster, on, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "image.tif").write_bytes(b"1")
+    own = "/proc/self/cwd"  # another folder in every process
+    for changes in ({"read": [f"{own}/image.tif"]}, {"folders": [f"{own}/out"]}):
+        with pytest.raises(ClusterError, match="The worker .* cannot use '/proc/self/cwd/.*No such file") as caught:
+            with on(cluster, **changes)[0]:
+                pass
+        assert "put images, workspace and products on storage that all machines have" in str(caught.value)
+    with on(cluster, read=[str(tmp_path / "image.tif")], folders=[str(tmp_path / "out")])[0]:
+        assert os.listdir(tmp_path / "out") == []
+
+
+def test_a_cluster_without_dask_is_a_sentence_and_nothing_imports_it_otherwise(urban, told, tmp_path, monkeypatch):
+    code = (
+        "import sys; import repm_qgis.stages.pipeline, repm_qgis.stages.comparedsm; print('distributed' in sys.modules)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "repm_qgis.cluster", raising=False)
+    options = {"images": urban.images[:2], "workspace": str(tmp_path / "w"), "output": str(tmp_path / "d.tif")}
+    with pytest.raises(MissingPackageError, match="CLUSTER needs the Python package 'distributed'"):
+        run_stage("pipeline", {**options, "cluster": "tcp://127.0.0.1:1"}, told())
+
+
+def test_relative_paths_are_refused(urban, told, tmp_path, monkeypatch):
+    """Workers would read and write them in their own folders."""
+    monkeypatch.chdir(tmp_path)
+    options = {"images": urban.images[:2], "workspace": str(tmp_path / "w"), "output": "dsm.tif"}
+    with pytest.raises(OptionError, match="OUTPUT is 'dsm.tif': it must be a whole path where there is a CLUSTER"):
+        run_stage("pipeline", {**options, "cluster": "tcp://127.0.0.1:1"}, told())
