@@ -148,7 +148,7 @@ def _harm(kind: str, cluster: Cluster, chance: random.Random) -> None:
         cluster.scheduler.kill()
     elif kind == "worker killed":
         worker.kill()
-        cluster.grow(1)
+        cluster.grow(1, wait=False)  # the run may have ended before it is there
     else:
         os.kill(worker.pid, signal.SIGSTOP)
         time.sleep(20)

@@ -32,11 +32,13 @@ class Cluster:
                 stderr=log,
             )
 
-    def grow(self, count):
+    def grow(self, count, wait=True):
         """Start workers, each in a folder of its own, and wait for them."""
         for _ in range(count):
             options = ("--nthreads", "1", "--memory-limit", f"{MEMORY_MIB}MiB", "--no-nanny")
             self.workers.append(self._start("dask_worker", "--scheduler-file", self.address, *options))
+        if not wait:
+            return
         living = sum(worker.poll() is None for worker in self.workers)
         from distributed import Client
 
