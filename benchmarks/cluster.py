@@ -47,8 +47,7 @@ def _bytes(folder: Path) -> Dict[str, str]:
 
 def _run(images: List[str], folder: Path, **options: Any) -> float:
     """A whole engine process; gives its CPU seconds, those of its own workers included."""
-    made = {name: str(folder / file) for name, file in _PRODUCTS.items()}
-    job = {"images": images, "workspace": str(folder / "w"), "output": str(folder / "dsm.tif"), **made, **options}
+    job = {"images": images, "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **_made(folder), **options}
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "job.json"
     path.write_text(json.dumps(job))
@@ -57,24 +56,24 @@ def _run(images: List[str], folder: Path, **options: Any) -> float:
 
 def same_bytes() -> List[str]:
     """Local pool, one and two workers of a cluster: the bytes, and CPU seconds."""
-    cases: List[Tuple[str, Callable[[], List[str]], Dict[str, Any]]] = [
-        ("demo, 3 x 800 px", lambda: default("urban", 800, 1).images, {}),
-        ("Pléiades triplet", lambda: real("pleiades_triplet")[0].images, {}),
-        ("ZY-3, 3 x 5120 px", lambda: simulated("zy3_5120", zy3(5120, 1500.0), 5.0).images, {}),
+    cases: List[Tuple[str, Callable[[], List[str]]]] = [
+        ("demo, 3 x 800 px", lambda: default("urban", 800, 1).images),
+        ("Pléiades triplet", lambda: real("pleiades_triplet")[0].images),
+        ("ZY-3, 3 x 5120 px", lambda: simulated("zy3_5120", zy3(5120, 1500.0), 5.0).images),
     ]
     rows: List[List[Any]] = []
-    for name, images_of, options in few(cases):
+    for name, images_of in few(cases):
         images = images_of()
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
             for workers in (1, 2):
-                own = _run(images, folder / f"own{workers}", workers=workers, **options)
+                own = _run(images, folder / f"own{workers}", workers=workers)
                 (folder / f"cluster{workers}").mkdir()
                 cluster = Cluster(folder / f"cluster{workers}", workers)
                 try:
-                    _run(images, folder / f"warm{workers}", cluster=cluster.address, **options)
+                    _run(images, folder / f"warm{workers}", cluster=cluster.address)
                     before = _cpu(cluster.scheduler, *cluster.workers)
-                    client = _run(images, folder / f"dask{workers}", cluster=cluster.address, **options)
+                    client = _run(images, folder / f"dask{workers}", cluster=cluster.address)
                     theirs = _cpu(cluster.scheduler, *cluster.workers) - before
                 finally:
                     cluster.end()

@@ -118,24 +118,13 @@ class _Pool:
         progress: Progress,
         describe: Callable[[Any], str],
     ) -> List[Any]:
-        if workers > 1 and len(tasks) > _FEW:
-            return self._in_processes(function, tasks, workers, progress, describe)
-        results = []
-        for index, task in enumerate(tasks):
-            progress.check_cancelled()
-            progress.step(index / len(tasks), describe(task))
-            results.append(function(task))
-        return results
-
-    def _in_processes(
-        self,
-        function: Callable[[Any], Any],
-        tasks: Sequence[Any],
-        workers: int,
-        progress: Progress,
-        describe: Callable[[Any], str],
-    ) -> List[Any]:
         results: Dict[int, Any] = {}
+        if workers <= 1 or len(tasks) <= _FEW:
+            for index, task in enumerate(tasks):
+                progress.check_cancelled()
+                progress.step(index / len(tasks), describe(task))
+                results[index] = function(task)
+            return list(results.values())
         killed_before = memory_kills()
         try:
             executor = self._of(workers)
@@ -163,20 +152,23 @@ class _Pool:
 
     def _ends(self) -> List[Optional[int]]:
         """Close a broken pool; gives the exit codes of its workers, negative ones are signals."""
-        processes = list((getattr(self._executor, "_processes", None) or {}).values())
+        processes = self._processes()
         self.close()
         return [process.exitcode for process in processes]
 
     def _end(self) -> None:
         """End the workers amid their tasks."""
-        if self._executor is not None:
-            for process in list((self._executor._processes or {}).values()):
-                process.terminate()
+        for process in self._processes():
+            process.terminate()
         self.close()
 
     def kill(self) -> None:
-        for process in list((getattr(self._executor, "_processes", None) or {}).values()):
+        for process in self._processes():
             process.kill()
+
+    def _processes(self) -> List[Any]:
+        """The workers that have begun; no public name has them."""
+        return list((getattr(self._executor, "_processes", None) or {}).values())
 
     def close(self) -> None:
         """Let the workers go."""
