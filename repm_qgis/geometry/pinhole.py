@@ -19,15 +19,18 @@ from ..records import Record
 
 @dataclass(frozen=True)
 class PinholeCamera(Record):
-    """K (3, 3) upper triangular with K[2, 2] = 1, R (3, 3) and t (3,): x ~ K (R X + t), depths positive."""
+    """K (3, 3) upper triangular, R (3, 3) and t (3,): x ~ K (R X + t), depths positive.
+
+    K[2, 2] = 1 and K[0, 0] > 0; K[1, 1] is negative where no rotation shows the image unmirrored (:func:`factorise`).
+    """
 
     K: Annotated[FloatArray, Array((3, 3))]
     R: Annotated[FloatArray, Array((3, 3))]
     t: Annotated[FloatArray, Array((3,))]
 
     def contradiction(self) -> str:
-        if np.tril(self.K, -1).any() or (np.diag(self.K) <= 0).any() or self.K[2, 2] != 1:
-            return "has a K that is not upper triangular with a positive diagonal and K[2, 2] = 1"
+        if np.tril(self.K, -1).any() or self.K[0, 0] <= 0 or self.K[1, 1] == 0 or self.K[2, 2] != 1:
+            return "has a K that is not upper triangular with K[0, 0] > 0, K[1, 1] != 0 and K[2, 2] = 1"
         if np.abs(self.R @ self.R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.R) < 0:
             return "has an R that is not a rotation"
         return ""
@@ -109,9 +112,10 @@ def fit_projection(xyz_m: FloatArray, col_row: FloatArray) -> FloatArray:
 
 
 def factorise(P: FloatArray) -> PinholeCamera:
-    """K, R, t of a projection matrix (3, 4): RQ decomposition with a positive diagonal of K and det R = +1.
+    """K, R, t of a projection matrix (3, 4): RQ decomposition with det R = +1, and a positive diagonal of K.
 
-    Raises RpcInvalidError where P is singular.
+    K[1, 1] is negative where the image is mirrored, as scans may be, and as tiles may seem that hardly determine from
+    which side they are seen: rays through them are almost parallel. Raises RpcInvalidError where P is singular.
     """
     M = P[:, :3]
     flip = np.eye(3)[::-1]

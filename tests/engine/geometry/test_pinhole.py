@@ -81,6 +81,9 @@ def test_a_mirrored_image_still_projects_right():
     found = factorise(fit_projection(points, pixels))
     np.testing.assert_allclose(found.project(points), pixels, atol=1e-6)
     assert np.linalg.det(found.R) == pytest.approx(1.0) and (found.depth(points) > 0).all()
+    assert found.K[1, 1] < 0 < found.K[0, 0]
+    again = PinholeCamera.from_mapping(found.to_mapping())  # a scene with it can be read again
+    np.testing.assert_array_equal(again.P, found.P)
 
 
 def test_moved_and_straightened():
