@@ -14,7 +14,8 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from statistics import median
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 from benchmarks.runner import ROOT, few, is_quick, measured, pipeline, say
 from benchmarks.scenes import default, real, simulated, zy3
@@ -45,7 +46,7 @@ def _bytes(folder: Path) -> Dict[str, str]:
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.exists()}
 
 
-def _run(images: List[str], folder: Path, **options: Any) -> float:
+def _run(images: Sequence[str], folder: Path, **options: Any) -> float:
     """A whole engine process; gives its CPU seconds, those of its own workers included."""
     job = {"images": images, "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **_made(folder), **options}
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,38 +57,44 @@ def _run(images: List[str], folder: Path, **options: Any) -> float:
 
 def same_bytes() -> List[str]:
     """Local pool, one and two workers of a cluster: the bytes, and CPU seconds."""
-    cases: List[Tuple[str, Callable[[], List[str]]]] = [
-        ("demo, 3 x 800 px", lambda: default("urban", 800, 1).images),
-        ("Pléiades triplet", lambda: real("pleiades_triplet")[0].images),
-        ("ZY-3, 3 x 5120 px", lambda: simulated("zy3_5120", zy3(5120, 1500.0), 5.0).images),
+    cases: List[Tuple[str, int, Callable[[], Sequence[str]]]] = [
+        ("demo, 3 x 800 px", 7, lambda: default("urban", 800, 1).images),
+        ("Pléiades triplet", 3, lambda: real("pleiades_triplet")[0].images),
+        ("ZY-3, 3 x 5120 px", 1, lambda: simulated("zy3_5120", zy3(5120, 1500.0), 5.0).images),
     ]
     rows: List[List[Any]] = []
-    for name, images_of in few(cases):
+    for name, pairs, images_of in few(cases):
         images = images_of()
-        with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            for workers in (1, 2):
-                own = _run(images, folder / f"own{workers}", workers=workers)
-                (folder / f"cluster{workers}").mkdir()
-                cluster = Cluster(folder / f"cluster{workers}", workers)
-                try:
-                    _run(images, folder / f"warm{workers}", cluster=cluster.address)
-                    before = _cpu(cluster.scheduler, *cluster.workers)
-                    client = _run(images, folder / f"dask{workers}", cluster=cluster.address)
-                    theirs = _cpu(cluster.scheduler, *cluster.workers) - before
-                finally:
-                    cluster.end()
-                same = _bytes(folder / f"own{workers}") == _bytes(folder / f"dask{workers}")
-                share = 100 * ((client + theirs) / own - 1)
-                rows.append([name, workers, "yes" if same else "NO", own, client, theirs, f"{share:+.1f} %"])
-                say(rows[-1])
+        for workers in (1, 2):
+            with tempfile.TemporaryDirectory() as place:
+                rows.append([name, workers, *_compared(images, Path(place), workers, 1 if is_quick() else pairs)])
+            say(rows[-1])
+    columns = "own workers, CPU s | cluster: engine | scheduler and workers | more in all, % | of single pairs"
     return [
-        "CPU seconds of whole runs. The cluster's are those of the engine's process and, from the run's start to its "
-        "end, of the scheduler and the workers, which had started before.",
-        table(
-            "scene | workers | same bytes | own workers, CPU s | cluster: engine | scheduler and workers | in all", rows
-        ),
+        "CPU seconds of whole runs, medians of pairs of runs in turn. The cluster's are those of the engine's process "
+        "and, from the run's start to its end, of the scheduler and the workers, which had started before.",
+        table(f"scene | workers | pairs | same bytes | {columns}", rows),
     ]
+
+
+def _compared(images: Sequence[str], folder: Path, workers: int, pairs: int) -> List[Any]:
+    """Pairs of runs of the local pool and a cluster: a row of :func:`same_bytes`."""
+    cluster = Cluster(_new(folder / "cluster"), workers)
+    seconds: List[Tuple[float, float, float]] = []
+    same = True
+    try:
+        _run(default("urban", 400, 1).images, folder / "warm", cluster=cluster.address)  # the workers' imports
+        for pair in range(pairs):
+            own = _run(images, folder / f"own{pair}", workers=workers)
+            before = _cpu(cluster.scheduler, *cluster.workers)
+            client = _run(images, folder / f"dask{pair}", cluster=cluster.address)
+            seconds.append((own, client, _cpu(cluster.scheduler, *cluster.workers) - before))
+            same = same and _bytes(folder / f"own{pair}") == _bytes(folder / f"dask{pair}")
+    finally:
+        cluster.end()
+    shares = sorted(100 * ((client + theirs) / own - 1) for own, client, theirs in seconds)
+    middle = [median(column) for column in zip(*seconds)]
+    return [pairs, "yes" if same else "NO", *middle, round(median(shares), 1), f"{shares[0]:+.1f} to {shares[-1]:+.1f}"]
 
 
 def deaths() -> List[str]:

@@ -30,6 +30,7 @@ _POLL_S = 0.02
 _LOOK_S = 5.0  # between two looks at whether there are workers left
 _OUTSTANDING = 2000  # tasks that the scheduler knows at a time, so that memory does not grow with their number
 _PACKAGES = ("repm_qgis", "osgeo.gdal", "numpy", "cv2", "scipy", "pyproj", "laspy", "lazrs")
+_FILLED = 0.8  # of a worker's memory limit: above that Dask gives it no more tasks
 _MIB = 1024.0 * 1024.0
 _VERSIONS = "Give all machines the same versions (docs/cluster.md)."
 
@@ -49,7 +50,7 @@ def cluster_workers(address: str, read: Sequence[str], folders: Sequence[str], p
         limits = [int(worker["memory_limit"]) for worker in workers.values() if worker.get("memory_limit")]
         hosts = len({worker["host"] for worker in workers.values()})
         progress.info(f"The tasks run on {len(workers)} workers of the cluster at '{address}' ({hosts} machines).")
-        with use_workers(_ClusterWorkers(client, address, min(limits) / _MIB if limits else None)):
+        with use_workers(_ClusterWorkers(client, address, _FILLED * min(limits) / _MIB if limits else None)):
             yield
     finally:
         _close(client)

@@ -21,7 +21,9 @@ from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
 from ..imagery.raster import raster_identity
+from ..memory import matching_mib
 from ..options import EpmFitOptions, Extent
+from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
 from ..scene import Scene, Tile, TileView, View, load_views, reusable
@@ -152,6 +154,16 @@ def _extent(options: EpmFitOptions, extent: Extent, crs: str) -> ogr.Geometry:
         raise OptionError("EXTENT", options.extent, f"cannot be brought into {crs} ({error})") from error
 
 
+def _fitting(scene: Scene, parameters: TileParameters) -> Sequence[int]:
+    """The automatic sizes, px, that a cluster's smallest worker can match; the smallest one where none is."""
+    limit, sizes = task_mib(), parameters.sizes_px
+    if limit is None:
+        return sizes
+    disparities = (scene.altitudes[1] - scene.altitudes[0]) / scene.gsd_m  # of views with a base as long as the height
+    sides = [parameters.rectified * size for size in sizes]
+    return [size for size, side in zip(sizes, sides) if matching_mib(side, side, disparities) <= limit] or sizes[-1:]
+
+
 def _automatic_size(
     scene: Scene, area: ogr.Geometry, budget: float, parameters: TileParameters, progress: Progress
 ) -> int:
@@ -169,7 +181,7 @@ def _automatic_size(
         ]
         return max(errors, default=0.0)
 
-    size, error = largest_within(budget, parameters.sizes_px, error_of)
+    size, error = largest_within(budget, _fitting(scene, parameters), error_of)
     if error > budget:
         left, range_m = f"{error:.2f} px of equivalent error", scene.altitudes[1] - scene.altitudes[0]
         progress.warn(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 MEMORY_MIB = 3000
+QUIET = runpy.run_path(str(ROOT / "scripts" / "repm-cluster"))["QUIET"]  # as that script starts the same processes
 
 
 class Cluster:
@@ -27,7 +29,7 @@ class Cluster:
             return subprocess.Popen(
                 command,
                 cwd=place,
-                env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+                env={**os.environ, **QUIET, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
                 stdout=log,
                 stderr=log,
             )

@@ -10,6 +10,7 @@ import pytest
 
 from repm_qgis.errors import EmptyResultError
 from repm_qgis.options import EpmFitOptions
+from repm_qgis.parallel import use_workers
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.epmfit import _key
@@ -68,3 +69,25 @@ def test_stages_that_have_none_are_light():
     code = "import sys, repm_qgis.stages; print('repm_qgis.stages.parameters' in sys.modules, 'numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
+
+
+class _Few:
+    """Workers of a cluster that have so many MiB each."""
+
+    def __init__(self, mib):
+        self.task_mib = mib
+
+    def run(self, function, work, workers, progress, describe):
+        return [function(each) for each in work]
+
+    def kill(self):
+        pass
+
+
+def test_automatic_tiles_are_small_enough_for_the_smallest_worker_of_a_cluster(urban, told, tmp_path):
+    options = {"images": urban.images, "error_budget": 5.0, "altitude_min": 150.0, "altitude_max": 260.0}
+    for mib, size in ((None, 1300), (2000, 1300), (300, 1000), (10, 800)):
+        said = told()
+        with use_workers(_Few(mib)):
+            run_stage("epmfit", {**options, "workspace": str(tmp_path / str(mib))}, said)
+        assert any(f"of up to {size} px a side" in note for note in said.notes), (mib, said.notes)
