@@ -17,7 +17,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Callable, Dict, List, Sequence, Tuple
 
-from benchmarks.runner import ROOT, few, is_quick, measured, pipeline, say
+from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, say
 from benchmarks.scenes import default, real, simulated, zy3
 from benchmarks.tables import Section, table
 from repm_qgis.cluster import cluster_workers
@@ -46,13 +46,13 @@ def _bytes(folder: Path) -> Dict[str, str]:
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.exists()}
 
 
-def _run(images: Sequence[str], folder: Path, **options: Any) -> float:
-    """A whole engine process; gives its CPU seconds, those of its own workers included."""
+def _run(images: Sequence[str], folder: Path, **options: Any) -> Cost:
+    """A whole engine process; its cost has that of its own workers."""
     job = {"images": images, "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **_made(folder), **options}
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "job.json"
     path.write_text(json.dumps(job))
-    return measured([sys.executable, "-m", "repm_qgis", "pipeline", str(path)], str(ROOT))[1].cpu_s
+    return measured([sys.executable, "-m", "repm_qgis", "pipeline", str(path)], str(ROOT))[1]
 
 
 def same_bytes() -> List[str]:
@@ -69,10 +69,14 @@ def same_bytes() -> List[str]:
             with tempfile.TemporaryDirectory() as place:
                 rows.append([name, workers, *_compared(images, Path(place), workers, 1 if is_quick() else pairs)])
             say(rows[-1])
-    columns = "own workers, CPU s | cluster: engine | scheduler and workers | more in all, % | of single pairs"
+    columns = (
+        "own workers, CPU s | cluster: engine | scheduler and workers | more in all, % | of single pairs | "
+        "engine's memory, MiB"
+    )
     return [
         "CPU seconds of whole runs, medians of pairs of runs in turn. The cluster's are those of the engine's process "
-        "and, from the run's start to its end, of the scheduler and the workers, which had started before.",
+        "and, from the run's start to its end, of the scheduler and the workers, which had started before. The "
+        "memory is the peak of the engine's process with a cluster.",
         table(f"scene | workers | pairs | same bytes | {columns}", rows),
     ]
 
@@ -81,20 +85,23 @@ def _compared(images: Sequence[str], folder: Path, workers: int, pairs: int) -> 
     """Pairs of runs of the local pool and a cluster: a row of :func:`same_bytes`."""
     cluster = Cluster(_new(folder / "cluster"), workers)
     seconds: List[Tuple[float, float, float]] = []
+    peak_gib = 0.0
     same = True
     try:
         _run(default("urban", 400, 1).images, folder / "warm", cluster=cluster.address)  # the workers' imports
         for pair in range(pairs):
-            own = _run(images, folder / f"own{pair}", workers=workers)
+            own = _run(images, folder / f"own{pair}", workers=workers).cpu_s
             before = _cpu(cluster.scheduler, *cluster.workers)
             client = _run(images, folder / f"dask{pair}", cluster=cluster.address)
-            seconds.append((own, client, _cpu(cluster.scheduler, *cluster.workers) - before))
+            seconds.append((own, client.cpu_s, _cpu(cluster.scheduler, *cluster.workers) - before))
+            peak_gib = max(peak_gib, client.peak_gib)
             same = same and _bytes(folder / f"own{pair}") == _bytes(folder / f"dask{pair}")
     finally:
         cluster.end()
     shares = sorted(100 * ((client + theirs) / own - 1) for own, client, theirs in seconds)
     middle = [median(column) for column in zip(*seconds)]
-    return [pairs, "yes" if same else "NO", *middle, round(median(shares), 1), f"{shares[0]:+.1f} to {shares[-1]:+.1f}"]
+    spread = f"{shares[0]:+.1f} to {shares[-1]:+.1f}"
+    return [pairs, "yes" if same else "NO", *middle, round(median(shares), 1), spread, round(1024 * peak_gib)]
 
 
 def deaths() -> List[str]:

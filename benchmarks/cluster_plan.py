@@ -344,7 +344,7 @@ class Measured:
 
 @lru_cache(None)
 def measured() -> Measured:
-    sides = (400, 400) if is_quick() else (800, 1600)
+    sides = (400, 400) if is_quick() else (1600, 3200)
     scenes = [default("urban", side, 4) for side in sides]
     options = {"tile_size": 300 if is_quick() else MEASURED_TILE_PX}
     with local_cluster(1) as (address, _):
@@ -367,12 +367,15 @@ GROWING = {"match_pair_over_tile": _TILES, "fuse_to_disk": _TILES, "match_block"
 
 
 def scene_of(found: Measured) -> List[Phase]:
-    """The large scene's phases, in CPU seconds. Ties come from so many patches, all else grows with pixels."""
-    small, large = (side * side / 1e6 for side in found.sides)
-    area = SIDE_PX**2 / 1e6 / large
-    own = found.two.own_cpu()
-    slope = max(0.0, sum(own) - sum(found.small.own_cpu())) / max(large - small, 1e-9)
-    own_factor = (sum(own) + slope * (area - 1.0) * large) / sum(own)
+    """The large scene's phases, in CPU seconds.
+
+    Ties come from so many patches; the coordinator's own work grows with the tiles, all else with the pixels.
+    """
+    area = (SIDE_PX / found.sides[1]) ** 2
+    own, before = found.two.own_cpu(), found.small.own_cpu()
+    tiles, few = (_tiles_of(run) for run in (found.two, found.small))
+    each_tile = max(0.0, sum(own) - sum(before)) / max(tiles - few, 1)
+    own_factor = 1.0 + each_tile * (area * _TILES - 1.0) * tiles / sum(own)
     phases = []
     for gap, batch in zip(own, found.two.batches):
         count, grows = len(batch.tasks), batch.name.strip("_") in GROWING
@@ -382,6 +385,10 @@ def scene_of(found: Measured) -> List[Phase]:
         moved = sum(moved for _, _, moved, _ in batch.tasks) / count * each
         phases.append(Phase(own_factor * gap, tasks, tuple(cpu * each for _, cpu, _, _ in batch.tasks), moved))
     return [*phases, Phase(own_factor * own[-1])]
+
+
+def _tiles_of(run: Run) -> int:
+    return sum(len(batch.tasks) for batch in run.batches if batch.name == "fuse_to_disk")
 
 
 def platform_of(found: Measured, workers: int, storage: float = S3) -> Platform:

@@ -18,6 +18,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 
 from distributed import Client, WorkerPlugin, as_completed
 from distributed.scheduler import KilledWorker
+from osgeo import gdal
 
 from .errors import ClusterError
 from .parallel import do_task, packed, prepare_process, use_workers
@@ -131,12 +132,20 @@ def _seen() -> Callable[[Dict[str, int], Dict[str, str]], List[Tuple[str, str]]]
 
         wrong = []
         for path, size in files.items():
-            try:
-                found = os.stat(path).st_size
-            except OSError as error:
-                wrong.append((path, error.strerror or str(error)))
-                continue
-            if size not in (-1, found):
+            if path.startswith("/vsi"):
+                from osgeo import gdal
+
+                status = gdal.VSIStatL(path)
+                found = None if status is None else status.size
+                reason = "GDAL does not find it: its settings, such as those for cloud storage, may not be set there"
+            else:
+                try:
+                    found = os.stat(path).st_size
+                except OSError as error:
+                    found, reason = None, error.strerror or str(error)
+            if found is None:
+                wrong.append((path, reason))
+            elif size not in (-1, found):
                 wrong.append((path, f"it has {found} bytes there, and {size} here"))
         for path, text in probes.items():
             try:
@@ -186,11 +195,20 @@ def _same_everywhere(client: Client, address: str) -> Dict[str, Dict[str, Any]]:
     return workers
 
 
+def _size(path: str) -> Optional[int]:
+    """Bytes of a file; -1 for a folder, None where there is nothing, which is for the stage to say."""
+    if path.startswith("/vsi"):
+        status = gdal.VSIStatL(path)
+        return None if status is None else int(status.size)
+    return os.stat(path).st_size if os.path.isfile(path) else -1 if os.path.exists(path) else None
+
+
 def _require_shared(
     client: Client, workers: Dict[str, Dict[str, Any]], read: Sequence[str], folders: Sequence[str]
 ) -> None:
     """Raise ClusterError with the first machine and path where a worker does not see what this machine sees."""
-    files = {path: os.stat(path).st_size if os.path.isfile(path) else -1 for path in read if os.path.exists(path)}
+    sizes = {path: _size(path) for path in read}
+    files = {path: size for path, size in sizes.items() if size is not None}
     text, probes = uuid.uuid4().hex, {}
     try:
         for folder in sorted({os.path.abspath(folder) for folder in folders}):

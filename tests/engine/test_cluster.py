@@ -10,12 +10,15 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from osgeo import gdal
 
 from repm_qgis.errors import Cancelled, ClusterError, MissingPackageError, OptionError
 from repm_qgis.parallel import run_tasks, run_whole, task_mib
 from repm_qgis.stages import run_stage
 from tests.engine import cluster_tasks as tasks
+from tests.engine.local_bucket import bucket
 from tests.engine.local_cluster import MEMORY_MIB, ROOT, Cluster
 
 pytest.importorskip("distributed", reason="the package 'distributed' is not installed")
@@ -165,6 +168,29 @@ def test_storage_that_is_not_shared_is_a_sentence(cluster, on, tmp_path, monkeyp
         assert "put images, workspace and products on storage that all machines have" in str(caught.value)
     with on(cluster, read=[str(tmp_path / "image.tif")], folders=[str(tmp_path / "out")])[0]:
         assert os.listdir(tmp_path / "out") == []
+
+
+def test_images_in_cloud_storage_are_read_by_the_workers(cluster, on, urban, told, tmp_path, monkeypatch):
+    """A bucket on this machine: the same heights as from files; workers without its settings are a sentence."""
+    bases = [os.path.basename(path) for path in urban.images[:2]]
+    made = {"tile_size": 256, "resolution": 0.5, "output": str(tmp_path / "dsm.tif"), "workspace": str(tmp_path / "w")}
+    options = {**made, "images": urban.images[:2], "workspace": str(tmp_path / "files")}
+    wanted = gdal.Open(run_stage("pipeline", options, told())["output"]).ReadAsArray()
+    with bucket(os.path.dirname(urban.images[0])) as (settings, asked):
+        for name, value in settings.items():
+            monkeypatch.setenv(name, value)
+        images = [f"/vsis3/town/{base}" for base in bases]
+        words = f"The worker .* on '127.0.0.1' cannot use '{images[0]}' .GDAL does not find it"
+        with pytest.raises(ClusterError, match=words), on(cluster, read=images)[0]:
+            pass
+        there = Cluster(tmp_path, 2)  # its processes have the settings of this one
+        try:
+            before = len(asked)
+            run_stage("pipeline", {**made, "images": images, "cluster": there.address}, told())
+        finally:
+            there.end()
+    np.testing.assert_array_equal(gdal.Open(made["output"]).ReadAsArray(), wanted)
+    assert len(asked) > before
 
 
 def test_a_cluster_without_dask_is_a_sentence_and_nothing_imports_it_otherwise(urban, told, tmp_path, monkeypatch):
