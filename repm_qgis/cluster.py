@@ -18,6 +18,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 
 from distributed import Client, WorkerPlugin, as_completed
 from distributed.scheduler import KilledWorker
+from distributed.security import Security
 from osgeo import gdal
 
 from .errors import ClusterError
@@ -61,6 +62,9 @@ def _client(address: str) -> Client:
     remedy = "start one with scripts/repm-cluster, or correct CLUSTER"
     try:
         scheduler = address if "://" in address else _in_scheduler_file(address)
+        if scheduler.startswith("tls://") and not Security().get_connection_args("client").get("ssl_context"):
+            keys = "name its keys to Dask (docs/cluster.md, Security)"
+            raise ClusterError(f"The cluster at '{address}' wants TLS: {keys}.")
         return Client(scheduler, timeout=_CONNECT_S, set_as_default=False, name="repm")
     except (OSError, asyncio.TimeoutError, ValueError, TypeError, KeyError) as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
