@@ -16,7 +16,6 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingParameterDefinition,
-    QgsProcessingUtils,
     QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
@@ -25,6 +24,7 @@ from qgis.PyQt.QtGui import QIcon
 from ..repm_qgis.products import products_of
 from . import engine, settings, styles
 from .helptext import to_html
+from .kept import in_workspace, is_lasting
 from .parameters import tr
 from .values import checked_value, destination, input_options, is_empty, raster_items
 
@@ -229,6 +229,12 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def processAlgorithm(
         self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> dict[str, Any]:
+        with in_workspace(self, parameters, context) as placed:
+            return self._processed(placed, context, feedback)
+
+    def _processed(
+        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> dict[str, Any]:
         kept_as = {
             definition.name(): destination(self, definition, parameters, context)
             for definition in self.destinationParameterDefinitions()
@@ -281,11 +287,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
 
         scene = options.get("scene") or ""
         folder = options.get("workspace") or os.path.dirname(scene or options.get("dsm") or "")
-        temporary = os.path.abspath(QgsProcessingUtils.tempFolder())
         began, first = "", (options.get("images") or [""])[0]
-        if scene and os.path.abspath(folder).startswith(temporary):  # in a model, between its stages
+        if scene and not is_lasting(folder):  # in a model, between its stages
             began, first = origin(scene)
-        lasting = [path for path in (folder, began) if path and not os.path.abspath(path).startswith(temporary)]
+        lasting = [path for path in (folder, began) if is_lasting(path)]
         return os.path.basename(lasting[0]) if lasting else os.path.splitext(os.path.basename(first))[0]
 
     def _layer_name(self, title: str, scene: str, result: Mapping[str, Any]) -> str:

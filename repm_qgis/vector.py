@@ -11,6 +11,7 @@ import numpy as np
 from osgeo import gdal, ogr, osr
 
 from .arrays import FloatArray
+from .errors import WorkspaceError
 from .untrusted import VECTORS, distrust, drivers_for
 from .workspace import not_written, take_name, temporary_folder
 
@@ -60,6 +61,24 @@ def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatA
                 values.append((point.GetX(), point.GetY(), *map(feature.GetFieldAsDouble, indices)))
         feature = layer = source = None  # noqa: F841 - in this order, or OGR's objects outlive their file
     return np.array(values, dtype=np.float64).reshape(-1, 2 + len(fields))
+
+
+def copy_layer(source: str, path: str) -> str:
+    """Write the first layer of a file again under another name, in the format of that name's extension.
+
+    Raises WorkspaceError where the source cannot be read or the file cannot be written.
+    """
+    opened = open_vector(source)
+    if opened is None or not opened.GetLayerCount():
+        raise WorkspaceError(f"Cannot read the layer '{source}': remove it, and run again, which makes it again.")
+    layer = opened.GetLayer(0)
+    definition = layer.GetLayerDefn()
+    fields = [definition.GetFieldDefn(index) for index in range(definition.GetFieldCount())]
+    kinds = {each.GetName(): next(kind for kind, code in _TYPES.items() if code == each.GetType()) for each in fields}
+    rows = ((each.GetGeometryRef().Clone(), [each.GetField(name) for name in kinds]) for each in layer)
+    write_layer(path, layer.GetSpatialRef().ExportToWkt(), layer.GetGeomType(), kinds, rows)
+    layer = opened = None  # noqa: F841 - in this order, or OGR's objects outlive their file
+    return path
 
 
 def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, type], features: Features) -> str:

@@ -298,6 +298,14 @@ def write_text(path: str, text: str) -> str:
     return path
 
 
+def with_copy(kept: str, wanted: Optional[str]) -> List[str]:
+    """The path under which a workspace keeps a product, and the user's own path for it where that is another one.
+
+    The user's path may be a temporary one that is gone at the next run, which needs the product.
+    """
+    return [kept, wanted] if wanted and os.path.realpath(wanted) != os.path.realpath(kept) else [kept]
+
+
 @contextmanager
 def temporary_folder(path: str) -> Iterator[str]:
     """A new folder beside ``path`` for what lives only within the block."""

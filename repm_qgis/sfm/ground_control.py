@@ -48,6 +48,10 @@ class Gcp:
     def lon_lat_h(self) -> FloatArray:
         return np.array([self.lon, self.lat, self.height])
 
+    def to_mapping(self) -> Dict[str, Any]:
+        """All that the point says, JSON-able."""
+        return {**vars(self), "pixels": {view: pixel.tolist() for view, pixel in sorted(self.pixels.items())}}
+
 
 def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
     """Read points from a CSV file or a file with a layer of points that OGR opens, one row for each observation.

@@ -29,7 +29,7 @@ from ..rpc.readers import rpc_sidecars
 from ..scene import Scene, Tile, TileView, View, load_views, reusable
 from ..sfm.altitude_range import altitude_range
 from ..vector import write_layer
-from ..workspace import ensure_folder, file_identity, fingerprint
+from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 
@@ -38,8 +38,8 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     start = time.monotonic()
     folder = ensure_folder(options.workspace)
     scene_path = str(folder / "scene.json")
-    tiles_path = options.tiles or str(folder / "tiles.gpkg")
-    report_path = options.report or str(folder / "equivalent_error.html")
+    tiles_paths = with_copy(str(folder / "tiles.gpkg"), options.tiles)
+    report_paths = with_copy(str(folder / "equivalent_error.html"), options.report)
     key = _key(options, parameters)
     scene = reusable(scene_path, "epmfit", key)
     if scene is not None:
@@ -51,12 +51,16 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
         seconds, changes = time.monotonic() - start, parameters.changes()
         scene = scene.recorded("epmfit", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(scene_path)
-    write_tiles(scene, tiles_path)
-    fit_report(scene).write(report_path)
+    for path in tiles_paths:
+        write_tiles(scene, path)
+    report = fit_report(scene)
+    for path in report_paths:
+        report.write(path)
     errors = [view.error for tile in scene.tiles for view in tile.views.values()]
     rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.step(1.0, "cameras fitted")
-    return {"scene": scene_path, "tiles": tiles_path, "report": report_path, "rmse": rmse, "max_error": largest}
+    written = {"scene": scene_path, "tiles": tiles_paths[-1], "report": report_paths[-1]}
+    return {**written, "rmse": rmse, "max_error": largest}
 
 
 def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:

@@ -18,7 +18,7 @@ from ..progress import Part, Progress
 from ..scene import Scene, load_views
 from ..sfm.ground_control import read_gcps
 from ..sfm.pair_selection import choose_pairs
-from ..workspace import ensure_folder
+from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine
 from .parameters import ENGINE, EngineParameters
 
@@ -54,10 +54,12 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
     fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
     scene_path = options.reconstruct.output_scene
-    report_path = options.report or str(Path(options.fit.workspace) / "report.html")
+    report_paths = with_copy(str(Path(options.fit.workspace) / "report.html"), options.report)
     made = {"tiles": first["tiles"], "tie_points": heights["tie_points"], "heights": heights["heights"]}
-    products = {**fused, "scene": scene_path, "report": report_path, **made}
-    pipeline_report(Scene.load(scene_path), products, seconds, options.command).write(report_path)
+    products = {**fused, "scene": scene_path, "report": report_paths[-1], **made}
+    report = pipeline_report(Scene.load(scene_path), products, seconds, options.command)
+    for path in report_paths:
+        report.write(path)
     progress.step(1.0, "done")
     errors = {"rmse": first["rmse"], "max_error": first["max_error"]}
     return {**products, **errors, "n_tie_points": heights["n_tie_points"], "seconds": seconds}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -25,17 +26,17 @@ from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
 from ..records import HeightMapRecord
-from ..scene import Scene, Tile, View, reusable
+from ..scene import Scene, Tile, View, folder_of, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice
-from ..sfm.ground_control import read_gcps
+from ..sfm.ground_control import Gcp, read_gcps
 from ..sfm.pair_selection import choose_pairs
 from ..sfm.pointing import point_views
 from ..sfm.tie_patches import covered_by_ties
 from ..sfm.vertical_parallax import largest_parallax
 from ..stereo.height_maps import is_whole
-from ..vector import file_and_layer, write_layer
-from ..workspace import ensure_folder, file_identity, fingerprint
+from ..vector import copy_layer, write_layer
+from ..workspace import ensure_folder, fingerprint, with_copy
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
 
@@ -50,29 +51,29 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     scene.require_images()
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
-    control = (
-        [options.gcps, file_identity(file_and_layer(options.gcps)[0]), options.gcp_datum] if options.gcps else None
-    )
+    gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
+    # Control points count by what they say: QGIS writes those of a layer into another temporary file for every run.
+    control = [gcp.to_mapping() for gcp in gcps] or None
     chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
     files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
     others = *backends[0].settings(options), *parameters.in_fingerprint()
     key = fingerprint("reconstruct", scene.fingerprint, *chosen, files, *others)
     place = Path(options.output_scene)
-    ties_path = options.tie_points or str(place.with_name("tie_points.gpkg"))
     report_path = str(place.with_name("reconstruction.html"))
     folder = ensure_folder(heights_folder(options))
     done = reusable(options.output_scene, "reconstruct", key)
-    if done is not None and _complete(done, folder) and Path(ties_path).exists():
+    if done is not None and _complete(done, folder) and os.path.exists(done.tie_points):
         maps = counted(sum(len(t.heights) for t in done.tiles), "height map")
         progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
         notes = Recorder(progress)
         pairs = choose_pairs(scene, parameters.pointing.pairs)
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
-        scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties_path, backend=backends[0].name)
+        ties = f"{folder_of(place, 'tie_points')}.gpkg"
+        scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties, backend=backends[0].name)
         _log_pairs(scene, notes)
         stretches = _stretches(scene, options.workers, parameters, Part(notes, 0.0, 0.02))
-        scene = _pointed(scene, stretches, options, parameters, Part(notes, 0.02, 0.35))
+        scene = _pointed(scene, stretches, gcps, options, parameters, Part(notes, 0.02, 0.35))
         scene = _with_coarse_surface(scene, stretches, backends[0], options, parameters, Part(notes, 0.35, 0.4))
         matching = parameters.matching
         job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder), matching)
@@ -80,6 +81,9 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         seconds, changes = time.monotonic() - start, parameters.changes()
         done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
         done.save(options.output_scene)
+    ties_path = with_copy(done.tie_points, options.tie_points)[-1]
+    if ties_path != done.tie_points:
+        write_style("tie_points", copy_layer(done.tie_points, ties_path))
     reconstruct_report(done).write(report_path)
     progress.step(1.0, "heights reconstructed")
     written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}
@@ -121,10 +125,14 @@ def _complete(scene: Scene, folder: Path) -> bool:
 
 
 def _pointed(
-    scene: Scene, stretches: Stretches, options: ReconstructOptions, parameters: EngineParameters, progress: Progress
+    scene: Scene,
+    stretches: Stretches,
+    gcps: Sequence[Gcp],
+    options: ReconstructOptions,
+    parameters: EngineParameters,
+    progress: Progress,
 ) -> Scene:
     """The scene with its views pointed and its tiles' altitudes narrowed by the tie points, which are written."""
-    gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         remedy = "fill the fields view, col and row of points with the role control"
         effect = f"the position of the whole stays where the vendors put it; {remedy}"

@@ -18,6 +18,9 @@ from qgis.core import (
 )
 
 
+MAP = ("OUTPUT", "TILES", "TIE_POINTS")
+
+
 def heights(path):
     dataset = gdal.OpenEx(str(path))
     band = dataset.GetRasterBand(1)
@@ -60,6 +63,37 @@ def whole(run, town, tmp_path_factory):
         "RESOLUTION": 1.0,
     }
     return given, *run("pipeline", **given)
+
+
+def test_a_workspace_keeps_what_has_no_name_and_makes_nothing_twice(plugin, ears, sample, tmp_path):
+    """As in the dialog: a workspace is named, all else is temporary, and each run has temporary files of its own."""
+    project, runs = QgsProject(), []
+    for _ in range(2):
+        context, feedback = QgsProcessingContext(), ears()
+        context.setProject(project)
+        given = {name: QgsProcessingOutputLayerDefinition("TEMPORARY_OUTPUT", project) for name in MAP}
+        given.update(IMAGES=sample["images"][:2], WORKSPACE=str(tmp_path / "town"), REPORT="TEMPORARY_OUTPUT")
+        algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
+        results, fine = algorithm.run(given, context, feedback)
+        assert fine, feedback.heard["error"]
+        details = context.layersToLoadOnCompletion()
+        assert set(details) == {results[name] for name in MAP}
+        assert details[results["OUTPUT"]].name.startswith("DSM town")
+        runs.append((results, feedback.heard["info"]))
+    first, second = (pathlib.Path(results["OUTPUT"]).relative_to(tmp_path).as_posix() for results, _ in runs)
+    assert (first, second) == ("town/dsm.tif", "town/dsm_2.tif")
+    for path in ("dsm.qml", "dsm_2.qml", "report.html", "tiles.gpkg", "reconstructed_tie_points.gpkg"):
+        assert (tmp_path / "town" / path).exists(), path
+    assert runs[0][0]["TIE_POINTS"] != runs[1][0]["TIE_POINTS"]
+    for words in ("Reused the cameras", "Reused the refinement", "and the relative pointing"):
+        assert not any(words in note for note in runs[0][1]) and any(words in note for note in runs[1][1]), words
+
+
+def test_a_temporary_workspace_keeps_nothing(plugin, ears, sample):
+    given = {"IMAGES": sample["images"][:2], "OUTPUT": "TEMPORARY_OUTPUT", "WORKSPACE": "TEMPORARY_OUTPUT"}
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
+    results, fine = algorithm.run(given, QgsProcessingContext(), ears())
+    assert fine and os.path.dirname(results["OUTPUT"]) != results["WORKSPACE"]
 
 
 def test_the_pipeline_makes_all_that_it_names(whole):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osgeo import gdal
+from osgeo import gdal, ogr
 
 from repm_qgis.errors import Cancelled, EmptyResultError, SceneError
 from repm_qgis.scene import Scene
@@ -93,6 +93,46 @@ def test_a_second_run_reuses_everything_and_says_so(again, whole):
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
     for name in ("rmse", "max_error", "n_tie_points", "valid", "cells", "removed"):
         assert result[name] == whole.result[name]
+
+
+def points_of(path):
+    source = ogr.Open(path)
+    layer = source.GetLayer(0)
+    found = [(row.GetGeometryRef().ExportToWkt(), *map(row.GetField, range(row.GetFieldCount()))) for row in layer]
+    place = layer.GetSpatialRef().GetAuthorityCode(None), [field.GetName() for field in layer.schema]
+    layer = source = None  # noqa: F841
+    return place, found
+
+
+def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
+    """QGIS names other temporary files at every run; those of the first are gone at the second."""
+    runs = []
+    for number in range(2):
+        folder = tmp_path / f"temporary_{number}"
+        folder.mkdir()
+        gcps = shutil.copy(urban.made["gcps"], str(folder / "layer.csv"))
+        places = {name: str(folder / f"{name}.gpkg") for name in ("tiles", "tie_points")}
+        changes = {**places, "report": str(folder / "report.html"), "output": str(folder / "dsm.tif")}
+        result, said = again(images=urban.images, gcps=gcps, **changes)
+        assert {name: result[name] for name in changes} == changes
+        layers = {name: points_of(path) for name, path in places.items()}
+        assert all(Path(path).with_suffix(".qml").exists() for path in places.values())
+        runs.append((reused(said), layers))
+        shutil.rmtree(folder)
+    assert runs[0][0] == [False, False, False] and runs[1][0][:2] == [True, True]
+    assert any("the relative pointing" in note and note.startswith("Reused") for note in said.notes)
+    assert runs[1][1] == runs[0][1] and len(runs[0][1]["tie_points"][1]) == result["n_tie_points"] > 100
+    kept = {"tiles": again.workspace / "tiles.gpkg", "tie_points": again.workspace / "reconstructed_tie_points.gpkg"}
+    assert {name: points_of(str(path)) for name, path in kept.items()} == runs[1][1]
+    assert (again.workspace / "report.html").exists()
+
+
+def test_control_points_that_say_something_else_are_found_again(again, urban, tmp_path):
+    gcps = tmp_path / "gcps.csv"
+    gcps.write_text(Path(urban.made["gcps"]).read_text())
+    again(images=urban.images, gcps=str(gcps))
+    gcps.write_text(gcps.read_text().replace(",control", ",check", 3))  # the rows of one point
+    assert reused(again(images=urban.images, gcps=str(gcps))[1])[2] is False
 
 
 @pytest.mark.parametrize(

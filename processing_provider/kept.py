@@ -1,0 +1,86 @@
+"""Products that nobody gave a name: a workspace of the user's own keeps them, instead of QGIS's temporary folder."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from typing import Any, Iterator, Mapping, Optional
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingAlgorithm,
+    QgsProcessingContext,
+    QgsProcessingOutputLayerDefinition,
+    QgsProcessingUtils,
+    QgsProperty,
+)
+
+from ..repm_qgis.products import Product, products_of
+
+_IN_WORKSPACE = ("workspace", "report", "tiles", "tie_points")  # the engine keeps these there, and copies them out
+_promised: set[str] = set()  # places of runs that are under way
+
+
+def is_lasting(path: str) -> bool:
+    """Whether a path is outside the folder that QGIS empties when it closes."""
+    temporary = os.path.join(os.path.abspath(QgsProcessingUtils.tempFolder()), "")
+    return bool(path) and not os.path.join(os.path.abspath(path), "").startswith(temporary)
+
+
+@contextmanager
+def in_workspace(
+    algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, Any], context: QgsProcessingContext
+) -> Iterator[dict[str, Any]]:
+    """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
+    ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made."""
+    places: dict[str, str] = {}
+    if algorithm.parameterDefinition("WORKSPACE") is not None:
+        workspace = algorithm.parameterAsString(parameters, "WORKSPACE", context)
+        if workspace != QgsProcessing.TEMPORARY_OUTPUT and is_lasting(workspace):
+            names = {
+                each.option.upper(): _name(algorithm, each)
+                for each in products_of(algorithm.name())
+                if each.option not in _IN_WORKSPACE and _is_temporary(parameters.get(each.option.upper()))
+            }
+            places = _free(os.path.abspath(workspace), names)
+    _promised.update(places.values())
+    try:
+        yield {**parameters, **{name: _at(path, parameters[name]) for name, path in places.items()}}
+    finally:
+        _promised.difference_update(places.values())
+
+
+def _name(algorithm: QgsProcessingAlgorithm, product: Product) -> tuple[str, str]:
+    """A product's name in the workspace, and its extension ("" for folders)."""
+    definition = algorithm.parameterDefinition(product.option.upper())
+    extension = "" if definition.type() == "folderDestination" else f".{definition.defaultFileExtension()}"
+    return product.style or product.option, extension
+
+
+def _free(folder: str, names: Mapping[str, tuple[str, str]]) -> dict[str, str]:
+    """The products' places in a folder, all with the first number that none of them has yet."""
+    number = 1
+    while True:
+        end = f"_{number}" if number > 1 else ""
+        places = {key: os.path.join(folder, f"{name}{end}{extension}") for key, (name, extension) in names.items()}
+        if not any(os.path.lexists(path) or path in _promised for path in places.values()):
+            return places
+        number += 1
+
+
+def _sink(value: object) -> Optional[QgsProperty]:
+    return value.sink if isinstance(value, QgsProcessingOutputLayerDefinition) else None
+
+
+def _is_temporary(value: object) -> bool:
+    sink = _sink(value)
+    return (sink.staticValue() if sink is not None else value) == QgsProcessing.TEMPORARY_OUTPUT
+
+
+def _at(path: str, value: object) -> object:
+    """The value with another place; whether QGIS loads the layer, and where, stays."""
+    if _sink(value) is None:
+        return path
+    moved = QgsProcessingOutputLayerDefinition(path, value.destinationProject)
+    moved.destinationName, moved.createOptions = value.destinationName, value.createOptions
+    return moved
