@@ -20,6 +20,7 @@ class RepmPlugin:
         self.iface = iface
         self.provider = None
         self.translator = None
+        self.menu = None
 
     def initProcessing(self) -> None:
         """Register the provider; qgis_process needs no more than this."""
@@ -34,8 +35,14 @@ class RepmPlugin:
     def initGui(self) -> None:
         """Called by the desktop only."""
         self.initProcessing()
+        from .desktop.menu import PluginMenu  # widgets: qgis_process has none
+
+        self.menu = PluginMenu(self.iface)
 
     def unload(self) -> None:
+        if self.menu is not None:
+            self.menu.remove()
+            self.menu = None
         if self.provider is not None:
             QgsApplication.processingRegistry().removeProvider(self.provider)
             self.provider = None

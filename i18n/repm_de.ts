@@ -267,6 +267,49 @@
     </message>
 </context>
 <context>
+    <name>FirstSteps</name>
+    <message>
+        <source>REPM: first steps</source>
+        <translation>REPM: erste Schritte</translation>
+    </message>
+    <message>
+        <source>From satellite images to a surface model on the map, in three steps:</source>
+        <translation>Von Satellitenbildern zu einem Oberflächenmodell auf der Karte, in drei Schritten:</translation>
+    </message>
+    <message>
+        <source>&lt;b&gt;Make sample images.&lt;/b&gt;&lt;br&gt;Three simulated images of a town, with RPCs (some 10 s, 10 MB).</source>
+        <translation>&lt;b&gt;Beispielbilder erzeugen.&lt;/b&gt;&lt;br&gt;Drei simulierte Bilder einer Stadt mit RPC (etwa 10 s, 10 MB).</translation>
+    </message>
+    <message>
+        <source>Make the images…</source>
+        <translation>Bilder erzeugen…</translation>
+    </message>
+    <message>
+        <source>&lt;b&gt;Make a DSM of them.&lt;/b&gt;&lt;br&gt;The dialog is filled in: press Run (less than a minute).</source>
+        <translation>&lt;b&gt;Daraus ein DOM erzeugen.&lt;/b&gt;&lt;br&gt;Der Dialog ist ausgefüllt: auf Starten klicken (weniger als eine Minute).</translation>
+    </message>
+    <message>
+        <source>Make the DSM…</source>
+        <translation>DOM erzeugen…</translation>
+    </message>
+    <message>
+        <source>&lt;b&gt;Read the tutorial.&lt;/b&gt;&lt;br&gt;From the order of images to a DSM that you can defend.</source>
+        <translation>&lt;b&gt;Die Anleitung lesen.&lt;/b&gt;&lt;br&gt;Von der Bestellung der Bilder zu einem DOM, das sich vertreten lässt.</translation>
+    </message>
+    <message>
+        <source>Open the tutorial</source>
+        <translation>Anleitung öffnen</translation>
+    </message>
+    <message>
+        <source>You find these steps again in the menu Plugins &gt; REPM.</source>
+        <translation>Diese Schritte stehen auch im Menü Erweiterungen &gt; REPM.</translation>
+    </message>
+    <message>
+        <source>Make the sample images first.</source>
+        <translation>Erst die Beispielbilder erzeugen.</translation>
+    </message>
+</context>
+<context>
     <name>Mosaic</name>
     <message>
         <source>Make a mosaic of DSMs</source>
@@ -326,6 +369,25 @@
     </message>
 </context>
 <context>
+    <name>Page</name>
+    <message>
+        <source>REPM: documents</source>
+        <translation>REPM: Dokumente</translation>
+    </message>
+    <message>
+        <source>Back</source>
+        <translation>Zurück</translation>
+    </message>
+    <message>
+        <source>Contents</source>
+        <translation>Inhalt</translation>
+    </message>
+    <message>
+        <source>Close</source>
+        <translation>Schließen</translation>
+    </message>
+</context>
+<context>
     <name>Pipeline</name>
     <message>
         <source>Make a DSM from satellite images</source>
@@ -346,6 +408,21 @@
     <message>
         <source>Cells with a height (%)</source>
         <translation>Zellen mit Höhe (%)</translation>
+    </message>
+</context>
+<context>
+    <name>PluginMenu</name>
+    <message>
+        <source>First steps</source>
+        <translation>Erste Schritte</translation>
+    </message>
+    <message>
+        <source>Tutorial</source>
+        <translation>Anleitung zum Einstieg</translation>
+    </message>
+    <message>
+        <source>Help</source>
+        <translation>Hilfe</translation>
     </message>
 </context>
 <context>

@@ -16,7 +16,7 @@ import sys
 from xml.sax.saxutils import escape
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-FOLDER = ROOT / "processing_provider"
+FOLDERS = ROOT / "processing_provider", ROOT / "desktop"
 BASE = "RepmAlgorithm"  # the context of texts that all algorithms share; base.py looks there second
 MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings", "styles.py": "RepmStyles"}
 
@@ -60,7 +60,7 @@ def texts_of_products() -> list[str]:
 
 def source() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    modules = [texts_of(path) for path in sorted(FOLDER.glob("*.py"))]
+    modules = [texts_of(path) for folder in FOLDERS for path in sorted(folder.glob("*.py"))]
     for texts_by_context in (*modules, {MODULES["parameters.py"]: texts_of_products()}):
         for context, texts in texts_by_context.items():
             known = found.setdefault(context, [])

@@ -26,6 +26,7 @@ SHOWN = {
     "pipeline_log.png": "log.png",
     "pipeline_map.png": "map.png",
     "errormap_map.png": "error_map.png",
+    "menu_first_steps.png": "first_steps.png",
 }
 MAX_BYTES = 390_000
 sys.path.insert(0, ROOT)
@@ -141,6 +142,7 @@ def desktop(folder: str) -> None:
             "-q",
             f"--basetemp={folder}/work",
             "tests/qgis/test_desktop.py",
+            "tests/qgis/test_menu.py",
         ],
         cwd=ROOT,
         env={**os.environ, "REPM_KEEP_PICTURES": folder},

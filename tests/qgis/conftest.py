@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gc
 import importlib
+import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 
@@ -153,6 +155,53 @@ def headless(headless_start):
             process.kill()
             raise
         return subprocess.CompletedProcess(process.args, process.returncode, *texts)
+
+    return run
+
+
+@pytest.fixture
+def desktop_start(tmp_path):
+    """Runs a driver of this folder in a new desktop with an empty profile; gives what it found.
+
+    ``settings`` are lines of the profile's QGIS3.ini. REPM_KEEP_PICTURES=FOLDER keeps the screenshots.
+    """
+    profile = tmp_path / "profiles" / "profiles" / "default"
+    (profile / "python" / "plugins").mkdir(parents=True)
+    (profile / "python" / "plugins" / "repm").symlink_to(ROOT)
+    (profile / "QGIS").mkdir()
+    (tmp_path / "runtime").mkdir(mode=0o700)
+    out = tmp_path / "out"
+    out.mkdir()
+
+    def run(driver, plan, seconds=150, settings="[repm]\nfirst_steps_shown=true\n", locale="en"):
+        (profile / "QGIS" / "QGIS3.ini").write_text(
+            f"[PythonPlugins]\nrepm=true\nprocessing=true\n[locale]\nuserLocale={locale}\noverrideFlag=true\n{settings}"
+        )
+        path = tmp_path / "plan.json"
+        path.write_text(json.dumps({**plan, "folder": str(out), "seconds": seconds}))
+        environment = {
+            name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_", "QT_QPA"))
+        }
+        environment.update(REPM_DESKTOP_PLAN=str(path), REPM_ENGINE_PYTHON=sys.executable)
+        environment.update(REPM_DESKTOP_DRIVERS=str(ROOT / "tests" / "qgis"), HOME=str(tmp_path))
+        environment.setdefault("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
+        qgis = ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(tmp_path / "profiles")]
+        done = subprocess.run(
+            ["xvfb-run", "-a", "-s", "-screen 0 1400x900x24", *qgis, "--code", str(ROOT / "tests" / "qgis" / driver)],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=seconds + 30,
+            check=False,
+        )
+        found = json.loads((out / "found.json").read_text())
+        assert done.returncode == 0 and "error" not in found, f"{found}\n{done.stdout}"
+        keep = os.environ.get("REPM_KEEP_PICTURES")
+        for picture in out.glob("*.png") if keep else ():
+            os.makedirs(keep, exist_ok=True)
+            shutil.copy(picture, pathlib.Path(keep) / f"{found['name']}_{picture.name}")
+        return found
 
     return run
 

@@ -1,46 +1,19 @@
 """Runs inside a real QGIS desktop (``qgis --code``): opens an algorithm from the toolbox, runs it, tells what came.
 
-Reads the plan from REPM_DESKTOP_PLAN (JSON): title, parameters, folder, seconds. Writes found.json, toolbox.png,
-dialog.png, log.png and map.png into the folder, and ends QGIS.
+The plan has title and parameters. Writes found.json, toolbox.png,
+dialog.png, log.png and map.png into the folder, and ends QGIS. See desktop_steps.py.
 """
 
-import json
 import os
 import sys
-import traceback
 
 from qgis.core import QgsProject
 from qgis.PyQt.QtCore import QTimer
 from qgis.PyQt.QtWidgets import QApplication, QDockWidget
 from qgis.utils import iface, plugins
 
-with open(os.environ["REPM_DESKTOP_PLAN"], encoding="utf-8") as stream:
-    PLAN = json.load(stream)
-FOUND = {"steps": [], "layers": []}
-
-
-def finish(code=0):
-    with open(os.path.join(PLAN["folder"], "found.json"), "w", encoding="utf-8") as output:
-        json.dump(FOUND, output, indent=1)
-    QgsProject.instance().setDirty(False)
-    sys.stdout.flush()
-    os._exit(code)  # the questions that QGIS asks at its end have nobody to answer them here
-
-
-def guarded(step):
-    def run(*arguments):
-        try:
-            FOUND["steps"].append(step.__name__)
-            step(*arguments)
-        except Exception:
-            FOUND["error"] = traceback.format_exc()
-            finish(1)
-
-    return run
-
-
-def picture(widget, name):
-    widget.grab().save(os.path.join(PLAN["folder"], name))
+sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
+from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
 
 
 @guarded
@@ -64,6 +37,7 @@ def open_from_toolbox():
     tree.setCurrentIndex(index)
     chosen = tree.selectedAlgorithm()
     FOUND["chosen"] = chosen.id() if chosen else None
+    FOUND["name"] = chosen.name()
     QTimer.singleShot(1500, fill_in)
     toolbox.executeAlgorithm()
 
@@ -122,5 +96,4 @@ def show_map():
     finish()
 
 
-QTimer.singleShot(120000 if "seconds" not in PLAN else 1000 * PLAN["seconds"], lambda: finish(3))
-QTimer.singleShot(1000, open_from_toolbox)
+begin(open_from_toolbox)

@@ -1,20 +1,10 @@
-"""The desktop itself, under Xvfb: the algorithm is found in the toolbox, its dialog run, its layers looked at.
-
-REPM_KEEP_PICTURES=FOLDER keeps the screenshots (docs/ shows some of them).
-"""
+"""The desktop itself, under Xvfb: the algorithm is found in the toolbox, its dialog run, its layers looked at."""
 
 from __future__ import annotations
 
-import json
-import os
-import pathlib
 import shutil
-import subprocess
-import sys
 
 import pytest
-
-ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
@@ -22,56 +12,11 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.fixture
-def desktop(tmp_path):
+def desktop(desktop_start):
     """Runs an algorithm in a new desktop with an empty profile; gives what the driver found."""
-    profile = tmp_path / "profiles" / "profiles" / "default"
-    (profile / "python" / "plugins").mkdir(parents=True)
-    (profile / "python" / "plugins" / "repm").symlink_to(ROOT)
-    (profile / "QGIS").mkdir()
-    (profile / "QGIS" / "QGIS3.ini").write_text(
-        "[PythonPlugins]\nrepm=true\nprocessing=true\n[locale]\nuserLocale=en\noverrideFlag=true\n"
-    )
-    out = tmp_path / "out"
-    out.mkdir()
 
-    def run(title, parameters, seconds=150):
-        plan = tmp_path / "plan.json"
-        plan.write_text(json.dumps({"title": title, "parameters": parameters, "folder": str(out), "seconds": seconds}))
-        environment = {
-            name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_", "QT_QPA"))
-        }
-        environment.update(REPM_DESKTOP_PLAN=str(plan), REPM_ENGINE_PYTHON=sys.executable)
-        runtime = tmp_path / "runtime"
-        runtime.mkdir(mode=0o700)
-        environment.setdefault("XDG_RUNTIME_DIR", str(runtime))
-        done = subprocess.run(
-            [
-                "xvfb-run",
-                "-a",
-                "-s",
-                "-screen 0 1400x900x24",
-                "qgis",
-                "--nologo",
-                "--noversioncheck",
-                "--profiles-path",
-                str(tmp_path / "profiles"),
-                "--code",
-                str(ROOT / "tests" / "qgis" / "desktop_driver.py"),
-            ],
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            timeout=seconds + 30,
-            check=False,
-        )
-        found = json.loads((out / "found.json").read_text())
-        assert done.returncode == 0 and "error" not in found, f"{found}\n{done.stdout}"
-        keep = os.environ.get("REPM_KEEP_PICTURES")
-        for picture in out.glob("*.png") if keep else ():
-            os.makedirs(keep, exist_ok=True)
-            shutil.copy(picture, pathlib.Path(keep) / f"{found['chosen'].split(':')[1]}_{picture.name}")
-        return found
+    def run(title, parameters):
+        return desktop_start("desktop_driver.py", {"title": title, "parameters": parameters})
 
     return run
 

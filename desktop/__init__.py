@@ -1,0 +1,1 @@
+"""What QGIS's desktop shows beside the Processing Toolbox: the menu Plugins > REPM and its windows."""

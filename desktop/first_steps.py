@@ -1,0 +1,107 @@
+"""The panel of the first start: sample images, a DSM of them, the tutorial."""
+
+from __future__ import annotations
+
+import glob
+import os
+from typing import Any, Callable
+
+from qgis.core import QgsSettings
+from qgis.PyQt.QtCore import QStandardPaths, Qt
+from qgis.PyQt.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton
+
+from .pages import Page
+
+SHOWN = "repm/first_steps_shown"
+SAMPLE = "repm/sample_folder"
+
+
+def show_once(show: Callable[..., Any]) -> None:
+    """Show the panel on the first start after the installation, and never again by itself."""
+    if not QgsSettings().value(SHOWN, False, type=bool):
+        QgsSettings().setValue(SHOWN, True)
+        show(FirstSteps)
+
+
+def _sample_images() -> list[str]:
+    folder = str(QgsSettings().value(SAMPLE, "") or "")
+    return sorted(glob.glob(os.path.join(glob.escape(folder), "img_*.tif"))) if folder else []
+
+
+class FirstSteps(QDialog):
+    """Three steps, each with one button; the second one waits for the images of the first."""
+
+    def __init__(self, iface: Any, show: Callable[..., Any]) -> None:
+        super().__init__(iface.mainWindow())
+        self.setWindowTitle(self.tr("REPM: first steps"))
+        self._dialogs: list[Any] = []
+        self._layout = QGridLayout(self)
+        self._layout.setColumnStretch(1, 1)
+        self._layout.setVerticalSpacing(14)
+        intro = QLabel(self.tr("From satellite images to a surface model on the map, in three steps:"))
+        self._layout.addWidget(intro, 0, 0, 1, 3)
+        self.sample = self._step(
+            1,
+            self.tr("<b>Make sample images.</b><br>Three simulated images of a town, with RPCs (some 10 s, 10 MB)."),
+            self.tr("Make the images…"),
+            self._make_images,
+        )
+        self.dsm = self._step(
+            2,
+            self.tr("<b>Make a DSM of them.</b><br>The dialog is filled in: press Run (less than a minute)."),
+            self.tr("Make the DSM…"),
+            self._make_dsm,
+        )
+        self.tutorial = self._step(
+            3,
+            self.tr("<b>Read the tutorial.</b><br>From the order of images to a DSM that you can defend."),
+            self.tr("Open the tutorial"),
+            lambda: show(Page).open("tutorial.md"),
+        )
+        later = QLabel(self.tr("You find these steps again in the menu Plugins > REPM."))
+        later.setEnabled(False)
+        self._layout.addWidget(later, 4, 0, 1, 3)
+        self._refresh()
+
+    def showEvent(self, event: Any) -> None:
+        self._refresh()
+        super().showEvent(event)
+
+    def _step(self, number: int, text: str, button_text: str, run: Callable[[], Any]) -> QPushButton:
+        figure, label, button = QLabel(f"<big>{number}</big>"), QLabel(text), QPushButton(button_text)
+        label.setWordWrap(True)
+        label.setMinimumWidth(330)
+        figure.setAlignment(Qt.AlignmentFlag.AlignTop)
+        button.clicked.connect(lambda: run())
+        for column, widget in enumerate((figure, label, button)):
+            self._layout.addWidget(widget, number, column)
+        return button
+
+    def _refresh(self) -> None:
+        images = _sample_images()
+        self.dsm.setEnabled(bool(images))
+        self.dsm.setToolTip("" if images else self.tr("Make the sample images first."))
+
+    def _make_images(self) -> None:
+        documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
+        folder = str(QgsSettings().value(SAMPLE, "") or os.path.join(documents, "REPM", "sample images"))
+        self._run("repm:sampledata", {"FOLDER": folder}, self._images_made)
+
+    def _images_made(self, successful: bool, results: Any) -> None:
+        if successful and results.get("FOLDER"):
+            QgsSettings().setValue(SAMPLE, results["FOLDER"])
+        self._refresh()
+
+    def _make_dsm(self) -> None:
+        workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), "sample DSM")
+        self._run("repm:pipeline", {"IMAGES": _sample_images(), "WORKSPACE": workspace})
+
+    def _run(self, algorithm: str, parameters: dict[str, Any], finished: Callable[..., Any] = lambda *_: None) -> None:
+        """Open an algorithm's dialog with these parameters: progress, log and cancel are Processing's own."""
+        import processing
+
+        # Without a reference from here, Python forgets what a dialog is while it is still open.
+        dialog = processing.createAlgorithmDialog(algorithm, parameters)
+        self._dialogs.append(dialog)
+        dialog.algorithmFinished.connect(finished)
+        dialog.show()

@@ -1,0 +1,56 @@
+"""The menu Plugins > REPM."""
+
+from __future__ import annotations
+
+from typing import Any, Callable
+
+from qgis.PyQt.QtCore import QCoreApplication, QTimer
+from qgis.PyQt.QtGui import QIcon
+from qgis.PyQt.QtWidgets import QAction
+
+from ..processing_provider.base import resource
+from .first_steps import FirstSteps, show_once
+from .pages import Page
+
+TITLE = "REPM"
+
+
+class PluginMenu:
+    """Our entries in QGIS's menu, and the windows that they open; ``remove`` takes both away again."""
+
+    def __init__(self, iface: Any) -> None:
+        self._iface, self._actions, self._windows = iface, [], {}
+        self.add(self.tr("First steps"), "repm", lambda: self._show(FirstSteps))
+        self.add(self.tr("Tutorial"), "", lambda: self._show(Page).open("tutorial.md"))
+        self.add(self.tr("Help"), "", lambda: self._show(Page).open("guide.md"))
+        # QGIS is still starting: a window now would lie behind its splash screen.
+        QTimer.singleShot(0, lambda: show_once(self._show) if self._actions else None)
+
+    def tr(self, text: str) -> str:
+        return QCoreApplication.translate("PluginMenu", text)
+
+    def add(self, title: str, icon: str, run: Callable[[], Any]) -> QAction:
+        """Add an entry, with an icon of resources/icons ("": none)."""
+        action = QAction(QIcon(resource("icons", f"{icon}.svg")) if icon else QIcon(), title, self._iface.mainWindow())
+        action.triggered.connect(lambda: run())
+        self._iface.addPluginToMenu(TITLE, action)
+        self._actions.append(action)
+        return action
+
+    def remove(self) -> None:
+        for action in self._actions:
+            self._iface.removePluginMenu(TITLE, action)
+            action.deleteLater()
+        for window in self._windows.values():
+            window.close()
+            window.deleteLater()
+        self._actions, self._windows = [], {}
+
+    def _show(self, kind: Callable[..., Any]) -> Any:
+        """The one window of a kind, in front."""
+        if kind not in self._windows:
+            self._windows[kind] = kind(self._iface, self._show)
+        window = self._windows[kind]
+        window.show()
+        window.raise_()
+        return window

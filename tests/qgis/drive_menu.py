@@ -1,0 +1,104 @@
+"""Runs inside a real QGIS desktop: the first start's panel, step by step, and the documents of the menu."""
+
+import os
+import sys
+
+from qgis.core import QgsProject, QgsSettings
+from qgis.PyQt.QtCore import QTimer
+from qgis.PyQt.QtWidgets import QApplication
+from qgis.utils import iface, plugins
+
+sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
+from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
+
+FOUND["name"] = "menu"
+
+
+def window(kind):
+    found = [
+        widget for widget in QApplication.topLevelWidgets() if type(widget).__name__ == kind and widget.isVisible()
+    ]
+    return found[0] if found else None
+
+
+def dialog_of(name):
+    return next(
+        widget
+        for widget in QApplication.topLevelWidgets()
+        if hasattr(widget, "runButton") and widget.isVisible() and widget.algorithm().name() == name
+    )
+
+
+@guarded
+def look_at_the_panel():
+    menus = {action.text(): action.menu() for action in iface.pluginMenu().actions() if action.menu()}
+    FOUND["menu"] = [action.text() for action in menus["REPM"].actions()]
+    panel = window("FirstSteps")
+    FOUND["shown"] = panel is not None
+    if panel is None:
+        finish()
+    FOUND["second step"] = panel.dsm.isEnabled()
+    picture(panel, "first_steps.png")
+    panel.sample.click()
+    QTimer.singleShot(1500, make_images)
+
+
+@guarded
+def make_images():
+    dialog = dialog_of("sampledata")
+    FOUND["folder"] = dialog.mainWidget().createProcessingParameters()["FOLDER"]
+    dialog.setParameters({"FOLDER": os.path.join(PLAN["folder"], "sample images"), "SIZE": 300})
+    dialog.algorithmFinished.connect(lambda *_: QTimer.singleShot(500, lambda: make_dsm(dialog)))
+    dialog.runButton().click()
+
+
+@guarded
+def make_dsm(dialog):
+    dialog.close()
+    panel = window("FirstSteps")
+    FOUND["second step after the first"] = panel.dsm.isEnabled()
+    panel.dsm.click()
+    QTimer.singleShot(1500, run_dsm)
+
+
+@guarded
+def run_dsm():
+    dialog = dialog_of("pipeline")
+    dialog.algorithmFinished.connect(lambda success, _: QTimer.singleShot(1500, lambda: read(dialog, success)))
+    dialog.runButton().click()
+
+
+@guarded
+def read(dialog, success):
+    FOUND["success"] = bool(success)
+    FOUND["layers"] = sorted(layer.name() for layer in QgsProject.instance().mapLayers().values())
+    dialog.close()
+    window("FirstSteps").tutorial.click()
+    QTimer.singleShot(1000, look_at_the_tutorial)
+
+
+@guarded
+def look_at_the_tutorial():
+    page = window("Page")
+    FOUND["page"] = page.browser.document().toPlainText()[:300]
+    picture(page, "page.png")
+    page.open("guide.md")
+    FOUND["other page"] = page.browser.document().toPlainText()[:300]
+    bar = page.browser.verticalScrollBar()
+    bar.setValue(bar.maximum() // 3)
+    QApplication.processEvents()
+    picture(page, "guide.png")
+    FOUND["kept"] = QgsSettings().value("repm/first_steps_shown", False, type=bool)
+    plugins["repm"].unload()
+    QApplication.processEvents()
+    QTimer.singleShot(300, after_the_plugin)
+
+
+@guarded
+def after_the_plugin():
+    FOUND["left"] = [kind for kind in ("FirstSteps", "Page") if window(kind)]
+    FOUND["menu after"] = [action.text() for action in iface.pluginMenu().actions() if action.text() == "REPM"]
+    finish()
+
+
+begin(look_at_the_panel)

@@ -1,0 +1,28 @@
+"""The menu Plugins > REPM and the panel of the first start, in the desktop itself (Xvfb)."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+pytestmark = pytest.mark.skipif(
+    not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
+)
+
+
+def test_three_steps_lead_a_new_user_to_a_dsm_and_the_tutorial(desktop_start):
+    found = desktop_start("drive_menu.py", {}, settings="")
+    assert {"First steps", "Tutorial", "Help"} <= set(found["menu"])
+    assert found["shown"] and found["kept"]
+    assert found["folder"].endswith("sample images")
+    assert not found["second step"] and found["second step after the first"]
+    assert found["success"]
+    assert any(name.startswith("DSM sample DSM") for name in found["layers"])
+    assert found["page"].startswith("Tutorial") and found["other page"].startswith("User guide")
+    assert not found["left"] and not found["menu after"]
+
+
+def test_the_panel_comes_once_only(desktop_start):
+    found = desktop_start("drive_menu.py", {}, seconds=40)
+    assert not found["shown"] and "First steps" in found["menu"]
