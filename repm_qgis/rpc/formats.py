@@ -12,6 +12,7 @@ but DIMAP v2 (Pleiades, SPOT 6 and 7), which counts from 1; DIMAP v3 (Pleiades N
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from dataclasses import dataclass
@@ -38,6 +39,7 @@ _MAX_JSON_DEPTH = 16
 _MAX_XML_DEPTH = 64
 _MAX_XML_MARKS = 100_000
 _ROUND_TRIP_PX = 1e-3
+_MOST_ERROR_M = 5000.0
 _REACH = 3.0  # of the ground's normalisers, for the middle half of the pixels; 1.02 is the most in the files we know
 
 # Our member, and GDAL's key for it.
@@ -47,6 +49,7 @@ for _axis in ("row", "col"):
     GDAL_KEYS.update({f"{_axis}_{part}": f"{_GDAL_NAMES[_axis]}_{part.upper()}_COEFF" for part in ("num", "den")})
 _SCALARS = tuple(key for key in GDAL_KEYS.values() if not key.endswith("COEFF"))
 _POLYNOMIALS = tuple(key for key in GDAL_KEYS.values() if key.endswith("COEFF"))
+_ACCURACY = ("ERR_BIAS", "ERR_RAND")  # metres; Airbus's ERR_BIAS_ROW, _X ... are how well the RPC fits its own sensor
 _INVERSE = ("LAT_NUM_COEFF", "LAT_DEN_COEFF", "LONG_NUM_COEFF", "LONG_DEN_COEFF")
 
 _UNITS = {
@@ -85,7 +88,20 @@ def rpc_from_texts(texts: Mapping[str, str], first_pixel: float = 0.0) -> Rpc:
         values[member] = _series(texts[key], key) if key in _POLYNOMIALS else _scalar(texts[key], key)
     values["row_off"] -= first_pixel
     values["col_off"] -= first_pixel
-    return Rpc(**values)
+    return Rpc(**values, accuracy_m=_accuracy(texts))
+
+
+def _accuracy(texts: Mapping[str, str]) -> Optional[float]:
+    """The vendor's figure for errors on the ground, m; None where it is missing, zero, negative or unreadable.
+
+    It never makes a file invalid: no position depends on it.
+    """
+    numbers = []
+    for key in _ACCURACY:
+        word = next(iter(texts.get(key, "")[:_MAX_LINE].split()), "")
+        number = _number(word, key) if _NUMBER.fullmatch(word) else math.nan
+        numbers.append(number if 0.0 < number <= _MOST_ERROR_M else 0.0)
+    return math.hypot(*numbers) if numbers[0] else None
 
 
 def _short(text: object) -> str:
@@ -183,9 +199,9 @@ def _parse_key_value(text: str) -> Rpc:
             break
         key, value = _key_and_value(line)
         key = re.sub(r"^LON_", "LONG_", key.upper())
-        if re.sub(r"_\d+$", "", key) in _SCALARS + _POLYNOMIALS + _INVERSE:
+        if re.sub(r"_\d+$", "", key) in _SCALARS + _POLYNOMIALS + _INVERSE + _ACCURACY:
             _add(found, _plain_index(key), value)
-    texts = {key: value for key, value in found.items() if key in _SCALARS}
+    texts = {key: value for key, value in found.items() if key in _SCALARS + _ACCURACY}
     texts.update(_coefficients(found, _POLYNOMIALS))
     if any(key.startswith(_INVERSE) for key in found):
         for name, series in _coefficients(found, _INVERSE):
@@ -242,6 +258,7 @@ def _parse_geom(text: str) -> Rpc:
 # --- DigitalGlobe's .RPB --------------------------------------------------------------------------------------------
 
 _MAXAR_SCALARS = {key: key.split("_")[0].lower() + ("Offset" if key.endswith("OFF") else "Scale") for key in _SCALARS}
+_MAXAR_ACCURACY = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
 _MAXAR_SERIES = {key: f"{key[:4].lower()}{key[5:8].capitalize()}Coef" for key in _POLYNOMIALS}
 
 
@@ -254,7 +271,7 @@ def _parse_rpb(text: str) -> Rpc:
     if "BEGIN_GROUP" in tail or "BEGIN_GROUP" in body:
         raise RpcInvalidError("it has more than one group.")
     body = body.partition("\n")[2]
-    members = {theirs: ours for ours, theirs in {**_MAXAR_SCALARS, **_MAXAR_SERIES}.items()}
+    members = {theirs: ours for ours, theirs in {**_MAXAR_SCALARS, **_MAXAR_ACCURACY, **_MAXAR_SERIES}.items()}
     texts: Texts = {}
     for statement in body.split(";"):
         key, equals, value = statement.partition("=")
@@ -362,6 +379,7 @@ def _parse_maxar(text: str) -> Rpc:
     image = _only(_elements(_only(_anywhere(_tree(text), "RPB"), "RPB"), "IMAGE"), "RPB/IMAGE")
     scalars = {ours: theirs.upper() for ours, theirs in _MAXAR_SCALARS.items()}
     texts = {ours: _leaf(_only(_elements(image, theirs), theirs)) for ours, theirs in scalars.items()}
+    texts.update({k: _leaf(node) for k, name in _MAXAR_ACCURACY.items() for node in _elements(image, name.upper())})
     for ours, theirs in _MAXAR_SERIES.items():
         block = _only(_elements(image, theirs.upper() + "List"), theirs.upper() + "List")
         texts[ours] = " ".join(_leaf(item) or "nothing" for item in _elements(block, theirs.upper()))

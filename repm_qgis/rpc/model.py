@@ -7,13 +7,13 @@ height in metres above its ellipsoid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Mapping, Optional
 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import Misfit
+from ..checks import Misfit, Number
 from ..errors import RpcInvalidError
 from ..records import Record
 
@@ -40,7 +40,9 @@ class Rpc(Record):
     """One image's RPC: ten normalisers and four cubic polynomials of twenty coefficients.
 
     ``row_num / row_den`` give the normalised row, ``col_num / col_den`` the normalised column. Offsets and scales of
-    rows and columns are in px, of ground coordinates in degrees and metres.
+    rows and columns are in px, of ground coordinates in degrees and metres. ``accuracy_m`` is how far the vendor says
+    that points on the ground may be off, one standard deviation in each direction (the root of ERR_BIAS² + ERR_RAND²
+    of RPC00B); None where the file does not say. It is no part of the model: two RPCs are equal without it.
     """
 
     row_off: float
@@ -57,6 +59,7 @@ class Rpc(Record):
     row_den: tuple[float, ...]
     col_num: tuple[float, ...]
     col_den: tuple[float, ...]
+    accuracy_m: Optional[Annotated[float, Number(0, 1e4, "m")]] = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         for name in ("row", "col", "lat", "lon", "height"):

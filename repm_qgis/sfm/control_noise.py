@@ -57,7 +57,12 @@ def suspects(residuals: Sequence[FloatArray], noise_px: float, parameters: Contr
     """The points with large residuals of a robust adjustment, worst first; half of all at most, and two remain."""
     size = np.array([_size(residual) for residual in residuals])
     far = [int(k) for k in np.argsort(-size, kind="stable") if size[k] > parameters.suspect * noise_px]
-    return far[: max(min(len(size) // 2, len(size) - 2), 0)]
+    return far[: most_set_aside(len(size))]
+
+
+def most_set_aside(points: int) -> int:
+    """Of so many control points, how many wrong ones can be found by the others: half of all, and two remain."""
+    return max(min(points // 2, points - 2), 0)
 
 
 def contradicts(

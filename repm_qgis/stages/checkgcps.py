@@ -7,7 +7,7 @@ from typing import Any, Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..errors import EmptyResultError
+from ..errors import EmptyResultError, InputTableError
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
 from ..evaluation.gcp_page import gcp_page
 from ..evaluation.styles import write_style
@@ -16,6 +16,7 @@ from ..imagery.raster import opened
 from ..options import CheckGcpsOptions
 from ..progress import Progress, counted
 from ..scene import Scene
+from ..sfm.control_places import misplaced, placed_points
 from ..sfm.ground_control import Gcp, read_gcps
 from ..vector import file_and_layer, write_layer
 
@@ -59,6 +60,10 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
 
 def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
     if any(gcp.pixels for gcp in found.gcps):
+        wrong = misplaced(found.gcps, scene.views, options.gcps)
+        if wrong and not any(point.inside for point in placed_points(found.gcps, scene.views)):
+            raise InputTableError(wrong)
+        found.warnings += [wrong] * bool(wrong)
         measure_images(found, scene.views)
         if "compensated" not in found.errors:
             points = f"No point of '{file_and_layer(options.gcps)[0]}' with image measurements has the role control"

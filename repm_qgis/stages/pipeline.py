@@ -16,6 +16,7 @@ from ..parallel import kept_workers
 from ..products import FOLDER, paths_of
 from ..progress import Part, Progress
 from ..scene import Scene, load_views
+from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
 from ..sfm.pair_selection import choose_pairs
 from ..workspace import ensure_folder, with_copy
@@ -33,7 +34,7 @@ def run(options: PipelineOptions, progress: Progress, parameters: EngineParamete
 
 
 def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> Dict[str, Any]:
-    _check_early(options)
+    _check_early(options, parameters)
     seconds: Dict[str, float] = {}
     begin = 0.0
 
@@ -74,7 +75,7 @@ def _needs(options: PipelineOptions, scene: Scene, parameters: EngineParameters)
     return [heights, *fusion_needs(scene, matched, options.fuse, cell)]
 
 
-def _check_early(options: PipelineOptions) -> None:
+def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None:
     """What can be refused is refused before hours of matching."""
     fit, fuse = options.fit, options.fuse
     require(options.reconstruct.backend)
@@ -83,5 +84,6 @@ def _check_early(options: PipelineOptions) -> None:
     if fuse.ept:
         require_ept_place(fuse.ept)
     if options.reconstruct.gcps:
-        read_gcps(options.reconstruct.gcps, load_views(fit.images, fit.rpcs), options.reconstruct.gcp_datum)
+        views, gcps = load_views(fit.images, fit.rpcs), options.reconstruct.gcps
+        require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing.places)
     HeightDatum.of(fuse.vertical_datum)

@@ -17,7 +17,6 @@ from qgis.core import (
     QgsSingleBandPseudoColorRenderer,
 )
 
-
 MAP = ("OUTPUT", "TILES", "TIE_POINTS")
 
 

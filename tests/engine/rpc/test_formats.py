@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from osgeo import gdal
 from repm_qgis.errors import OptionError, RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
 from repm_qgis.options import EpmFitOptions, PipelineOptions
+from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.formats import _signed_areas, checked
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of, rpc_sidecars
 from repm_qgis.scene import load_views
@@ -19,6 +21,8 @@ from repm_qgis.simulation.scene import rpc_tags
 from repm_qgis.stages.epmfit import _key
 from tests.engine.rpc import writers
 from tests.engine.rpc.writers import WRITERS, dimap_v2, dimap_v3, geom, key_value, rpb, rpcm_json, whu_tlc
+
+MODEL = [each.name for each in fields(Rpc) if each.compare]
 
 
 def read(path, rpc_file=None):
@@ -41,7 +45,7 @@ def refused(folder, text):
 
 def same(a, b):
     """Equal to the fifteen digits that GDAL's metadata keep."""
-    return all(np.allclose(getattr(a, name), getattr(b, name), rtol=1e-13, atol=1e-12) for name in vars(b))
+    return all(np.allclose(getattr(a, name), getattr(b, name), rtol=1e-13, atol=1e-12) for name in MODEL)
 
 
 def gdal_pixels(dataset, points):
@@ -127,6 +131,31 @@ def test_image_tags_are_read_from_any_name(tmp_path, synthetic_rpc, write_image)
     image = write_image(tmp_path / "a.tif", rpc=synthetic_rpc())
     os.rename(image, tmp_path / "file.dat")
     assert same(read_rpc_file(str(tmp_path / "file.dat")), synthetic_rpc())
+
+
+@pytest.mark.parametrize(
+    "kind, change, accuracy",
+    (
+        ("RPB", ("", ""), np.hypot(1.09, 0.24)),
+        ("RPB", ("1.09", "-1"), None),
+        ("RPB", ("1.09", "much"), None),
+        ("RPB", ("errRand =  0.24", "errRand =  0"), 1.09),
+        ("Maxar XML", ("", ""), 26.68),
+        ("IKONOS", ("LINE_OFF", "ERR_BIAS: 0003.31 meters\nERR_RAND: 0000.50 meters\nLINE_OFF"), np.hypot(3.31, 0.5)),
+        ("IKONOS", ("LINE_OFF", "ERR_BIAS: 1e9\nLINE_OFF"), None),
+        ("DIMAP v2", ("", ""), None),  # its ERR_BIAS_ROW is that of the RPC's fit
+    ),
+)
+def test_the_vendors_figure_for_its_errors(tmp_path, synthetic_rpc, kind, change, accuracy):
+    found = read_rpc_file(written(tmp_path, WRITERS[kind](synthetic_rpc()).replace(*change, 1)))
+    assert found.accuracy_m == (None if accuracy is None else pytest.approx(accuracy))
+    assert found == synthetic_rpc() and found.shifted(3, 4).accuracy_m == found.accuracy_m
+
+
+def test_the_vendors_figure_in_an_images_tags(tmp_path, synthetic_rpc, write_image):
+    tags = {"ERR_BIAS": "3.0", "ERR_RAND": "4.0"}
+    assert read(write_image(tmp_path / "a.tif", rpc=synthetic_rpc(), tags=tags)).accuracy_m == 5.0
+    assert read(write_image(tmp_path / "b.tif", rpc=synthetic_rpc())).accuracy_m is None
 
 
 def test_dimap_origin(tmp_path, synthetic_rpc):
