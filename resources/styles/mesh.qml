@@ -31,6 +31,7 @@
       </edge-settings>
     </scalar-settings>
   </mesh-renderer-settings>
+  <name-to-global-index name="Bed Elevation" global-index="0"/>
   <blendMode>0</blendMode>
   <layerOpacity>1</layerOpacity>
 </qgis>
