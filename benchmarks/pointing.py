@@ -47,10 +47,12 @@ def truth_urban() -> List[str]:
             rejected = f"{len(facts.rejected_gcps)} of {len(facts.gcps)} points rejected"
             height = rejected if uncertain is None else f"{uncertain:.1f} m"
             parallax = (pair.count, abs(pair.before_px), pair.after_px)
-            rows.append([label, *parallax, found.bias, found.nmad, height])
+            up = [each.up_m for each in facts.gcps if not each.rejected]
+            noise = f"{np.std(up, ddof=1) / len(up) ** 0.5:.2f}" if up else ""
+            rows.append([label, *parallax, found.bias, noise, found.nmad, height])
     headers = (
-        "GCPs | ties | vertical parallax before, px | after (median of absolute), px | bias of the DSM, m | NMAD, m | "
-        "reported of the absolute height"
+        "GCPs | ties | vertical parallax before, px | after (median of absolute), px | bias of the DSM, m | "
+        "one sigma that the points' noise leaves in it, m | NMAD, m | reported of the absolute height"
     )
     return [
         "**1. truth_urban**: two views, real Pleiades RPCs, the second wrong by (1.7, -2.3) px; GCPs with 0.3 px "
