@@ -57,7 +57,8 @@ def truth_urban() -> List[str]:
     return [
         "**1. truth_urban**: two views, real Pleiades RPCs, the second wrong by (1.7, -2.3) px; GCPs with 0.3 px "
         "of noise. Bars: vertical parallax below 0.1 px; bias with GCPs below 0.15 m without any alignment; without "
-        "GCPs the report says how uncertain the absolute height is.",
+        "GCPs the report says how uncertain the absolute height is. The sigma is that of the mean of the points' own "
+        "height errors: a bias of its size is the points' draw, not the adjustment's.",
         table(headers, rows),
         *absent("truth_urban"),
     ]
