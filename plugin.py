@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 
-from qgis.core import QgsApplication, QgsSettings
-from qgis.PyQt.QtCore import QCoreApplication, QLocale, QTranslator
+from qgis.core import QgsApplication
+from qgis.PyQt.QtCore import QCoreApplication, QTranslator
 
 from .processing_provider import engine
+from .processing_provider.language import locale
 from .processing_provider.provider import RepmProvider
 
 _FOLDER = os.path.dirname(os.path.abspath(__file__))
@@ -51,8 +52,7 @@ class RepmPlugin:
             self.translator = None
 
     def _install_translator(self) -> None:
-        locale = str(QgsSettings().value("locale/userLocale", QLocale().name()) or "")
-        for name in (locale, locale[:2]):
+        for name in (locale(), locale()[:2]):
             path = os.path.join(_FOLDER, "i18n", f"repm_{name}.qm")
             if self.translator is None and name and os.path.exists(path):
                 translator = QTranslator()

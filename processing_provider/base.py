@@ -25,6 +25,7 @@ from ..repm_qgis.products import products_of
 from . import engine, settings, styles
 from .helptext import to_html
 from .kept import in_workspace, is_lasting
+from .language import said
 from .parameters import tr
 from .values import checked_value, destination, input_options, is_empty, raster_items
 
@@ -133,7 +134,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         try:
             STAGES[self.ID].from_json(self.complete(given))
         except OptionError as error:
-            return False, str(error)
+            return False, said(str(error))
         return super().checkParameterValues(parameters, context)
 
     def _input_problem(
@@ -169,7 +170,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         remedy = "" if is_empty(value) or value == definition.defaultValue() else engine.backend_remedy(str(value))
         if not remedy:
             return ""
-        return self.tr("BACKEND is '{name}', which {remedy}; or choose auto.").format(name=value, remedy=remedy)
+        return self.tr("BACKEND is '{name}', which {remedy}; or choose auto.").format(name=value, remedy=said(remedy))
 
     def _check_file(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
         if is_empty(value) or not isinstance(value, str):

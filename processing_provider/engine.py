@@ -24,6 +24,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
 from . import settings
 from .cleanup import remove_half_written
+from .language import language, said
 
 PLUGIN_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 WATCH_VARIABLE = "REPM_ENGINE_WATCH_STDIN"
@@ -46,23 +47,23 @@ _NORMAL_EXIT = QProcess.ExitStatus.NormalExit
 
 
 class FeedbackProgress:
-    """The engine's Progress, shown by QGIS."""
+    """The engine's Progress, shown by QGIS; ``translate`` brings texts into QGIS's language where they are not yet."""
 
-    def __init__(self, feedback: QgsProcessingFeedback) -> None:
-        self._feedback, self._text, self._percent = feedback, "", 0.0
+    def __init__(self, feedback: QgsProcessingFeedback, translate: Callable[[str], str] = str) -> None:
+        self._feedback, self._translate, self._text, self._percent = feedback, translate, "", 0.0
 
     def step(self, fraction: float, text: str = "") -> None:
         self._percent = max(self._percent, 100.0 * min(max(float(fraction), 0.0), 1.0))
         self._feedback.setProgress(self._percent)
         if text and text != self._text:
             self._text = text
-            self._feedback.setProgressText(text)
+            self._feedback.setProgressText(self._translate(text))
 
     def info(self, text: str) -> None:
-        self._feedback.pushInfo(text)
+        self._feedback.pushInfo(self._translate(text))
 
     def warn(self, text: str) -> None:
-        self._feedback.pushWarning(text)
+        self._feedback.pushWarning(self._translate(text))
 
     def check_cancelled(self) -> None:
         if is_cancelled(self._feedback):
@@ -110,19 +111,25 @@ def _in_qgis_process() -> bool:
     return QgsApplication.platform() == "qgis_process"
 
 
+def _failure(text: str) -> QgsProcessingException:
+    return QgsProcessingException(said(text))
+
+
 def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.errors import RepmError
     from ..repm_qgis.stages import run_stage
+    from ..repm_qgis.translation import written_in
 
     try:
-        return run_stage(stage, options, FeedbackProgress(feedback))
+        with written_in(language()):
+            return run_stage(stage, options, FeedbackProgress(feedback, said))
     except RepmError as error:
-        raise QgsProcessingException(str(error)) from None
+        raise _failure(str(error)) from None
     except ImportError as error:
         if "repm_qgis" in (error.name or ""):  # a part of the engine itself: a bug, or half a plugin
             raise
-        raise QgsProcessingException(
+        raise _failure(
             f"The Python package '{error.name}' is not installed for QGIS's Python ({error}): run the algorithm "
             "'Report the environment' for the command that installs it."
         ) from None
@@ -137,7 +144,7 @@ def run_apart(
     handle, job = tempfile.mkstemp(prefix=f"repm-{stage}-", suffix=".json")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            json.dump(dict(options), stream)
+            json.dump({**options, "language": language()}, stream)
         feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} {job}")
         return _EngineProcess(stage, python, job).result(feedback)
     except QgsProcessingException:
@@ -155,7 +162,7 @@ def find_python() -> str:
     chosen = settings.engine_python()
     if chosen:
         if not is_program(chosen):
-            raise QgsProcessingException(
+            raise _failure(
                 f"The engine interpreter '{chosen}' is not a program: correct or clear it in Settings > Options > "
                 "Processing > Providers > REPM (or the variable REPM_ENGINE_PYTHON)."
             )
@@ -164,7 +171,7 @@ def find_python() -> str:
     for path in candidates:
         if is_program(path):
             return path
-    raise QgsProcessingException(
+    raise _failure(
         f"No Python was found to run the engine (looked for {', '.join(candidates)}): run 'bash scripts/setup' in "
         f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM."
     )
@@ -254,7 +261,7 @@ class _EngineProcess:
                 **apart,
             )
         except OSError as error:
-            raise QgsProcessingException(
+            raise _failure(
                 f"The engine interpreter '{python}' cannot be started ({error}): choose another in Settings > Options "
                 "> Processing > Providers > REPM."
             ) from None
@@ -282,7 +289,7 @@ class _EngineProcess:
         try:
             while True:
                 if is_cancelled(feedback):
-                    raise QgsProcessingException("Cancelled by the user.")
+                    raise _failure("Cancelled by the user.")
                 try:
                     line = self._lines.get(timeout=_POLL_S)
                 except queue.Empty:
@@ -324,7 +331,7 @@ class _EngineProcess:
                 return self._process.wait(_POLL_S)
             except subprocess.TimeoutExpired:
                 if is_cancelled(feedback):
-                    raise QgsProcessingException("Cancelled by the user.") from None
+                    raise _failure("Cancelled by the user.") from None
 
     def _outcome(self, last: dict[str, Any], code: int) -> dict[str, Any]:
         kind = last.get("type")
@@ -333,10 +340,9 @@ class _EngineProcess:
         if kind == "error":
             raise QgsProcessingException(str(last.get("text", "")))
         if kind == "bug":
-            raise QgsProcessingException(
-                f"The stage '{self._stage}' met an error it did not expect; please report it.\n{last.get('text', '')}"
-            )
-        raise QgsProcessingException(self._crash(code))
+            sentence = said(f"The stage '{self._stage}' met an error it did not expect; please report it.")
+            raise QgsProcessingException(f"{sentence}\n{last.get('text', '')}")
+        raise _failure(self._crash(code))
 
     def _crash(self, code: int) -> str:
         from ..repm_qgis.containers import memory_kills

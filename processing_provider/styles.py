@@ -20,7 +20,9 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication
 
 from ..repm_qgis.products import STYLES
+from ..repm_qgis.translation import written_in
 from .engine import PLUGIN_FOLDER
+from .language import language, said
 
 _FROM_TOP = [style.kind for style in STYLES]
 _OFF = [style.kind for style in STYLES if style.off]
@@ -126,9 +128,10 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
         try:
             from ..repm_qgis.evaluation.styles import write_style
 
-            write_style(kind, path)
+            with written_in(language()):
+                write_style(kind, path)
         except (RepmError, ImportError) as error:  # the result is there all the same
-            feedback.pushWarning(f"'{os.path.basename(path)}' has no style: {error}")
+            feedback.pushWarning(said(f"'{os.path.basename(path)}' has no style: {error}"))
             return ""
     return style
 

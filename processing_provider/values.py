@@ -23,6 +23,8 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QUrl, QUrlQuery, QVariant
 
+from .language import said
+
 
 def is_empty(value: object) -> bool:
     """Whether a parameter's value means "not given"."""
@@ -107,9 +109,8 @@ def _written(layer: QgsVectorLayer, context: QgsProcessingContext) -> str:
     options.layerOptions = ["FID=repm_fid"]  # the table may have a field of that name
     error, text, *_ = QgsVectorFileWriter.writeAsVectorFormatV3(layer, path, context.transformContext(), options)
     if error != QgsVectorFileWriter.WriterError.NoError:
-        raise QgsProcessingException(
-            f"The layer '{layer.name()}' cannot be read ({text}): save it as a GeoPackage, and choose that."
-        )
+        reason = f"The layer '{layer.name()}' cannot be read ({text}): save it as a GeoPackage, and choose that."
+        raise QgsProcessingException(said(reason))
     return path
 
 

@@ -3,7 +3,8 @@
 ``python -m repm_qgis STAGE JOB.json``: JOB.json is an object with the stage's options. Standard output carries JSON
 lines only: ``{"type": "progress", "fraction": 0.25, "text": "..."}``, ``{"type": "info" | "warning", "text": "..."}``
 and last ``{"type": "result", "result": {...}}`` or ``{"type": "error", "kind": "RpcMissingError", "text": "..."}``.
-The exit code is 0 for a result, 1 for an expected failure, 2 for a bug (``"type": "bug"`` with the traceback).
+Beside the options, the job may name the ``language`` of texts, reports and legends (``"de"``); without it they are
+English. The exit code is 0 for a result, 1 for an expected failure, 2 for a bug (``"type": "bug"`` with the traceback).
 
 SIGTERM and Ctrl-C cancel: the stage's clean-up runs, and within 2 s the process ends with exit code 1 and the sentence.
 With REPM_ENGINE_WATCH_STDIN set, the process ends itself and its group when its standard input closes, that is when
@@ -25,6 +26,7 @@ from .errors import Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
 from .shortage import reserve_buffers, said_in_a_sentence
+from .translation import reader, written_in
 from .workspace import name_nothing_more, remove_own_temporaries
 
 _MAX_JOB_BYTES = 64 << 20
@@ -92,7 +94,7 @@ class _Cancelling:
         time.sleep(_GRACE_S)
         end_workers()
         remove_own_temporaries()
-        self._lines.last_words(type="error", kind="Cancelled", text=str(Cancelled()))
+        self._lines.last_words(type="error", kind="Cancelled", text=self._lines.translate(str(Cancelled())))
         os._exit(1)
 
 
@@ -124,7 +126,10 @@ def _run(arguments: list[str], lines: JsonLines) -> Dict[str, Any]:
 
     bound_cache()
     reserve_buffers()
-    return run_stage(arguments[0], _job(arguments[1]), lines)
+    job = _job(arguments[1])
+    with written_in(job.pop("language", None)):
+        lines.translate = reader().translate
+        return run_stage(arguments[0], job, lines)
 
 
 def main(arguments: list[str]) -> int:
@@ -160,7 +165,7 @@ def _ended(arguments: list[str], lines: JsonLines, cancelling: _Cancelling) -> i
 def _said(error: Exception, lines: JsonLines) -> int:
     """Send the last line of a run that failed; gives its exit code."""
     if isinstance(error, RepmError):
-        lines.send(type="error", kind=type(error).__name__, text=str(error))
+        lines.send(type="error", kind=type(error).__name__, text=lines.translate(str(error)))
         return 1
     # A part of the engine itself that is missing is no package.
     if isinstance(error, ImportError) and not (error.name or "").startswith(__package__ or "repm_qgis"):
@@ -169,7 +174,7 @@ def _said(error: Exception, lines: JsonLines) -> int:
             f"The Python package '{error.name}' is not installed for {sys.executable} ({reason}): "
             "run 'bash scripts/setup' in the plugin's folder, or the command that 'Report the environment' shows."
         )
-        lines.send(type="error", kind=type(missing).__name__, text=str(missing))
+        lines.send(type="error", kind=type(missing).__name__, text=lines.translate(str(missing)))
         return 1
     text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
     lines.send(type="bug", kind="bug", text=text)

@@ -19,6 +19,7 @@ from .containers import memory_kills
 from .errors import EmptyResultError, OutOfMemoryError, RepmError
 from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
+from .translation import reader, written_in
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
@@ -82,7 +83,8 @@ def run_whole(function: Callable[[Any, Progress], Any], task: Any, progress: Pro
     """
     if _workers is None or isinstance(_workers, _Pool):
         return function(task, progress)
-    ((result, notes, warnings),) = run_tasks(_noted, [(function, task)], 1, progress, lambda _: description)
+    work = function, task, reader().language
+    ((result, notes, warnings),) = run_tasks(_noted, [work], 1, progress, lambda _: description)
     for text in notes:
         progress.info(text)
     for text in warnings:
@@ -90,10 +92,11 @@ def run_whole(function: Callable[[Any, Progress], Any], task: Any, progress: Pro
     return result
 
 
-def _noted(work: Tuple[Callable[[Any, Progress], Any], Any]) -> Tuple[Any, List[str], List[str]]:
-    function, task = work
+def _noted(work: Tuple[Callable[[Any, Progress], Any], Any, str]) -> Tuple[Any, List[str], List[str]]:
+    function, task, language = work
     recorder = Recorder(Silent())
-    return function(task, recorder), recorder.notes, recorder.warnings
+    with written_in(language):
+        return function(task, recorder), recorder.notes, recorder.warnings
 
 
 def task_mib() -> Optional[float]:

@@ -83,12 +83,13 @@ class Recorder(Part):
 class JsonLines:
     """One JSON object a line, for the process that started the engine.
 
-    The parent may also simply end the process tree.
+    The parent may also simply end the process tree. ``translate`` brings texts into the language of who reads them.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream, self._fraction, self._closed = stream, 0.0, False
         self._cancelled: Optional[Callable[[], bool]] = None
+        self.translate: Callable[[str], str] = str
         self._lock = threading.RLock()
 
     def cancelled_by(self, asked: Callable[[], bool]) -> None:
@@ -109,13 +110,13 @@ class JsonLines:
 
     def step(self, fraction: float, text: str = "") -> None:
         self._fraction = max(self._fraction, min(max(float(fraction), 0.0), 1.0))
-        self.send(type="progress", fraction=round(self._fraction, 4), text=text)
+        self.send(type="progress", fraction=round(self._fraction, 4), text=self.translate(text))
 
     def info(self, text: str) -> None:
-        self.send(type="info", text=text)
+        self.send(type="info", text=self.translate(text))
 
     def warn(self, text: str) -> None:
-        self.send(type="warning", text=text)
+        self.send(type="warning", text=self.translate(text))
 
     def check_cancelled(self) -> None:
         if self._cancelled is not None and self._cancelled():

@@ -1,15 +1,20 @@
 #!/usr/bin/env python3
-"""Bring i18n/*.ts up to date with the source, and compile them ('make i18n'): ``scripts/i18n.py [LANGUAGE ...]``.
+"""Bring i18n/*.ts and i18n/engine_*.json up to date with the source ('make i18n'): ``scripts/i18n.py [LANGUAGE ...]``.
 
-Texts are found in the syntax tree: self.tr("...") in a class, tr("...") and _tr("...") of a module, and the names of
-groups; those of products in their table. Translations are kept as long as their text is in the source. A new language
-starts empty.
+The dialogs' texts (.ts, compiled to .qm) are found in the syntax tree: self.tr("...") in a class, tr("...") and
+_tr("...") of a module, and the names of groups; those of products in their table. The engine's (.json) are all others
+that a person may read, see engine_texts. Translations are kept as long as their text is in the source. A new language
+starts empty. Ends with 1 where a translation is missing.
 """
 
 from __future__ import annotations
 
 import ast
+import fnmatch
+import html
+import json
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -110,18 +115,208 @@ def write(path: pathlib.Path, language: str) -> tuple[int, int]:
     return count, translated
 
 
+# What follows is for the engine, whose texts are found without a mark.
+
+# Calls whose texts nobody reads: patterns, names of variables, and what Qt's translator has.
+_CODE_CALLS = set(
+    "tr _tr translate compile sub match search split rsplit partition fullmatch finditer findall find startswith "
+    "endswith get getenv getattr hasattr setattr replace strip lstrip rstrip TypeVar field add_argument setObjectName "
+    "setProperty value setValue encode fromstring strftime".split()
+)
+_BUGS = {"ValueError", "TypeError", "AssertionError", "KeyError", "NotImplementedError", "RuntimeError"}
+WORDS = (
+    "area before after begins contradicted control check done maps no none point points unknown yes DSM wrong "
+    "Report Tiles"
+).split()
+"""Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
+_MOST_FORMS = 16
+
+
+def _forms(node: ast.AST) -> list[list[str | None]]:
+    """The forms that a text can have, each as literals and None for what is filled in; [] where it is no text."""
+    if isinstance(node, ast.Constant):
+        return [[node.value]] if isinstance(node.value, str) else []
+    if isinstance(node, ast.JoinedStr):
+        forms: list[list[str | None]] = [[]]
+        for value in node.values:
+            forms = [form + more for form in forms for more in _filled(value)][:_MOST_FORMS]
+        return forms
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return [left + right for left in _forms(node.left) for right in _forms(node.right)]
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "format":
+        whole = node.func.value
+        if isinstance(whole, ast.Constant) and isinstance(whole.value, str):
+            pieces = re.split(r"\{[^{}]*\}", whole.value)
+            return [[part for piece in pieces for part in (None, piece)][1:]]
+    return []
+
+
+def _filled(value: ast.AST) -> list[list[str | None]]:
+    """The forms of a part of an f-string: {'s' if many else ''} has two, which are two sentences."""
+    if isinstance(value, ast.FormattedValue) and isinstance(value.value, ast.IfExp):
+        branches = [_forms(value.value.body), _forms(value.value.orelse)]
+        if all(branches):
+            return [form for branch in branches for form in branch]
+    return _forms(value) or [[None]]
+
+
+def template(form: list[str | None]) -> str:
+    """Literals with numbered fields between them; fields that touch are one."""
+    text, count = "", 0
+    for part in form:
+        if part is not None:
+            text += part
+        elif not re.search(r"\{\d+\}$", text):
+            text, count = f"{text}{{{count}}}", count + 1
+    return text
+
+
+def _is_read(text: str) -> bool:
+    """Whether a text looks like one that people read: words with spaces, or a capitalised word."""
+    literal = re.sub(r"\{\d+\}", "\0", text)
+    if re.fullmatch(r"[A-Z][a-z]+", literal) or literal in WORDS:
+        return True
+    return " " in literal.strip("\0") and bool(re.search(r"(^|[\s\0(])[A-Za-z]{2,}", literal))
+
+
+def _pieces(text: str) -> list[str]:
+    """The columns of a table's headers, which are one text; else the text."""
+    return text.split(" | ") if " | " in text and "{" not in text else [text] if _is_read(text) else []
+
+
+def _read_in(tree: ast.AST) -> list[str]:
+    """The texts of a module that people read, in the order of the source."""
+    found: list[str] = []
+    passed_over = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+
+    def children(node: ast.AST) -> None:
+        for name, value in ast.iter_fields(node):
+            if name not in ("annotation", "returns", "decorator_list", "format_spec"):
+                for child in value if isinstance(value, list) else [value]:
+                    if isinstance(child, ast.AST):
+                        walk(child)
+
+    def walk(node: ast.AST) -> None:
+        if isinstance(node, ast.Constant) and id(node) in passed_over or isinstance(node, ast.Compare):
+            return
+        if isinstance(node, ast.Subscript):
+            return walk(node.value)
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "TAGS":
+            return None  # words to search for in the toolbox, in every language at once
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            if getattr(node.exc.func, "id", "") in _BUGS:
+                return None
+        if isinstance(node, ast.Call):
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called in _CODE_CALLS:
+                return walk(node.func)
+            if called == "counted":
+                nouns = [form[0] for form in _filled(ast.FormattedValue(node.args[1])) if form[0]]
+                found.extend(text for noun in nouns for text in (f"1 {noun}", f"{{0}} {noun}s"))
+                return walk(node.args[0])
+        found.extend(piece for form in _forms(node) for piece in _pieces(template(form)))
+        if isinstance(node, ast.JoinedStr):
+            for value in node.values:
+                if isinstance(value, ast.FormattedValue) and not _forms(value.value):
+                    walk(value.value)
+        elif isinstance(node, ast.BinOp) and _forms(node):
+            for side in (node.left, node.right):
+                inner = [value.value for value in getattr(side, "values", []) if isinstance(value, ast.FormattedValue)]
+                for value in inner:
+                    walk(value)
+        elif isinstance(node, ast.Call) and _forms(node):
+            for argument in [*node.args, *(keyword.value for keyword in node.keywords)]:
+                walk(argument)
+        else:
+            children(node)
+
+    walk(tree)
+    return found
+
+
+def _read_in_templates() -> list[str]:
+    """Texts between tags and in quotation marks of the pages' templates, and the labels of legends."""
+    found: list[str] = []
+    for path in sorted((ROOT / "resources" / "templates").iterdir()):
+        found += re.findall(r'"([^"]*)"(?=\|said)', path.read_text(encoding="utf-8"))
+    for path in sorted((ROOT / "resources" / "styles").glob("*.qml")):
+        for label in re.findall(r' label="([^"]*)"', path.read_text(encoding="utf-8")):
+            parts = [part for piece in re.split("@[a-z]+@", html.unescape(label)) for part in (None, piece)][1:]
+            found += [template(parts)]
+    return [text for text in found if re.search("[A-Za-z]{2}", text)]
+
+
+def stays() -> dict[str, str]:
+    """The texts that are not translated, with the reason: patterns of fnmatch."""
+    reasons = json.loads((ROOT / "i18n" / "stays_english.json").read_text(encoding="utf-8"))
+    return {text: reason for reason, texts in reasons.items() for text in texts}
+
+
+def engine_texts() -> list[str]:
+    """Every text outside the dialogs' .ts that a person may read, as a template with numbered fields.
+
+    These are the literals and f-strings of the engine, and of the QGIS side where Qt's translator has them not, with
+    words or a capital: taken generously, without those of i18n/stays_english.json.
+    """
+    found: list[str] = []
+    dialogs = {text for texts in source().values() for text in texts}
+    for folder in ("repm_qgis", "processing_provider"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            if path.name != "products.py":  # its texts are the dialogs', and of them pages show the titles only
+                texts = _read_in(ast.parse(path.read_text(encoding="utf-8")))
+                found += [text for text in texts if folder == "repm_qgis" or text not in dialogs]
+    found += [*_read_in_templates(), *titles_of_products()]
+    left_out = list(stays())
+    exact = set(left_out)
+    patterns = [re.compile(fnmatch.translate(text)) for text in left_out if "*" in text]
+    return [
+        text
+        for text in sorted(dict.fromkeys(found))
+        if text not in exact and not any(pattern.match(text) for pattern in patterns)
+    ]
+
+
+def titles_of_products() -> list[str]:
+    sys.path.insert(0, str(ROOT))
+    from repm_qgis.products import PRODUCTS
+
+    return [text for product in PRODUCTS for text in (product.title, product.layer) if text]
+
+
+def engine_catalogue(language: str) -> dict[str, str]:
+    """The engine's texts with their translations, "" where there is none; titles of products are the dialogs'."""
+    path = ROOT / "i18n" / f"engine_{language}.json"
+    done = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    dialogs = translations(ROOT / "i18n" / f"repm_{language}.ts")
+    titles = {text: dialogs.get((MODULES["parameters.py"], text), "") for text in titles_of_products()}
+    return {text: titles.get(text) or done.get(text, "") for text in engine_texts()}
+
+
+def write_engine(language: str) -> list[str]:
+    """Write the engine's catalogue of a language; gives the texts that it lacks."""
+    catalogue = engine_catalogue(language)
+    path = ROOT / "i18n" / f"engine_{language}.json"
+    path.write_text(json.dumps(catalogue, ensure_ascii=False, indent=0) + "\n", encoding="utf-8")
+    return [text for text, word in catalogue.items() if not word]
+
+
 def main(languages: list[str]) -> int:
     names = languages or sorted(path.stem.split("_", 1)[1] for path in (ROOT / "i18n").glob("repm_*.ts"))
+    complete = True
     compiler = shutil.which("lrelease") or shutil.which("lrelease", path="/usr/lib/qt5/bin:/usr/lib/qt6/bin")
     for name in names:
         path = ROOT / "i18n" / f"repm_{name}.ts"
         count, translated = write(path, name)
-        sys.stdout.write(f"{path.name}: {translated} of {count} texts translated\n")
+        sys.stdout.write(f"{path.name}: {count - translated} of {count} texts untranslated\n")
+        missing = write_engine(name)
+        sys.stdout.write(f"engine_{name}.json: {len(missing)} untranslated\n")
+        sys.stdout.writelines(f"  {text!r}\n" for text in missing[:20])
+        complete = complete and count == translated and not missing
         if compiler:
             subprocess.run([compiler, "-silent", str(path), "-qm", str(path.with_suffix(".qm"))], check=True)
     if not compiler:
         sys.stderr.write("i18n: no .qm files were written: lrelease is missing (Debian: qttools5-dev-tools).\n")
-    return 0 if compiler else 1
+    return 0 if compiler and complete else 1
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
+from ..translation import said
 from .templates import Drawing, draw
 
 COLOURS = ("#2b83ba", "#e08214", "#35a06a", "#d1495b", "#8367b5", "#8c7a4b", "#1b9e9e", "#b5628f")
@@ -103,7 +104,9 @@ def footprints(polygons: Mapping[str, ArrayLike], area: Optional[ArrayLike] = No
         return _points(np.column_stack([24 + offset[:, 0], height - 44 - offset[:, 1]]), 1)
 
     coloured = [(COLOURS[i % len(COLOURS)], name, drawn(points)) for i, (name, points) in enumerate(shapes.items())]
-    legend = [(colour, _short(name)) for colour, name, _ in coloured] + [("currentColor", "area")] * bool(len(ground))
+    legend = [(colour, _short(name)) for colour, name, _ in coloured] + [("currentColor", said("area"))] * bool(
+        len(ground)
+    )
     length = _nice_length(metres_per_px * 140)
     bar_text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     bar = {"bar": length / metres_per_px, "bar_text": bar_text, "height": max(height, 140.0)}
@@ -223,7 +226,7 @@ def _legend(names: Sequence[str], plot: _Plot) -> Tuple[List[Tuple[str, float, s
     found: List[Tuple[str, float, str]] = []
     x = float(plot.left)
     for index, name in enumerate(names):
-        label = _short(name)
+        label = _short(said(name))
         width = 30 + 6.8 * len(label)
         if x + width > plot.right:
             return found, (x, f"and {len(names) - index} more")

@@ -17,6 +17,7 @@ import os
 import re
 from typing import Any, Dict, Iterable, List, Sequence, Tuple, Union
 
+from ..translation import reader
 from ..workspace import write_text
 from .templates import Drawing, page
 
@@ -121,6 +122,7 @@ class Report:
         """The whole page."""
         made = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()
         head = {"title": self._title, "subtitle": self._subtitle, "sections": self._sections}
+        head["language"] = reader().language
         return page("report.html", parts=self._parts, made=made, **head)
 
     def write(self, path: str | os.PathLike[str]) -> None:

@@ -19,8 +19,10 @@ spread over it). Each is valid for QGIS 3.22 and later.
 
 from __future__ import annotations
 
+import html
 import math
 import os
+import re
 from pathlib import Path
 from typing import Optional, Tuple
 
@@ -30,6 +32,7 @@ from ..arrays import FloatImage
 from ..errors import OptionError
 from ..imagery.raster import opened
 from ..products import STYLES
+from ..translation import SOURCE_LANGUAGE, reader, said
 from ..workspace import write_text
 from .pictures import RAMPS, percentile_range, preview, rgb
 from .templates import RESOURCES
@@ -59,7 +62,15 @@ def write_style(kind: str, path: str | os.PathLike[str], limits: Optional[Tuple[
     if kind == "gcps":
         length = limits[1] if limits else 1.0
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
-    return write_text(str(Path(path).with_suffix(".qml")), text)
+    return write_text(str(Path(path).with_suffix(".qml")), _said(text))
+
+
+def _said(style: str) -> str:
+    """A style with its labels in the reader's language, which a comment records."""
+    if reader().language == SOURCE_LANGUAGE:
+        return style
+    labels = re.sub(r'(?<= label=")[^"]*', lambda label: html.escape(said(html.unescape(label[0]))), style)
+    return labels.replace("<qgis ", f"<!-- language: {reader().language} -->\n<qgis ", 1)
 
 
 def height_limits(dsm: str) -> Tuple[float, float]:

@@ -1,4 +1,7 @@
-"""The templates of reports and charts, in ``resources/templates``; all text that they take is escaped."""
+"""The templates of reports and charts, in ``resources/templates``; all text that they take is escaped.
+
+Their filter ``said`` translates, see :mod:`repm_qgis.translation`.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import MissingPackageError
+from ..translation import said
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -33,6 +37,7 @@ def _environment() -> Environment:
     loader = FileSystemLoader(str(RESOURCES / "templates"))
     found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     found.filters["fixed"] = lambda value, decimals: f"{value:.{decimals}f}"
+    found.filters["said"] = said
     return found
 
 

@@ -1,0 +1,94 @@
+"""The engine's texts in a reader's language: by templates, and nothing but what people read changes."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+
+from repm_qgis.errors import OptionError
+from repm_qgis.evaluation.report import Report
+from repm_qgis.progress import JsonLines
+from repm_qgis.translation import Translator, reader, said, written_in
+
+WORDS = {
+    "{0} tiles of up to {1} px": "{0} Kacheln, bis {1} px groß",
+    "The scene '{0}' has {1}: {2}.": "In der Szene „{0}“ ist {1}: {2}.",
+    "no view": "keine Ansicht",
+    "choose another of {0}": "von {0} eine andere wählen",
+    "{0} to {1}": "{0} bis {1}",
+    "{0} in {1}": "{1}: {0}",
+    ", or 0 for automatic": ", oder 0 für automatisch",
+    "Done": "Fertig",
+    "It ended.": "Es ist zu Ende.",
+}
+
+
+@pytest.fixture
+def german():
+    return Translator("de", WORDS)
+
+
+@pytest.mark.parametrize(
+    "english, expected",
+    [
+        ("12 tiles of up to 900 px", "12 Kacheln, bis 900 px groß"),
+        (
+            "The scene 'no view' has no view: choose another of a, b.",
+            "In der Szene „no view“ ist keine Ansicht: von a, b eine andere wählen.",
+        ),
+        ("4 in Done", "Fertig: 4"),  # fields in another order
+        ("3 to 5 m, or 0 for automatic", "3 bis 5 m, oder 0 für automatisch"),  # a phrase that is added to another
+        ("It ended. It ended. 3 to 4.", "Es ist zu Ende. Es ist zu Ende. 3 bis 4."),
+        ("Step: 2 tiles of up to 5 px", "Step: 2 Kacheln, bis 5 px groß"),
+        ("/home/Done/x.tif", "/home/Done/x.tif"),
+        ("what nobody wrote to anyone", "what nobody wrote to anyone"),
+        ("", ""),
+        ("17.5", "17.5"),
+    ],
+)
+def test_texts_are_translated_by_what_fits_most_literally(german, english, expected):
+    assert german.translate(english) == expected
+
+
+def test_what_fits_nothing_is_told_apart(german):
+    assert german.find("what nobody wrote") is None
+    assert german.find("Done") == "Fertig"
+
+
+def test_long_hostile_text_takes_no_time(german):
+    text = "The scene '" + "' has : " * 20000
+    assert german.translate(text) == text
+
+
+def test_a_language_is_found_by_its_code_and_falls_back_to_english():
+    assert Translator.of("de").language == Translator.of("de_AT").language == Translator.of("de-CH").language == "de"
+    assert Translator.of("xx").language == Translator.of("C").language == Translator.of("").language == "en"
+    assert Translator.of("../de").language == "en"
+
+
+def test_english_is_the_default_and_comes_back():
+    assert said("Done") == "Done"
+    with written_in("de"):
+        assert reader().language == "de"
+    assert reader().language == "en"
+    with pytest.raises(OptionError, match="language"), written_in("../../x"):
+        pass
+
+
+def test_a_page_records_its_language():
+    with written_in("de"):
+        assert '<html lang="de">' in Report("x").html()
+    assert '<html lang="en">' in Report("x").html()
+
+
+def test_the_engines_lines_are_said_in_the_jobs_language(german):
+    stream = io.StringIO()
+    lines = JsonLines(stream)
+    lines.translate = german.translate
+    lines.step(0.5, "2 tiles of up to 5 px")
+    lines.info("Done")
+    lines.warn("Done")
+    texts = [json.loads(line)["text"] for line in stream.getvalue().splitlines()]
+    assert texts == ["2 Kacheln, bis 5 px groß", "Fertig", "Fertig"]
