@@ -324,16 +324,24 @@
         <translation>DOM</translation>
     </message>
     <message>
-        <source>Two or more DSMs, of this plugin or of others, in any CRS; heights in metres, of one datum.</source>
-        <translation>Zwei oder mehr DOM, von dieser Erweiterung oder anderen, in beliebigem KBS; Höhen in Metern, mit einem Höhenbezug.</translation>
+        <source>DSMs of this plugin or of others, in any CRS; heights in metres, of one datum. Two or more, together with the scenes.</source>
+        <translation>DOM dieser Erweiterung oder anderer Programme, in beliebigem KBS; Höhen in Metern, mit einem Höhenbezug. Zusammen mit den Szenen mindestens zwei.</translation>
     </message>
     <message>
-        <source>DSMs whose heights are right</source>
-        <translation>DOM, deren Höhen richtig sind</translation>
+        <source>Scenes</source>
+        <translation>Szenen</translation>
     </message>
     <message>
-        <source>Those of the DSMs that were registered, to control points say: their heights stay, and all others are brought to them. Empty: the mean of all offsets is zero.</source>
-        <translation>Diejenigen DOM, die eingepasst wurden, etwa auf Passpunkte: ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Leer: das Mittel aller Versätze ist null.</translation>
+        <source>Reconstructed scenes (reconstructed.json): each is fused to a DSM first. Heights of a scene with ground control points stay as they are.</source>
+        <translation>Rekonstruierte Szenen (reconstructed.json): Jede wird zuerst zu einem DOM fusioniert. Die Höhen einer Szene mit Passpunkten bleiben, wie sie sind.</translation>
+    </message>
+    <message>
+        <source>DSMs or scenes whose heights are right</source>
+        <translation>DOM oder Szenen, deren Höhen richtig sind</translation>
+    </message>
+    <message>
+        <source>Those that were registered, to control points say: their heights stay, and all others are brought to them. Empty, and no scene with ground control points: the mean of all offsets is zero.</source>
+        <translation>Diejenigen, die eingepasst wurden, etwa auf Passpunkte: ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Leer und ohne Szene mit Passpunkten: das Mittel aller Versätze ist null.</translation>
     </message>
     <message>
         <source>Resolution (m, 0: the first DSM's)</source>
@@ -827,6 +835,10 @@
     <message>
         <source>A folder for the surface that each pair of images gives on its own, with its confidence: to find out which pair an error comes from.</source>
         <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich ergibt, mit ihrer Konfidenz: um zu finden, von welchem Paar ein Fehler kommt.</translation>
+    </message>
+    <message>
+        <source>A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics.</source>
+        <translation>Ein Name, der auf .vrt endet, ergibt einen Ordner mit Kacheln und ein VRT, das sie als ein Raster zeigt: für sehr große Mosaike.</translation>
     </message>
     <message>
         <source>Sources of the mosaic</source>

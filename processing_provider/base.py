@@ -141,7 +141,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
     ) -> str:
         name = definition.name()
-        if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES"):
+        if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES", "SCENES"):
             return self._check_files(name, value, context)
         if name == "IMAGES":
             return self._check_images(name, value, context)
@@ -199,7 +199,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         for item in raster_items(value, context):
             if isinstance(item, str) and not os.path.exists(item):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
-            if isinstance(item, str) and not _is_raster(item):
+            scene = name == "FIXED" and str(item).lower().endswith(".json")
+            if isinstance(item, str) and not scene and not _is_raster(item):
                 return self.tr("{name} '{path}' cannot be read as a raster: check that the file is complete.").format(
                     name=name, path=item
                 )

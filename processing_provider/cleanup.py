@@ -7,7 +7,7 @@ import os
 import shutil
 from typing import Any, Iterator, Mapping
 
-from ..repm_qgis.products import BUILT_FOLDER, FOLDER, SCENE, forms
+from ..repm_qgis.products import BUILT_FOLDER, FOLDER, SCENE, forms, kept_folder, tiles_folder
 
 _MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
 
@@ -25,6 +25,9 @@ def _patterns(options: Mapping[str, Any]) -> Iterator[str]:
         elif form == BUILT_FOLDER:
             yield _beside(value, os.path.basename(value))
         else:
+            if tiles_folder(value):
+                yield _beside(value, os.path.basename(tiles_folder(value)))
+            yield os.path.join(glob.escape(kept_folder(value)), "**", _MARK)
             yield _beside(value, os.path.splitext(os.path.basename(value))[0])
 
 

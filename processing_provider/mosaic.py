@@ -30,18 +30,28 @@ class Mosaic(RepmAlgorithm):
 
     def parameters(self) -> list:
         rasters = QgsProcessing.SourceType.TypeRaster
-        dsms = parameters.Rasters("DSMS", self.tr("DSMs"), rasters)
-        dsms.setMinimumNumberInputs(2)
         return [
             parameters.helped(
-                dsms,
-                self.tr("Two or more DSMs, of this plugin or of others, in any CRS; heights in metres, of one datum."),
+                parameters.Rasters("DSMS", self.tr("DSMs"), rasters, optional=True),
+                self.tr(
+                    "DSMs of this plugin or of others, in any CRS; heights in metres, of one datum. Two or more, "
+                    "together with the scenes."
+                ),
             ),
             parameters.helped(
-                parameters.Rasters("FIXED", self.tr("DSMs whose heights are right"), rasters, optional=True),
+                QgsProcessingParameterMultipleLayers(
+                    "SCENES", self.tr("Scenes"), QgsProcessing.SourceType.TypeFile, optional=True
+                ),
                 self.tr(
-                    "Those of the DSMs that were registered, to control points say: their heights stay, and all "
-                    "others are brought to them. Empty: the mean of all offsets is zero."
+                    "Reconstructed scenes (reconstructed.json): each is fused to a DSM first. Heights of a scene with "
+                    "ground control points stay as they are."
+                ),
+            ),
+            parameters.helped(
+                parameters.Rasters("FIXED", self.tr("DSMs or scenes whose heights are right"), rasters, optional=True),
+                self.tr(
+                    "Those that were registered, to control points say: their heights stay, and all others are "
+                    "brought to them. Empty, and no scene with ground control points: the mean of all offsets is zero."
                 ),
             ),
             parameters.number(

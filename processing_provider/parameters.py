@@ -6,6 +6,7 @@ from typing import Any, Optional
 
 from qgis.core import (
     QgsProcessing,
+    QgsProcessingContext,
     QgsProcessingParameterBoolean,
     QgsProcessingParameterCrs,
     QgsProcessingParameterDefinition,
@@ -18,6 +19,7 @@ from qgis.core import (
     QgsProcessingParameterNumber,
     QgsProcessingParameterRasterDestination,
     QgsProcessingParameterRasterLayer,
+    QgsProcessingParameters,
     QgsProcessingParameterString,
     QgsProcessingParameterVectorDestination,
     QgsProcessingParameterVectorLayer,
@@ -27,6 +29,7 @@ from qgis.PyQt.QtCore import QCoreApplication
 from ..repm_qgis import products
 from ..repm_qgis.checks import Number
 from ..repm_qgis.options import DsmFuseOptions, EpmFitOptions, Options, ReconstructOptions, RefineOptions
+from ..repm_qgis.products import tiles_folder
 
 SCENE_FILTER = products.SCENES
 
@@ -111,6 +114,20 @@ class Rasters(QgsProcessingParameterMultipleLayers):
 
     def clone(self) -> Rasters:
         return Rasters(self)
+
+
+class TiledRaster(QgsProcessingParameterRasterDestination):
+    """A raster to write that may also be a VRT, which the provider's other rasters may not."""
+
+    def supportedOutputRasterLayerExtensions(self) -> list[str]:
+        return [*super().supportedOutputRasterLayerExtensions(), "vrt"]
+
+    def isSupportedOutputValue(self, value: Any, context: QgsProcessingContext) -> tuple[bool, str]:
+        path = QgsProcessingParameters.parameterAsOutputLayer(self, value, context)
+        return (True, "") if tiles_folder(path) else super().isSupportedOutputValue(value, context)
+
+    def clone(self) -> TiledRaster:
+        return TiledRaster(self)
 
 
 class Points(QgsProcessingParameterVectorLayer):
@@ -483,10 +500,11 @@ def _destination(each: products.Product) -> QgsProcessingParameterDefinition:
     more = {"optional": each.wanted != products.ALWAYS, "createByDefault": each.wanted != products.ON_REQUEST}
     types = QgsProcessing.SourceType
     if each.form == products.RASTER:
-        made: QgsProcessingParameterDefinition = QgsProcessingParameterRasterDestination(name, label, **more)
+        kind = TiledRaster if each.tiled else QgsProcessingParameterRasterDestination
+        made: QgsProcessingParameterDefinition = kind(name, label, **more)
     elif each.form in (products.POINTS, products.POLYGONS):
-        kind = types.TypeVectorPoint if each.form == products.POINTS else types.TypeVectorPolygon
-        made = QgsProcessingParameterVectorDestination(name, label, kind, **more)
+        shape = types.TypeVectorPoint if each.form == products.POINTS else types.TypeVectorPolygon
+        made = QgsProcessingParameterVectorDestination(name, label, shape, **more)
     elif each.form in (products.FOLDER, products.BUILT_FOLDER):
         made = QgsProcessingParameterFolderDestination(name, label, **more)
     else:

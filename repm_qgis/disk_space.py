@@ -14,6 +14,7 @@ from osgeo import ogr
 
 from .errors import WorkspaceError
 from .options import DsmFuseOptions, MosaicOptions
+from .products import tiles_folder
 from .progress import Progress
 from .records import ViewPair
 from .scene import Scene, folder_of
@@ -81,11 +82,13 @@ def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOption
     return needs
 
 
-def mosaic_needs(options: MosaicOptions, cells: int) -> List[Need]:
-    """Blocks and products of a mosaic of so many cells."""
-    needs = [_need(options.output, cells * (_MOSAIC_CELL + 2 * _RASTERS["output"]))]
-    if options.sources:
-        needs.append(_need(options.sources, cells * 2 * _MOSAIC_SOURCES))
+def mosaic_needs(options: MosaicOptions, cells: int, folder: str) -> List[Need]:
+    """Blocks in a folder, without what an earlier run has left there, and products of a mosaic of so many cells."""
+    needs = [_need(folder, cells * _MOSAIC_CELL, size_of(folder))]
+    for path, each in ((options.output, _RASTERS["output"]), (options.sources, _MOSAIC_SOURCES)):
+        if path:
+            copies = 1 if tiles_folder(path) else 2  # a GeoTIFF is copied in its final form
+            needs.append(_need(path, cells * copies * each))
     return needs
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from typing import Any, Dict, Optional, Sequence
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, Optional, Sequence
 
 from .containers import container_rest, own_rest
 from .errors import ClusterError, OptionError
@@ -67,38 +68,52 @@ def _windows_mib() -> Optional[float]:
     return float(status.free) / _MIB if windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)) else None
 
 
-def workers_within(workers: int, each_mib: float, budget_mib: int, tile_px: int, progress: Progress) -> int:
+@dataclass(frozen=True)
+class Work:
+    """What a worker does at a time: its ``name`` in messages, the memory that it takes at most, MiB, as estimated
+    below, and what the user may choose so that it fits into other MiB, as the rest of a sentence."""
+
+    name: str
+    mib: float
+    remedy: Callable[[float], str]
+
+
+def tile_work(tile_px: int, mib: float) -> Work:
+    """A tile of so many px a side, which may be made smaller."""
+    return Work(
+        f"one tile of {tile_px} px",
+        mib,
+        lambda room: f"choose a TILE_SIZE of {largest_tile(tile_px, mib, room)} px or less",
+    )
+
+
+def workers_within(workers: int, work: Work, budget_mib: int, progress: Progress) -> int:
     """The number of workers whose tasks fit into the budget together, at least one.
 
     Parameters
     ----------
-    workers : wanted, 0 means one a core. each_mib : what one worker takes at most, as estimated below.
-    budget_mib : for all workers together, 0 means three quarters of what is free. tile_px : side of the present tiles.
+    workers : wanted, 0 means one a core. work : of one worker.
+    budget_mib : for all workers together, 0 means three quarters of what is free.
 
     Raises OptionError where one task alone exceeds a budget that was given; where it exceeds what is free, one worker
     tries, and a warning says so. What is computed does not depend on the number of workers.
     """
-    wanted, limit = workers or cores(), task_mib()
+    wanted, limit, each_mib = workers or cores(), task_mib(), work.mib
+    takes = f"{work.name[:1].upper()}{work.name[1:]} takes {each_mib:.0f} MiB, and"
     if limit is not None:
         if each_mib > limit:
-            takes = (
-                f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and the cluster's smallest worker has {limit:.0f}"
-            )
-            raise ClusterError(
-                f"{takes} MiB: choose a TILE_SIZE of {largest_tile(tile_px, each_mib, limit)} px or less."
-            )
+            raise ClusterError(f"{takes} the cluster's smallest worker has {limit:.0f} MiB: {work.remedy(limit)}.")
         return wanted
     free = None if budget_mib else free_mib()
     budget = float(budget_mib) if budget_mib else None if free is None else _SHARE * free
     if budget is None:
         return wanted
     if each_mib > budget:
-        remedy = f"TILE_SIZE of {largest_tile(tile_px, each_mib, budget)} px or less"
+        remedy = work.remedy(budget)
         if budget_mib:
-            least = f"the {each_mib:.0f} MiB that one tile of {tile_px} px takes"
-            raise OptionError("MEMORY", budget_mib, f"is less than {least}; allow more, or choose a {remedy}")
-        sizes = f"One tile of {tile_px} px takes {each_mib:.0f} MiB, and only {free:.0f} MiB are free"
-        progress.warn(f"{sizes}: if memory runs out, choose a {remedy}.")
+            least = f"the {each_mib:.0f} MiB that {work.name} takes"
+            raise OptionError("MEMORY", budget_mib, f"is less than {least}; allow more, or {remedy}")
+        progress.warn(f"{takes} only {free:.0f} MiB are free: if memory runs out, {remedy}.")
         return 1
     fitting = int(budget // each_mib)
     if fitting < wanted:

@@ -402,15 +402,18 @@ class CompareDsmOptions(Options):
 class MosaicOptions(Options):
     """Put many DSMs together to one.
 
-    ``fixed`` are those of ``dsms`` whose heights stay (they were registered); without any, the mean of all offsets is
-    zero. ``confidences`` names in the order of ``dsms`` rasters with the expected error of each height, "" where there
-    is none; empty: none at all. ``resolution`` in units of the CRS, 0 = the first DSM's cells; ``crs`` any projected
-    CRS, None the first DSM's. ``sources``: a raster to write that says from which DSM each height comes, None = not
-    wanted. ``memory`` and ``cluster`` as in ``ReconstructOptions``.
+    ``scenes`` are reconstructed scenes, each of which is fused to a DSM first and has its place after ``dsms``.
+    ``fixed`` are those of ``dsms`` and ``scenes`` whose heights stay (they were registered), as those of scenes that
+    have ground control points do; without any, the mean of all offsets is zero. ``confidences`` names in the order of
+    ``dsms`` rasters with the expected error of each height, "" where there is none; empty: none at all. ``resolution``
+    in units of the CRS, 0 = the first DSM's cells; ``crs`` any projected CRS, None the first DSM's. ``output`` and
+    ``sources`` are VRTs with a folder of tiles where they end in .vrt, else GeoTIFFs; ``sources`` says from which DSM
+    each height comes, None = not wanted. ``memory`` and ``cluster`` as in ``ReconstructOptions``.
     """
 
-    dsms: Tuple[str, ...] = field(metadata=_READ)
     output: str = given()
+    dsms: Tuple[str, ...] = read(())
+    scenes: Tuple[str, ...] = read(())
     fixed: Tuple[str, ...] = read(())
     confidences: Tuple[str, ...] = read(())
     resolution: float = number(0.0, 0.01, 1000, "m", automatic=True)
@@ -423,18 +426,20 @@ class MosaicOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, files in (("DSMS", self.dsms), ("FIXED", self.fixed)):
+        for name, files in (("DSMS", self.dsms), ("SCENES", self.scenes), ("FIXED", self.fixed)):
             if not all(files):
-                raise OptionError(name, list(files), "must be a list of rasters")
-        if len(self.dsms) < 2:
-            raise OptionError("DSMS", list(self.dsms), "must name at least two DSMs: one alone needs no mosaic")
-        places = [os.path.realpath(path) for path in self.dsms]
-        for path, place in zip(self.dsms, places):
+                raise OptionError(name, list(files), f"must be a list of {'scenes' if name == 'SCENES' else 'rasters'}")
+        if len(self.dsms) + len(self.scenes) < 2:
+            few = "must name at least two DSMs, or as many together with SCENES: one alone needs no mosaic"
+            raise OptionError("DSMS", list(self.dsms), few)
+        places = [os.path.realpath(path) for path in (*self.dsms, *self.scenes)]
+        for path, place in zip((*self.dsms, *self.scenes), places):
             if places.count(place) > 1:
-                raise OptionError("DSMS", path, "is named twice: name each DSM once")
+                name, kind = ("DSMS", "DSM") if path in self.dsms else ("SCENES", "scene")
+                raise OptionError(name, path, f"is named twice: name each {kind} once")
         for path in self.fixed:
             if os.path.realpath(path) not in places:
-                raise OptionError("FIXED", path, "must be one of DSMS: add it there, or leave it out here")
+                raise OptionError("FIXED", path, "must be one of DSMS or SCENES: add it there, or leave it out here")
         if self.confidences and len(self.confidences) != len(self.dsms):
             count = f"{len(self.dsms)} rasters: one for each of DSMS, in their order"
             raise OptionError("CONFIDENCES", list(self.confidences), f"must be empty, or name {count}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, replace
 from typing import Any, Dict, Iterator, List, Tuple
 
 RASTER, POINTS, POLYGONS, FILE = "raster", "points", "polygons", "file"
@@ -50,6 +51,7 @@ class Product:
 
     ``wanted``: whether it is written always, unless the user skips it, or on request. ``style`` is its kind of layer,
     "" for none, ``layer`` the layer's name where that is not the title. ``filter`` are a file's types in dialogs.
+    ``tiled``: where a raster's name ends in .vrt, it is a VRT with a folder of tiles (:func:`tiles_folder`).
     ``maker`` is the module of :mod:`repm_qgis.dsm` that makes it from the finished DSM, "" where its stage does.
     """
 
@@ -63,6 +65,7 @@ class Product:
     filter: str = ""
     maker: str = ""
     help: str = ""
+    tiled: bool = False
 
 
 _HTML = "HTML (*.html)"
@@ -76,6 +79,7 @@ _PAIRS = (
     "an error comes from."
 )
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
+_MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
 PRODUCTS = (
     Product("epmfit", "workspace", "Workspace", FOLDER, ALWAYS, help=_WORKSPACE),
     Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles"),
@@ -92,8 +96,8 @@ PRODUCTS = (
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
     Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh"),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
-    Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm"),
-    Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="confidence", help=_SOURCES),
+    Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),
+    Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="confidence", help=_SOURCES, tiled=True),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error"),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS),
     Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error"),
@@ -130,11 +134,27 @@ def forms() -> Dict[str, str]:
     return {"scene": SCENE, **{each.option: each.form for each in PRODUCTS}}
 
 
+def tiles_folder(path: str) -> str:
+    """The folder for the tiles of a raster that is a VRT; "" for other names."""
+    stem, kind = os.path.splitext(path)
+    return f"{stem}_tiles" if kind.lower() == ".vrt" else ""
+
+
+def kept_folder(path: str) -> str:
+    """The folder for what a run that was stopped has finished of a mosaic, beside it."""
+    return f"{os.path.splitext(path)[0]}_blocks"
+
+
 def paths_of(stage: str, options: Any) -> Iterator[Tuple[Product, str]]:
-    """The products that a stage's options ask for, with their paths; those of the pipeline's stages too."""
+    """The products that a stage's options ask for, with their paths; those of the pipeline's stages too.
+
+    The folder of a VRT's tiles follows it, as a product of its own without a style.
+    """
     for part in options.parts():
         named = {each.option: each for each in products_of(stage)}  # stages may have products of one name
         for option, each in named.items():
             path = getattr(part, option, None)
             if path:
                 yield each, path
+                if each.tiled and tiles_folder(path):
+                    yield replace(each, form=BUILT_FOLDER, style="", tiled=False), tiles_folder(path)

@@ -203,6 +203,11 @@ class PointingFigures(Record):
     ties_by_tile: Dict[str, Count] = dataclasses.field(default_factory=dict)
     ties_by_part: Dict[str, Count] = dataclasses.field(default_factory=dict)
 
+    @property
+    def registered(self) -> bool:
+        """Whether ground control points have given the pointing its absolute position."""
+        return self.height_uncertainty_m is None
+
 
 @dataclass(frozen=True)
 class FusionFacts(Record):

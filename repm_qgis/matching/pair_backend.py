@@ -16,7 +16,7 @@ from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, warp
-from ..memory import matching_mib, workers_within
+from ..memory import matching_mib, tile_work, workers_within
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Progress
@@ -110,7 +110,7 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
     disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.gsd_m
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
     each = matching_mib(*frame_size(task), disparities)
-    return workers_within(job.options.workers, each, job.options.memory, math.ceil(side), progress)
+    return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 
 def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import zipfile
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -24,6 +26,7 @@ STEP_M = 0.01
 """Width of a bin of the steps' histogram; the last of :data:`STEP_BINS` bins holds all that is larger."""
 STEP_BINS = 500
 _LEAST_SIDE = 64
+_STORED = ("height", "source", "count", "spread", "steps")
 
 
 # Differences of two DSMs ------------------------------------------------------------------------------------------
@@ -95,8 +98,11 @@ class InteriorTask:
 def write_interior(task: InteriorTask) -> str:
     """Write the distance to the DSM's border, m, as a raster on the DSM's ground with few cells; gives its path.
 
-    It is 0 within a cell of the border: near it, blocks measure the distance themselves.
+    It is 0 within a cell of the border: near it, blocks measure the distance themselves. A map that an earlier, stopped
+    run has written there is taken as it is.
     """
+    if os.path.exists(task.path):
+        return task.path
     seams = task.parameters.seams
     with raster.opened(task.dsm.path) as dataset:
         grid = Grid.of(dataset)
@@ -143,12 +149,16 @@ class BlockTask:
 @dataclass(frozen=True)
 class Block:
     """A finished block: its file, None where no DSM has a height; how many cells each DSM gives, by its number, and
-    how often two DSMs are how far apart along the seams (see :data:`STEP_M`)."""
+    how often two DSMs are how far apart along the seams (see :data:`STEP_M`), up to the largest step that there is.
+
+    ``reused``: an earlier, stopped run had made the block.
+    """
 
     own: Window
     path: Optional[str]
     cells: Dict[int, int]
     steps: IntArray
+    reused: bool = False
 
 
 def block_tasks(
@@ -182,7 +192,33 @@ def block_mib(task: BlockTask) -> float:
 
 
 def make_block(task: BlockTask) -> Block:
-    """Make a block and keep it in a file: height, source (number from 0), count and spread of its own cells."""
+    """Make a block and keep it in a file: height, source (number from 0), count and spread of its own cells.
+
+    A block that an earlier, stopped run has stored there is taken as it is.
+    """
+    made = _finished(task.path)
+    reused = made is not None
+    if made is None:
+        made = _made(task)
+        if made is None:
+            return Block(task.own, None, {}, np.empty(0, np.int64))
+        with writing(task.path):
+            np.savez(task.path, **made)
+    places, counts = np.unique(made["source"][made["source"] >= 0], return_counts=True)
+    return Block(task.own, task.path, dict(zip(places.tolist(), counts.tolist())), made["steps"], reused)
+
+
+def _finished(path: str) -> Optional[Dict[str, Any]]:
+    """A stored block, whose checksums reading compares; None where it is not there as a whole."""
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return {name: kept[name] for name in _STORED}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _made(task: BlockTask) -> Optional[Dict[str, Any]]:
+    """What is stored of a block; None where no DSM has a height."""
     seams, cells = task.parameters.seams, task.target.window(task.wide)
     heights, errors, interiors, numbers = [], [], [], []
     for each in task.sources:
@@ -199,16 +235,12 @@ def make_block(task: BlockTask) -> Block:
         interiors.append(interior)
         numbers.append(each.number)
     if not heights:
-        return Block(task.own, None, {}, np.zeros(STEP_BINS, np.int64))
+        return None
     own = Window(task.own.col - task.wide.col, task.own.row - task.wide.row, task.own.width, task.own.height)
     made = mosaicked(np.stack(heights), np.stack(errors), np.stack(interiors), own, seams)
-    places, counts = np.unique(made.source[made.source >= 0], return_counts=True)
-    bins = np.minimum(made.steps / STEP_M, STEP_BINS - 1).astype(np.int64)
-    steps = np.bincount(bins, minlength=STEP_BINS)
     source = np.where(made.source >= 0, np.array(numbers)[made.source], -1).astype(np.int32)
-    with writing(task.path):
-        np.savez(task.path, height=made.height, source=source, count=made.count.astype(np.int32), spread=made.spread)
-    return Block(task.own, task.path, {numbers[p]: int(n) for p, n in zip(places, counts)}, steps)
+    steps = np.bincount(np.minimum(made.steps / STEP_M, STEP_BINS - 1).astype(np.int64))
+    return dict(zip(_STORED, (made.height, source, made.count.astype(np.int32), made.spread, steps)))
 
 
 def _read(path: str, task: BlockTask, cells: Grid, band: int = 1) -> FloatImage:

@@ -28,17 +28,26 @@ _ERROR_BAND = CONFIDENCE_BANDS[-1].split(" (")[0]
 
 
 @dataclass(frozen=True)
-class Dsm:
-    """One DSM: its file, the raster with its expected error ("" for none) and that band, and its place in the mosaic.
+class Surface:
+    """What a mosaic is made of: the file that the user knows it by, a DSM or a scene; the raster with its heights; the
+    one with their expected error ("" for none); and why its heights are fixed ("" where they are not)."""
+
+    name: str
+    path: str
+    confidence: str = ""
+    fixed: str = ""
+
+
+@dataclass(frozen=True)
+class Dsm(Surface):
+    """A surface with the band of its expected error, and its place in the mosaic.
 
     ``ratio`` is how many of its cells one cell of the mosaic is wide.
     """
 
-    path: str
-    confidence: str
-    band: int
-    window: Window
-    ratio: float
+    band: int = 0
+    window: Window = Window(0, 0, 0, 0)
+    ratio: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,29 +75,40 @@ class _Found:
     datum: Optional[HeightDatum]
 
 
-def layout_of(options: MosaicOptions, progress: Progress) -> Layout:
+def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Progress) -> Layout:
     """Look at all DSMs; raises ImageError for one that cannot be used, and OptionError for an unsuitable CRS."""
     found = []
-    for path in options.dsms:
+    for surface in surfaces:
         progress.check_cancelled()
-        with opened(path) as dataset:
-            found.append(_looked_at(dataset, path))
-    datum = _common_datum(options.dsms, found, progress)
+        with opened(surface.path) as dataset:
+            found.append(_looked_at(dataset, surface))
+    datum = _common_datum([surface.name for surface in surfaces], found, progress)
     crs, cell, corner = _frame(options, found[0].grid)
     boxes = [_bounds_in(each.grid, crs) for each in found]
     west, north = corner
     whole = enclosing(boxes)
     cells = CellGrid.covering((whole.xmin - west, whole.ymin - north, whole.xmax - west, whole.ymax - north), cell)
     grid = replace(cells, west=cells.west + west, north=cells.north + north)
-    confidences = options.confidences or ("",) * len(found)
     dsms = tuple(
-        Dsm(each.grid.path, path, _error_band(path) if path else 0, grid.window(box), _ratio(each.grid, cell))
-        for each, path, box in zip(found, confidences, boxes)
+        Dsm(
+            **vars(surface),
+            band=_error_band(surface.confidence) if surface.confidence else 0,
+            window=grid.window(box),
+            ratio=_ratio(each.grid, cell),
+        )
+        for surface, each, box in zip(surfaces, found, boxes)
     )
     return Layout(grid, crs.to_wkt("WKT2_2019"), datum, dsms)
 
 
-def _looked_at(dataset: gdal.Dataset, path: str) -> _Found:
+def require_datum_of_scenes(options: MosaicOptions, layout: Layout) -> None:
+    """Raise ImageError where the DSMs have another vertical datum than scenes; that is known before these are fused."""
+    if options.dsms and layout.datum and layout.datum.name != ELLIPSOID:
+        _require_one_datum([(options.dsms[0], layout.datum), (options.scenes[0], HeightDatum("", ELLIPSOID))])
+
+
+def _looked_at(dataset: gdal.Dataset, surface: Surface) -> _Found:
+    path = surface.name
     grid = replace(Grid.of(dataset), path=path)
     if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
         raise ImageError(f"The DSM '{path}' is not georeferenced: give it a place on the ground first.")
@@ -110,10 +130,7 @@ def _looked_at(dataset: gdal.Dataset, path: str) -> _Found:
 def _common_datum(paths: Sequence[str], found: Sequence[_Found], progress: Progress) -> Optional[HeightDatum]:
     """What all heights refer to; raises ImageError where two DSMs say otherwise."""
     known = [(path, each.datum) for path, each in zip(paths, found) if each.datum is not None]
-    for path, datum in known:
-        if datum.name != known[0][1].name:
-            first = f"'{known[0][0]}' has heights above '{known[0][1].name}', '{path}' above '{datum.name}'"
-            raise ImageError(f"{first}: convert all DSMs to one vertical datum first.")
+    _require_one_datum(known)
     silent = [path for path, each in zip(paths, found) if each.datum is None]
     if silent:
         more = f" and {len(silent) - 1} more" if len(silent) > 1 else ""
@@ -121,6 +138,13 @@ def _common_datum(paths: Sequence[str], found: Sequence[_Found], progress: Progr
         text = f"'{silent[0]}'{more} do not state" if more else f"'{silent[0]}' does not state"
         progress.warn(f"{text} a vertical datum: all heights are taken to refer to {others}.")
     return known[0][1] if known else None
+
+
+def _require_one_datum(known: Sequence[Tuple[str, HeightDatum]]) -> None:
+    for path, datum in known:
+        if datum.name != known[0][1].name:
+            first = f"'{known[0][0]}' has heights above '{known[0][1].name}', '{path}' above '{datum.name}'"
+            raise ImageError(f"{first}: convert all DSMs to one vertical datum first.")
 
 
 def _frame(options: MosaicOptions, first: Grid) -> Tuple[pyproj.CRS, float, Tuple[float, float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Dict, List, Optional, Sequence
 
 import numpy as np
@@ -31,7 +30,7 @@ def mosaic_page(
     for text in warnings:
         page.warning(text)
     _surface(page, options, layout, cells, seam)
-    _dsms(page, options, layout, overlaps, offsets, cells)
+    _dsms(page, layout, overlaps, offsets, cells)
     _overlaps(page, layout, overlaps, offsets)
     if options.sources:
         _sources(page, options.sources, len(layout.dsms))
@@ -59,23 +58,20 @@ def _surface(
 
 def _dsms(
     page: Report,
-    options: MosaicOptions,
     layout: Layout,
     overlaps: Sequence[Overlap],
     offsets: Offsets,
     cells: Dict[int, int],
 ) -> None:
-    fixed_places = {os.path.realpath(path) for path in options.fixed}
     group_of = {number: place for place, group in enumerate(offsets.groups, start=1) for number in group}
     known, rows = max(sum(cells.values()), 1), []
     for number, dsm in enumerate(layout.dsms):
         count = sum(number in (overlap.first, overlap.second) for overlap in overlaps)
-        stays = "yes" if os.path.realpath(dsm.path) in fixed_places else ""
         added = fixed(float(offsets.added[number]), sign="+") + fixed(float(offsets.deviation[number]))
         share = f"{100.0 * cells.get(number, 0) / known:.1f}"
-        rows.append([number + 1, dsm.path, *added, stays, count, group_of[number], share])
+        rows.append([number + 1, dsm.name, *added, dsm.fixed, count, group_of[number], share])
     page.section("DSMs").table(
-        "number | DSM | added, m | standard deviation, m | fixed | overlaps | group | cells from it, %",
+        "number | DSM or scene | added, m | standard deviation, m | fixed | overlaps | group | cells from it, %",
         rows,
         "Offsets are solved together by least squares over all overlaps. DSMs of different groups do not hang "
         "together: their heights are not compared with each other. A group without a fixed DSM keeps its mean height.",

@@ -40,6 +40,7 @@ class MosaicParameters(Parameters):
     offsets: OffsetParameters = OffsetParameters()
     seams: SeamParameters = SeamParameters()
     block_cells: int = 512  # side of a block, at most
+    tile_blocks: int = 8  # along the side of a tile of a VRT: 4096 cells
     stack_cells: int = 4_000_000  # of all DSMs of a block with their margins together, about: bounds the memory
 
 

@@ -45,7 +45,7 @@ def require_distinct(stage: str, options: Options) -> None:
 
 def _files(name: str, path: str, stage: str) -> List[str]:
     """The files that an input consists of."""
-    if name == "scene":
+    if name in ("scene", "scenes"):
         return _files_of_scene(path, stage)
     if name in ("gcps", "profiles", "rpcs"):
         return [file_and_layer(path)[0]]

@@ -6,10 +6,9 @@ import math
 import re
 import shutil
 import time
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Dict, List, Tuple
 
 from ..disk_space import fusion_needs, require_space
 from ..dsm.derived import FinishedDsm, make_derived
@@ -18,20 +17,20 @@ from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
 from ..dsm.products import DsmLayout, cloud_of, write_products
-from ..errors import Cancelled, ClusterError, EmptyResultError, SceneError
+from ..errors import EmptyResultError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import raster_identity
-from ..locks import exclusive
-from ..memory import fusing_mib, workers_within
+from ..memory import fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
 from ..records import FusionFacts, ViewPair
 from ..scene import Scene
-from ..workspace import drop_temporaries, ensure_folder, fingerprint
+from ..workspace import ensure_folder, fingerprint
+from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
 
 
@@ -49,12 +48,9 @@ class _Fusion:
 def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
-    scene = Scene.load(options.scene)
+    scene = reconstructed(options.scene)
     if options.ortho:
         scene.require_images()
-    scene = replace(scene, tiles=tuple(tile for tile in scene.tiles if tile.heights))
-    if not scene.tiles:
-        raise SceneError(f"The scene '{options.scene}' has no height maps: run 'Reconstruct heights' first.")
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
     datum = HeightDatum.of(options.vertical_datum)
@@ -73,9 +69,9 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
     require_space("fusion", fusion_needs(scene, _matched(scene), options, cell), progress)
-    with _kept_until_done(scene, progress) as kept:
+    with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept:
         fusion = _Fusion(options, parameters, scene, layout, _folder_of(kept, options, scene, layout, parameters))
-        _drop_others(kept, fusion.folder)
+        drop_others(kept, fusion.folder)
         facts, needed = _fused(fusion, Part(progress, 0.0, share))
         cloud = cloud_of(options, str(fusion.folder)) if facts.points else None
         made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
@@ -93,40 +89,19 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     return {**made, "vertical_datum": datum.name, "seconds": seconds, **facts.to_mapping()}
 
 
+def reconstructed(path: str) -> Scene:
+    """A scene with the tiles that have heights; raises SceneError where there are none."""
+    scene = Scene.load(path)
+    scene = replace(scene, tiles=tuple(tile for tile in scene.tiles if tile.heights))
+    if not scene.tiles:
+        raise SceneError(f"The scene '{path}' has no height maps: run 'Reconstruct heights' first.")
+    return scene
+
+
 def _matched(scene: Scene) -> List[ViewPair]:
     """The pairs that the height maps were matched from; the first views of a tile where all were matched together."""
     made = {record.pair for tile in scene.tiles for record in tile.heights}
     return [pair for pair in scene.pairs if (pair.first, pair.second) in made]
-
-
-@contextmanager
-def _kept_until_done(scene: Scene, progress: Progress) -> Iterator[Path]:
-    """The folder beside the scene for fused tiles: a run that was killed or cancelled, or that has lost its cluster,
-    leaves them to the next one.
-
-    Two runs on one scene have it one after the other.
-    """
-    folder = scene.folder("fusion")
-    with exclusive("dsmfuse", progress, folders=[str(folder)]):
-        try:
-            yield folder
-        except (Cancelled, ClusterError):
-            for path in folder.iterdir():
-                drop_temporaries(str(path))  # a worker that is ended while it writes cannot clean up
-            raise
-        except BaseException:
-            _drop_others(folder)
-            raise
-        _drop_others(folder)
-    with suppress(OSError):  # another run may have it already
-        folder.rmdir()
-
-
-def _drop_others(folder: Path, kept: Optional[Path] = None) -> None:
-    """Remove the fused tiles of all runs but one from the folder for these."""
-    for path in folder.iterdir():
-        if path.is_dir() and path != kept:
-            shutil.rmtree(path, ignore_errors=True)
 
 
 def _folder_of(
@@ -212,7 +187,7 @@ def _workers(fusion: _Fusion, progress: Progress) -> int:
     each = [fusing_mib(pixels, w.width * w.height) for pixels, w in zip(sizes, fusion.layout.windows)]
     xmin, ymin, xmax, ymax = fusion.scene.tiles[each.index(max(each))].bounds
     side = math.ceil(max(xmax - xmin, ymax - ymin) / fusion.scene.gsd_m)
-    return workers_within(options.workers, max(each), options.memory, side, progress)
+    return workers_within(options.workers, tile_work(side, max(each)), options.memory, progress)
 
 
 def _round_cell(cell: float) -> float:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import ExitStack
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from collections import Counter
+from pathlib import Path
+from typing import Any, Dict, List, Optional, Sequence
 
 import numpy as np
+import pyproj
 
-from .. import __version__
 from ..arrays import IntArray
 from ..disk_space import mosaic_needs, require_space
 from ..errors import EmptyResultError, OverlapError
-from ..evaluation.styles import write_style
-from ..geometry.vertical import TAG
-from ..imagery.raster import RasterWriter, created
-from ..memory import workers_within
+from ..imagery.raster import raster_identity
+from ..memory import Work, workers_within
 from ..mosaic.blocks import (
+    STEP_BINS,
     STEP_M,
     Block,
     InteriorTask,
@@ -29,58 +29,69 @@ from ..mosaic.blocks import (
     pair_tasks,
     write_interior,
 )
-from ..mosaic.inputs import Layout, layout_of
+from ..mosaic.inputs import Layout, Surface, layout_of, require_datum_of_scenes
 from ..mosaic.offsets import Offsets, Overlap, solve_offsets
 from ..mosaic.page import mosaic_page
 from ..mosaic.parameters import MosaicParameters
-from ..options import MosaicOptions
+from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
+from ..options import DsmFuseOptions, MosaicOptions
 from ..parallel import kept_workers, run_tasks
-from ..products import paths_of
-from ..progress import Part, Progress, Recorder, counted
-from ..workspace import temporary_folder
+from ..products import kept_folder
+from ..progress import Part, Progress, Recorder, Silent, counted
+from ..workspace import ensure_folder, file_identity, fingerprint
+from . import dsmfuse
+from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
 
-SOURCE_BANDS = (
-    "number of the DSM that the height is from, in the order given, from 1",
-    "DSMs that have a height",
-    "standard deviation between them (m)",
-)
+_FUSION_SHARE = 0.6  # of the progress, where all surfaces are scenes
 
 
 def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
-    """Solve the offsets, make the mosaic block by block, and write it; gives the offsets and the products' paths.
+    """Fuse the scenes, solve the offsets, make the mosaic block by block, and write it; gives the offsets and the
+    products' paths.
 
-    Raises ImageError for a DSM that cannot be used, OverlapError where none overlaps another, EmptyResultError where
-    none has a height, WorkspaceError, OutOfMemoryError and ClusterError.
+    What a stopped run has finished is taken as it is. Raises ImageError for a DSM that cannot be used, SceneError for
+    such a scene, OverlapError where none overlaps another, EmptyResultError where none has a height, WorkspaceError,
+    OutOfMemoryError and ClusterError.
     """
+    for path in filter(None, (options.output, options.sources)):
+        require_tiles_place(path)
+    with kept_workers(), kept_until_done(Path(kept_folder(options.output)), "mosaic", progress) as kept:
+        folder = kept / _key(options, parameters)
+        drop_others(kept, folder)
+        return _run(options, str(ensure_folder(str(folder))), progress, parameters)
+
+
+def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> Dict[str, Any]:
     start, progress = time.monotonic(), Recorder(progress)
-    layout = layout_of(options, progress)
+    count = len(options.dsms) + len(options.scenes)
+    fused = _FUSION_SHARE * len(options.scenes) / count
+    surfaces = _surfaces(options, folder, Part(progress, 0.0, fused), parameters)
+    whole, progress_of = progress, Part(progress, fused, 1.0)
+    layout = layout_of(options, surfaces, progress)
     (rows, columns), cell = layout.grid.shape, layout.grid.cell
     datum = f"heights above the {layout.datum.name}" if layout.datum else "a vertical datum that is unknown"
     progress.info(f"Mosaic of {len(layout.dsms)} DSMs: {columns} x {rows} cells of {cell:g} m, {datum}.")
-    require_space("the mosaic", mosaic_needs(options, rows * columns), progress)
-    with kept_workers(), temporary_folder(options.output) as folder:
-        overlaps = _overlaps(options, layout, parameters.mosaic, Part(progress, 0.0, 0.2))
-        fixed = {os.path.realpath(path) for path in options.fixed}
-        numbers = [number for number, dsm in enumerate(layout.dsms) if os.path.realpath(dsm.path) in fixed]
-        offsets = solve_offsets(len(layout.dsms), overlaps, numbers, parameters.mosaic.offsets)
-        _log(layout, overlaps, offsets, numbers, progress)
-        parts = _sources(options, layout, overlaps, offsets, folder, parameters.mosaic, Part(progress, 0.2, 0.3))
-        blocks = _blocks(options, layout, parts, folder, parameters.mosaic, Part(progress, 0.3, 0.9))
-        cells = {n: sum(block.cells.get(n, 0) for block in blocks) for n in range(len(layout.dsms))}
-        valid = sum(cells.values())
-        if not valid:
-            raise EmptyResultError(f"None of the {rows * columns} cells of the mosaic has a height: check the DSMs.")
-        progress.step(0.9, "Writing the mosaic")
-        _write(options, layout, blocks, progress)
-    for product, path in paths_of("mosaic", options):
-        if product.style:
-            write_style(product.style, path)
-    seam = _median(np.sum([block.steps for block in blocks], axis=0))
+    require_space("the mosaic", mosaic_needs(options, rows * columns, folder), progress)
+    overlaps = _overlaps(options, layout, parameters.mosaic, Part(progress_of, 0.0, 0.2))
+    fixed = [number for number, dsm in enumerate(layout.dsms) if dsm.fixed]
+    offsets = solve_offsets(len(layout.dsms), overlaps, fixed, parameters.mosaic.offsets)
+    _log(layout, overlaps, offsets, progress)
+    parts = _sources(options, layout, overlaps, offsets, folder, parameters.mosaic, Part(progress_of, 0.2, 0.3))
+    blocks = _blocks(options, layout, parts, folder, parameters.mosaic, Part(progress_of, 0.3, 0.9))
+    cells: Dict[int, int] = Counter()
+    for block in blocks:
+        cells.update(block.cells)
+    valid = sum(cells.values())
+    if not valid:
+        raise EmptyResultError(f"None of the {rows * columns} cells of the mosaic has a height: check the DSMs.")
+    rasters, writing = rasters_of(options, layout), Part(progress_of, 0.9, 0.98)
+    write_mosaic(rasters, layout.grid, blocks, folder, options.workers, parameters.mosaic, writing)
+    seam = _median(blocks)
     if seam is not None:
         progress.info(f"Along the seams, two DSMs are {seam:.3f} m apart (median) before heights are feathered.")
     if options.report:
-        page = mosaic_page(options, layout, overlaps, offsets, cells, seam, progress.warnings)
+        page = mosaic_page(options, layout, overlaps, offsets, cells, seam, whole.warnings)
         page.write(options.report)
     progress.step(1.0, "Mosaic made")
     return {
@@ -88,7 +99,7 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
         "sources": options.sources,
         "report": options.report,
         "offsets": [
-            {"dsm": dsm.path, "added": float(added), "deviation": float(deviation)}
+            {"dsm": dsm.name, "added": float(added), "deviation": float(deviation)}
             for dsm, added, deviation in zip(layout.dsms, offsets.added, offsets.deviation)
         ],
         "groups": len(offsets.groups),
@@ -98,6 +109,66 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
         "vertical_datum": layout.datum.name if layout.datum else None,
         "seconds": round(time.monotonic() - start, 3),
     }
+
+
+def _key(options: MosaicOptions, parameters: EngineParameters) -> str:
+    """The fingerprint of all that the mosaic's cells depend on."""
+    rasters = [raster_identity(path) if path else [] for path in (*options.dsms, *options.confidences)]
+    scenes = [file_identity(path) for path in options.scenes]
+    chosen = options.resolution, options.crs, sorted(map(os.path.realpath, options.fixed))
+    return fingerprint("mosaic", rasters, scenes, chosen, *parameters.in_fingerprint())
+
+
+# The DSMs, and those of scenes ------------------------------------------------------------------------------------
+
+
+def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> List[Surface]:
+    """The DSMs in their order, and then the scenes, each of which is fused."""
+    named = {os.path.realpath(path) for path in options.fixed}
+
+    def fixed(path: str) -> str:
+        return "named in FIXED" if os.path.realpath(path) in named else ""
+
+    confidences = options.confidences or ("",) * len(options.dsms)
+    found = [Surface(path, path, error, fixed(path)) for path, error in zip(options.dsms, confidences)]
+    registered = [_registered(path, progress) for path in options.scenes]  # what cannot be fused is said at once
+    layout = layout_of(options, found, Silent()) if found and options.scenes else None
+    for number, path in enumerate(options.scenes):
+        if layout:
+            require_datum_of_scenes(options, layout)
+        low, high = number / len(options.scenes), (number + 1) / len(options.scenes)
+        part = Part(progress, low, high, os.path.basename(os.path.dirname(os.path.abspath(path))))
+        dsm, confidence = (f"{folder}/scene_{number}{kind}.tif" for kind in ("", "_confidence"))
+        if os.path.exists(dsm) and os.path.exists(confidence):
+            part.info(f"Reused the DSM of '{path}' that an earlier run had finished.")
+        else:
+            cells: Dict[str, Any] = {"resolution": options.resolution, "crs": options.crs}
+            if layout:
+                cells = {"resolution": layout.grid.cell, "crs": options.crs or _crs_text(layout)}
+            cells.update(workers=options.workers, memory=options.memory)
+            part.info(f"Fusing the scene '{path}'.")
+            dsmfuse.run(DsmFuseOptions(scene=path, output=dsm, confidence=confidence, **cells), part, parameters)
+        why = fixed(path) or ("ground control points" if registered[number] else "")
+        found.append(Surface(path, dsm, confidence, why))
+        layout = layout or layout_of(options, found, Silent())
+    return found
+
+
+def _registered(path: str, progress: Progress) -> bool:
+    """Whether a scene has its position from ground control points; raises SceneError for one that cannot be fused."""
+    progress.check_cancelled()
+    scene = dsmfuse.reconstructed(path)
+    return scene.pointing is not None and scene.pointing.registered
+
+
+def _crs_text(layout: Layout) -> str:
+    """A layout's CRS as scenes name theirs."""
+    crs = pyproj.CRS.from_wkt(layout.crs)
+    authority = crs.to_authority()
+    return ":".join(authority) if authority and pyproj.CRS.from_authority(*authority) == crs else layout.crs
+
+
+# The mosaic -------------------------------------------------------------------------------------------------------
 
 
 def _overlaps(
@@ -134,7 +205,7 @@ def _sources(
     """The DSMs as blocks need them, with the maps of how far inside each a place lies."""
     tasks = [InteriorTask(dsm, f"{folder}/interior_{i}.tif", parameters) for i, dsm in enumerate(layout.dsms)]
     maps = run_tasks(
-        write_interior, tasks, options.workers, progress, lambda task: f"borders of {os.path.basename(task.dsm.path)}"
+        write_interior, tasks, options.workers, progress, lambda task: f"borders of {os.path.basename(task.dsm.name)}"
     )
     found = []
     for number, (dsm, path) in enumerate(zip(layout.dsms, maps)):
@@ -154,64 +225,36 @@ def _blocks(
     progress: Progress,
 ) -> List[Block]:
     tasks = block_tasks(layout, parts, folder, parameters)
-    each, side = max(block_mib(task) for task in tasks), max(task.own.width for task in tasks)
-    workers = workers_within(options.workers, each, options.memory, side, progress)
-    return run_tasks(make_block, tasks, workers, progress, lambda task: "making the mosaic")
+    largest = max(tasks, key=block_mib)
+    over = f"a block of {largest.own.width} cells a side with {counted(len(largest.sources), 'DSM')}"
+    work = Work(over, block_mib(largest), lambda _: "take fewer DSMs that lie over each other, or a larger RESOLUTION")
+    workers = workers_within(options.workers, work, options.memory, progress)
+    blocks = run_tasks(make_block, tasks, workers, progress, lambda task: "making the mosaic")
+    reused = sum(block.reused for block in blocks)
+    if reused:
+        progress.info(f"Reused {reused} of {counted(len(blocks), 'block')} that an earlier run had finished.")
+    return blocks
 
 
-def _write(options: MosaicOptions, layout: Layout, blocks: Sequence[Block], progress: Progress) -> None:
-    """Write the products from the blocks, which go one after the other."""
-    facts: Dict[str, object] = {"REPM_ENGINE": __version__, "REPM_MOSAIC": len(layout.dsms)}
-    if layout.datum:
-        facts[TAG] = layout.datum.name
-    names = {f"DSM_{number}": dsm.path for number, dsm in enumerate(layout.dsms, start=1)}
-    height = f"height above the {layout.datum.name} (m)" if layout.datum else "height (m)"
-    shape, place = layout.grid.shape, layout.grid.geotransform
-    with ExitStack() as stack:
-
-        def raster(path: str, bands: Tuple[str, ...], crs: str, tags: Dict[str, object], **more: Any) -> RasterWriter:
-            frame = shape, np.dtype(np.float32), len(bands), place, crs
-            return stack.enter_context(created(path, *frame, descriptions=bands, metadata=tags, cog=True, **more))
-
-        output = raster(options.output, (height,), layout.file_crs, facts, unit="m")
-        sources = None
-        if options.sources:
-            sources = raster(options.sources, SOURCE_BANDS, layout.crs, {**facts, **names}, overviews="NEAREST")
-        for index, block in enumerate(blocks):
-            progress.check_cancelled()
-            progress.step(0.9 + 0.08 * index / len(blocks))
-            if block.path is None:
-                continue
-            with np.load(block.path, allow_pickle=False) as made:
-                output.write(made["height"], block.own.col, block.own.row)
-                if sources is not None:
-                    known = made["source"] >= 0
-                    for band, values in enumerate((made["source"] + 1, made["count"], made["spread"]), start=1):
-                        stated = np.where(known, values, np.nan).astype(np.float32)
-                        sources.write(stated, block.own.col, block.own.row, band)
-            os.unlink(block.path)
-            if block.own.col + block.own.width == layout.grid.size[0]:
-                for writer in filter(None, (output, sources)):
-                    writer.flush()  # so that GDAL's cache does not grow
-
-
-def _median(steps: IntArray) -> Optional[float]:
-    """The median of a histogram of steps, m; None where there is no seam."""
+def _median(blocks: Sequence[Block]) -> Optional[float]:
+    """The median of the steps along all seams, m; None where there is no seam."""
+    steps: IntArray = np.zeros(STEP_BINS, np.int64)
+    for block in blocks:
+        steps[: len(block.steps)] += block.steps
     total = np.cumsum(steps)
     if not total[-1]:
         return None
     return float((np.searchsorted(total, total[-1] / 2.0) + 0.5) * STEP_M)
 
 
-def _log(
-    layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, fixed: Sequence[int], progress: Progress
-) -> None:
+def _log(layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, progress: Progress) -> None:
     """What was solved, a line for each DSM, and what the user has to know of it."""
     for number, dsm in enumerate(layout.dsms):
         count = counted(sum(number in (each.first, each.second) for each in overlaps), "overlap")
         added, deviation = offsets.added[number], offsets.deviation[number]
         solved = f"{added:+.3f} m are added (standard deviation {deviation:.3f} m)"
-        progress.info(f"'{dsm.path}': {'its heights are fixed' if number in fixed else solved}, {count}.")
+        stays = f"its heights are fixed ({dsm.fixed})"
+        progress.info(f"'{dsm.name}': {stays if dsm.fixed else solved}, {count}.")
     before, after = (
         np.sqrt(np.mean(np.square(values)))
         for values in ([each.median for each in overlaps], [each.after(offsets.added) for each in overlaps])
@@ -219,8 +262,8 @@ def _log(
     found = f"{counted(len(overlaps), 'overlap')}: median differences of {before:.3f} m (root mean square)"
     progress.info(f"{found} before and {after:.3f} m after the offsets.")
     if not any(offsets.anchored):
-        progress.info("No DSM is named as FIXED: the mean of all offsets is zero.")
+        progress.info("No DSM is fixed: the mean of all offsets is zero.")
     if len(offsets.groups) > 1:
-        names = [", ".join(os.path.basename(layout.dsms[i].path) for i in group) for group in offsets.groups]
+        names = [", ".join(os.path.basename(layout.dsms[i].name) for i in group) for group in offsets.groups]
         text = f"The DSMs are {len(names)} groups that do not overlap each other ({'; '.join(names)})"
         progress.warn(f"{text}: each is solved for itself, and heights of two groups may differ by an offset.")

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.errors import Cancelled, ClusterError, MissingPackageError, OptionError
+from repm_qgis.imagery import raster
 from repm_qgis.parallel import run_tasks, run_whole, task_mib
 from repm_qgis.stages import run_stage
+from repm_qgis.stages.parameters import ENGINE
 from tests.engine import cluster_tasks as tasks
 from tests.engine.local_bucket import bucket
 from tests.engine.local_cluster import MEMORY_MIB, ROOT, Cluster
@@ -99,6 +102,32 @@ def test_the_pipeline_gives_the_same_bytes(cluster, urban, told, tmp_path):
     compare = {"dsm": there["output"], "reference": urban.truth, "align": "vertical"}
     figures = [run_stage("comparedsm", {**compare, "cluster": each}, told()) for each in ("", cluster.address)]
     assert figures[0] == figures[1]
+
+
+def test_a_mosaic_gives_the_same_bytes_and_the_workers_write_it(cluster, told, tmp_path, monkeypatch):
+    heights = np.add.outer(np.arange(300), np.arange(300)).astype(np.float32) / 10
+    dsms = []
+    for number in range(2):
+        place, path = (500000.0 + 150 * number, 1.0, 0.0, 4800000.0, 0.0, -1.0), str(tmp_path / f"dsm_{number}.tif")
+        dsms.append(raster.write(path, [heights + 17 * number], place, "EPSG:32631", unit="m"))
+    small = replace(ENGINE, mosaic=replace(ENGINE.mosaic, block_cells=96, tile_blocks=2))
+
+    def run(name, **more):
+        out = {"output": str(tmp_path / name / "m.tif"), "sources": str(tmp_path / name / "s.vrt")}
+        return run_stage("mosaic", {"dsms": dsms, "workers": 1, **out, **more}, told(), small)
+
+    here = run("here")
+
+    def read_here(*_):
+        raise AssertionError("the coordinator reads pixels of blocks")
+
+    monkeypatch.setattr("repm_qgis.mosaic.products.MosaicRaster.values", read_here)
+    there = run("there", cluster=cluster.address)
+    files = [path.relative_to(tmp_path / "here") for path in sorted((tmp_path / "here").rglob("*")) if path.is_file()]
+    assert len(files) == 1 + 1 + 2 + 7 and here["offsets"] == there["offsets"]
+    for file in files:
+        assert (tmp_path / "here" / file).read_bytes() == (tmp_path / "there" / file).read_bytes(), file
+    assert len(list((tmp_path / "there").rglob("*"))) == len(files) + 1
 
 
 def test_a_task_whose_worker_dies_is_done_again_elsewhere(cluster, on, tmp_path):

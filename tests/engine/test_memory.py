@@ -12,7 +12,7 @@ import pytest
 
 from repm_qgis import memory
 from repm_qgis.errors import OptionError
-from repm_qgis.memory import free_mib, fusing_mib, largest_tile, matching_mib, workers_within
+from repm_qgis.memory import free_mib, fusing_mib, largest_tile, matching_mib, tile_work, workers_within
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN = """
@@ -98,9 +98,9 @@ def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
 
 def test_a_budget_bounds_the_workers_and_says_so(told):
     said = told()
-    assert workers_within(8, 300.0, 1000, 1600, said) == 3
+    assert workers_within(8, tile_work(1600, 300.0), 1000, said) == 3
     assert said.notes == ["3 instead of 8 workers: each takes up to 300 MiB, and 1000 MiB are allowed."]
-    assert workers_within(2, 300.0, 1000, 1600, said) == 2
+    assert workers_within(2, tile_work(1600, 300.0), 1000, said) == 2
     assert len(said.notes) == 1 and not said.warnings
 
 
@@ -110,7 +110,7 @@ def test_a_tile_that_is_too_large_names_the_remedy(told):
         match="MEMORY is 200: it is less than the 420 MiB that one tile of 1600 px takes; "
         "allow more, or choose a TILE_SIZE of 760 px or less",
     ):
-        workers_within(2, 420.0, 200, 1600, told())
+        workers_within(2, tile_work(1600, 420.0), 200, told())
     side = largest_tile(1600, matching_mib(1600, 1600, 0), 200.0)
     assert matching_mib(side, side, 0) < 200.0
 
@@ -118,11 +118,11 @@ def test_a_tile_that_is_too_large_names_the_remedy(told):
 def test_without_a_budget_free_memory_decides(told, monkeypatch):
     said = told()
     monkeypatch.setattr(memory, "free_mib", lambda: 1000.0)
-    assert workers_within(8, 300.0, 0, 1600, said) == 2
-    assert workers_within(8, 800.0, 0, 1600, said) == 1
+    assert workers_within(8, tile_work(1600, 300.0), 0, said) == 2
+    assert workers_within(8, tile_work(1600, 800.0), 0, said) == 1
     assert "only 1000 MiB are free" in said.warnings[0] and "TILE_SIZE" in said.warnings[0]
     monkeypatch.setattr(memory, "free_mib", lambda: None)
-    assert workers_within(8, 1e9, 0, 1600, said) == 8
+    assert workers_within(8, tile_work(1600, 1e9), 0, said) == 8
 
 
 def test_free_memory_is_what_the_machine_has():

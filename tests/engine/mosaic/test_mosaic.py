@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyproj
 import pytest
 from scipy import ndimage
 
-from repm_qgis.errors import ImageError, OptionError, OverlapError, RepmError
+from repm_qgis.errors import Cancelled, ImageError, OptionError, OverlapError, RepmError, SceneError, WorkspaceError
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
 
 UTM31, UTM32 = "EPSG:32631", "EPSG:32632"
+ROOT = Path(__file__).resolve().parents[3]
+SMALL = replace(ENGINE, mosaic=replace(ENGINE.mosaic, block_cells=96, tile_blocks=2))
 WEST, NORTH = 740000.0, 4850000.0  # where both zones have a place
 STARTS = ((0, 0), (110, 0), (0, 110), (110, 110))  # columns and rows of the first cells of four DSMs
 SIDE = 190
@@ -131,13 +138,12 @@ def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
 
 
 def test_neither_blocks_nor_workers_change_the_result(four, made, tmp_path, told):
-    small = replace(ENGINE, mosaic=replace(ENGINE.mosaic, block_cells=96))
-    parts = mosaic(told, tmp_path, four, parameters=small, workers=2)
+    parts = mosaic(told, tmp_path, four, parameters=SMALL, workers=2)
     one, other = read(parts["output"]), read(made[0]["output"])
     assert (np.isnan(one) == np.isnan(other)).all()
     # Rounding decides for a house that both DSMs have an equal share of: these lie symmetrically.
     assert (np.abs(one - other)[np.isfinite(one)] < 1e-3).mean() > 0.999
-    again = mosaic(told, tmp_path, four, parameters=small, workers=1, output=str(tmp_path / "again.tif"))
+    again = mosaic(told, tmp_path, four, parameters=SMALL, workers=1, output=str(tmp_path / "again.tif"))
     assert open(again["output"], "rb").read() == open(parts["output"], "rb").read()
 
 
@@ -237,6 +243,7 @@ def bad_inputs(folder, four):
         "degrees": ({"dsms": [degrees, four[0]]}, ImageError, "give a projected CRS, such as EPSG:32632"),
         "nowhere": ({"dsms": [nowhere, four[0]]}, ImageError, "not georeferenced"),
         "other crs": ({"dsms": four, "crs": "EPSG:4326"}, OptionError, "CRS"),
+        "scene": ({"dsms": four[:1], "scenes": [str(text)]}, SceneError, "notes.tif"),
         "not among": ({"dsms": four[:2], "fixed": [four[2]]}, OptionError, f"FIXED is '{four[2]}': it must be one of"),
         "count": ({"dsms": four, "confidences": four[:2]}, OptionError, "or name 4 rasters"),
         "overwritten": ({"dsms": four, "output": four[2]}, OptionError, "is also a file of the input DSMS"),
@@ -246,7 +253,7 @@ def bad_inputs(folder, four):
 
 def test_bad_input_is_one_sentence_and_nothing_is_left(four, tmp_path, told):
     cases = bad_inputs(tmp_path, four)
-    assert len(cases) == 15
+    assert len(cases) == 16
     out = tmp_path / "out"
     out.mkdir()
     for label, (options, kind, words) in cases.items():
@@ -257,17 +264,44 @@ def test_bad_input_is_one_sentence_and_nothing_is_left(four, tmp_path, told):
         assert not list(out.iterdir()), label
 
 
-def test_cancel_leaves_nothing(four, tmp_path, told):
-    from repm_qgis.errors import Cancelled
-
+def test_cancel_leaves_what_the_next_run_takes(four, tmp_path, told):
     counting = told()
-    mosaic(told, tmp_path, four, counting)
-    (tmp_path / "mosaic.tif").unlink()
-    before = set(tmp_path.iterdir())
-    for share in (0.1, 0.5, 0.9):
+    path = Path(mosaic(told, tmp_path, four, counting, parameters=SMALL)["output"])
+    whole, before = path.read_bytes(), set(tmp_path.iterdir())
+    kept = tmp_path / "mosaic_blocks"
+    for share in (0.01, 0.3, 0.6, 0.97):
         with pytest.raises(Cancelled):
-            mosaic(told, tmp_path, four, told(cancel_at=max(1, int(share * counting.checks))))
-        assert set(tmp_path.iterdir()) == before
+            mosaic(told, tmp_path, four, told(cancel_at=max(1, int(share * counting.checks))), parameters=SMALL)
+        assert set(tmp_path.iterdir()) <= before | {kept} and not list(kept.rglob("*.part*"))
+        assert path.read_bytes() == whole  # the old one, until a new one is there
+    said = told()
+    mosaic(told, tmp_path, four, said, parameters=SMALL)
+    assert any(text.startswith("Reused 16 of 16 blocks that an earlier run") for text in said.notes), said.notes
+    assert path.read_bytes() == whole and set(tmp_path.iterdir()) == before
+
+
+def test_a_killed_run_is_continued_and_damaged_blocks_are_made_again(four, tmp_path, told):
+    options = {"dsms": four, "output": str(tmp_path / "m.tif"), "workers": 1}
+    code = (
+        "import json, os, sys, repm_qgis.mosaic.products as p; from repm_qgis.progress import Silent; "
+        "from repm_qgis.stages import run_stage; p._write_files = lambda *_: os._exit(9); "
+        "run_stage('mosaic', json.loads(sys.argv[1]), Silent())"
+    )
+    command = [sys.executable, "-c", code, json.dumps(options)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 9, done.stdout + done.stderr
+    blocks = sorted((tmp_path / "m_blocks").rglob("*.npz"))
+    assert len(blocks) == 1 and not (tmp_path / "m.tif").exists()
+    for damage, reused in (((lambda data: data), True), ((lambda data: data[: len(data) // 2]), False)):
+        said = told()
+        shutil.copytree(tmp_path / "m_blocks", tmp_path / "copy_blocks", dirs_exist_ok=True)
+        copied = tmp_path / "copy_blocks" / blocks[0].relative_to(tmp_path / "m_blocks")
+        copied.write_bytes(damage(blocks[0].read_bytes()))
+        result = mosaic(told, tmp_path, four, said, output=str(tmp_path / "copy.tif"))
+        assert any("Reused 1 of 1 block " in text for text in said.notes) == reused
+        fresh = mosaic(told, tmp_path, four, output=str(tmp_path / "fresh.tif"))
+        assert Path(result["output"]).read_bytes() == Path(fresh["output"]).read_bytes()
+        assert not (tmp_path / "copy_blocks").exists()
 
 
 def test_numbers_of_dsms_are_not_averaged_in_overviews(tmp_path):
@@ -276,3 +310,119 @@ def test_numbers_of_dsms_are_not_averaged_in_overviews(tmp_path):
         path = raster.write(str(tmp_path / f"{overviews}.tif"), [numbers], None, "", cog=True, overviews=overviews)
         with raster.opened(path) as dataset:
             assert set(np.unique(dataset.GetRasterBand(1).GetOverview(0).ReadAsArray()).tolist()) == found
+
+
+# A VRT and its tiles ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def both(four, tmp_path_factory, told):
+    """The folders of one mosaic as GeoTIFFs, and as VRTs with tiles of 192 cells; and what the latter result in."""
+    folders = [tmp_path_factory.mktemp(name) for name in ("tif", "vrt")]
+    for folder, kind in zip(folders, ("tif", "vrt")):
+        out = {name: str(folder / f"{name}.{kind}") for name in ("output", "sources")}
+        result = mosaic(told, folder, four, parameters=SMALL, **out)
+    return (*folders, result)
+
+
+def test_a_vrt_shows_what_the_geotiff_has_also_where_both_were_moved(both, tmp_path):
+    tif, vrt, result = both
+    assert {path.name for path in vrt.iterdir()} == {
+        f"{name}{kind}" for name in ("output", "sources") for kind in (".vrt", ".qml", "_tiles")
+    }
+    assert result["output"] == str(vrt / "output.vrt")
+    shutil.move(shutil.copytree(vrt, tmp_path / "copied"), tmp_path / "moved")
+    for name, bands in (("output", 1), ("sources", 3)):
+        with (
+            raster.opened(str(tif / f"{name}.tif")) as one,
+            raster.opened(str(tmp_path / f"moved/{name}.vrt")) as other,
+        ):
+            assert not any(str(vrt) in file or "copied" in file for file in other.GetFileList())
+            for band in range(1, bands + 1):
+                assert np.array_equal(raster.read(one, band=band), raster.read(other, band=band), equal_nan=True)
+                here, there = one.GetRasterBand(band), other.GetRasterBand(band)
+                assert here.GetDescription() == there.GetDescription() and here.GetUnitType() == there.GetUnitType()
+                assert here.GetNoDataValue() == there.GetNoDataValue()
+            assert one.GetMetadata() == {**one.GetMetadata(), **other.GetMetadata()}
+            assert one.GetGeoTransform() == other.GetGeoTransform() and one.GetSpatialRef().IsSame(
+                other.GetSpatialRef()
+            )
+    tiles = sorted((vrt / "output_tiles").iterdir())
+    assert len(tiles) == 5
+    with raster.opened(str(tiles[0])) as tile:
+        assert (tile.RasterXSize, tile.RasterYSize) == (192, 192) and tile.GetMetadataItem(TAG) == ELLIPSOID
+        assert tile.GetMetadata("IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+def test_the_overview_of_a_vrt_is_the_mean_and_numbers_are_not_averaged(both):
+    tif, vrt, _ = both
+    with raster.opened(str(vrt / "output.vrt")) as dataset:
+        band = dataset.GetRasterBand(1)
+        assert band.GetOverviewCount() == 1
+        small = raster.read(dataset, size=(19, 19))
+    heights = np.full((304, 304), np.nan)
+    heights[:300, :300] = read(str(tif / "output.tif"))
+    means = np.nanmean(heights.reshape(19, 16, 19, 16).swapaxes(1, 2).reshape(19, 19, -1), axis=2)
+    assert small == pytest.approx(means, abs=1e-3, nan_ok=True)
+    with raster.opened(str(vrt / "sources.vrt")) as dataset:
+        assert set(np.unique(dataset.GetRasterBand(1).GetOverview(0).ReadAsArray())) <= {-9999, 1, 2, 3, 4}
+
+
+def test_an_old_vrt_and_its_tiles_stay_until_the_new_ones_are_whole(four, tmp_path, told, monkeypatch):
+    out = {"output": str(tmp_path / "m.vrt"), "sources": str(tmp_path / "s.vrt"), "parameters": SMALL}
+    mosaic(told, tmp_path, four, **out)
+
+    def state():
+        return {
+            path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file() and "_blocks" not in str(path)
+        }
+
+    before = state()
+    mosaic(told, tmp_path, four, **out)
+    assert state() == before
+    counting = told()
+    away = {**out, "output": str(tmp_path / "away" / "m.vrt"), "sources": str(tmp_path / "away" / "s.vrt")}
+    mosaic(told, tmp_path, four[:3], counting, **away)
+    shutil.rmtree(tmp_path / "away")
+    for share in (0.75, 0.95):  # tiles of the one, then of the other
+        with pytest.raises(Cancelled):
+            mosaic(told, tmp_path, four[:3], told(cancel_at=int(share * counting.checks)), **out)
+        assert state() == before
+
+    def full(*_):
+        raise WorkspaceError("The disk is full.")
+
+    with monkeypatch.context() as changed:
+        changed.setattr("repm_qgis.mosaic.products.vrt_text", full)
+        with pytest.raises(WorkspaceError):
+            mosaic(told, tmp_path, four[:3], **out)
+    assert state() == before and not (tmp_path / "m_blocks").exists()
+    with monkeypatch.context() as changed:  # the moment between the two names: the old VRT still has all its tiles
+        replaced = os.replace
+
+        def killed(source, target):
+            if str(target).endswith(".vrt"):
+                raise KeyboardInterrupt
+            replaced(source, target)
+
+        changed.setattr(os, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            mosaic(told, tmp_path, four[:3], **out)
+        assert before.items() <= state().items()
+    mosaic(told, tmp_path, four[:3], **out)
+    tiles = set((tmp_path / "m_tiles").iterdir())
+    assert len(tiles) == 4 and not set(before) & tiles  # three tiles with a height, and the overview
+
+
+def test_a_folder_with_other_files_is_not_replaced(four, tmp_path, told):
+    (tmp_path / "m_tiles").mkdir()
+    (tmp_path / "m_tiles" / "thesis.doc").write_text("years of work")
+    words = "m_tiles' for the tiles of .* holds 'thesis.doc', which is no tile of a mosaic"
+    with pytest.raises(WorkspaceError, match=words):
+        mosaic(told, tmp_path, four, output=str(tmp_path / "m.vrt"))
+    inside = str(tmp_path / "n_tiles" / "dsm.tif")
+    (tmp_path / "n_tiles").mkdir()
+    shutil.copy(four[0], inside)
+    with pytest.raises(OptionError, match="is also a file of the input DSMS"):
+        mosaic(told, tmp_path, [inside, four[1]], output=str(tmp_path / "n.vrt"))
+    assert os.path.exists(inside) and len(list((tmp_path / "m_tiles").iterdir())) == 1
