@@ -9,6 +9,7 @@ from qgis.PyQt.QtGui import QIcon
 from qgis.PyQt.QtWidgets import QAction
 
 from ..processing_provider.base import resource
+from . import model_copy
 from .first_steps import FirstSteps, show_once
 from .pages import Page
 
@@ -20,6 +21,7 @@ class PluginMenu:
 
     def __init__(self, iface: Any) -> None:
         self._iface, self._actions, self._windows = iface, [], {}
+        self._toolbox_actions = model_copy.register()
         self.add(self.tr("First steps"), "repm", lambda: self._show(FirstSteps))
         self.add(self.tr("Tutorial"), "", lambda: self._show(Page).open("tutorial.md"))
         self.add(self.tr("Help"), "", lambda: self._show(Page).open("guide.md"))
@@ -44,7 +46,8 @@ class PluginMenu:
         for window in self._windows.values():
             window.close()
             window.deleteLater()
-        self._actions, self._windows = [], {}
+        model_copy.unregister(self._toolbox_actions)
+        self._actions, self._windows, self._toolbox_actions = [], {}, []
 
     def _show(self, kind: Callable[..., Any]) -> Any:
         """The one window of a kind, in front."""

@@ -24,6 +24,10 @@
         <translation>DOM (für die Höhen an den Punkten)</translation>
     </message>
     <message>
+        <source>Its heights are compared with those of the points that lie on it.</source>
+        <translation>Seine Höhen werden mit denen der Punkte verglichen, die darauf liegen.</translation>
+    </message>
+    <message>
         <source>RPC localisation</source>
         <translation>RPC-Lokalisierung</translation>
     </message>
@@ -59,8 +63,16 @@
         <translation>Zu prüfendes DOM</translation>
     </message>
     <message>
+        <source>A raster of heights in metres, in any CRS; it is resampled to the reference's cells.</source>
+        <translation>Ein Raster mit Höhen in Metern, in einem beliebigen KBS; es wird auf die Zellen der Referenz umgerechnet.</translation>
+    </message>
+    <message>
         <source>Reference DSM</source>
         <translation>Referenz-DOM</translation>
+    </message>
+    <message>
+        <source>A raster of heights in metres that are taken as right, such as one from lidar.</source>
+        <translation>Ein Raster mit Höhen in Metern, die als richtig gelten, zum Beispiel aus Lidar.</translation>
     </message>
     <message>
         <source>Alignment before the comparison</source>
@@ -474,24 +486,24 @@
 <context>
     <name>RepmAlgorithm</name>
     <message>
-        <source>0 Images to DSM</source>
-        <translation>0 Bilder zu DOM</translation>
+        <source>Preparation</source>
+        <translation>Vorbereitung</translation>
     </message>
     <message>
-        <source>1 Pinhole cameras</source>
-        <translation>1 Lochkameras</translation>
+        <source>Images to DSM</source>
+        <translation>Bilder zu DOM</translation>
     </message>
     <message>
-        <source>2 Surface</source>
-        <translation>2 Oberfläche</translation>
+        <source>Stage by stage: pinhole cameras</source>
+        <translation>Stufe für Stufe: Lochkameras</translation>
     </message>
     <message>
-        <source>3 Evaluation</source>
-        <translation>3 Bewertung</translation>
+        <source>Stage by stage: surface</source>
+        <translation>Stufe für Stufe: Oberfläche</translation>
     </message>
     <message>
-        <source>4 Tools</source>
-        <translation>4 Werkzeuge</translation>
+        <source>Evaluation</source>
+        <translation>Bewertung</translation>
     </message>
     <message>
         <source>The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs.</source>
@@ -524,6 +536,17 @@
     <message>
         <source>Seconds: {stages}</source>
         <translation>Sekunden: {stages}</translation>
+    </message>
+</context>
+<context>
+    <name>RepmModelCopy</name>
+    <message>
+        <source>Copy to my models and edit…</source>
+        <translation>In meine Modelle kopieren und bearbeiten …</translation>
+    </message>
+    <message>
+        <source>The model cannot be written to '{path}': check that you may write there.</source>
+        <translation>Das Modell kann nicht nach „{path}“ geschrieben werden: prüfen, ob dort geschrieben werden darf.</translation>
     </message>
 </context>
 <context>
@@ -585,16 +608,16 @@
         <translation>EGM96, EGM2008 oder jedes Höhen-KBS, das PROJ kennt, etwa EPSG:5773; es steht dann im KBS des DOM. Sein Gitter muss installiert sein: Ohne es hält der Lauf an und nennt das Gitter.</translation>
     </message>
     <message>
-        <source>Correction of the images' pointing</source>
-        <translation>Korrektur der Ausrichtung der Bilder</translation>
+        <source>Pointing correction</source>
+        <translation>Korrektur der Ausrichtung</translation>
     </message>
     <message>
-        <source>shift: one shift for each image; affine: also scale, shear and rotation; auto: affine where the tie points show a trend and span the images well enough.</source>
-        <translation>shift: eine Verschiebung je Bild; affine: auch Maßstab, Scherung und Drehung; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken.</translation>
+        <source>What is corrected in each image. shift: one shift; affine: also scale, shear and rotation; auto: affine where the tie points show a trend and span the images well enough.</source>
+        <translation>Was in jedem Bild korrigiert wird. shift: eine Verschiebung; affine: auch Maßstab, Scherung und Drehung; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken.</translation>
     </message>
     <message>
-        <source>Adjustment of the pointing</source>
-        <translation>Ausgleichung der Ausrichtung</translation>
+        <source>Adjustment that finds the pointing correction</source>
+        <translation>Ausgleichung, die die Korrektur der Ausrichtung findet</translation>
     </message>
     <message>
         <source>rpc: against the original RPCs, exact, with control points and affine corrections; colmap: as in the paper, COLMAP moves the principal points of the pinhole cameras: shifts only, and no control points.</source>
@@ -785,6 +808,10 @@
         <translation>Kacheln</translation>
     </message>
     <message>
+        <source>The outlines of the tiles, with the equivalent error of each image's camera in px.</source>
+        <translation>Die Umrisse der Kacheln, mit dem äquivalenten Fehler der Kamera jedes Bildes in px.</translation>
+    </message>
+    <message>
         <source>Scene after this stage</source>
         <translation>Szene nach dieser Stufe</translation>
     </message>
@@ -797,24 +824,48 @@
         <translation>Verknüpfungspunkte</translation>
     </message>
     <message>
+        <source>Points on the ground that two or more images show, with their residuals in px.</source>
+        <translation>Punkte am Boden, die zwei oder mehr Bilder zeigen, mit ihren Residuen in px.</translation>
+    </message>
+    <message>
         <source>Height maps (skipped: beside the scene)</source>
         <translation>Höhenkarten (weggelassen: neben der Szene)</translation>
+    </message>
+    <message>
+        <source>A folder for one height map of each pair and tile, from which the DSM is made.</source>
+        <translation>Ein Ordner für eine Höhenkarte je Paar und Kachel, aus denen das DOM entsteht.</translation>
     </message>
     <message>
         <source>DSM</source>
         <translation>DOM</translation>
     </message>
     <message>
+        <source>Heights in metres as a GeoTIFF; where nothing was matched, there is no height.</source>
+        <translation>Höhen in Metern als GeoTIFF; wo nichts zugeordnet wurde, ist keine Höhe.</translation>
+    </message>
+    <message>
         <source>Confidence</source>
         <translation>Konfidenz</translation>
+    </message>
+    <message>
+        <source>For each height: its expected error in metres, how many pairs agree, and how it was found.</source>
+        <translation>Zu jeder Höhe: der erwartete Fehler in Metern, wie viele Paare übereinstimmen und wie sie gefunden wurde.</translation>
     </message>
     <message>
         <source>Orthophoto</source>
         <translation>Orthophoto</translation>
     </message>
     <message>
+        <source>The images in map geometry, on the cells of the DSM.</source>
+        <translation>Die Bilder in Kartengeometrie, auf den Zellen des DOM.</translation>
+    </message>
+    <message>
         <source>Point cloud</source>
         <translation>Punktwolke</translation>
+    </message>
+    <message>
+        <source>One point for each matched pixel, for exchange with other programs.</source>
+        <translation>Ein Punkt für jedes zugeordnete Pixel, zum Austausch mit anderen Programmen.</translation>
     </message>
     <message>
         <source>Point cloud for display (EPT)</source>
@@ -827,6 +878,10 @@
     <message>
         <source>Mesh</source>
         <translation>Netz</translation>
+    </message>
+    <message>
+        <source>The surface as triangles, which QGIS and 3D programs show.</source>
+        <translation>Die Oberfläche als Dreiecke, die QGIS und 3D-Programme zeigen.</translation>
     </message>
     <message>
         <source>DSM of each pair alone</source>
@@ -853,16 +908,36 @@
         <translation>Äquivalenter Fehler</translation>
     </message>
     <message>
+        <source>How far the pinhole camera is from the RPC at each place on the ground, in px.</source>
+        <translation>Wie weit die Lochkamera an jeder Stelle des Bodens vom RPC abweicht, in px.</translation>
+    </message>
+    <message>
         <source>Folder</source>
         <translation>Ordner</translation>
+    </message>
+    <message>
+        <source>A folder that gets one model for each tile, with its images and cameras.</source>
+        <translation>Ein Ordner, der für jede Kachel ein Modell mit ihren Bildern und Kameras erhält.</translation>
     </message>
     <message>
         <source>Height error</source>
         <translation>Höhenfehler</translation>
     </message>
     <message>
+        <source>The DSM minus the reference in metres, cell by cell.</source>
+        <translation>Das DOM minus die Referenz in Metern, Zelle für Zelle.</translation>
+    </message>
+    <message>
         <source>Points with their errors</source>
         <translation>Punkte mit ihren Fehlern</translation>
+    </message>
+    <message>
+        <source>The control points, with how far each of them is from where the RPCs, the scene and the DSM put it.</source>
+        <translation>Die Passpunkte, jeder mit dem Abstand von der Stelle, an die ihn RPC, Szene und DOM setzen.</translation>
+    </message>
+    <message>
+        <source>A folder for the images, the true surface (a DSM) and the ground control points.</source>
+        <translation>Ein Ordner für die Bilder, die wahre Oberfläche (ein DOM) und die Passpunkte.</translation>
     </message>
     <message>
         <source>True DSM</source>
@@ -871,6 +946,10 @@
     <message>
         <source>Report</source>
         <translation>Bericht</translation>
+    </message>
+    <message>
+        <source>A page for the browser with figures, pictures and warnings, in one file.</source>
+        <translation>Eine Seite für den Browser mit Zahlen, Bildern und Warnungen, in einer Datei.</translation>
     </message>
 </context>
 <context>
@@ -921,8 +1000,16 @@
         <translation>Landschaft</translation>
     </message>
     <message>
+        <source>urban: a town with houses, trees and cars; mountains: steep ground without houses.</source>
+        <translation>urban: eine Stadt mit Häusern, Bäumen und Autos; mountains: steiles Gelände ohne Häuser.</translation>
+    </message>
+    <message>
         <source>Size of the images (px)</source>
         <translation>Größe der Bilder (px)</translation>
+    </message>
+    <message>
+        <source>Columns and rows of each image: 800 takes a quarter of the time of 1600.</source>
+        <translation>Spalten und Zeilen jedes Bildes: 800 braucht ein Viertel der Zeit von 1600.</translation>
     </message>
     <message>
         <source>Seed</source>
@@ -943,6 +1030,17 @@
     <message>
         <source>Ground control points</source>
         <translation>Passpunkte</translation>
+    </message>
+    <message>
+        <source>Sample images</source>
+        <translation>Beispielbilder</translation>
+    </message>
+</context>
+<context>
+    <name>ShippedModel</name>
+    <message>
+        <source>Make a DSM stage by stage (model)</source>
+        <translation>DOM Stufe für Stufe erzeugen (Modell)</translation>
     </message>
 </context>
 </TS>

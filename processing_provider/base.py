@@ -31,12 +31,27 @@ from .values import checked_value, destination, input_options, is_empty, raster_
 
 PLUGIN_FOLDER = engine.PLUGIN_FOLDER
 GROUPS = {
-    "whole": "0 Images to DSM",
-    "cameras": "1 Pinhole cameras",
-    "surface": "2 Surface",
-    "evaluation": "3 Evaluation",
-    "tools": "4 Tools",
+    "tools": "Preparation",
+    "whole": "Images to DSM",
+    "cameras": "Stage by stage: pinhole cameras",
+    "surface": "Stage by stage: surface",
+    "evaluation": "Evaluation",
 }
+"""The groups of the toolbox by their ids, in the order of the work."""
+
+
+def group_title(group: str) -> str:
+    """A group's title with its number: QGIS sorts groups by their titles, and algorithms by their names."""
+    return f"{_place(group)} {QCoreApplication.translate(RepmAlgorithm.__name__, GROUPS[group])}"
+
+
+def numbered(group: str, step: int, title: str) -> str:
+    """An algorithm's name with its place in the order of the work."""
+    return f"{_place(group)}.{step} {title}"
+
+
+def _place(group: str) -> int:
+    return list(GROUPS).index(group)
 
 
 def resource(*parts: str) -> str:
@@ -61,6 +76,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
 
     ID = ""  # also the stage's name and the help page's
     GROUP = "tools"
+    STEP = 0  # the place in the group
     TAGS = ""
     HEAVY = True  # in a process of its own
     USES_WORKERS = False
@@ -68,8 +84,15 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def name(self) -> str:
         return self.ID
 
+    def title(self) -> str:
+        """The name without its number."""
+        raise NotImplementedError
+
+    def displayName(self) -> str:
+        return numbered(self.GROUP, self.STEP, self.title())
+
     def group(self) -> str:
-        return self.tr(GROUPS[self.GROUP])
+        return group_title(self.GROUP)
 
     def groupId(self) -> str:
         return self.GROUP

@@ -16,10 +16,11 @@ class CheckGcps(RepmAlgorithm):
 
     ID = "checkgcps"
     GROUP = "evaluation"
+    STEP = 2
     TAGS = "GCP,ground control,check points,accuracy,RMSE,localisation,georeferencing"
     HEAVY = False
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Check against ground control points")
 
     def shortDescription(self) -> str:
@@ -39,7 +40,10 @@ class CheckGcps(RepmAlgorithm):
                 scene,
                 self.tr("The scene.json of any stage; a reconstructed scene also shows how accurate its pointing is."),
             ),
-            parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
+            parameters.helped(
+                parameters.Raster("DSM", self.tr("DSM (for the heights at the points)"), optional=True),
+                self.tr("Its heights are compared with those of the points that lie on it."),
+            ),
             parameters.gcp_datum(),
             *(parameters.product(self.ID, name) for name in ("output", "report")),
         ]

@@ -29,10 +29,11 @@ class CompareDsm(RepmAlgorithm):
 
     ID = "comparedsm"
     GROUP = "evaluation"
+    STEP = 1
     TAGS = "accuracy,RMSE,NMAD,completeness,co-registration,Nuth,LiDAR"
     HEAVY = False
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Compare a DSM with a reference")
 
     def shortDescription(self) -> str:
@@ -40,8 +41,14 @@ class CompareDsm(RepmAlgorithm):
 
     def parameters(self) -> list:
         return [
-            parameters.Raster("DSM", self.tr("DSM to measure")),
-            parameters.Raster("REFERENCE", self.tr("Reference DSM")),
+            parameters.helped(
+                parameters.Raster("DSM", self.tr("DSM to measure")),
+                self.tr("A raster of heights in metres, in any CRS; it is resampled to the reference's cells."),
+            ),
+            parameters.helped(
+                parameters.Raster("REFERENCE", self.tr("Reference DSM")),
+                self.tr("A raster of heights in metres that are taken as right, such as one from lidar."),
+            ),
             parameters.choice(
                 CompareDsmOptions,
                 "align",

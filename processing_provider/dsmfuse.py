@@ -13,10 +13,11 @@ class DsmFuse(RepmAlgorithm):
 
     ID = "dsmfuse"
     GROUP = "surface"
+    STEP = 2
     TAGS = "fusion,gridding,outliers,point cloud,orthophoto,surface model"
     USES_WORKERS = True
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Fuse heights into a DSM")
 
     def shortDescription(self) -> str:

@@ -15,9 +15,10 @@ class Environment(RepmAlgorithm):
 
     ID = "environment"
     GROUP = "tools"
+    STEP = 1
     TAGS = "versions,install,packages,CUDA,GPU,PROJ grids,help"
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Report the environment")
 
     def shortDescription(self) -> str:

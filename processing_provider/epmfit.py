@@ -13,10 +13,11 @@ class EpmFit(RepmAlgorithm):
 
     ID = "epmfit"
     GROUP = "cameras"
+    STEP = 1
     TAGS = "EPM,DLT,camera model,equivalent error,tiles"
     HEAVY = False
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Fit equivalent pinhole cameras")
 
     def shortDescription(self) -> str:

@@ -14,10 +14,11 @@ class ErrorMap(RepmAlgorithm):
 
     ID = "errormap"
     GROUP = "cameras"
+    STEP = 2
     TAGS = "EPM,equivalent error,accuracy"
     HEAVY = False
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Map the equivalent error")
 
     def shortDescription(self) -> str:

@@ -17,9 +17,10 @@ class ExportCameras(RepmAlgorithm):
 
     ID = "exportcameras"
     GROUP = "cameras"
+    STEP = 4
     TAGS = "EPM,COLMAP,MVSNet,WHU-TLC,SatMVS,nerfstudio,NeRF,Gaussian splatting,transforms.json,export"
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Export images with pinhole cameras")
 
     def shortDescription(self) -> str:

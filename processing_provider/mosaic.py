@@ -19,10 +19,11 @@ class Mosaic(RepmAlgorithm):
 
     ID = "mosaic"
     GROUP = "surface"
+    STEP = 3
     TAGS = "mosaic,merge,seam,blend,offset,block adjustment,surface model"
     USES_WORKERS = True
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Make a mosaic of DSMs")
 
     def shortDescription(self) -> str:

@@ -243,9 +243,10 @@ def pointing() -> QgsProcessingParameterDefinition:
         choice(
             ReconstructOptions,
             "pointing",
-            tr("Correction of the images' pointing"),
+            tr("Pointing correction"),
             tr(
-                "shift: one shift for each image; affine: also scale, shear and rotation; auto: affine where the "
+                "What is corrected in each image. shift: one shift; affine: also scale, shear and rotation; auto: "
+                "affine where the "
                 "tie points show a trend and span the images well enough."
             ),
         )
@@ -257,7 +258,7 @@ def adjustment() -> QgsProcessingParameterDefinition:
         choice(
             ReconstructOptions,
             "adjustment",
-            tr("Adjustment of the pointing"),
+            tr("Adjustment that finds the pointing correction"),
             tr(
                 "rpc: against the original RPCs, exact, with control points and affine corrections; colmap: as "
                 "in the paper, COLMAP moves the principal points of the pinhole cameras: shifts only, and no "

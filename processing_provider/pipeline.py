@@ -16,10 +16,11 @@ class Pipeline(RepmAlgorithm):
 
     ID = "pipeline"
     GROUP = "whole"
+    STEP = 1
     TAGS = "SfM,MVS,GCP,ground control,surface model,point cloud,orthophoto,REPM,tri-stereo"
     USES_WORKERS = True
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Make a DSM from satellite images")
 
     def shortDescription(self) -> str:

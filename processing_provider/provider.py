@@ -1,9 +1,8 @@
-"""The provider ``repm``: every algorithm of this folder, then every model of resources/models."""
+"""The provider ``repm``: every algorithm of this folder, then the model of resources/models."""
 
 from __future__ import annotations
 
 import configparser
-import glob
 import os
 
 from qgis.core import QgsApplication, QgsProcessingModelAlgorithm, QgsProcessingProvider
@@ -11,7 +10,7 @@ from qgis.PyQt.QtCore import QCoreApplication
 from qgis.PyQt.QtGui import QIcon
 
 from . import settings
-from .base import GROUPS, PLUGIN_FOLDER, RepmAlgorithm, resource
+from .base import PLUGIN_FOLDER, RepmAlgorithm, group_title, numbered, resource
 from .checkgcps import CheckGcps
 from .comparedsm import CompareDsm
 from .dsmfuse import DsmFuse
@@ -41,19 +40,23 @@ ALGORITHMS = (
 )
 
 
+MODEL = resource("models", "repm_stages.model3")
+
+
 class ShippedModel(QgsProcessingModelAlgorithm):
-    """A model whose file also says what people are to read in the toolbox: its name is an id for scripts."""
+    """The stages as a model, under a name for people: the one in its file is an id for scripts."""
 
     def displayName(self) -> str:
-        return self.helpContent().get("SHORT_DESCRIPTION") or super().displayName()
+        return numbered("whole", 2, self.tr("Make a DSM stage by stage (model)"))
+
+    def tr(self, text: str) -> str:
+        return QCoreApplication.translate(type(self).__name__, text)
 
     def group(self) -> str:
-        return QCoreApplication.translate(RepmAlgorithm.__name__, super().group())
+        return group_title("whole")
 
     def groupId(self) -> str:
-        return next(
-            (key for key, name in GROUPS.items() if name == super(ShippedModel, self).group()), super().groupId()
-        )
+        return "whole"
 
     def tags(self) -> list[str]:
         return RepmAlgorithm().tags()
@@ -101,10 +104,9 @@ class RepmProvider(QgsProcessingProvider):
             self.addAlgorithm(algorithm())
         if QgsApplication.processingRegistry().providerById(self.id()) is None:
             return  # a model asks the registry for its children's outputs; plugin.py refreshes once we are known
-        for path in sorted(glob.glob(resource("models", "*.model3"))):
-            model = ShippedModel()
-            if model.fromFile(path):
-                self.addAlgorithm(model)
+        model = ShippedModel()
+        if model.fromFile(MODEL):
+            self.addAlgorithm(model)
 
     def defaultVectorFileExtension(self, hasGeometry: bool = True) -> str:  # noqa: N803 - QGIS's name
         return "gpkg"

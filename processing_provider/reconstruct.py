@@ -13,13 +13,14 @@ class Reconstruct(RepmAlgorithm):
 
     ID = "reconstruct"
     GROUP = "surface"
+    STEP = 1
     TAGS = (
         "SfM,MVS,tie points,GCP,ground control,bundle adjustment,dense matching,SGM,disparity,COLMAP,"
         "PatchMatch,CUDA,GPU"
     )
     USES_WORKERS = True
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Reconstruct heights")
 
     def shortDescription(self) -> str:

@@ -13,9 +13,10 @@ class Refine(RepmAlgorithm):
 
     ID = "refine"
     GROUP = "cameras"
+    STEP = 3
     TAGS = "EPM,REPM,resampling,polynomial,homography,terrain,relief"
 
-    def displayName(self) -> str:
+    def title(self) -> str:
         return self.tr("Refine the images")
 
     def shortDescription(self) -> str:

@@ -152,22 +152,42 @@ def style_layer(
     """
     if kind in ("ept", "mesh"):
         style = os.path.join(path, "ept.qml") if kind == "ept" else os.path.splitext(path)[0] + ".qml"
-        kept_as = _load_too(context, path, kind)
+        kept_as = _load_built(context, path, kind)
     else:
         style = sidecar(kind, path, feedback)
     if kept_as and context.willLoadLayerOnCompletion(kept_as):
-        details = context.layerToLoadOnCompletionDetails(kept_as)
-        details.name = name
-        if kind == "ept":
-            details.forceName = True  # its file's name is always the same
-        if group and hasattr(details, "groupName"):  # QGIS 3.32
-            details.groupName = group
-        if hasattr(details, "layerSortKey"):
-            details.layerSortKey = -_FROM_TOP.index(kind)
-        details.setPostProcessor(LayerStyler.make(style, kind, group))
+        _dress(context, kept_as, name, kind, group, style)
 
 
-def _load_too(context: QgsProcessingContext, path: str, kind: str) -> str:
+def _dress(context: QgsProcessingContext, kept_as: str, name: str, kind: str, group: str, style: str) -> None:
+    """Name, place and style a layer that QGIS will load."""
+    details = context.layerToLoadOnCompletionDetails(kept_as)
+    details.name = name
+    if kind in ("ept", "image"):
+        details.forceName = True  # the file's name is always the same, or says more than QGIS's
+    if group and hasattr(details, "groupName"):  # QGIS 3.32
+        details.groupName = group
+    if hasattr(details, "layerSortKey"):
+        details.layerSortKey = -_FROM_TOP.index(kind)
+    details.setPostProcessor(LayerStyler.make(style, kind, group))
+
+
+def load_too(
+    context: QgsProcessingContext,
+    source: str,
+    hint: QgsProcessingUtils.LayerHint,
+    name: str,
+    kind: str,
+    group: str,
+    style: str = "",
+) -> None:
+    """Have a layer loaded that QGIS does not know as a result; the context must have a project."""
+    details = QgsProcessingContext.LayerDetails(name, context.project(), "", hint)
+    context.addLayerToLoadOnCompletion(source, details)
+    _dress(context, source, name, kind, group, style)
+
+
+def _load_built(context: QgsProcessingContext, path: str, kind: str) -> str:
     """Have a cloud or a mesh loaded; gives QGIS's word for it, "" without a project or where QGIS cannot show it."""
     provider = {"ept": "ept", "mesh": "mdal"}[kind]
     if context.project() is None or provider not in QgsProviderRegistry.instance().providerList():

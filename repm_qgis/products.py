@@ -21,12 +21,14 @@ PIPELINE = ("epmfit", "refine", "reconstruct", "dsmfuse")
 class Style:
     """A kind of layer: its template in resources/styles, and the colours that are spread over its values.
 
-    ``off``: the layer is not switched on when it is added, as it hides others.
+    ``off``: the layer is not switched on when it is added, as it hides others. ``plain``: it has no template, and looks
+    as QGIS shows such a file.
     """
 
     kind: str
     ramp: str = ""
     off: bool = False
+    plain: bool = False
 
 
 STYLES = (
@@ -39,6 +41,7 @@ STYLES = (
     Style("ortho", "grey", off=True),
     Style("confidence", "viridis", off=True),
     Style("mesh", "elevation", off=True),
+    Style("image", plain=True),
     Style("hillshade"),
     Style("dsm", "elevation"),
 )
@@ -72,6 +75,20 @@ _HTML = "HTML (*.html)"
 SCENES = "REPM scene (*.json)"
 _WORKSPACE = "A folder for the scene and everything in between; a second run there continues where the first stopped."
 _OUTPUT_SCENE = "The results of this stage are kept in this file's folder."
+_TILES = "The outlines of the tiles, with the equivalent error of each image's camera in px."
+_TIES = "Points on the ground that two or more images show, with their residuals in px."
+_HEIGHTS = "A folder for one height map of each pair and tile, from which the DSM is made."
+_DSM = "Heights in metres as a GeoTIFF; where nothing was matched, there is no height."
+_CONFIDENCE = "For each height: its expected error in metres, how many pairs agree, and how it was found."
+_ORTHO = "The images in map geometry, on the cells of the DSM."
+_CLOUD = "One point for each matched pixel, for exchange with other programs."
+_MESH = "The surface as triangles, which QGIS and 3D programs show."
+_ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
+_EXPORTED = "A folder that gets one model for each tile, with its images and cameras."
+_HEIGHT_ERROR = "The DSM minus the reference in metres, cell by cell."
+_CHECKED = "The control points, with how far each of them is from where the RPCs, the scene and the DSM put it."
+_SAMPLES = "A folder for the images, the true surface (a DSM) and the ground control points."
+_REPORT = "A page for the browser with figures, pictures and warnings, in one file."
 _EPT_TITLE = "Point cloud for display (EPT)"
 _EPT = "A folder of its own with the points as Entwine point tiles, which every QGIS shows."
 _PAIRS = (
@@ -82,33 +99,42 @@ _SOURCES = "The number of the DSM that each height comes from, how many DSMs hav
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
 PRODUCTS = (
     Product("epmfit", "workspace", "Workspace", FOLDER, ALWAYS, help=_WORKSPACE),
-    Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles"),
+    Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles", help=_TILES),
     *(
         Product(stage, "output_scene", "Scene after this stage", SCENE, ALWAYS, filter=SCENES, help=_OUTPUT_SCENE)
         for stage in ("refine", "reconstruct")
     ),
-    Product("reconstruct", "tie_points", "Tie points", POINTS, UNLESS_SKIPPED, "tie_points"),
-    Product("reconstruct", "heights", "Height maps (skipped: beside the scene)", FOLDER),
-    Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm"),
-    Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence"),
-    Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho"),
-    Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las)"),
+    Product("reconstruct", "tie_points", "Tie points", POINTS, UNLESS_SKIPPED, "tie_points", help=_TIES),
+    Product("reconstruct", "heights", "Height maps (skipped: beside the scene)", FOLDER, help=_HEIGHTS),
+    Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm", help=_DSM),
+    Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE),
+    Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO),
+    Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las)", help=_CLOUD),
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
-    Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh"),
+    Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh", help=_MESH),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),
     Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="confidence", help=_SOURCES, tiled=True),
-    Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error"),
-    Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS),
-    Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error"),
-    Product("checkgcps", "output", "Points with their errors", POINTS, ALWAYS, "gcps", "Ground control points"),
-    Product("sampledata", "folder", "Folder", FOLDER, ALWAYS),
+    Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
+    Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS, help=_EXPORTED),
+    Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error", help=_HEIGHT_ERROR),
+    Product(
+        "checkgcps",
+        "output",
+        "Points with their errors",
+        POINTS,
+        ALWAYS,
+        "gcps",
+        "Ground control points",
+        help=_CHECKED,
+    ),
+    Product("sampledata", "folder", "Folder", FOLDER, ALWAYS, help=_SAMPLES),
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
     *(
-        Product(stage, "report", "Report", FILE, UNLESS_SKIPPED, filter=_HTML)
+        Product(stage, "report", "Report", FILE, UNLESS_SKIPPED, filter=_HTML, help=_REPORT)
         for stage in ("epmfit", "refine", "pipeline", "mosaic", "errormap", "comparedsm", "checkgcps")
     ),
-    Product("environment", "report", "Report", FILE, ALWAYS, filter=_HTML),
+    Product("environment", "report", "Report", FILE, ALWAYS, filter=_HTML, help=_REPORT),
 )
 
 

@@ -23,7 +23,12 @@ from xml.sax.saxutils import escape
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDERS = ROOT / "processing_provider", ROOT / "desktop"
 BASE = "RepmAlgorithm"  # the context of texts that all algorithms share; base.py looks there second
-MODULES = {"parameters.py": "RepmParameters", "settings.py": "RepmSettings", "styles.py": "RepmStyles"}
+MODULES = {
+    "parameters.py": "RepmParameters",
+    "settings.py": "RepmSettings",
+    "styles.py": "RepmStyles",
+    "model_copy.py": "RepmModelCopy",
+}
 
 
 def texts_of(path: pathlib.Path) -> dict[str, list[str]]:

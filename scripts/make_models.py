@@ -57,7 +57,7 @@ def _child(
 
 def stages_model() -> QgsProcessingModelAlgorithm:
     """epmfit, errormap, refine, reconstruct, dsmfuse: the same DSM as repm:pipeline's."""
-    model = QgsProcessingModelAlgorithm("dsm_by_stages", "0 Images to DSM")
+    model = QgsProcessingModelAlgorithm("dsm_by_stages", "REPM")
     for place, parameter in enumerate(_inputs()):
         component = QgsProcessingModelParameter(parameter.name())
         component.setPosition(QPointF(100, 60 + 90 * place))
@@ -101,8 +101,9 @@ def stages_model() -> QgsProcessingModelAlgorithm:
     )
     model.setHelpContent(
         {
-            "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart: open it in the "
-            "graphical modeler to change a stage, or to add one of your own.",
+            "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart. To change a stage, "
+            "or to add one of your own, click with the right mouse button on it in the toolbox and choose 'Copy to my "
+            "models and edit...': QGIS can edit only models of your own.",
             "ALG_CREATOR": "The REPM plugin's maintainers",
             "ALG_VERSION": "0.1.0",
             "SHORT_DESCRIPTION": "Make a DSM stage by stage (model)",

@@ -35,8 +35,8 @@ def german(plugin):
 def test_a_german_qgis_shows_german(german, context):
     assert german.translator is not None
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline").create()
-    assert algorithm.displayName() == "DOM aus Satellitenbildern erzeugen"
-    assert algorithm.group() == "0 Bilder zu DOM"  # shared by all algorithms
+    assert algorithm.displayName() == "1.1 DOM aus Satellitenbildern erzeugen"
+    assert algorithm.group() == "1 Bilder zu DOM"  # shared by all algorithms
     assert algorithm.parameterDefinition("IMAGES").description() == "Satellitenbilder mit RPC"
     model = QgsApplication.processingRegistry().algorithmById("repm:dsm_by_stages")
     assert (model.group(), model.groupId()) == (algorithm.group(), algorithm.groupId())
@@ -46,7 +46,7 @@ def test_a_german_qgis_shows_german(german, context):
 
 def test_without_a_translation_the_source_is_shown(plugin):
     assert QgsApplication.processingRegistry().algorithmById("repm:pipeline").create().displayName() == (
-        "Make a DSM from satellite images"
+        "1.1 Make a DSM from satellite images"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 
 import pytest
 from qgis.core import QgsApplication, QgsProcessingParameterDefinition
@@ -90,12 +91,28 @@ def test_identity_and_help_are_complete(plugin, name):
     assert len(found.shortHelpString()) > 400
     assert "<h3>Outputs</h3>" in found.shortHelpString()
     assert found.shortDescription().endswith(".")
-    assert found.displayName()[0].isupper()
-    assert found.displayName() != found.name()
+    number, title = found.displayName().split(" ", 1)
+    assert number.startswith(found.group().split(" ")[0] + ".")
+    assert title[0].isupper() and title != found.name()
     assert (ROOT / "resources" / "icons" / f"{name}.svg").samefile(found.svgIconPath())
     assert not found.icon().isNull()
     assert "DSM" in found.tags()
     assert found.group()
+
+
+def test_the_toolbox_shows_the_order_of_the_work(provider):
+    """QGIS sorts groups and names by their words, so these are what it shows, from top to bottom."""
+    shown = [entry.name() for entry in sorted(provider.algorithms(), key=lambda a: (a.group(), a.displayName()))]
+    work = ("environment", "sampledata", "pipeline", "dsm_by_stages", "epmfit", "errormap", "refine", "exportcameras")
+    work += ("reconstruct", "dsmfuse", "mosaic", "comparedsm", "checkgcps")
+    assert [name for name in shown if name in work] == list(work)
+    assert len({entry.displayName().split(" ")[0] for entry in provider.algorithms()}) == len(shown)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_every_input_and_output_has_a_tooltip(plugin, name):
+    entries = algorithm(name).parameterDefinitions()
+    assert not [entry.name() for entry in entries if not entry.help()]
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -118,7 +135,7 @@ def test_the_model_is_valid_and_of_our_stages(provider):
     assert model.validate()[0], model.validate()[1]
     stages = {child.algorithmId() for child in model.childAlgorithms().values()}
     assert stages == {f"repm:{name}" for name in ("epmfit", "errormap", "refine", "reconstruct", "dsmfuse")}
-    assert model.displayName() == "Make a DSM stage by stage (model)"
+    assert model.displayName() == "1.2 Make a DSM stage by stage (model)"
     assert model.groupId() == algorithm("pipeline").groupId()
     assert "dsmfuse:DSM" in [entry.name() for entry in model.parameterDefinitions()]
     assert model.create().parameterDefinition("RESOLUTION").defaultValue() == 0
@@ -147,14 +164,21 @@ def test_helps_markdown_becomes_html(plugin):
     from repm.processing_provider.helptext import to_html
 
     assert to_html("One <b> & `two`.\n## Head\n- **a**: x\n  y\n- *b*") == (
-        "<p>One &lt;b&gt; &amp; <code>two</code>.</p><h3>Head</h3><ul><li><b>a</b>: x y</li><li><i>b</i></li></ul>"
+        '</p><div style="margin-bottom: 8px">One &lt;b&gt; &amp; <code>two</code>.</div><h3>Head</h3>'
+        "<ul><li><strong>a</strong>: x y</li><li><i>b</i></li></ul>"
     )
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_help_has_no_colours_that_a_dark_theme_hides(plugin, name):
+    """QGIS's own style sheet of the help panel makes <p>, <b> and <h2> dark grey, whatever the theme."""
+    text = algorithm(name).shortHelpString()
+    assert text.startswith("</p>")
+    assert not re.search(r"<(p|b|h2)\b", text)
 
 
 def test_the_engine_imports_itself_relatively_only():
     """In a profile the engine is repm.repm_qgis: an absolute import of itself would not be found there."""
-    import re
-
     for path in (ROOT / "repm_qgis").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert not re.search(r"^\s*(from|import) repm_qgis", text, re.MULTILINE), path

@@ -1,0 +1,67 @@
+"""What the toolbox does beyond running an algorithm: sample images come to the map, the model becomes one's own."""
+
+from __future__ import annotations
+
+import gc
+import pathlib
+
+import pytest
+from qgis.core import QgsApplication, QgsLayerTreeGroup, QgsProcessingContext, QgsProject, QgsVectorLayer
+
+
+def test_sample_images_come_as_a_group(plugin, feedback, tmp_path):
+    from processing.gui.Postprocessing import handleAlgorithmResults
+
+    project, context = QgsProject(), QgsProcessingContext()
+    context.setProject(project)
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:sampledata")
+    given = {"SIZE": 256, "FOLDER": str(tmp_path / "first try")}
+    results, fine = algorithm.run(given, context, feedback)
+    assert fine, feedback.heard["error"]
+    gc.collect()
+    assert handleAlgorithmResults(algorithm, context, feedback, parameters=given)
+    (group,) = project.layerTreeRoot().children()
+    assert isinstance(group, QgsLayerTreeGroup) and group.name() == "Sample images first try"
+    layers = [node.layer() for node in group.findLayers()]
+    first, *images, hillshade, last = (layer.name() for layer in layers)
+    assert (first, hillshade, last) == ("Ground control points", "Hillshade Sample images first try", "True DSM")
+    assert sorted(images) == ["img_01", "img_02", "img_03"]
+    assert all(layer.isValid() for layer in layers)
+    points = layers[0]
+    assert isinstance(points, QgsVectorLayer) and points.crs().authid() == "EPSG:4326"
+    truth = layers[-1]
+    middle = truth.extent().center()
+    assert points.extent().xMinimum() > -180 and points.featureCount() > 10
+    # The images lie where the truth is: QGIS places them by their RPCs.
+    from qgis.core import QgsCoordinateTransform
+
+    to_image = QgsCoordinateTransform(truth.crs(), layers[1].crs(), project)
+    assert layers[1].extent().contains(to_image.transform(middle))
+    assert not list(pathlib.Path(results["FOLDER"]).glob("img_*.aux.xml")), "the images' fingerprints must not change"
+    project.clear()
+
+
+def test_our_model_becomes_one_of_the_users(plugin, tmp_path, monkeypatch):
+    pytest.importorskip("processing.modeler.ModelerDialog", reason="needs QGIS's Python modules for the desktop")
+    from processing.modeler.ModelerUtils import ModelerUtils
+    from repm.desktop import model_copy
+
+    monkeypatch.setattr(ModelerUtils, "modelsFolders", staticmethod(lambda: [str(tmp_path / "models")]))
+    registry = QgsApplication.processingRegistry()
+    model = registry.algorithmById("repm:dsm_by_stages")
+    action = model_copy.CopyModel()
+    action.setData(registry.algorithmById("repm:pipeline"), None)
+    assert not action.isEnabled()
+    action.setData(model, None)
+    assert action.isEnabled()
+    first, second = model_copy.copied(model), model_copy.copied(model)
+    assert sorted(path.name for path in (tmp_path / "models").iterdir()) == [
+        "dsm_by_stages.model3", "dsm_by_stages_2.model3",
+    ]  # fmt: skip
+    assert (first.name(), second.name()) == ("dsm_by_stages", "dsm_by_stages_2")
+    assert first.validate()[0], first.validate()[1]
+    assert set(first.childAlgorithms()) == set(model.childAlgorithms())
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(ModelerUtils, "modelsFolders", staticmethod(lambda: [str(tmp_path / "file")]))
+    with pytest.raises(OSError):
+        model_copy.copied(model)
