@@ -118,7 +118,7 @@ def crs_text(crs: QgsCoordinateReferenceSystem) -> Optional[str]:
     """The authority's code where there is one, else WKT 2; None for no CRS."""
     if not crs.isValid():
         return None
-    return crs.authid() or crs.toWkt(QgsCoordinateReferenceSystem.WKT_PREFERRED)
+    return crs.authid() or crs.toWkt(QgsCoordinateReferenceSystem.WktVariant.WKT_PREFERRED)
 
 
 def _extent(

@@ -74,7 +74,12 @@ SENTENCES = {
     "zero scale": ("zero.tif'", "lat scale is 0", "Get the file again"),
     "elsewhere": ("do not overlap", "longitude 2.44", "Choose images of one place"),
     "cut": ("cut.tif'", "damaged or cut short", "get it again"),
-    "text": ("text.tif'", "not recognized as a supported file format", "Check the path"),
+    "text": (
+        "text.tif'",
+        "not recognized as",
+        "supported file format",
+        "Check the path",
+    ),  # GDAL 3.10 says "as being in a"
     "gone": ("gone.tif'", "does not exist", "Check the path"),
 }
 

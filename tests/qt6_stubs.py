@@ -1,0 +1,361 @@
+"""The plugin on Qt 6 without QGIS 4: real PyQt6, and stand-ins for the part of QGIS 4's API that the provider uses.
+
+``python qt6_stubs.py FOLDER`` with PyQt6 in FOLDER loads the plugin, registers its provider, makes every algorithm
+with its parameters, and prints as JSON what the toolbox would show, and which names of QGIS had no stand-in. Those
+accept everything, and are only proven to be imported and called. The stand-ins know no unscoped enum, take only the
+arguments that QGIS 4's constructors take, and refuse values of other types, an int for an enum too. Names and
+arguments are those of QGIS's own Python bindings (python/PyQt6/core/auto_generated/processing).
+"""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import importlib.util
+import inspect
+import json
+import pathlib
+import sys
+import types
+from unittest import mock
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+sys.path.insert(0, sys.argv[1])
+PYQT = {}
+for _name in ("QtCore", "QtGui", "QtWidgets", "QtNetwork", "QtXml", "QtSvg", "QtTest", "QtPrintSupport", "uic", "sip"):
+    PYQT[_name] = importlib.import_module(f"PyQt6.{_name}")
+QtCore, QtGui, QtWidgets = PYQT["QtCore"], PYQT["QtGui"], PYQT["QtWidgets"]
+# As QGIS's own qgis.PyQt.QtWidgets does.
+QtWidgets.QAction, QtWidgets.QShortcut = QtGui.QAction, QtGui.QShortcut
+
+SourceType = enum.Enum(
+    "ProcessingSourceType",
+    "TypeMapLayer TypeVectorAnyGeometry TypeVectorPoint TypeVectorLine TypeVectorPolygon TypeRaster TypeFile TypeVector"
+    " TypeMesh TypePlugin TypeAnnotation TypePointCloud",
+)
+NumberType = enum.Enum("ProcessingNumberParameterType", "Integer Double")
+FileBehavior = enum.Enum("ProcessingFileParameterBehavior", "File Folder")
+ParameterFlag = enum.Flag("ProcessingParameterFlag", "FlagAdvanced FlagHidden FlagOptional FlagIsModelOutput")
+LayerHint = enum.Enum("LayerHint", "UnknownType Vector Raster Mesh PointCloud Annotation VectorTile TiledScene")
+
+_DEFAULT, _OPTIONAL, _CREATED = (
+    ("defaultValue", object, None),
+    ("optional", bool, False),
+    ("createByDefault", bool, True),
+)
+PARAMETERS = {
+    "Boolean": ("boolean", [_DEFAULT, _OPTIONAL]),
+    "Crs": ("crs", [_DEFAULT, _OPTIONAL]),
+    "Enum": (
+        "enum",
+        [
+            ("options", list, []),
+            ("allowMultiple", bool, False),
+            _DEFAULT,
+            _OPTIONAL,
+            ("usesStaticStrings", bool, False),
+        ],
+    ),
+    "Extent": ("extent", [_DEFAULT, _OPTIONAL]),
+    "File": (
+        "file",
+        [
+            ("behavior", FileBehavior, FileBehavior.File),
+            ("extension", str, ""),
+            _DEFAULT,
+            _OPTIONAL,
+            ("fileFilter", str, ""),
+        ],
+    ),
+    "FileDestination": ("fileDestination", [("fileFilter", str, ""), _DEFAULT, _OPTIONAL, _CREATED]),
+    "FolderDestination": ("folderDestination", [_DEFAULT, _OPTIONAL, _CREATED]),
+    "MultipleLayers": ("multilayer", [("layerType", SourceType, SourceType.TypeVector), _DEFAULT, _OPTIONAL]),
+    "Number": (
+        "number",
+        [
+            ("type", NumberType, NumberType.Integer),
+            _DEFAULT,
+            _OPTIONAL,
+            ("minValue", (int, float), -sys.float_info.max),
+            ("maxValue", (int, float), sys.float_info.max),
+        ],
+    ),
+    "RasterDestination": ("rasterDestination", [_DEFAULT, _OPTIONAL, _CREATED]),
+    "RasterLayer": ("raster", [_DEFAULT, _OPTIONAL]),
+    "String": ("string", [_DEFAULT, ("multiLine", bool, False), _OPTIONAL]),
+    "VectorDestination": (
+        "vectorDestination",
+        [("type", SourceType, SourceType.TypeVectorAnyGeometry), _DEFAULT, _OPTIONAL, _CREATED],
+    ),
+    "VectorLayer": ("vector", [("types", list, []), _DEFAULT, _OPTIONAL]),
+}
+OUTPUTS = ("File", "Folder", "Html", "MultipleLayers", "Number", "RasterLayer", "String", "VectorLayer")
+
+
+class QgsProcessingParameterDefinition:
+    Flag = ParameterFlag
+    KIND, FIELDS = "", []
+
+    def __init__(self, *args, **kwargs):
+        if len(args) == 1 and isinstance(args[0], QgsProcessingParameterDefinition):  # what clone() calls
+            self.__dict__.update(args[0].__dict__)
+            return
+        fields = [("name", str, inspect.Parameter.empty), ("description", str, ""), *self.FIELDS]
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        signature = inspect.Signature([inspect.Parameter(name, kind, default=value) for name, _, value in fields])
+        bound = signature.bind(*args, **kwargs)
+        for name, kinds, _ in fields:
+            if name in bound.arguments and not isinstance(bound.arguments[name], kinds):
+                raise TypeError(f"{type(self).__name__}{args}: {name} is {bound.arguments[name]!r}")
+        bound.apply_defaults()
+        self.values, self._help = bound.arguments, ""
+        self._flags = ParameterFlag.FlagOptional if self.values["optional"] else ParameterFlag(0)
+
+    def name(self):
+        return self.values["name"]
+
+    def description(self):
+        return self.values["description"]
+
+    def type(self):
+        return self.KIND
+
+    def defaultValue(self):
+        return self.values["defaultValue"]
+
+    def isDestination(self):
+        return self.KIND.endswith("Destination")
+
+    def flags(self):
+        return self._flags
+
+    def setFlags(self, flags):
+        if not isinstance(flags, ParameterFlag):
+            raise TypeError(f"the flags of {self.name()} are {flags!r}")
+        self._flags = flags
+
+    def help(self):
+        return self._help
+
+    def setHelp(self, text):
+        self._help = text + ""
+
+    def setMetadata(self, metadata):
+        self.metadata = dict(metadata)
+
+    def setMinimumNumberInputs(self, number):
+        self.minimum = int(number)
+
+
+class Output:
+    def __init__(self, name, description=""):
+        self._name, self._description = name + "", description + ""
+
+    def name(self):
+        return self._name
+
+
+class QgsProcessingAlgorithm:
+    def __init__(self):
+        self._parameters, self._outputs, self._provider = [], [], None
+
+    def create(self, configuration=None):
+        made = self.createInstance()
+        made._provider = self._provider
+        made.initAlgorithm(configuration or {})
+        return made
+
+    def addParameter(self, parameter, createOutput=True):
+        if parameter.name() in (known.name() for known in self._parameters):
+            return False
+        self._parameters.append(parameter)
+        if parameter.isDestination() and createOutput:
+            self.addOutput(Output(parameter.name(), parameter.description()))
+        return True
+
+    def addOutput(self, output):
+        if not isinstance(output, Output):
+            raise TypeError(f"{output!r} is no output")
+        self._outputs.append(output)
+        return True
+
+    def parameterDefinitions(self):
+        return list(self._parameters)
+
+    def outputDefinitions(self):
+        return list(self._outputs)
+
+
+class QgsProcessingProvider(QtCore.QObject):
+    def __init__(self, parent=None):
+        super().__init__(parent)
+        self._algorithms = []
+
+    def addAlgorithm(self, algorithm):
+        algorithm._provider = self
+        algorithm.initAlgorithm({})
+        self._algorithms.append(algorithm)
+        return True
+
+    def refreshAlgorithms(self):
+        self._algorithms.clear()
+        self.loadAlgorithms()
+
+    def algorithms(self):
+        return list(self._algorithms)
+
+
+class QgsProcessingModelAlgorithm(QgsProcessingAlgorithm):
+    def fromFile(self, path):
+        return False  # the models' own format is QGIS's matter
+
+
+class Registry:
+    def __init__(self):
+        self._providers = {}
+
+    def addProvider(self, provider):
+        self._providers[provider.id()] = provider
+        return provider.load()
+
+    def removeProvider(self, provider):
+        self._providers.pop(provider.id()).unload()
+
+    def providerById(self, name):
+        return self._providers.get(name)
+
+
+class _Anything(type(QtWidgets.QWidget)):
+    """The type of a class without a stand-in: every name in it is there, and calls give None."""
+
+    def __getattr__(cls, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return mock.MagicMock(name=f"{cls.__name__}.{name}")
+
+
+class QgsApplication(QtWidgets.QApplication, metaclass=_Anything):
+    _registry = Registry()
+
+    @staticmethod
+    def platform():
+        return "desktop"
+
+    @classmethod
+    def processingRegistry(cls):
+        return cls._registry
+
+
+class QgsProcessingException(Exception):
+    pass
+
+
+ON_TRUST = set()
+
+
+class Library(types.ModuleType):
+    """A module of QGIS: what has a stand-in, and classes that accept everything for the rest (``ON_TRUST``)."""
+
+    def __init__(self, name, base, known):
+        super().__init__(name)
+        self._base = base
+        self.__dict__.update(known)
+
+    def __getattr__(self, name):
+        if name.startswith("_"):
+            raise AttributeError(name)
+        ON_TRUST.add(f"{self.__name__}.{name}")
+        made = _Anything(name, (self._base,), {"__getattr__": lambda own, member: mock.MagicMock(name=member)})
+        setattr(self, name, made)
+        return made
+
+
+def install():
+    """Put the stand-ins where ``import qgis`` finds them."""
+    core = {
+        each.__name__: each
+        for each in (
+            QgsProcessingParameterDefinition,
+            QgsProcessingAlgorithm,
+            QgsProcessingProvider,
+            QgsProcessingModelAlgorithm,
+            QgsApplication,
+            QgsProcessingException,
+        )
+    }
+    own = {"Number": {"Type": NumberType}, "File": {"Behavior": FileBehavior}}
+    for name, (kind, fields) in PARAMETERS.items():
+        members = {"KIND": kind, "FIELDS": fields, **own.get(name, {})}
+        core[f"QgsProcessingParameter{name}"] = type(
+            f"QgsProcessingParameter{name}", (QgsProcessingParameterDefinition,), members
+        )
+    for name in OUTPUTS:
+        core[f"QgsProcessingOutput{name}"] = type(f"QgsProcessingOutput{name}", (Output,), {})
+    core["QgsProcessing"] = type(
+        "QgsProcessing", (), {"SourceType": SourceType, "TEMPORARY_OUTPUT": "TEMPORARY_OUTPUT"}
+    )
+    core["QgsProcessingUtils"] = type("QgsProcessingUtils", (), {"LayerHint": LayerHint})
+    core["QgsSettings"] = QtCore.QSettings
+    core["NULL"] = None
+    packages = {"qgis": types.ModuleType("qgis"), "qgis.PyQt": types.ModuleType("qgis.PyQt")}
+    for name, module in PYQT.items():
+        packages[f"qgis.PyQt.{name}"] = module
+        setattr(packages["qgis.PyQt"], name, module)
+    packages["qgis.core"] = Library("qgis.core", QtCore.QObject, core)
+    packages["qgis.gui"] = Library("qgis.gui", QtWidgets.QWidget, {})
+    packages["qgis.utils"] = Library("qgis.utils", QtCore.QObject, {"iface": None})
+    for name in ("qgis", "qgis.PyQt"):
+        packages[name].__path__ = []
+    sys.modules.update(packages)
+    for name in ("PyQt", "core", "gui", "utils"):
+        setattr(packages["qgis"], name, packages[f"qgis.{name}"])
+
+
+def shown(algorithm):
+    """What the toolbox and a dialog show of one algorithm."""
+    made = algorithm.create()
+    if made.icon().isNull():
+        raise ValueError(f"{made.name()} has no icon")
+    return {
+        "texts": [made.displayName(), made.group(), made.groupId(), made.shortDescription(), *made.tags()],
+        "help": made.shortHelpString(),
+        "parameters": [
+            [
+                each.name(),
+                each.type(),
+                each.description(),
+                each.help(),
+                ParameterFlag.FlagAdvanced in each.flags(),
+                ParameterFlag.FlagOptional in each.flags(),
+            ]
+            for each in made.parameterDefinitions()
+        ],
+        "outputs": sorted(each.name() for each in made.outputDefinitions()),
+    }
+
+
+def main():
+    QtCore.QLocale.setDefault(QtCore.QLocale("en"))
+    application = QgsApplication([])
+    QtCore.QCoreApplication.setOrganizationName("repm-qt6-test")
+    spec = importlib.util.spec_from_file_location("repm", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
+    package = importlib.util.module_from_spec(spec)
+    sys.modules["repm"] = package
+    spec.loader.exec_module(package)
+    window = QtWidgets.QMainWindow()
+    iface = mock.MagicMock()
+    iface.mainWindow.return_value = window
+    plugin = package.classFactory(iface)
+    plugin.initGui()
+    found = {each.name(): shown(each) for each in plugin.provider.algorithms()}
+    plugin.unload()
+    for path in sorted((ROOT / "processing_provider").rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        importlib.import_module(".".join(["repm", *parts]).replace(".__init__", ""))
+    print(json.dumps({"qt": QtCore.QT_VERSION_STR, "algorithms": found, "on_trust": sorted(ON_TRUST)}))
+    del window, application
+
+
+if __name__ == "__main__":
+    install()
+    main()
