@@ -981,6 +981,10 @@
 <context>
     <name>RepmStyles</name>
     <message>
+        <source>{first} to {last}</source>
+        <translation>{first} bis {last}</translation>
+    </message>
+    <message>
         <source>Hillshade</source>
         <translation>Schummerung</translation>
     </message>

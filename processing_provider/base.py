@@ -279,13 +279,14 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             for output in self.outputDefinitions()
             if made.get(output.name().lower()) is not None
         }
-        scene = self._scene_name(options)
+        run = styles.Run(self._scene_name(options), self._days(options, result))
         for product in products_of(self.ID):
             name = product.option.upper()
             if product.style and outputs.get(name):
-                title = self._layer_name(product.layer or product.title, scene, result)
-                kept = kept_as.get(name, "")
-                styles.style_layer(context, feedback, kept, outputs[name], title, product.style, scene)
+                datum = result.get("vertical_datum") if product.style == "dsm" else ""
+                place = kept_as.get(name, ""), outputs[name]
+                title = tr(product.layer or product.title)
+                styles.style_layer(context, feedback, *place, product.style, run, title, datum or "")
         if isinstance(result.get("seconds"), dict):
             feedback.pushInfo(
                 self.tr("Seconds: {stages}").format(
@@ -318,9 +319,9 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         lasting = [path for path in (folder, began) if is_lasting(path)]
         return os.path.basename(lasting[0]) if lasting else os.path.splitext(os.path.basename(first))[0]
 
-    def _layer_name(self, title: str, scene: str, result: Mapping[str, Any]) -> str:
-        """The kind of layer, the scene it is of, and a DSM's datum."""
-        words = [tr(title), *([scene] if scene else [])]
-        if title == "DSM" and result.get("vertical_datum"):
-            words.append(f"({result['vertical_datum']})")
-        return " ".join(words)
+    def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+        """The days on which the images of a run were taken, as far as they are known."""
+        from ..repm_qgis.scene import days
+
+        scene = result.get("scene") or result.get("output_scene") or options.get("scene")
+        return days(scene) if scene else []

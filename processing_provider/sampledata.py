@@ -73,7 +73,7 @@ class SampleData(RepmAlgorithm):
 
     def _load(self, made: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
         """Have the scene loaded as a group: QGIS knows the folder as the only result, and loads no folder."""
-        group = f"{self.tr('Sample images')} {os.path.basename(os.path.normpath(made['FOLDER']))}"
+        run = styles.Run(f"{self.tr('Sample images')} {os.path.basename(os.path.normpath(made['FOLDER']))}")
         hints = QgsProcessingUtils.LayerHint
         points = QUrl.fromLocalFile(made["GCPS"])
         query = QUrlQuery()
@@ -81,9 +81,9 @@ class SampleData(RepmAlgorithm):
             query.addQueryItem(*item)
         points.setQuery(query)
         truth = styles.sidecar("dsm", made["TRUTH"], feedback)
-        styles.load_too(context, made["TRUTH"], hints.Raster, self.tr("True DSM"), "dsm", group, truth)
+        styles.load_too(context, made["TRUTH"], hints.Raster, self.tr("True DSM"), "dsm", run, truth)
         for image in made["IMAGES"]:
             name = os.path.splitext(os.path.basename(image))[0]
-            styles.load_too(context, image, hints.Raster, name, "image", group)
+            styles.load_too(context, image, hints.Raster, name, "image", run)
         source = f"delimitedtext://{points.toString(QUrl.ComponentFormattingOption.FullyEncoded)}"
-        styles.load_too(context, source, hints.Vector, self.tr("Ground control points"), "gcps", group)
+        styles.load_too(context, source, hints.Vector, self.tr("Ground control points"), "gcps", run)

@@ -1,14 +1,17 @@
-"""How results look on the map: with the style file of each of them, grouped by scene, in order."""
+"""How results look on the map: with the style file of each of them, grouped by run, in order."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass, field
+from typing import Mapping, Optional, Sequence
 
 from qgis.core import (
     QgsLayerTreeGroup,
     QgsLayerTreeLayer,
     QgsLayerTreeNode,
     QgsMapLayer,
+    QgsMapLayerStyle,
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingLayerPostProcessorInterface,
@@ -26,29 +29,78 @@ from .language import language, said
 
 _FROM_TOP = [style.kind for style in STYLES]
 _OFF = [style.kind for style in STYLES if style.off]
-_ORDER = "repm/order"
+_ORDER, _SCENE, _NUMBER = "repm/order", "repm/scene", "repm/number"
 
 
 def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmStyles", text)
 
 
+@dataclass
+class Run:
+    """One run of an algorithm: its layers come into one group, and bear its name.
+
+    The group is the last one of the ``scene`` ("" for none: no group) where nothing of its ``kinds`` is in it yet, so
+    that stages that follow each other share theirs; a run that is repeated makes a new one, with a number.
+    ``days`` are those on which the images were taken.
+    """
+
+    scene: str
+    days: Sequence[str] = ()
+    kinds: set[str] = field(default_factory=set)
+    number: int = 0
+
+    def label(self) -> str:
+        return f"{self.scene} ({self.number})" if self.number > 1 else self.scene
+
+    def name(self, title: str, more: str = "") -> str:
+        """The name of a layer: what, of which scene, of when."""
+        period = self.days[0] if self.days else ""
+        if len(self.days) > 1:
+            period = _tr("{first} to {last}").format(first=self.days[0], last=self.days[-1])
+        place = ", ".join(filter(None, (self.label(), period)))
+        return " ".join(filter(None, (title, place, f"({more})" if more else "")))
+
+    def group(self, parent: QgsLayerTreeGroup) -> QgsLayerTreeGroup:
+        """The run's group, in that of the layers which QGIS has put there, or next to it."""
+        while parent.customProperty(_SCENE) and parent.parent() is not None:
+            parent = parent.parent()
+        mine = {
+            int(child.customProperty(_NUMBER, 1)): child
+            for child in parent.children()
+            if isinstance(child, QgsLayerTreeGroup) and child.customProperty(_SCENE) == self.scene
+        }
+        if not self.number:
+            last = max(mine, default=0)
+            self.number = last + 1 if not last or _kinds(mine[last]) & self.kinds else last
+        if self.number not in mine:
+            made = parent.insertGroup(0, self.label())
+            made.setCustomProperty(_SCENE, self.scene)
+            made.setCustomProperty(_NUMBER, self.number)
+            return made
+        return mine[self.number]
+
+
 class LayerStyler(QgsProcessingLayerPostProcessorInterface):
-    """Styles a result once QGIS has put it on the map, and puts it in its place among those of its scene.
+    """Styles a result once QGIS has put it on the map, and puts it in its place among those of its run.
 
     Processing does not look for style files of its results, and does not load them in our order.
     """
 
     _alive: list[LayerStyler] = []  # QGIS does not own post-processors: without a reference Python would drop them
 
-    def __init__(self, style: str, kind: str, group: str) -> None:
+    def __init__(self, style: str, kind: str, run: Run, title: str, more: str, views: Mapping[str, str]) -> None:
         super().__init__()
-        self._style, self._kind, self._group = style, kind, group
+        self._style, self._kind, self._run, self._title, self._more = style, kind, run, title, more
+        self._views, self._given = views, run.name(title, more)
 
     @classmethod
-    def make(cls, style: str, kind: str, group: str) -> LayerStyler:
-        """``group`` is the scene's name; "" where it has none."""
-        styler = cls(style, kind, group)
+    def make(
+        cls, style: str, kind: str, run: Run, title: str = "", more: str = "", views: Optional[Mapping[str, str]] = None
+    ) -> LayerStyler:
+        """``title`` and ``more`` are what the layer's name has before and after its run's; ``views`` are further styles
+        of the layer, by their names."""
+        styler = cls(style, kind, run, title, more, views or {})
         cls._alive.append(styler)
         del cls._alive[:-256]
         return styler
@@ -61,17 +113,23 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
         if os.path.exists(self._style):
             layer.loadNamedStyle(self._style)
             layer.triggerRepaint()
-        node = context.project().layerTreeRoot().findLayer(layer.id()) if context.project() is not None else None
+        for name, text in self._views.items():
+            layer.styleManager().addStyle(name, QgsMapLayerStyle(text))
+        project = context.project()
+        node = project.layerTreeRoot().findLayer(layer.id()) if project is not None else None
         if node is None or node.parent() is None:
             return
-        placed = _place(node, self._kind, self._group)
+        placed = _place(node, self._kind, self._run)
+        if self._title and layer.name() == self._given:  # else QGIS names results after their files, as the user chose
+            layer.setName(self._run.name(self._title, self._more))
         if self._kind == "dsm":
-            _shade(layer, placed, context.project(), self._group)
+            _shade(layer, placed, project, self._run)
+            _as_terrain(layer, project)
 
 
-def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, group: str) -> None:
+def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, run: Run) -> None:
     """Lay the DSM's own hillshade over its colours: one raster layer can have only one of the two."""
-    hillshade = QgsRasterLayer(layer.source(), f"{_tr('Hillshade')} {group}".strip(), layer.providerType())
+    hillshade = QgsRasterLayer(layer.source(), run.name(_tr("Hillshade")), layer.providerType())
     if not hillshade.isValid():
         return
     hillshade.loadNamedStyle(os.path.join(PLUGIN_FOLDER, "resources", "styles", "hillshade.qml"))
@@ -82,28 +140,50 @@ def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, gro
     above.setExpanded(False)
 
 
-def _place(node: QgsLayerTreeLayer, kind: str, name: str) -> QgsLayerTreeLayer:
-    """Move a layer into its scene's group (QGIS before 3.32 knows none), to its place from the top; gives its node."""
+def _as_terrain(layer: QgsMapLayer, project: QgsProject) -> None:
+    """Make the DSM the project's terrain, for 3-D views and profiles, where the terrain was flat (QGIS 3.26)."""
+    if not hasattr(project, "elevationProperties"):
+        return
+    from qgis.core import QgsRasterDemTerrainProvider
+
+    terrain = project.elevationProperties().terrainProvider()
+    if terrain is not None and terrain.type() == "flat":
+        made = QgsRasterDemTerrainProvider()
+        made.setLayer(layer)
+        project.elevationProperties().setTerrainProvider(made)
+
+
+def _place(node: QgsLayerTreeLayer, kind: str, run: Run) -> QgsLayerTreeLayer:
+    """Move a layer into its run's group, to its place from the top; gives its node.
+
+    What would hide a DSM is switched off where there is one.
+    """
     parent = node.parent()
-    group = _group(parent, name) if name else parent
+    group = run.group(parent) if run.scene else parent
     order = _FROM_TOP.index(kind)
     copy = node.clone()
     copy.setCustomProperty(_ORDER, order)
-    copy.setItemVisibilityChecked(kind not in _OFF)
-    copy.setExpanded(node.isExpanded() and kind not in _OFF)
+    covering = kind in _OFF and "dsm" in _kinds(group)
+    copy.setItemVisibilityChecked(not covering)
+    copy.setExpanded(node.isExpanded() and not covering)
     group.insertChildNode(_index(group, node, order), copy)
     parent.removeChildNode(node)
+    if kind == "dsm":
+        for other in group.children():
+            if _kind(other) in _OFF:
+                other.setItemVisibilityChecked(False)
+                other.setExpanded(False)
     return copy
 
 
-def _group(parent: QgsLayerTreeGroup, name: str) -> QgsLayerTreeGroup:
-    """The group of that name: the one that holds the layer, or one next to it, which is made where there is none."""
-    if parent.parent() is not None and parent.name() == name:
-        return parent
-    for child in parent.children():
-        if isinstance(child, QgsLayerTreeGroup) and child.name() == name:
-            return child
-    return parent.insertGroup(0, name)
+def _kind(node: QgsLayerTreeNode) -> str:
+    """The kind of a layer of ours, "" of any other."""
+    order = int(node.customProperty(_ORDER, -1))
+    return _FROM_TOP[order] if 0 <= order < len(_FROM_TOP) else ""
+
+
+def _kinds(group: QgsLayerTreeGroup) -> set[str]:
+    return {_kind(child) for child in group.children()} - {""}
 
 
 def _index(group: QgsLayerTreeGroup, node: QgsLayerTreeNode, order: int) -> int:
@@ -136,16 +216,33 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
     return style
 
 
+def _views(kind: str, path: str, feedback: QgsProcessingFeedback) -> dict[str, str]:
+    """Further styles of a kind of layer, by their names, which QGIS offers beside the first one."""
+    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.evaluation.styles import style_text
+
+    found = {}
+    for style in STYLES:
+        if style.view_of == kind:
+            try:
+                with written_in(language()):
+                    found[said(style.title)] = style_text(style.kind, path)
+            except RepmError as error:  # the result is there all the same
+                feedback.pushWarning(said(f"'{os.path.basename(path)}' has no style: {error}"))
+    return found
+
+
 def style_layer(
     context: QgsProcessingContext,
     feedback: QgsProcessingFeedback,
     kept_as: str,
     path: str,
-    name: str,
     kind: str,
-    group: str,
+    run: Run,
+    title: str,
+    more: str = "",
 ) -> None:
-    """Style one result, name its layer, and have it put into its scene's group, where QGIS will load it.
+    """Style one result, name its layer, and have it put into its run's group, where QGIS will load it.
 
     ``kept_as`` is QGIS's word for the file. QGIS loads rasters and vectors by itself, as the user chose; a cloud and a
     mesh are loaded where they were asked for, as it has no destination for them.
@@ -156,20 +253,20 @@ def style_layer(
     else:
         style = sidecar(kind, path, feedback)
     if kept_as and context.willLoadLayerOnCompletion(kept_as):
-        _dress(context, kept_as, name, kind, group, style)
+        styler = LayerStyler.make(style, kind, run, title, more, _views(kind, path, feedback))
+        _dress(context, kept_as, run.name(title, more), kind, run, styler)
 
 
-def _dress(context: QgsProcessingContext, kept_as: str, name: str, kind: str, group: str, style: str) -> None:
+def _dress(context: QgsProcessingContext, kept_as: str, name: str, kind: str, run: Run, styler: LayerStyler) -> None:
     """Name, place and style a layer that QGIS will load."""
+    run.kinds.add(kind)
     details = context.layerToLoadOnCompletionDetails(kept_as)
     details.name = name
     if kind in ("ept", "image"):
         details.forceName = True  # the file's name is always the same, or says more than QGIS's
-    if group and hasattr(details, "groupName"):  # QGIS 3.32
-        details.groupName = group
-    if hasattr(details, "layerSortKey"):
+    if hasattr(details, "layerSortKey"):  # QGIS 3.32; its groupName would not know how often a run was repeated
         details.layerSortKey = -_FROM_TOP.index(kind)
-    details.setPostProcessor(LayerStyler.make(style, kind, group))
+    details.setPostProcessor(styler)
 
 
 def load_too(
@@ -178,13 +275,13 @@ def load_too(
     hint: QgsProcessingUtils.LayerHint,
     name: str,
     kind: str,
-    group: str,
+    run: Run,
     style: str = "",
 ) -> None:
     """Have a layer loaded that QGIS does not know as a result; the context must have a project."""
     details = QgsProcessingContext.LayerDetails(name, context.project(), "", hint)
     context.addLayerToLoadOnCompletion(source, details)
-    _dress(context, source, name, kind, group, style)
+    _dress(context, source, name, kind, run, LayerStyler.make(style, kind, run))
 
 
 def _load_built(context: QgsProcessingContext, path: str, kind: str) -> str:

@@ -19,33 +19,53 @@ PIPELINE = ("epmfit", "refine", "reconstruct", "dsmfuse")
 
 @dataclass(frozen=True)
 class Style:
-    """A kind of layer: its template in resources/styles, and the colours that are spread over its values.
+    """A kind of layer: the file of resources/styles that draws it, and what that file does not say.
 
-    ``off``: the layer is not switched on when it is added, as it hides others. ``plain``: it has no template, and looks
-    as QGIS shows such a file.
+    ``ramp`` are the colours that are spread over the values of a ``band``, with their ``unit`` in the legend;
+    ``classes`` are the names of values 0, 1, ... of a discrete one. ``template`` is the file's name where that is not
+    the kind's. ``off``: the layer hides others, so it is not switched on where there is a DSM to look at. ``plain``: it
+    has no template, and looks as QGIS shows such a file. ``view_of``: not a layer of its own but one more style of the
+    layers of that kind, with its ``title``.
     """
 
     kind: str
     ramp: str = ""
     off: bool = False
     plain: bool = False
+    template: str = ""
+    unit: str = ""
+    band: int = 1
+    classes: Tuple[str, ...] = ()
+    view_of: str = ""
+    title: str = ""
 
 
+_SOURCE_CLASSES = ("Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM")
 STYLES = (
     Style("gcps"),
     Style("tie_points"),
     Style("tiles"),
-    Style("error", "viridis"),
-    Style("dsm_error", "diverging"),
-    Style("ept", "elevation", off=True),
+    Style("error", "viridis", off=True, template="ramp", unit=" px"),
+    Style("dsm_error", "diverging", template="ramp", unit=" m"),
+    Style("ept", "elevation", off=True, unit=" m"),
     Style("ortho", "grey", off=True),
-    Style("confidence", "viridis", off=True),
-    Style("mesh", "elevation", off=True),
+    Style("confidence", "viridis", off=True, template="ramp", unit=" m", band=5),
+    Style("confidence_count", template="palette", view_of="confidence", title="Height maps that agree"),
+    Style(
+        "confidence_source",
+        template="palette",
+        band=4,
+        classes=_SOURCE_CLASSES,
+        view_of="confidence",
+        title="Source of each height",
+    ),
+    Style("sources", off=True, template="palette"),
+    Style("mesh", "elevation", off=True, unit=" m"),
     Style("image", plain=True),
     Style("hillshade"),
-    Style("dsm", "elevation"),
+    Style("dsm", "elevation", template="ramp", unit=" m"),
 )
-"""From top to bottom of a scene's group: nothing hides what is to be looked at first."""
+"""From top to bottom of a run's group: nothing hides what is to be looked at first."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +134,7 @@ PRODUCTS = (
     Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh", help=_MESH),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),
-    Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="confidence", help=_SOURCES, tiled=True),
+    Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS, help=_EXPORTED),
     Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error", help=_HEIGHT_ERROR),

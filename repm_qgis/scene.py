@@ -245,6 +245,11 @@ class Scene(Record):
             raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {', '.join(views)}.")
         return views[name]
 
+    def taken(self) -> Optional[Tuple[str, str]]:
+        """When the first and the last image were taken (ISO 8601, UTC), of those whose time is known; None of none."""
+        times = sorted(view.acquired for view in self.views if view.time is not None)
+        return (times[0], times[-1]) if times else None
+
     def require_images(self) -> None:
         """Raise SceneError with the images and masks that are not where the scene knows them, nor moved with it."""
         files = [file for view in self.views for file in (view.image, view.mask) if os.path.isabs(file)]
@@ -398,6 +403,15 @@ def origin(path: str) -> Tuple[str, str]:
         return str(first.get("workspace", "")), str(document["views"][0]["image"])
     except (SceneError, KeyError, TypeError, AttributeError, IndexError):
         return "", ""
+
+
+def days(path: str) -> List[str]:
+    """The days (UTC, ISO 8601) on which a scene's images were taken, in order; empty where none is known."""
+    try:
+        times = [moment(str(view["acquired"])) for view in _document(path)["views"]]
+    except (SceneError, KeyError, TypeError):
+        return []
+    return sorted({time.date().isoformat() for time in times if time is not None})
 
 
 def reusable(path: str, stage: str, key: str) -> Optional[Scene]:

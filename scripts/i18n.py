@@ -241,6 +241,9 @@ def _read_in(tree: ast.AST) -> list[str]:
 
 def _read_in_templates() -> list[str]:
     """Texts between tags and in quotation marks of the pages' templates, and the labels of legends."""
+    sys.path.insert(0, str(ROOT))
+    from repm_qgis.products import STYLES
+
     found: list[str] = []
     for path in sorted((ROOT / "resources" / "templates").iterdir()):
         found += re.findall(r'"([^"]*)"(?=\|said)', path.read_text(encoding="utf-8"))
@@ -248,6 +251,7 @@ def _read_in_templates() -> list[str]:
         for label in re.findall(r' label="([^"]*)"', path.read_text(encoding="utf-8")):
             parts = [part for piece in re.split("@[a-z]+@", html.unescape(label)) for part in (None, piece)][1:]
             found += [template(parts)]
+    found += [text for style in STYLES for text in (*style.classes, style.title)]
     return [text for text in found if re.search("[A-Za-z]{2}", text)]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import List, Optional, Sequence, Tuple
+from typing import Any, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -96,14 +96,13 @@ class _Products:
         metadata.update({"REPM_FILL": options.fill, TAG: datum.name})
         kind, place = np.dtype(np.float32), cells.geotransform
 
-        def raster(path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt) -> RasterWriter:
-            file = created(
-                path, shape, kind, len(names), place, crs, descriptions=names, metadata=metadata, unit=unit, cog=True
-            )
+        def raster(path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt, **more: Any) -> RasterWriter:
+            frame = shape, kind, len(names), place, crs
+            file = created(path, *frame, descriptions=names, metadata=metadata, unit=unit, cog=True, **more)
             return stack.enter_context(file)
 
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", file_crs)
-        confidence = raster(options.confidence, CONFIDENCE_BANDS) if options.confidence else None
+        confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
         whole = cloud = None
         if options.fill == "all":

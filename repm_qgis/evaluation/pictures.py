@@ -31,6 +31,8 @@ _ANCHORS = {
     "grey": "#000000 #ffffff",
 }
 RAMPS = {name: tuple(colours.split()) for name, colours in _ANCHORS.items()}
+CLASSES = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999")
+"""Colours of discrete values that nobody confuses, with whatever colour vision: Okabe and Ito (2008)."""
 
 
 def rgb(hexadecimal: str) -> Tuple[int, int, int]:

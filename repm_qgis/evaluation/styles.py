@@ -1,17 +1,20 @@
 """Map styles as sidecar files of products: QGIS opens ``dsm.tif`` with ``dsm.qml`` beside it.
 
-The templates lie in ``resources/styles``; this module fills in what depends on the data (the range, and the colours
-spread over it). Each is valid for QGIS 3.22 and later.
+The templates lie in ``resources/styles``, and :data:`repm_qgis.products.STYLES` says which kind of layer has which;
+this module fills in what depends on the data (the range, and the colours spread over it). Each is valid for QGIS 3.22
+and later; what an older QGIS does not know (the elevation of 3.26) it passes over.
 
 | kind | what | range |
 |---|---|---|
-| dsm | elevation colours | 2..98 % of the heights |
+| dsm | elevation colours; it is a surface for profiles and 3-D views | 2..98 % of the heights |
 | hillshade | QGIS's own hillshade, multiplied with the ``dsm`` that it lies over | none |
 | error | equivalent error in px, from dark (none) to bright | 0..98 % |
 | dsm_error | DSM - reference, blue (too low), white, red (too high) | symmetric about 0 |
-| ept, mesh | elevation colours of the DSM that comes with them | given |
-| confidence | height maps that agree, or the matching score where there is only one; dark (low) to bright | 2..98 % |
-| ortho | grey | 2..98 % |
+| ept, mesh | elevation colours of the DSM that comes with them, in 3-D too | given |
+| confidence | the expected error in m, from dark (none) to bright | 0..98 % |
+| confidence_count, confidence_source | the same raster's other bands: each value has its colour and name | all |
+| sources | the number of the DSM that a height of a mosaic comes from, each with its colour and name | all |
+| ortho | grey; it has the time of its images | 2..98 % |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
 | tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
 | gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |
@@ -24,45 +27,68 @@ import math
 import os
 import re
 from pathlib import Path
-from typing import Optional, Tuple
+from typing import List, Optional, Tuple
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from ..arrays import FloatImage
 from ..errors import OptionError
 from ..imagery.raster import opened
-from ..products import STYLES
+from ..products import STYLES, Style
 from ..translation import SOURCE_LANGUAGE, reader, said
 from ..workspace import write_text
-from .pictures import RAMPS, percentile_range, preview, rgb
+from .pictures import CLASSES, RAMPS, percentile_range, preview, ramp_table, rgb
 from .templates import RESOURCES
 
-_RAMP_OF = {style.kind: style.ramp for style in STYLES if style.ramp}
 _SAMPLE_PX = 1200
+_FROM_ZERO = ("error", "confidence")
 
 
-def write_style(kind: str, path: str | os.PathLike[str], limits: Optional[Tuple[float, float]] = None) -> str:
+def write_style(
+    kind: str,
+    path: str | os.PathLike[str],
+    limits: Optional[Tuple[float, float]] = None,
+    taken: Optional[Tuple[str, str]] = None,
+) -> str:
     """Write the style of a raster or vector file as its sidecar; returns the path of the ``.qml``.
+
+    ``limits`` and ``taken`` as for :func:`style_text`. Raises OptionError for an unknown kind, ImageError for a raster
+    that cannot be read, WorkspaceError where the style cannot be written.
+    """
+    return write_text(str(Path(path).with_suffix(".qml")), style_text(kind, path, limits, taken))
+
+
+def style_text(
+    kind: str,
+    path: str | os.PathLike[str],
+    limits: Optional[Tuple[float, float]] = None,
+    taken: Optional[Tuple[str, str]] = None,
+) -> str:
+    """The style of a raster or vector file, as the content of a ``.qml``.
 
     ``limits`` set a raster's range, so that maps that belong together have the same colours; a cloud (``ept``) and a
     ``mesh`` need them (see :func:`height_limits`). For ``gcps`` the second limit is the error in metres that an arrow
-    of 10 mm shows.
+    of 10 mm shows. ``taken`` is when the first and the last image of an ``ortho`` were taken, ISO 8601.
 
-    Raises OptionError for an unknown kind, ImageError for a raster that cannot be read, WorkspaceError where the
-    style cannot be written.
+    Raises OptionError for an unknown kind, ImageError for a raster that cannot be read.
     """
-    templates = {template.stem: template for template in (RESOURCES / "styles").glob("*.qml")}
-    if kind not in templates:
-        raise OptionError("kind", kind, f"must be one of {', '.join(sorted(templates))}")
-    text = templates[kind].read_text(encoding="utf-8")
-    if kind in _RAMP_OF:
-        values, band = (np.empty(0, np.float32), 1) if limits and kind in ("ept", "mesh") else _shown(kind, path)
+    styles = {style.kind: style for style in STYLES if not style.plain}
+    if kind not in styles:
+        raise OptionError("kind", kind, f"must be one of {', '.join(sorted(styles))}")
+    style = styles[kind]
+    text = (RESOURCES / "styles" / f"{style.template or kind}.qml").read_text(encoding="utf-8")
+    if style.ramp:
+        values, band = (np.empty(0, np.float32), 1) if limits and kind in ("ept", "mesh") else _shown(style, path)
         low, high = limits or _value_range(kind, values)
-        text = _filled(text, _RAMP_OF[kind], low, high).replace("@band@", str(band))
+        text = _filled(text, style, low, high).replace("@band@", str(band))
+    elif style.template == "palette":
+        text = text.replace("@items@", "\n".join(_entries(style, path))).replace("@band@", str(style.band))
     if kind == "gcps":
         length = limits[1] if limits else 1.0
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
-    return write_text(str(Path(path).with_suffix(".qml")), _said(text))
+    text = text.replace("@elevation@", str(int(kind == "dsm"))).replace("@temporal@", _temporal(taken))
+    return _said(text)
 
 
 def _said(style: str) -> str:
@@ -75,23 +101,14 @@ def _said(style: str) -> str:
 
 def height_limits(dsm: str) -> Tuple[float, float]:
     """The range of heights over which a DSM's style spreads its colours."""
-    return _value_range("dsm", _shown("dsm", dsm)[0])
+    return _value_range("dsm", preview(dsm, _SAMPLE_PX)[0])
 
 
-def _shown(kind: str, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]:
-    """Values of the band that a style shows, and its number.
-
-    Of a confidence that is the number of height maps that agree. It is the same everywhere where two images make one
-    height map; the matching score of band 3 is shown instead then.
-    """
-    values = preview(path, _SAMPLE_PX)[0]
-    known = values[np.isfinite(values)]
-    if kind == "confidence" and known.size and float(known.max() - known.min()) < 1e-6:
-        with opened(os.fspath(path)) as dataset:
-            bands = dataset.RasterCount
-        if bands >= 3:
-            return preview(path, _SAMPLE_PX, 3)[0], 3
-    return values, 1
+def _shown(style: Style, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]:
+    """Values of the band that a style shows, and its number: the first where the file does not have that many."""
+    with opened(os.fspath(path)) as dataset:
+        band = style.band if style.band <= dataset.RasterCount else 1
+    return preview(path, _SAMPLE_PX, band)[0], band
 
 
 def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
@@ -99,19 +116,55 @@ def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
     if kind == "dsm_error":
         limit = max(abs(low), abs(high))
         return -limit, limit
-    return (0.0, high if high > 0 else 1.0) if kind == "error" else (low, high)
+    return (0.0, high if high > 0 else 1.0) if kind in _FROM_ZERO else (low, high)
 
 
-def _filled(template: str, ramp: str, low: float, high: float) -> str:
+def _filled(template: str, style: Style, low: float, high: float) -> str:
     """A raster's template with the range, and the ramp's colours spread over it."""
-    colours = [",".join(map(str, rgb(colour))) + ",255" for colour in RAMPS[ramp]]
+    ramp = RAMPS[style.ramp]
+    colours = [",".join(map(str, rgb(colour))) + ",255" for colour in ramp]
     decimals, last = int(np.clip(2 - math.floor(math.log10(high - low)), 0, 8)), len(colours) - 1
     stops = ":".join(f"{i / last:.6g};{colours[i]}" for i in range(1, last))
     items = [
-        f'          <item value="{value:.10g}" color="{colour}" alpha="255" label="{value + 0.0:.{decimals}f}"/>'
-        for value, colour in zip((low + (high - low) * i / last for i in range(last + 1)), RAMPS[ramp])
+        f'      <item value="{value:.10g}" color="{colour}" alpha="255" label="{value + 0.0:.{decimals}f}"/>'
+        for value, colour in zip((low + (high - low) * i / last for i in range(last + 1)), ramp)
     ]
+    shader = (RESOURCES / "styles" / "shader.xml").read_text(encoding="utf-8").rstrip()
+    template = template.replace("@shader@", shader)
     places = {"min": f"{low:.10g}", "max": f"{high:.10g}", "precision": str(decimals), "stops": stops}
-    for place, value in {**places, "first": colours[0], "last": colours[-1], "items": "\n".join(items)}.items():
+    places.update(first=colours[0], last=colours[-1], items="\n".join(items), unit=style.unit)
+    places["plus"] = "true" if style.ramp == "diverging" else "false"
+    for place, value in places.items():
         template = template.replace(f"@{place}@", value)
     return template
+
+
+def _entries(style: Style, path: str | os.PathLike[str]) -> List[str]:
+    """The colours and names of a discrete raster's values."""
+    with opened(os.fspath(path)) as dataset:
+        # What the file states, or else what it holds.
+        handle = dataset.GetRasterBand(min(style.band, dataset.RasterCount))
+        most = handle.GetMaximum()
+        highest = int(most if most is not None else handle.ComputeRasterMinMax(False)[1])
+        files = {value: dataset.GetMetadataItem(f"DSM_{value}") for value in range(1, highest + 1)}
+    if style.classes:
+        named = [(value, name, CLASSES[value]) for value, name in enumerate(style.classes)]
+    elif any(files.values()):
+        names = {value: f"{value}: {Path(file).stem}" if file else str(value) for value, file in files.items()}
+        named = [(value, name, CLASSES[(value - 1) % len(CLASSES)]) for value, name in names.items()]
+    else:
+        table = ramp_table("viridis", max(highest, 1))
+        named = [(value, str(value), "#" + bytes(table[value - 1]).hex()) for value in files]
+    return [
+        f'        <paletteEntry value="{value}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
+        for value, name, colour in named
+    ]
+
+
+def _temporal(taken: Optional[Tuple[str, str]]) -> str:
+    """When a layer shows the ground, for QGIS's temporal controller; "" where that is unknown."""
+    if taken is None:
+        return ""
+    first, last = taken
+    ends = f"<fixedRange><start>{first}</start><end>{last}</end></fixedRange>"
+    return f'  <temporal enabled="1" mode="0" fetchMode="0">{ends}</temporal>\n'

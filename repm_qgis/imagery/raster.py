@@ -221,6 +221,11 @@ class RasterWriter:
         """What was written so far, as :func:`read` gives it."""
         return read(self._dataset, window, band)
 
+    def set_statistics(self) -> None:
+        """Write the bands' statistics into the file: QGIS would compute them, and write them beside it."""
+        for index in range(self._dataset.RasterCount):
+            _attempt(lambda: self._dataset.GetRasterBand(index + 1).ComputeStatistics(False))  # noqa: B023 - runs now
+
     def set_metadata(self, tags: Mapping[str, str], domain: str = "") -> None:
         """Metadata of one of GDAL's domains, such as "RPC"."""
         self._dataset.SetMetadata(dict(tags), domain)
@@ -278,10 +283,10 @@ def created(
 ) -> Iterator[RasterWriter]:
     """A new tiled GeoTIFF to fill by window: it gets its name only if the block ends without an error.
 
-    ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews, for
-    products that people look at; it is a copy of the filled one, because windows may be filled in any order. ``own``:
-    for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD. ``overviews`` is GDAL's
-    resampling for these; numbers that name something must not be averaged.
+    ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews and
+    statistics, for products that people look at; it is a copy of the filled one, because windows may be filled in any
+    order. ``own``: for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
+    ``overviews`` is GDAL's resampling for these; numbers that name something must not be averaged.
     """
     temporary = temporary_name(path)
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
@@ -290,6 +295,8 @@ def created(
         writer.describe(geotransform, crs_wkt, nodata, descriptions, metadata or {}, unit)
         yield writer
         writer.flush()
+        if cog:
+            writer.set_statistics()
         writer.close()
         if cog:
             _to_cog(temporary, whole, path, dtype, overviews)

@@ -159,7 +159,7 @@ def _written(task: Tuple[_Fusion, List[StoredTile]], progress: Progress) -> Fusi
     facts = write_products(options, fusion.scene, fusion.layout, stored, folder, fusion.parameters.fusion)
     for product, path in paths_of("dsmfuse", options):
         if product.style and not product.maker:
-            write_style(product.style, path)
+            write_style(product.style, path, taken=fusion.scene.taken())
     return facts
 
 

@@ -47,7 +47,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     metadata = {"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude, "REPM_REFINEMENT": refinement}
     kind, place, wkt = np.dtype(np.float32), grid.geotransform, pyproj.CRS.from_user_input(scene.crs).to_wkt()
     with created(
-        options.output, grid.shape, kind, 4, place, wkt, descriptions=_BANDS, unit="px", metadata=metadata
+        options.output, grid.shape, kind, 4, place, wkt, descriptions=_BANDS, unit="px", metadata=metadata, cog=True
     ) as raster:
         for index, tile in enumerate(tiles):
             progress.check_cancelled()
@@ -64,8 +64,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     if not count:
         raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
     rmse = float(np.sqrt(squares / count))
-    # One range for the map before and the map after refinement: their colours can then be compared.
-    write_style("error", options.output, (0.0, max(tile.views[view.name].error.max for tile in tiles)))
+    write_style("error", options.output)
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
         errormap_report(scene, view, options.output, rmse, worst, altitude).write(options.report)

@@ -1,30 +1,13 @@
 <!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
-<qgis version="3.22.0" styleCategories="Symbology" hasScaleBasedVisibilityFlag="0" maxScale="0" minScale="1e+08">
+<qgis version="3.22.0" styleCategories="Symbology|Symbology3D" hasScaleBasedVisibilityFlag="0" maxScale="0" minScale="1e+08">
   <renderer type="ramp" attribute="Z" min="@min@" max="@max@" pointSize="1" pointSizeUnit="MM" pointSizeMapUnitScale="3x:0,0,0,0,0,0" pointSymbol="0" maximumScreenError="0.3" maximumScreenErrorUnit="MM">
-    <colorrampshader colorRampType="INTERPOLATED" classificationMode="1" clip="0" minimumValue="@min@" maximumValue="@max@" labelPrecision="@precision@">
-      <colorramp type="gradient" name="[source]">
-        <Option type="Map">
-          <Option type="QString" name="color1" value="@first@"/>
-          <Option type="QString" name="color2" value="@last@"/>
-          <Option type="QString" name="discrete" value="0"/>
-          <Option type="QString" name="rampType" value="gradient"/>
-          <Option type="QString" name="stops" value="@stops@"/>
-        </Option>
-      </colorramp>
-@items@
-      <rampLegendSettings useContinuousLegend="1" minimumLabel="" maximumLabel="" prefix="" suffix=" m" direction="0" orientation="2">
-        <numericFormat id="basic">
-          <Option type="Map">
-            <Option type="int" name="decimals" value="@precision@"/>
-            <Option type="int" name="rounding_type" value="0"/>
-            <Option type="bool" name="show_plus" value="false"/>
-            <Option type="bool" name="show_thousand_separator" value="false"/>
-            <Option type="bool" name="show_trailing_zeros" value="true"/>
-          </Option>
-        </numericFormat>
-      </rampLegendSettings>
-    </colorrampshader>
+@shader@
   </renderer>
+  <renderer-3d type="pointcloud" layer="" point-budget="1000000" max-screen-error="1" show-bounding-boxes="0">
+    <symbol type="color-ramp" point-size="3" rendering-parameter="Z" color-ramp-shader-min="@min@" color-ramp-shader-max="@max@">
+@shader@
+    </symbol>
+  </renderer-3d>
   <blendMode>0</blendMode>
   <layerOpacity>1</layerOpacity>
 </qgis>

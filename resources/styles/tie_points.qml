@@ -1,349 +1,250 @@
 <!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
 <qgis version="3.22.0" styleCategories="Symbology|Labeling" labelsEnabled="0">
-  <renderer-v2 type="graduatedSymbol" attr="residual" graduatedMethod="GraduatedColor" enableorderby="0" forceraster="0" symbollevels="0">
-    <ranges>
-      <range symbol="0" lower="0.000000" upper="0.100000" label="up to 0.1 px" render="true"/>
-      <range symbol="1" lower="0.100000" upper="0.200000" label="0.1 – 0.2 px" render="true"/>
-      <range symbol="2" lower="0.200000" upper="0.300000" label="0.2 – 0.3 px" render="true"/>
-      <range symbol="3" lower="0.300000" upper="0.500000" label="0.3 – 0.5 px" render="true"/>
-      <range symbol="4" lower="0.500000" upper="1.000000" label="0.5 – 1 px" render="true"/>
-      <range symbol="5" lower="1.000000" upper="1000000000.000000" label="over 1 px" render="true"/>
-    </ranges>
+  <renderer-v2 type="RuleRenderer" enableorderby="0" forceraster="0" symbollevels="0">
+    <rules key="{a0000000-0000-4000-8000-000000000000}">
+      <rule key="{a0000000-0000-4000-8000-000000000001}" filter="&quot;residual&quot; &lt; 0.1" label="up to 0.1 px" symbol="0"/>
+      <rule key="{a0000000-0000-4000-8000-000000000002}" filter="&quot;residual&quot; &gt;= 0.1 AND &quot;residual&quot; &lt; 0.2" label="0.1 – 0.2 px" symbol="1"/>
+      <rule key="{a0000000-0000-4000-8000-000000000003}" filter="&quot;residual&quot; &gt;= 0.2 AND &quot;residual&quot; &lt; 0.3" label="0.2 – 0.3 px" symbol="2"/>
+      <rule key="{a0000000-0000-4000-8000-000000000004}" filter="&quot;residual&quot; &gt;= 0.3 AND &quot;residual&quot; &lt; 0.5" label="0.3 – 0.5 px" symbol="3"/>
+      <rule key="{a0000000-0000-4000-8000-000000000005}" filter="&quot;residual&quot; &gt;= 0.5 AND &quot;residual&quot; &lt; 1" label="0.5 – 1 px" symbol="4"/>
+      <rule key="{a0000000-0000-4000-8000-000000000006}" filter="&quot;residual&quot; &gt;= 1" label="over 1 px" symbol="5"/>
+      <rule key="{a0000000-0000-4000-8000-000000000007}" filter="abs(&quot;row&quot;) &gt;= 0.06" label="vertical parallax (10 mm = 0.5 px)" symbol="6"/>
+    </rules>
     <symbols>
       <symbol type="marker" name="0" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
             <Option type="QString" name="name" value="circle"/>
-            <Option type="QString" name="color" value="26,152,80,255"/>
-            <Option type="QString" name="size" value="1.6"/>
+            <Option type="QString" name="color" value="13,8,135,255"/>
+            <Option type="QString" name="size" value="2"/>
             <Option type="QString" name="size_unit" value="MM"/>
-            <Option type="QString" name="outline_color" value="40,40,40,140"/>
+            <Option type="QString" name="outline_color" value="255,255,255,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width" value="0.2"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="scale_method" value="diameter"/>
           </Option>
-        </layer>
-        <layer class="VectorField" enabled="1" locked="0" pass="0">
-          <Option type="Map">
-            <Option type="QString" name="x_attribute" value="row"/>
-            <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="20"/>
-            <Option type="QString" name="vector_field_type" value="1"/>
-            <Option type="QString" name="angle_orientation" value="0"/>
-            <Option type="QString" name="angle_units" value="0"/>
-            <Option type="QString" name="distance_unit" value="MM"/>
-            <Option type="QString" name="distance_map_unit_scale" value="3x:0,0,0,0,0,0"/>
-            <Option type="QString" name="size" value="1"/>
-            <Option type="QString" name="size_unit" value="MM"/>
-          </Option>
-          <symbol type="line" name="@0@1" alpha="1" clip_to_extent="1" force_rhr="0">
-            <layer class="ArrowLine" enabled="1" locked="0" pass="0">
-              <Option type="Map">
-                <Option type="QString" name="arrow_width" value="0.3"/>
-                <Option type="QString" name="arrow_start_width" value="0.3"/>
-                <Option type="QString" name="arrow_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_start_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_type" value="0"/>
-                <Option type="QString" name="head_type" value="0"/>
-                <Option type="QString" name="head_length" value="1.4"/>
-                <Option type="QString" name="head_thickness" value="0.8"/>
-                <Option type="QString" name="head_length_unit" value="MM"/>
-                <Option type="QString" name="head_thickness_unit" value="MM"/>
-                <Option type="QString" name="is_curved" value="0"/>
-                <Option type="QString" name="is_repeated" value="1"/>
-              </Option>
-              <symbol type="fill" name="@@0@1@0" alpha="1" clip_to_extent="1" force_rhr="0">
-                <layer class="SimpleFill" enabled="1" locked="0" pass="0">
-                  <Option type="Map">
-                    <Option type="QString" name="color" value="26,152,80,255"/>
-                    <Option type="QString" name="style" value="solid"/>
-                    <Option type="QString" name="outline_style" value="no"/>
-                  </Option>
-                </layer>
-              </symbol>
-            </layer>
-          </symbol>
         </layer>
       </symbol>
       <symbol type="marker" name="1" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
             <Option type="QString" name="name" value="circle"/>
-            <Option type="QString" name="color" value="127,191,63,255"/>
-            <Option type="QString" name="size" value="1.6"/>
+            <Option type="QString" name="color" value="106,0,168,255"/>
+            <Option type="QString" name="size" value="2"/>
             <Option type="QString" name="size_unit" value="MM"/>
-            <Option type="QString" name="outline_color" value="40,40,40,140"/>
+            <Option type="QString" name="outline_color" value="255,255,255,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width" value="0.2"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="scale_method" value="diameter"/>
           </Option>
-        </layer>
-        <layer class="VectorField" enabled="1" locked="0" pass="0">
-          <Option type="Map">
-            <Option type="QString" name="x_attribute" value="row"/>
-            <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="20"/>
-            <Option type="QString" name="vector_field_type" value="1"/>
-            <Option type="QString" name="angle_orientation" value="0"/>
-            <Option type="QString" name="angle_units" value="0"/>
-            <Option type="QString" name="distance_unit" value="MM"/>
-            <Option type="QString" name="distance_map_unit_scale" value="3x:0,0,0,0,0,0"/>
-            <Option type="QString" name="size" value="1"/>
-            <Option type="QString" name="size_unit" value="MM"/>
-          </Option>
-          <symbol type="line" name="@1@1" alpha="1" clip_to_extent="1" force_rhr="0">
-            <layer class="ArrowLine" enabled="1" locked="0" pass="0">
-              <Option type="Map">
-                <Option type="QString" name="arrow_width" value="0.3"/>
-                <Option type="QString" name="arrow_start_width" value="0.3"/>
-                <Option type="QString" name="arrow_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_start_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_type" value="0"/>
-                <Option type="QString" name="head_type" value="0"/>
-                <Option type="QString" name="head_length" value="1.4"/>
-                <Option type="QString" name="head_thickness" value="0.8"/>
-                <Option type="QString" name="head_length_unit" value="MM"/>
-                <Option type="QString" name="head_thickness_unit" value="MM"/>
-                <Option type="QString" name="is_curved" value="0"/>
-                <Option type="QString" name="is_repeated" value="1"/>
-              </Option>
-              <symbol type="fill" name="@@1@1@0" alpha="1" clip_to_extent="1" force_rhr="0">
-                <layer class="SimpleFill" enabled="1" locked="0" pass="0">
-                  <Option type="Map">
-                    <Option type="QString" name="color" value="127,191,63,255"/>
-                    <Option type="QString" name="style" value="solid"/>
-                    <Option type="QString" name="outline_style" value="no"/>
-                  </Option>
-                </layer>
-              </symbol>
-            </layer>
-          </symbol>
         </layer>
       </symbol>
       <symbol type="marker" name="2" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
             <Option type="QString" name="name" value="circle"/>
-            <Option type="QString" name="color" value="217,200,38,255"/>
-            <Option type="QString" name="size" value="1.6"/>
+            <Option type="QString" name="color" value="177,42,144,255"/>
+            <Option type="QString" name="size" value="2"/>
             <Option type="QString" name="size_unit" value="MM"/>
-            <Option type="QString" name="outline_color" value="40,40,40,140"/>
+            <Option type="QString" name="outline_color" value="255,255,255,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width" value="0.2"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="scale_method" value="diameter"/>
           </Option>
-        </layer>
-        <layer class="VectorField" enabled="1" locked="0" pass="0">
-          <Option type="Map">
-            <Option type="QString" name="x_attribute" value="row"/>
-            <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="20"/>
-            <Option type="QString" name="vector_field_type" value="1"/>
-            <Option type="QString" name="angle_orientation" value="0"/>
-            <Option type="QString" name="angle_units" value="0"/>
-            <Option type="QString" name="distance_unit" value="MM"/>
-            <Option type="QString" name="distance_map_unit_scale" value="3x:0,0,0,0,0,0"/>
-            <Option type="QString" name="size" value="1"/>
-            <Option type="QString" name="size_unit" value="MM"/>
-          </Option>
-          <symbol type="line" name="@2@1" alpha="1" clip_to_extent="1" force_rhr="0">
-            <layer class="ArrowLine" enabled="1" locked="0" pass="0">
-              <Option type="Map">
-                <Option type="QString" name="arrow_width" value="0.3"/>
-                <Option type="QString" name="arrow_start_width" value="0.3"/>
-                <Option type="QString" name="arrow_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_start_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_type" value="0"/>
-                <Option type="QString" name="head_type" value="0"/>
-                <Option type="QString" name="head_length" value="1.4"/>
-                <Option type="QString" name="head_thickness" value="0.8"/>
-                <Option type="QString" name="head_length_unit" value="MM"/>
-                <Option type="QString" name="head_thickness_unit" value="MM"/>
-                <Option type="QString" name="is_curved" value="0"/>
-                <Option type="QString" name="is_repeated" value="1"/>
-              </Option>
-              <symbol type="fill" name="@@2@1@0" alpha="1" clip_to_extent="1" force_rhr="0">
-                <layer class="SimpleFill" enabled="1" locked="0" pass="0">
-                  <Option type="Map">
-                    <Option type="QString" name="color" value="217,200,38,255"/>
-                    <Option type="QString" name="style" value="solid"/>
-                    <Option type="QString" name="outline_style" value="no"/>
-                  </Option>
-                </layer>
-              </symbol>
-            </layer>
-          </symbol>
         </layer>
       </symbol>
       <symbol type="marker" name="3" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
             <Option type="QString" name="name" value="circle"/>
-            <Option type="QString" name="color" value="243,154,39,255"/>
-            <Option type="QString" name="size" value="1.6"/>
+            <Option type="QString" name="color" value="225,100,98,255"/>
+            <Option type="QString" name="size" value="2"/>
             <Option type="QString" name="size_unit" value="MM"/>
-            <Option type="QString" name="outline_color" value="40,40,40,140"/>
+            <Option type="QString" name="outline_color" value="29,39,51,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width" value="0.2"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="scale_method" value="diameter"/>
           </Option>
-        </layer>
-        <layer class="VectorField" enabled="1" locked="0" pass="0">
-          <Option type="Map">
-            <Option type="QString" name="x_attribute" value="row"/>
-            <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="20"/>
-            <Option type="QString" name="vector_field_type" value="1"/>
-            <Option type="QString" name="angle_orientation" value="0"/>
-            <Option type="QString" name="angle_units" value="0"/>
-            <Option type="QString" name="distance_unit" value="MM"/>
-            <Option type="QString" name="distance_map_unit_scale" value="3x:0,0,0,0,0,0"/>
-            <Option type="QString" name="size" value="1"/>
-            <Option type="QString" name="size_unit" value="MM"/>
-          </Option>
-          <symbol type="line" name="@3@1" alpha="1" clip_to_extent="1" force_rhr="0">
-            <layer class="ArrowLine" enabled="1" locked="0" pass="0">
-              <Option type="Map">
-                <Option type="QString" name="arrow_width" value="0.3"/>
-                <Option type="QString" name="arrow_start_width" value="0.3"/>
-                <Option type="QString" name="arrow_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_start_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_type" value="0"/>
-                <Option type="QString" name="head_type" value="0"/>
-                <Option type="QString" name="head_length" value="1.4"/>
-                <Option type="QString" name="head_thickness" value="0.8"/>
-                <Option type="QString" name="head_length_unit" value="MM"/>
-                <Option type="QString" name="head_thickness_unit" value="MM"/>
-                <Option type="QString" name="is_curved" value="0"/>
-                <Option type="QString" name="is_repeated" value="1"/>
-              </Option>
-              <symbol type="fill" name="@@3@1@0" alpha="1" clip_to_extent="1" force_rhr="0">
-                <layer class="SimpleFill" enabled="1" locked="0" pass="0">
-                  <Option type="Map">
-                    <Option type="QString" name="color" value="243,154,39,255"/>
-                    <Option type="QString" name="style" value="solid"/>
-                    <Option type="QString" name="outline_style" value="no"/>
-                  </Option>
-                </layer>
-              </symbol>
-            </layer>
-          </symbol>
         </layer>
       </symbol>
       <symbol type="marker" name="4" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
             <Option type="QString" name="name" value="circle"/>
-            <Option type="QString" name="color" value="221,90,43,255"/>
-            <Option type="QString" name="size" value="1.6"/>
+            <Option type="QString" name="color" value="252,166,54,255"/>
+            <Option type="QString" name="size" value="2"/>
             <Option type="QString" name="size_unit" value="MM"/>
-            <Option type="QString" name="outline_color" value="40,40,40,140"/>
+            <Option type="QString" name="outline_color" value="29,39,51,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width" value="0.2"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="scale_method" value="diameter"/>
           </Option>
-        </layer>
-        <layer class="VectorField" enabled="1" locked="0" pass="0">
-          <Option type="Map">
-            <Option type="QString" name="x_attribute" value="row"/>
-            <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="20"/>
-            <Option type="QString" name="vector_field_type" value="1"/>
-            <Option type="QString" name="angle_orientation" value="0"/>
-            <Option type="QString" name="angle_units" value="0"/>
-            <Option type="QString" name="distance_unit" value="MM"/>
-            <Option type="QString" name="distance_map_unit_scale" value="3x:0,0,0,0,0,0"/>
-            <Option type="QString" name="size" value="1"/>
-            <Option type="QString" name="size_unit" value="MM"/>
-          </Option>
-          <symbol type="line" name="@4@1" alpha="1" clip_to_extent="1" force_rhr="0">
-            <layer class="ArrowLine" enabled="1" locked="0" pass="0">
-              <Option type="Map">
-                <Option type="QString" name="arrow_width" value="0.3"/>
-                <Option type="QString" name="arrow_start_width" value="0.3"/>
-                <Option type="QString" name="arrow_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_start_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_type" value="0"/>
-                <Option type="QString" name="head_type" value="0"/>
-                <Option type="QString" name="head_length" value="1.4"/>
-                <Option type="QString" name="head_thickness" value="0.8"/>
-                <Option type="QString" name="head_length_unit" value="MM"/>
-                <Option type="QString" name="head_thickness_unit" value="MM"/>
-                <Option type="QString" name="is_curved" value="0"/>
-                <Option type="QString" name="is_repeated" value="1"/>
-              </Option>
-              <symbol type="fill" name="@@4@1@0" alpha="1" clip_to_extent="1" force_rhr="0">
-                <layer class="SimpleFill" enabled="1" locked="0" pass="0">
-                  <Option type="Map">
-                    <Option type="QString" name="color" value="221,90,43,255"/>
-                    <Option type="QString" name="style" value="solid"/>
-                    <Option type="QString" name="outline_style" value="no"/>
-                  </Option>
-                </layer>
-              </symbol>
-            </layer>
-          </symbol>
         </layer>
       </symbol>
       <symbol type="marker" name="5" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
             <Option type="QString" name="name" value="circle"/>
-            <Option type="QString" name="color" value="163,17,46,255"/>
-            <Option type="QString" name="size" value="1.6"/>
+            <Option type="QString" name="color" value="240,249,33,255"/>
+            <Option type="QString" name="size" value="2"/>
             <Option type="QString" name="size_unit" value="MM"/>
-            <Option type="QString" name="outline_color" value="40,40,40,140"/>
+            <Option type="QString" name="outline_color" value="29,39,51,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
-            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width" value="0.2"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
             <Option type="QString" name="scale_method" value="diameter"/>
           </Option>
         </layer>
-        <layer class="VectorField" enabled="1" locked="0" pass="0">
+      </symbol>
+      <symbol type="marker" name="6" alpha="1" clip_to_extent="1" force_rhr="0">
+        <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="x_attribute" value="row"/>
-            <Option type="QString" name="y_attribute" value="direction"/>
-            <Option type="QString" name="scale" value="20"/>
-            <Option type="QString" name="vector_field_type" value="1"/>
-            <Option type="QString" name="angle_orientation" value="0"/>
-            <Option type="QString" name="angle_units" value="0"/>
-            <Option type="QString" name="distance_unit" value="MM"/>
-            <Option type="QString" name="distance_map_unit_scale" value="3x:0,0,0,0,0,0"/>
-            <Option type="QString" name="size" value="1"/>
+            <Option type="QString" name="name" value="line"/>
+            <Option type="QString" name="color" value="29,39,51,255"/>
+            <Option type="QString" name="size" value="4"/>
             <Option type="QString" name="size_unit" value="MM"/>
+            <Option type="QString" name="outline_color" value="255,255,255,255"/>
+            <Option type="QString" name="outline_style" value="solid"/>
+            <Option type="QString" name="outline_width" value="1.0"/>
+            <Option type="QString" name="outline_width_unit" value="MM"/>
+            <Option type="QString" name="scale_method" value="diameter"/>
+            <Option type="QString" name="angle" value="90"/>
+            <Option type="QString" name="vertical_anchor_point" value="2"/>
           </Option>
-          <symbol type="line" name="@5@1" alpha="1" clip_to_extent="1" force_rhr="0">
-            <layer class="ArrowLine" enabled="1" locked="0" pass="0">
-              <Option type="Map">
-                <Option type="QString" name="arrow_width" value="0.3"/>
-                <Option type="QString" name="arrow_start_width" value="0.3"/>
-                <Option type="QString" name="arrow_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_start_width_unit" value="MM"/>
-                <Option type="QString" name="arrow_type" value="0"/>
-                <Option type="QString" name="head_type" value="0"/>
-                <Option type="QString" name="head_length" value="1.4"/>
-                <Option type="QString" name="head_thickness" value="0.8"/>
-                <Option type="QString" name="head_length_unit" value="MM"/>
-                <Option type="QString" name="head_thickness_unit" value="MM"/>
-                <Option type="QString" name="is_curved" value="0"/>
-                <Option type="QString" name="is_repeated" value="1"/>
+          <data_defined_properties>
+            <Option type="Map">
+              <Option type="QString" name="name" value=""/>
+              <Option type="Map" name="properties">
+                <Option type="Map" name="size">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="20 * abs(&quot;row&quot;)"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+                <Option type="Map" name="angle">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="&quot;direction&quot; + if(&quot;row&quot; &lt; 0, 180, 0)"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
               </Option>
-              <symbol type="fill" name="@@5@1@0" alpha="1" clip_to_extent="1" force_rhr="0">
-                <layer class="SimpleFill" enabled="1" locked="0" pass="0">
-                  <Option type="Map">
-                    <Option type="QString" name="color" value="163,17,46,255"/>
-                    <Option type="QString" name="style" value="solid"/>
-                    <Option type="QString" name="outline_style" value="no"/>
-                  </Option>
-                </layer>
-              </symbol>
-            </layer>
-          </symbol>
+              <Option type="QString" name="type" value="collection"/>
+            </Option>
+          </data_defined_properties>
+        </layer>
+        <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
+          <Option type="Map">
+            <Option type="QString" name="name" value="triangle"/>
+            <Option type="QString" name="color" value="29,39,51,255"/>
+            <Option type="QString" name="size" value="1.7"/>
+            <Option type="QString" name="size_unit" value="MM"/>
+            <Option type="QString" name="outline_color" value="255,255,255,255"/>
+            <Option type="QString" name="outline_style" value="solid"/>
+            <Option type="QString" name="outline_width" value="0.6"/>
+            <Option type="QString" name="outline_width_unit" value="MM"/>
+            <Option type="QString" name="scale_method" value="diameter"/>
+            <Option type="QString" name="angle" value="90"/>
+            <Option type="QString" name="offset" value="0,-4"/>
+            <Option type="QString" name="offset_unit" value="MM"/>
+          </Option>
+          <data_defined_properties>
+            <Option type="Map">
+              <Option type="QString" name="name" value=""/>
+              <Option type="Map" name="properties">
+                <Option type="Map" name="angle">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="&quot;direction&quot; + if(&quot;row&quot; &lt; 0, 180, 0)"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+                <Option type="Map" name="offset">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="'0,' || to_string(-(20 * abs(&quot;row&quot;)))"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+                <Option type="Map" name="size">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="min(1.5, 6 * abs(&quot;row&quot;))"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+              </Option>
+              <Option type="QString" name="type" value="collection"/>
+            </Option>
+          </data_defined_properties>
+        </layer>
+        <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
+          <Option type="Map">
+            <Option type="QString" name="name" value="line"/>
+            <Option type="QString" name="color" value="29,39,51,255"/>
+            <Option type="QString" name="size" value="4"/>
+            <Option type="QString" name="size_unit" value="MM"/>
+            <Option type="QString" name="outline_color" value="29,39,51,255"/>
+            <Option type="QString" name="outline_style" value="solid"/>
+            <Option type="QString" name="outline_width" value="0.4"/>
+            <Option type="QString" name="outline_width_unit" value="MM"/>
+            <Option type="QString" name="scale_method" value="diameter"/>
+            <Option type="QString" name="angle" value="90"/>
+            <Option type="QString" name="vertical_anchor_point" value="2"/>
+          </Option>
+          <data_defined_properties>
+            <Option type="Map">
+              <Option type="QString" name="name" value=""/>
+              <Option type="Map" name="properties">
+                <Option type="Map" name="size">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="20 * abs(&quot;row&quot;)"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+                <Option type="Map" name="angle">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="&quot;direction&quot; + if(&quot;row&quot; &lt; 0, 180, 0)"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+              </Option>
+              <Option type="QString" name="type" value="collection"/>
+            </Option>
+          </data_defined_properties>
+        </layer>
+        <layer class="SimpleMarker" enabled="1" locked="0" pass="0">
+          <Option type="Map">
+            <Option type="QString" name="name" value="triangle"/>
+            <Option type="QString" name="color" value="29,39,51,255"/>
+            <Option type="QString" name="size" value="1.7"/>
+            <Option type="QString" name="size_unit" value="MM"/>
+            <Option type="QString" name="outline_color" value="29,39,51,255"/>
+            <Option type="QString" name="outline_style" value="solid"/>
+            <Option type="QString" name="outline_width" value="0.1"/>
+            <Option type="QString" name="outline_width_unit" value="MM"/>
+            <Option type="QString" name="scale_method" value="diameter"/>
+            <Option type="QString" name="angle" value="90"/>
+            <Option type="QString" name="offset" value="0,-4"/>
+            <Option type="QString" name="offset_unit" value="MM"/>
+          </Option>
+          <data_defined_properties>
+            <Option type="Map">
+              <Option type="QString" name="name" value=""/>
+              <Option type="Map" name="properties">
+                <Option type="Map" name="angle">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="&quot;direction&quot; + if(&quot;row&quot; &lt; 0, 180, 0)"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+                <Option type="Map" name="offset">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="'0,' || to_string(-(20 * abs(&quot;row&quot;)))"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+                <Option type="Map" name="size">
+                  <Option type="bool" name="active" value="true"/>
+                  <Option type="QString" name="expression" value="min(1.5, 6 * abs(&quot;row&quot;))"/>
+                  <Option type="int" name="type" value="3"/>
+                </Option>
+              </Option>
+              <Option type="QString" name="type" value="collection"/>
+            </Option>
+          </data_defined_properties>
         </layer>
       </symbol>
     </symbols>

@@ -13,9 +13,9 @@
       <symbol type="fill" name="0" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="26,152,80,20"/>
+            <Option type="QString" name="color" value="13,8,135,0"/>
             <Option type="QString" name="style" value="solid"/>
-            <Option type="QString" name="outline_color" value="26,152,80,255"/>
+            <Option type="QString" name="outline_color" value="13,8,135,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
             <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
@@ -26,9 +26,9 @@
       <symbol type="fill" name="1" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="127,191,63,20"/>
+            <Option type="QString" name="color" value="106,0,168,0"/>
             <Option type="QString" name="style" value="solid"/>
-            <Option type="QString" name="outline_color" value="127,191,63,255"/>
+            <Option type="QString" name="outline_color" value="106,0,168,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
             <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
@@ -39,9 +39,9 @@
       <symbol type="fill" name="2" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="217,200,38,20"/>
+            <Option type="QString" name="color" value="177,42,144,0"/>
             <Option type="QString" name="style" value="solid"/>
-            <Option type="QString" name="outline_color" value="217,200,38,255"/>
+            <Option type="QString" name="outline_color" value="177,42,144,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
             <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
@@ -52,9 +52,9 @@
       <symbol type="fill" name="3" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="243,154,39,20"/>
+            <Option type="QString" name="color" value="225,100,98,0"/>
             <Option type="QString" name="style" value="solid"/>
-            <Option type="QString" name="outline_color" value="243,154,39,255"/>
+            <Option type="QString" name="outline_color" value="225,100,98,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
             <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
@@ -65,9 +65,9 @@
       <symbol type="fill" name="4" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="221,90,43,20"/>
+            <Option type="QString" name="color" value="252,166,54,0"/>
             <Option type="QString" name="style" value="solid"/>
-            <Option type="QString" name="outline_color" value="221,90,43,255"/>
+            <Option type="QString" name="outline_color" value="252,166,54,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
             <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
@@ -78,9 +78,9 @@
       <symbol type="fill" name="5" alpha="1" clip_to_extent="1" force_rhr="0">
         <layer class="SimpleFill" enabled="1" locked="0" pass="0">
           <Option type="Map">
-            <Option type="QString" name="color" value="163,17,46,20"/>
+            <Option type="QString" name="color" value="240,249,33,0"/>
             <Option type="QString" name="style" value="solid"/>
-            <Option type="QString" name="outline_color" value="163,17,46,255"/>
+            <Option type="QString" name="outline_color" value="240,249,33,255"/>
             <Option type="QString" name="outline_style" value="solid"/>
             <Option type="QString" name="outline_width" value="0.66"/>
             <Option type="QString" name="outline_width_unit" value="MM"/>
@@ -92,8 +92,8 @@
   </renderer-v2>
   <labeling type="simple">
     <settings calloutType="simple">
-      <text-style fieldName="&quot;tile&quot; || '\n' || format_number(&quot;worst_rmse&quot;, 3) || ' px'" isExpression="1" fontSize="8" fontSizeUnit="Point" textColor="29,39,51,255" textOpacity="1" namedStyle="Regular" multilineHeight="1" blendMode="0">
-        <text-buffer bufferDraw="1" bufferSize="0.8" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.85" bufferNoFill="1" bufferJoinStyle="128" bufferBlendMode="0"/>
+      <text-style fieldName="&quot;tile&quot; || '\n' || format_number(&quot;worst_rmse&quot;, 3) || ' px'" isExpression="1" fontWeight="50" fontSize="9" fontSizeUnit="Point" textColor="29,39,51,255" textOpacity="1" namedStyle="Regular" multilineHeight="1" blendMode="0">
+        <text-buffer bufferDraw="1" bufferSize="0.8" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.9" bufferNoFill="1" bufferJoinStyle="128" bufferBlendMode="0"/>
       </text-style>
       <text-format multilineAlign="1" wrapChar="" formatNumbers="0" decimals="3" plussign="0"/>
       <placement placement="1" centroidWhole="1" centroidInside="0" priority="5"/>

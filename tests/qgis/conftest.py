@@ -44,6 +44,20 @@ def plugin(tmp_path_factory):
 
 
 @pytest.fixture
+def german(plugin):
+    """The plugin's translator as it is in a German QGIS."""
+    from qgis.core import QgsApplication, QgsSettings
+
+    QgsSettings().setValue("locale/userLocale", "de_DE")
+    plugin._install_translator()
+    yield plugin
+    QgsSettings().remove("locale/userLocale")
+    if plugin.translator is not None:
+        QgsApplication.removeTranslator(plugin.translator)
+        plugin.translator = None
+
+
+@pytest.fixture
 def provider(plugin):
     return plugin.provider
 

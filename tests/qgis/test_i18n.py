@@ -7,7 +7,7 @@ import pathlib
 import re
 
 import pytest
-from qgis.core import QgsApplication, QgsSettings
+from qgis.core import QgsApplication
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -18,18 +18,6 @@ def collector():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture
-def german(plugin):
-    """The plugin's translator as it is in a German QGIS."""
-    QgsSettings().setValue("locale/userLocale", "de_DE")
-    plugin._install_translator()
-    yield plugin
-    QgsSettings().remove("locale/userLocale")
-    if plugin.translator is not None:
-        QgsApplication.removeTranslator(plugin.translator)
-        plugin.translator = None
 
 
 def test_a_german_qgis_shows_german(german, context):

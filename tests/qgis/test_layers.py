@@ -47,11 +47,17 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
     temporary = QgsProcessingUtils.tempFolder() + "/abc/WORKSPACE"
     assert algorithm._scene_name({"workspace": temporary, "images": images}) == "IMG_1"
     fuse = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
-    above = {"vertical_datum": "EGM96 height"}
     assert fuse._scene_name({"scene": "/work/giza/scene.json"}) == "giza"
     assert fuse._scene_name({"scene": temporary + "/scene.json"}) == ""
-    assert fuse._layer_name("DSM", "giza", above) == "DSM giza (EGM96 height)"
-    assert fuse._layer_name("DSM", "", above) == "DSM (EGM96 height)"
+
+
+def test_a_layers_name_tells_what_of_which_scene_and_of_when(plugin):
+    from repm.processing_provider.styles import Run
+
+    assert Run("hills", ["2019-04-02"]).name("DSM", "EGM96 height") == "DSM hills, 2019-04-02 (EGM96 height)"
+    assert Run("hills", ["2019-04-02", "2019-05-01"]).name("Tiles") == "Tiles hills, 2019-04-02 to 2019-05-01"
+    assert Run("hills", number=2).name("Tiles") == "Tiles hills (2)"
+    assert Run("").name("DSM", "EGM96 height") == "DSM (EGM96 height)"
 
 
 @pytest.fixture(scope="module")
@@ -131,57 +137,59 @@ def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedbac
     assert [name for name, _ in tree(root)[1]][:2] == ["Equivalent error old town", "Point cloud old town"]
 
 
-def test_groups_that_are_there_are_used_and_others_left(plugin, feedback):
+def test_each_run_has_its_group_and_stages_of_one_scene_share_theirs(plugin, feedback):
     from qgis.core import QgsRasterLayer, QgsVectorLayer
-    from repm.processing_provider.styles import LayerStyler
+    from repm.processing_provider.styles import LayerStyler, Run
 
     project = QgsProject()
     context = QgsProcessingContext()
     context.setProject(project)
     root = project.layerTreeRoot()
 
-    def arrive(name, kind, group):
-        layer = QgsVectorLayer("Point", name, "memory")
-        project.addMapLayer(layer)
-        LayerStyler.make("", kind, group).postProcessLayer(layer, context, feedback)
+    def arrive(scene, *kinds):
+        run = Run(scene)
+        run.kinds.update(kinds)
+        for kind in kinds:
+            styler = LayerStyler.make("", kind, run, kind)
+            layer = QgsVectorLayer("Point", run.name(kind), "memory")
+            project.addMapLayer(layer)
+            styler.postProcessLayer(layer, context, feedback)
 
-    root.addGroup("mine")
-    for name, kind in (
-        ("dsm 1", "dsm"),
-        ("ties", "tie_points"),
-        ("tiles", "tiles"),
-        ("ortho", "ortho"),
-        ("dsm 2", "dsm"),
-    ):
-        arrive(name, kind, "town")
-    arrive("other", "dsm", "village")
-    arrive("alone", "tiles", "")
+    root.addGroup("town")  # somebody's own
+    arrive("town", "error", "tiles")
+    assert tree(root)[:2] == [("town", True), [("tiles town", True), ("error town", True)]]
+    arrive("town", "ortho", "dsm", "tie_points")  # a later stage
+    arrive("town", "dsm", "confidence", "tiles")  # another run
+    arrive("village", "dsm")
+    arrive("", "tiles")
     assert tree(root) == [
-        ("alone", True),
+        ("tiles", True),
         ("village", True),
-        [("other", True)],
+        [("dsm village", True)],
+        ("town (2)", True),
+        [("tiles town (2)", True), ("confidence town (2)", False), ("dsm town (2)", True)],
         ("town", True),
-        [("ties", True), ("tiles", True), ("ortho", False), ("dsm 2", True), ("dsm 1", True)],
-        ("mine", True),
+        [
+            ("tie_points town", True),
+            ("tiles town", True),
+            ("error town", False),  # it would hide the DSM
+            ("ortho town", False),
+            ("dsm town", True),
+        ],
+        ("town", True),
         [],
     ]
-    # QGIS 3.32 and later put a layer into its group before they call: it is not nested again.
-    layer = QgsRasterLayer("", "confidence", "gdal")
+    # QGIS may put a layer beside the one that is selected, into a group of ours: groups are not nested.
+    layer = QgsRasterLayer("", "error", "gdal")
     project.addMapLayer(layer, False)
-    root.findGroup("town").insertLayer(0, layer)
-    LayerStyler.make("", "confidence", "town").postProcessLayer(layer, context, feedback)
-    assert [name for name, _ in tree(root.findGroup("town"))] == [
-        "ties",
-        "tiles",
-        "ortho",
-        "confidence",
-        "dsm 2",
-        "dsm 1",
-    ]
+    root.findGroup("town (2)").insertLayer(0, layer)
+    run = Run("town", kinds={"error"})
+    LayerStyler.make("", "error", run).postProcessLayer(layer, context, feedback)
+    assert ("error", False) in tree(root.findGroup("town (2)")) and len(root.findGroups()) == 4
     project.clear()
 
 
-def test_newer_qgis_is_told_group_and_order(plugin, feedback, tmp_path):
+def test_newer_qgis_is_told_the_order(plugin, feedback, tmp_path):
     from repm.processing_provider import styles
 
     def blank():
@@ -199,9 +207,11 @@ def test_newer_qgis_is_told_group_and_order(plugin, feedback, tmp_path):
     context = Context()
     for kept_as, kind in (("dsm", "dsm"), ("ties", "tie_points")):
         (tmp_path / f"{kept_as}.qml").touch()
-        styles.style_layer(context, feedback, kept_as, str(tmp_path / f"{kept_as}.gpkg"), kept_as.upper(), kind, "town")
+        styles.style_layer(
+            context, feedback, kept_as, str(tmp_path / f"{kept_as}.gpkg"), kind, styles.Run("town"), kept_as.upper()
+        )
     dsm, ties = context.details["dsm"], context.details["ties"]
-    assert (dsm.name, dsm.groupName, ties.groupName) == ("DSM", "town", "town")
+    assert (dsm.name, dsm.groupName, ties.name) == ("DSM town", "", "TIES town")
     assert ties.layerSortKey > dsm.layerSortKey  # greater is higher
 
 
@@ -210,7 +220,7 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
     context = QgsProcessingContext()
     for kind in ("ept", "mesh"):
-        styles.style_layer(context, feedback, "", str(tmp_path), "x", kind, "town")
+        styles.style_layer(context, feedback, "", str(tmp_path), kind, styles.Run("town"), "x")
     assert not context.layersToLoadOnCompletion()
     context.setProject(QgsProject.instance())
 
@@ -223,7 +233,7 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
     monkeypatch.setattr(styles, "QgsProviderRegistry", Registry())
     for kind in ("ept", "mesh"):
-        styles.style_layer(context, feedback, "", str(tmp_path / "m.ply"), "x", kind, "town")
+        styles.style_layer(context, feedback, "", str(tmp_path / "m.ply"), kind, styles.Run("town"), "x")
     assert list(context.layersToLoadOnCompletion()) == [str(tmp_path / "m.ply")]
 
 

@@ -6,16 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from qgis.core import (
-    QgsMapRendererSequentialJob,
-    QgsMapSettings,
-    QgsMesh,
-    QgsMeshLayer,
-    QgsPointCloudLayer,
-    QgsRectangle,
-)
-from qgis.PyQt.QtCore import QSize
-from qgis.PyQt.QtGui import QColor
+from qgis.core import QgsMesh, QgsMeshLayer, QgsPointCloudLayer, QgsRectangle
+
+from tests.qgis.drawing import drawn
 
 UTM = "EPSG:32631"
 WEST, NORTH = 654321.0, 4812345.0
@@ -67,29 +60,12 @@ def test_an_ept_is_drawn_where_its_points_are_and_coloured_by_height(plugin, ept
     style = write_style("ept", str(folder / "ept.json"), (100.0, 200.0))
     layer = QgsPointCloudLayer(str(folder / "ept.json"), "cloud", "ept")
     assert layer.loadNamedStyle(style)[1]
-    pixels = drawn(layer, QgsRectangle(WEST - 100, NORTH - 100, WEST + 200, NORTH), QSize(300, 100))
+    pixels = drawn(layer, QgsRectangle(WEST - 100, NORTH - 100, WEST + 200, NORTH), (300, 100))
     assert (pixels[:, :95] == 255).all()  # nothing west of the points
     land = pixels[5:95, 105:295]
     assert (land == 255).all(axis=2).mean() < 0.02
     west, east = land[:, :20].reshape(-1, 3).mean(axis=0), land[:, -20:].reshape(-1, 3).mean(axis=0)
     assert (east - west > 40).any()  # not of one colour: dark green below, bright above
-
-
-def drawn(layer, extent, size):
-    """(height, width, 3) of a layer on white."""
-    settings = QgsMapSettings()
-    settings.setLayers([layer])
-    settings.setDestinationCrs(layer.crs())
-    settings.setExtent(extent)
-    settings.setOutputSize(size)
-    settings.setBackgroundColor(QColor("white"))
-    job = QgsMapRendererSequentialJob(settings)
-    job.start()
-    job.waitForFinished()
-    image = job.renderedImage()
-    bits = image.constBits()
-    bits.setsize(image.sizeInBytes())
-    return np.frombuffer(bytes(bits), np.uint8).reshape(image.height(), -1, 4)[:, : image.width(), 2::-1].astype(int)
 
 
 @pytest.mark.parametrize("vertical", ("", "EGM96"))

@@ -185,7 +185,7 @@ def test_preview_of_a_file(make_raster, tmp_path, terrain):
         pictures.preview(tmp_path / "none.tif", 200)
 
 
-@pytest.mark.parametrize("kind", ["dsm", "error", "dsm_error", "confidence", "ortho", "hillshade"])
+@pytest.mark.parametrize("kind", ["dsm", "error", "dsm_error", "ortho", "hillshade"])
 def test_raster_styles_carry_the_rasters_range(make_raster, tmp_path, kind):
     import xml.dom.minidom as minidom
 
@@ -214,25 +214,75 @@ def test_styles_of_flat_and_empty_rasters(make_raster, heights):
 
 
 def test_vector_styles_and_unknown_kinds(tmp_path):
-    for kind, field in (("tiles", "worst_rmse"), ("tie_points", "residual")):
+    for kind, field in (("tiles", 'attr="worst_rmse"'), ("tie_points", 'filter="&quot;residual&quot; &lt; 0.1"')):
         text = open(styles.write_style(kind, tmp_path / f"{kind}.gpkg"), encoding="utf-8").read()
-        assert f'attr="{field}"' in text
+        assert field in text
     with pytest.raises(OptionError, match="kind is 'x'"):
         styles.write_style("x", tmp_path / "a.tif")
 
 
-@pytest.mark.parametrize(("counts", "band"), [((1.0, 1.0), 3), ((1.0, 3.0), 1)])
-def test_a_confidence_of_one_height_map_shows_the_score(tmp_path, counts, band):
+def confidence(tmp_path, bands):
     rows = np.ones((20, 20), np.float32)
-    count = np.where(np.arange(20) < 10, *counts) * rows
+    values = [rows * 3, rows, rows * 0.5, rows, np.linspace(0.2, 0.9, 400, dtype=np.float32).reshape(20, 20)]
     path = str(tmp_path / "confidence.tif")
-    raster.write(
-        path,
-        [count.astype(np.float32), rows * np.nan, np.linspace(0.2, 0.9, 400, dtype=np.float32).reshape(20, 20)],
-        (0, 1, 0, 20, 0, -1),
-        "",
-    )
-    text = open(styles.write_style("confidence", path), encoding="utf-8").read()
-    assert f'type="singlebandpseudocolor" band="{band}"' in text
-    low = float(re.search(r'classificationMin="([^"]*)"', text).group(1))
-    assert low == pytest.approx({3: 0.2, 1: 1.0}[band], abs=0.02)
+    return raster.write(path, values[:bands], (0, 1, 0, 20, 0, -1), "", cog=True)
+
+
+def test_a_confidence_shows_the_expected_error(tmp_path):
+    text = open(styles.write_style("confidence", confidence(tmp_path, 5)), encoding="utf-8").read()
+    assert 'type="singlebandpseudocolor" band="5"' in text and 'suffix=" m"' in text
+    ends = [float(re.search(rf'classification{end}="([^"]*)"', text).group(1)) for end in ("Min", "Max")]
+    assert ends == pytest.approx([0.0, 0.886], abs=0.001)
+
+
+def test_counts_and_sources_have_discrete_legends(tmp_path):
+    def entries(kind, path):
+        return re.findall(
+            r'<paletteEntry value="(\d+)" color="(#\w+)" alpha="255" label="([^"]*)"', text_of(kind, path)
+        )
+
+    def text_of(kind, path):
+        text = styles.style_text(kind, path)
+        assert 'type="paletted"' in text and "@" not in text
+        return text
+
+    path = confidence(tmp_path, 5)
+    assert [entry[::2] for entry in entries("confidence_count", path)] == [("1", "1"), ("2", "2"), ("3", "3")]
+    assert 'band="4"' in text_of("confidence_source", path)
+    assert [entry[::2] for entry in entries("confidence_source", path)][:2] == [
+        ("0", "Matched"),
+        ("1", "Background of an occlusion"),
+    ]
+    dsms = str(tmp_path / "sources.tif")
+    numbers = np.arange(12, dtype=np.float32).reshape(3, 4) + 1
+    names = {f"DSM_{number}": f"/data/{number}<.tif" for number in (1, 2)}
+    raster.write(dsms, [numbers], (0, 1, 0, 3, 0, -1), "", metadata=names)
+    found = entries("sources", dsms)
+    assert [label for _, _, label in found[:3]] == ["1: 1&lt;", "2: 2&lt;", "3"] and len(found) == 12
+    assert len({colour for _, colour, _ in found[:8]}) == 8
+
+
+def test_an_orthophoto_has_the_time_of_its_images(make_raster):
+    path = make_raster("layer.tif", np.arange(100.0).reshape(10, 10))
+    taken = "2019-04-02T10:15:00.000Z", "2019-04-02T10:16:00.000Z"
+    text = styles.style_text("ortho", path, taken=taken)
+    assert "<start>2019-04-02T10:15:00.000Z</start>" in text and "<end>2019-04-02T10:16:00.000Z</end>" in text
+    assert "<temporal" not in styles.style_text("ortho", path)
+
+
+def test_only_heights_are_an_elevation(make_raster):
+    path = make_raster("layer.tif", np.arange(100.0).reshape(10, 10))
+    found = {kind: re.search(r'<elevation enabled="(\d)"', styles.style_text(kind, path)) for kind in ("dsm", "error")}
+    assert {kind: match.group(1) for kind, match in found.items()} == {"dsm": "1", "error": "0"}
+
+
+def test_no_two_classes_look_alike_to_anybody():
+    """Residuals get lighter from class to class, so that they are told apart without colour, and none is green."""
+    for kind in ("tie_points", "tiles"):
+        text = styles.style_text(kind, "a.gpkg")
+        pattern = r'name="(?:color|outline_color)" value="(\d+),(\d+),(\d+),255"'
+        colours = [tuple(map(int, each)) for each in re.findall(pattern, text)]
+        classes = [each for each in dict.fromkeys(colours) if each not in ((255, 255, 255), (29, 39, 51))]
+        light = [colour @ np.array([0.299, 0.587, 0.114]) for colour in np.array(classes)]
+        assert len(classes) == 6 and (np.diff(light) > 15).all(), kind
+        assert not any(green > 1.2 * red and green > 1.2 * blue for red, green, blue in classes)

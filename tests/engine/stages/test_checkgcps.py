@@ -282,7 +282,7 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
     )
     style = (tmp_path / "p.qml").read_text(encoding="utf-8")
     assert "@scale@" not in style and "@length@" not in style and "&quot;height_error&quot;" in style
-    length = float(style.split("(10 mm: ")[1].split(" m)")[0])
+    length = float(style.split("(10 mm = ")[1].split(" m)")[0])
     east_north = result["components"]["compensated"]
     assert length >= 0.9 * min(east_north["east"]["rmse"], east_north["north"]["rmse"])
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
