@@ -340,7 +340,9 @@ class _EngineProcess:
         if kind == "error":
             raise QgsProcessingException(str(last.get("text", "")))
         if kind == "bug":
-            sentence = said(f"The stage '{self._stage}' met an error it did not expect; please report it.")
+            sentence = said(
+                f"The stage '{self._stage}' ended with an unexpected error: please report it with the text below."
+            )
             raise QgsProcessingException(f"{sentence}\n{last.get('text', '')}")
         raise _failure(self._crash(code))
 

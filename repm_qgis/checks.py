@@ -181,7 +181,8 @@ class Range:
 
     def problem(self, value: Sequence[float]) -> str:
         right = self.low <= value[0] < value[1] <= self.high
-        return "" if right else f"must be two rising numbers between {self.low:g} and {self.high:g} {self.unit}".strip()
+        limits = f"between {self.low:g} and {self.high:g} {self.unit}".strip()
+        return "" if right else f"must be two numbers, the smaller one first, {limits}"
 
 
 @dataclass(frozen=True)

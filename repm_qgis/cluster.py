@@ -228,7 +228,7 @@ def _require_shared(
     for worker, wrong in sorted(answers.items()):
         for path, reason in wrong:
             host = workers.get(worker, {}).get("host", worker)
-            remedy = "put images, workspace and products on storage that all machines have under one path"
+            remedy = "put images, workspace and products on storage that all machines see under the same path"
             raise ClusterError(f"The worker {worker} on '{host}' cannot use '{path}' ({reason}): {remedy}.")
 
 
@@ -286,7 +286,7 @@ class _ClusterWorkers:
             self._drop(list(numbers))
         if lost:
             names = "; ".join(describe(tasks[number]) for number in sorted(lost)[:20])
-            found = f"{len(lost)} of {len(tasks)} tasks lost four workers each, most likely for want of memory"
+            found = f"{len(lost)} of {len(tasks)} tasks lost four workers each, most likely because memory ran out"
             remedy = "give the workers more memory, or choose a smaller TILE_SIZE, and run again"
             raise ClusterError(f"{found} ({names}); all others are done: {remedy}.")
         return [results[number] for number in range(len(tasks))]
@@ -305,7 +305,7 @@ class _ClusterWorkers:
 
     def _gone(self) -> ClusterError:
         remedy = "start it again and run again: what is finished is kept"
-        return ClusterError(f"The scheduler of the cluster at '{self._address}' is gone: {remedy}.")
+        return ClusterError(f"The scheduler of the cluster at '{self._address}' has ended: {remedy}.")
 
     def _look(self, progress: Progress) -> None:
         """See that there is a scheduler, and say where there is no worker."""

@@ -54,7 +54,7 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
         except OSError as error:
             if error.errno in _UNKNOWN:
                 progress.warn(
-                    f"The disk of '{path}' has no locks: see that no other run writes there at the same time."
+                    f"The disk of '{path}' does not support locks: make sure that no other run writes there meanwhile."
                 )
                 os.close(descriptor)
                 yield

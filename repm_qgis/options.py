@@ -102,7 +102,7 @@ class Options(metaclass=_ByName):
         for name in values:
             if name not in cls.names():
                 known = ", ".join(sorted(cls.names()))
-                raise OptionError(name, values[name], f"is not an option of this stage; known are {known}")
+                raise OptionError(name, values[name], f"is not an option of this stage; its options are {known}")
         return cls._of({name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
     @classmethod

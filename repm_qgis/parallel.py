@@ -263,7 +263,7 @@ def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmErro
     if certain:
         return OutOfMemoryError(f"The system killed a worker process {when} because memory ran out: {MEMORY_REMEDY}.")
     if _NO_MEMORY in codes:
-        return OutOfMemoryError(f"A worker process found no memory to begin with, {when}: {MEMORY_REMEDY}.")
+        return OutOfMemoryError(f"A worker process could not start {when} because memory ran out: {MEMORY_REMEDY}.")
     signals = {-code for code in codes if code is not None and code < 0}
     if getattr(signal, "SIGKILL", None) in signals:
         text = f"A worker process was killed (SIGKILL) {when}, most likely because memory ran out: {MEMORY_REMEDY}."
@@ -280,7 +280,7 @@ def _require_manager(executor: ProcessPoolExecutor) -> None:
     tasks would ever end."""
     manager = getattr(executor, "_executor_manager_thread", None)
     if manager is not None and not manager.is_alive():
-        raise OutOfMemoryError(f"This process could not start a thread, for want of memory: {MEMORY_REMEDY}.")
+        raise OutOfMemoryError(f"This process could not start a thread because memory ran out: {MEMORY_REMEDY}.")
 
 
 def as_they_end(

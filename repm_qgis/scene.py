@@ -221,7 +221,7 @@ class Scene(Record):
             return "has an area or a tile that is larger than its images"
         for pair in (*((pair.first, pair.second) for pair in self.pairs), *self._tied):
             if pair[0] == pair[1] or not {*pair} <= set(views):
-                return f"has a pair {pair[0]}, {pair[1]}, which are no two views of it"
+                return f"has a pair {pair[0]}, {pair[1]}, which are not two of its views"
         if self.refinement == "terrain" and not self.surface:
             return "has the refinement 'terrain', and no surface"
         return ""
@@ -376,7 +376,9 @@ def _document(path: str) -> Dict[str, Any]:
     """The JSON object of a scene file, with format and schema checked."""
     try:
         if os.path.getsize(path) > _MAX_SCENE_BYTES:
-            raise SceneError(f"The scene '{path}' is larger than {_MAX_SCENE_BYTES >> 20} MiB: it is no scene of ours.")
+            raise SceneError(
+                f"The scene '{path}' is larger than {_MAX_SCENE_BYTES >> 20} MiB: choose one that REPM wrote."
+            )
         with open(path, encoding="utf-8") as stream:
             document = json.load(stream)
     except OSError as error:
@@ -470,5 +472,6 @@ def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:
     enu = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
     gsd = math.sqrt(float(np.linalg.norm(enu[1] - enu[0]) * np.linalg.norm(enu[2] - enu[0])))
     if not _GSD_M[0] <= gsd <= _GSD_M[1]:
-        raise RpcInvalidError(f"The RPC of '{path}' gives pixels of {gsd:g} m on the ground: no satellite's.")
+        found = f"gives pixels of {gsd:g} m on the ground, which no satellite has"
+        raise RpcInvalidError(f"The RPC of '{path}' {found}: give the image's own RPC.")
     return gsd

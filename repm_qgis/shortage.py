@@ -36,7 +36,7 @@ def reserve_buffers() -> None:
     if rest is None:
         return
     if rest < _BUFFERS:
-        left = f"only {rest / 2**20:.0f} MiB of address space are left, and {_BUFFERS >> 20} MiB are needed to begin"
+        left = f"only {rest / 2**20:.0f} MiB of address space are left, and {_BUFFERS >> 20} MiB are needed to start"
         raise OutOfMemoryError(f"Memory ran out ({left}): raise the limit (ulimit -v), or {MEMORY_REMEDY}.")
     import numpy as np
 

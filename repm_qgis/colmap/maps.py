@@ -29,7 +29,7 @@ def read_map(path: str, size: Size) -> FloatImage:
             start = stream.read(_HEADER_BYTES)
             found = _HEADER.match(start)
             if found is None:
-                raise ImageError(f"'{path}' is no map of COLMAP (it begins with {start[:12]!r}): reconstruct again.")
+                raise ImageError(f"'{path}' is not a map of COLMAP (it begins with {start[:12]!r}): reconstruct again.")
             if tuple(map(int, found.groups())) != (width, height, 1):
                 its = " x ".join(number.decode() for number in found.groups())
                 raise ImageError(

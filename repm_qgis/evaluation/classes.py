@@ -46,7 +46,7 @@ class ErrorsByClass:
 
     def _collector(self, value: float) -> ErrorCollector:
         if value != round(value) or (int(value) not in self._collectors and len(self._collectors) >= _MOST_CLASSES):
-            why = f"has the value {value:g}, which is no whole number or the {_MOST_CLASSES + 1}st value"
+            why = f"has the value {value:g}, which is not a whole number or is one value too many"
             remedy = f"give a raster of at most {_MOST_CLASSES} whole numbers, such as a land cover map or a mask"
             raise ImageError(f"The class raster '{self._grid.path}' {why}: {remedy}.")
         return self._collectors.setdefault(int(value), ErrorCollector.of_part(self._thresholds))

@@ -521,7 +521,7 @@ def parsed(data: bytes) -> Optional[FoundRpc]:
         raise RpcInvalidError(f"it is larger than {_MAX_TEXT >> 20} MiB, which no RPC file but XML is.")
     fitting = [entry for entry in _FORMATS if entry.mark.search(text)]
     if len(fitting) > 1:
-        raise RpcInvalidError(f"it could be {' or '.join(entry.name for entry in fitting)}.")
+        raise RpcInvalidError(f"it fits several formats: {' or '.join(entry.name for entry in fitting)}.")
     if not fitting:
         return None
     if fitting[0].parse not in (_parse_dimap, _parse_maxar, _parse_json):

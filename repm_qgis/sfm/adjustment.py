@@ -154,7 +154,7 @@ def _compared(shift: "_Solution", affine: "_Solution", parameters: AdjustmentPar
     cover = min(shift.cover)
     if len(shift.tracks) < parameters.affine_ties or cover < parameters.affine_cover:
         few = f"{len(shift.tracks)} ties over {100 * cover:.0f} % of the images' sides"
-        return shift, f"{few} carry no affine correction"
+        return shift, f"{few} are too few for an affine correction"
     # Points that either model rejects count for neither.
     good = [gcp for gcp in shift.control if gcp in affine.control]
     limit = parameters.affine_limit * shift.typical_px
@@ -167,7 +167,7 @@ def _compared(shift: "_Solution", affine: "_Solution", parameters: AdjustmentPar
     if criterion < 0 and len(good) >= parameters.affine_control and affine.control_misses(good) < gain * misses:
         figures = f"{misses:.3f} px with shifts, {affine.control_misses(good):.3f} px"
         return affine, f"control points show a trend: {figures} with affine corrections {stated}"
-    return shift, f"an affine correction gains nothing: {figures} affine {stated}"
+    return shift, f"an affine correction does not improve the fit: {figures} affine {stated}"
 
 
 class _Solution:

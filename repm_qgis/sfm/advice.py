@@ -61,8 +61,8 @@ def advice(
     uncertain = figures.height_uncertainty_m or 0.0
     if uncertain > max(limits.uncertain_m, limits.uncertain_gsd * scene.gsd_m):
         texts.append(
-            f"The vendors' RPCs disagree so much that the absolute height is uncertain by some {uncertain:.1f} m: give "
-            "ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a reference', "
+            f"The vendors' RPCs disagree so much that the absolute height is uncertain by about {uncertain:.1f} m: "
+            "give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a reference', "
             "ALIGN=3d)."
         )
     return texts
@@ -75,12 +75,12 @@ def _geometry(pair: ViewPair, gsd_m: float, parameters: PointingParameters) -> L
     if pair.base_to_height < parameters.pairs.narrow:
         accuracy = parameters.advice.matching_px * gsd_m / pair.base_to_height
         return [
-            f"{names} look from nearly one direction {angles}: heights of this pair are good to some {accuracy:.1f} m "
-            "only; add an image from farther away, or leave one of the two out."
+            f"{names} were taken from nearly the same direction {angles}: heights of this pair are accurate to about "
+            f"{accuracy:.1f} m only; add an image from another direction, or leave out one of the two."
         ]
     if pair.base_to_height > parameters.pairs.wide:
-        wide = f"{names} look from very different directions {angles}"
-        return [f"{wide}: walls and trees will not match; add an image from between."]
+        wide = f"{names} were taken from very different directions {angles}"
+        return [f"{wide}: walls and trees will not match; add an image from a direction between them."]
     return []
 
 
@@ -88,8 +88,8 @@ def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Views that no pair uses."""
     used = {name for pair in pairs for name in (pair.first, pair.second)}
     names = [view.name for view in scene.views if view.name not in used]
-    why = "no other image of the same ground looks from a direction at least 3 degrees away"
-    text = f"{_listed(names)}: not used, because {why}; leave it out, or add an image from farther away."
+    why = "no other image of the same ground was taken from a direction at least 3 degrees away"
+    text = f"{_listed(names)}: not used, because {why}; leave it out, or add an image from another direction."
     return [text] if names else []
 
 
@@ -141,8 +141,8 @@ def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]
             if days_off_season(pair.days) > parameters.season_days or pair.days > parameters.old_days:
                 named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
     text = (
-        f"Seasons or years lie between {_listed(named)}: fields, leaves, snow and building sites have changed, and "
-        "cause gaps or wrong heights; take images of one pass, or leave one image out."
+        f"Images were taken seasons or years apart: {_listed(named)}. Fields, leaves, snow and building sites have "
+        "changed, which causes gaps or wrong heights; take images of one pass, or leave one image out."
     )
     return [text] if named else []
 
@@ -164,9 +164,9 @@ def _thin(scene: Scene, figures: PointingFigures, parameters: AdviceParameters) 
     where = _listed(list(dict.fromkeys([*bare, *(_part_of(scene, tile) for tile in few)])))
     names = f" ({counted(len(few), 'tile')} of {len(tiles)}: {_listed(few)})" if few else ""
     return [
-        f"Hardly any tie point in the {where} of the overlap{names}: there is water, cloud or shadow, or the images "
-        "differ, and the pointing comes from the rest of the scene; check the arrows of the tie points around it "
-        "(their field 'row') and its vertical parallax in 'Height maps', or leave it out with EXTENT."
+        f"There are hardly any tie points in the {where} of the overlap{names}, because of water, clouds, shadow or "
+        "changes; the pointing comes from the rest of the scene. Check the arrows of the tie points around it (their "
+        "field 'row') and its vertical parallax in 'Height maps', or leave it out with EXTENT."
     ]
 
 

@@ -262,8 +262,8 @@ def altitude_range(
             for view in views:  # an image that shows nothing is an error of its own
                 view_stretch(view.image, view.band, view.mask)
             progress.warn(
-                f"The images do not show the altitude range: that of the RPCs is used, {search[0]:.0f} to "
-                f"{search[1]:.0f} m. A DEM, or ALTITUDE_MIN and ALTITUDE_MAX, would save time and errors."
+                f"The altitude range could not be found from the images: that of the RPCs is used, {search[0]:.0f} to "
+                f"{search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is faster and more reliable."
             )
             found, source = search, "RPC"
         else:

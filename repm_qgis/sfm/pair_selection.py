@@ -46,7 +46,7 @@ def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> L
 
 
 def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters = POINTING.pairs) -> float:
-    """How unsuitable a pair is; 0 is best, and 1 is as bad as a convergence angle that is wrong by a factor of e.
+    """How unsuitable a pair is: 0 is best; half or twice the best convergence angle alone costs ln(2) = 0.69.
 
     The sum of three terms:
 

@@ -1,4 +1,4 @@
-"""Vertical parallax: how far two views' pixels of one ground point miss each other across the epipolar line.
+"""Vertical parallax: how far a view's pixel of a ground point lies from the epipolar line of another view's.
 
 No height explains it. In a rectified pair it is the difference of rows; here it comes from the sensor models
 themselves, so that no camera fitted over a whole scene changes it.

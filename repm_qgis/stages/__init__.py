@@ -79,7 +79,7 @@ def _workers_for(name: str, options: _options.Options, progress: Progress) -> Co
     made = list(paths_of(name, options))
     for option, path in [*options.read_paths(), *((product.option, path) for product, path in made)]:
         if not os.path.isabs(path) and os.path.exists(os.path.dirname(path) or "."):
-            reason = "must be a whole path where there is a CLUSTER: its workers have working folders of their own"
+            reason = "must be an absolute path where CLUSTER is used: its workers have other working folders"
             raise OptionError(option.upper(), path, reason)
     folders = {path if product.form == FOLDER else os.path.dirname(path) for product, path in made}
     return cluster_workers(address, [path for _, path in options.read_paths()], sorted(folders), progress)

@@ -44,7 +44,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
         if found.dsm_heights is None or not np.isfinite(found.dsm_heights).any():
             points, place = counted(len(found.gcps), "point"), f"where the DSM '{options.dsm}' has a height"
             raise EmptyResultError(
-                f"None of the {points} of '{options.gcps}' lies {place}: choose the points of that place."
+                f"None of the {points} of '{options.gcps}' lies {place}: choose points of the same area."
             )
     for text in found.warnings:
         progress.warn(text)

@@ -199,9 +199,10 @@ def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progr
     """What was filtered and filled, in the log."""
     options, radius = fusion.options, fusion.options.outlier_radius or 0.0
     if radius > 0:
-        asked = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
-        few = f"fewer neighbours within {radius:g} m than a fifth of what is usual ({asked})"
-        progress.info(f"{facts.removed} cells removed that have {few}.")
+        least = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
+        progress.info(
+            f"Removed {facts.removed} isolated cells: fewer neighbours within {radius:g} m than needed ({least})."
+        )
     counts = facts.matched, facts.background, facts.interpolated
     matched, background, interpolated = (100.0 * count / facts.cells for count in counts)
     progress.info(

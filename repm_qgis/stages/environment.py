@@ -15,12 +15,12 @@ from ..progress import Progress
 
 def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
     """Look around, say what is missing, and write the report if one is wanted; gives the findings too."""
-    progress.step(0.0, "asking packages and devices")
+    progress.step(0.0, "checking packages and devices")
     found = survey(tempfile.gettempdir())
     for entry in found["missing"]:
         progress.warn(f"{entry['package']} is missing ({entry['purpose']}). Install it with: {entry['command']}")
     if not found["missing"]:
-        progress.info(f"Nothing is missing for {found['interpreter']}.")
+        progress.info(f"{found['interpreter']} has every package that the engine uses.")
     if not found["cuda"]["usable"]:
         progress.info(f"BACKEND colmap cannot run: {found['cuda']['remedy']}.")
     if options.report:
@@ -56,7 +56,7 @@ def _report(found: Dict[str, Any]) -> Report:
     if not found["cuda"]["usable"]:
         page.paragraph(
             f"Dense matching with COLMAP on a GPU (BACKEND colmap) cannot run: {found['cuda']['remedy']}. "
-            "Everything else does without."
+            "Everything else works without it."
         )
     _proj(page, found["proj"])
     return page

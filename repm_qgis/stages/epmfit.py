@@ -189,8 +189,8 @@ def _automatic_size(
     if error > budget:
         left, range_m = f"{error:.2f} px of equivalent error", scene.altitudes[1] - scene.altitudes[0]
         progress.warn(
-            f"Even tiles of {size} px leave {left} after refinement (budget {budget:g} px) over {range_m:.0f} m of "
-            "altitude; heights are computed with the RPCs and stay exact."
+            f"Tiles of {size} px, the smallest, still have {left} after refinement (budget {budget:g} px), because the "
+            f"altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not affected."
         )
     return size
 

@@ -89,7 +89,7 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     write_mosaic(rasters, layout.grid, blocks, folder, options.workers, parameters.mosaic, writing)
     seam = _median(blocks)
     if seam is not None:
-        progress.info(f"Along the seams, two DSMs are {seam:.3f} m apart (median) before heights are feathered.")
+        progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are feathered.")
     if options.report:
         page = mosaic_page(options, layout, overlaps, offsets, cells, seam, whole.warnings)
         page.write(options.report)
@@ -262,8 +262,10 @@ def _log(layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, progress
     found = f"{counted(len(overlaps), 'overlap')}: median differences of {before:.3f} m (root mean square)"
     progress.info(f"{found} before and {after:.3f} m after the offsets.")
     if not any(offsets.anchored):
-        progress.info("No DSM is fixed: the mean of all offsets is zero.")
+        progress.info("No DSM is fixed (FIXED is empty), so the mean of all offsets is zero.")
     if len(offsets.groups) > 1:
         names = [", ".join(os.path.basename(layout.dsms[i].name) for i in group) for group in offsets.groups]
-        text = f"The DSMs are {len(names)} groups that do not overlap each other ({'; '.join(names)})"
-        progress.warn(f"{text}: each is solved for itself, and heights of two groups may differ by an offset.")
+        text = f"The DSMs form {len(names)} groups that do not overlap ({'; '.join(names)})"
+        progress.warn(
+            f"{text}: each group has its own solution, and heights of different groups may differ by an offset."
+        )

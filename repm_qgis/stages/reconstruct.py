@@ -137,7 +137,7 @@ def _pointed(
     """The scene with its views pointed and its tiles' altitudes narrowed by the tie points, which are written."""
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         remedy = "fill the fields view, col and row of points with the role control"
-        effect = f"the position of the whole stays where the vendors put it; {remedy}"
+        effect = f"the absolute position is that of the vendors' RPCs; {remedy}"
         progress.warn(f"No control point of '{options.gcps}' was measured in an image: {effect}.")
     mode, numbers = (options.workers, options.adjustment), (parameters.pointing, parameters.altitudes)
     found = point_views(scene, scene.pairs, stretches, options.pointing, gcps, progress, *mode, *numbers)
@@ -218,4 +218,4 @@ def _check(records: Sequence[Optional[HeightMapRecord]], parameters: TileParamet
         found = f"only {valid} of {pixels} pixels on {len(made)} of {len(records)} tile pairs"
         raise EmptyResultError(f"Matching found heights for {found}. {question}")
     found = f"{100 * valid / pixels:.0f} % of {pixels / 1e6:.1f} million pixels on {counted(len(made), 'tile pair')}"
-    progress.info(f"Heights for {found} (the frames' empty corners count).")
+    progress.info(f"Heights for {found}; the empty corners of rectified images are counted as pixels without a height.")

@@ -141,7 +141,7 @@ def test_a_task_whose_worker_dies_is_done_again_elsewhere(cluster, on, tmp_path)
 
 def test_a_tile_that_kills_every_worker_is_named_and_the_rest_is_done(start_cluster, on, tmp_path):
     block, said = on(start_cluster(workers=5))
-    words = r"1 of 12 tasks lost four workers each, most likely for want of memory \(tile 3\); all others are done"
+    words = r"1 of 12 tasks lost four workers each, most likely because memory ran out \(tile 3\); all others are done"
     with pytest.raises(ClusterError, match=words), block:
         run_tasks(tasks.deadly, list(range(12)), 0, said, "tile {}".format)
 
@@ -151,7 +151,7 @@ def test_a_scheduler_that_dies_ends_the_run_in_a_sentence(start_cluster, on):
     block, said = on(cluster)
     threading.Timer(1.0, cluster.scheduler.kill).start()
     start = time.monotonic()
-    with pytest.raises(ClusterError, match="The scheduler of the cluster at '.*' is gone: start it again"), block:
+    with pytest.raises(ClusterError, match="The scheduler of the cluster at '.*' has ended: start it again"), block:
         run_tasks(tasks.slow, list(range(10)), 0, said, str)
     assert time.monotonic() - start < 15
 
@@ -240,5 +240,5 @@ def test_relative_paths_are_refused(urban, told, tmp_path, monkeypatch):
     """Workers would read and write them in their own folders."""
     monkeypatch.chdir(tmp_path)
     options = {"images": urban.images[:2], "workspace": str(tmp_path / "w"), "output": "dsm.tif"}
-    with pytest.raises(OptionError, match="OUTPUT is 'dsm.tif': it must be a whole path where there is a CLUSTER"):
+    with pytest.raises(OptionError, match="OUTPUT is 'dsm.tif': it must be an absolute path where CLUSTER is used"):
         run_stage("pipeline", {**options, "cluster": "tcp://127.0.0.1:1"}, told())

@@ -234,6 +234,6 @@ def test_an_executor_whose_thread_has_died_is_a_sentence_and_no_hang(work, told,
     monkeypatch.setattr(pool._ExecutorManagerThread, "add_call_item_to_queue", die)
     monkeypatch.setattr("threading.excepthook", lambda arguments: None)
     start = time.monotonic()
-    with pytest.raises(OutOfMemoryError, match="could not start a thread, for want of memory: use fewer WORKERS"):
+    with pytest.raises(OutOfMemoryError, match="could not start a thread because memory ran out: use fewer WORKERS"):
         run_tasks(work.square, list(range(8)), 2, told(), str)
     assert time.monotonic() - start < 10

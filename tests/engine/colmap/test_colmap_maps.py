@@ -28,8 +28,8 @@ def test_colmap_reads_what_is_written_and_writes_what_is_read(tmp_path):
 @pytest.mark.parametrize(
     "content, words",
     [
-        (b"", "no map of COLMAP"),
-        (b"II*\x00" + bytes(50), "no map of COLMAP"),
+        (b"", "is not a map of COLMAP"),
+        (b"II*\x00" + bytes(50), "is not a map of COLMAP"),
         (b"11&7&" + bytes(400), "no map"),
         (b"99999999999&7&1&", "no map"),
         (b"12&7&1&" + bytes(4 * 84), "12 x 7 x 1"),

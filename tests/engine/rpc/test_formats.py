@@ -251,7 +251,7 @@ def test_what_is_no_rpc_file_lists_the_formats(tmp_path):
 
 def test_two_formats_in_one_file_are_ambiguous(tmp_path, synthetic_rpc):
     message = refused(tmp_path, rpb(synthetic_rpc()) + key_value(synthetic_rpc()))
-    assert "it could be RPB or KEY: value" in message
+    assert "it fits several formats: RPB or KEY: value" in message
 
 
 def test_no_file_and_no_regular_file(tmp_path):

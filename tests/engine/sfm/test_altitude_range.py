@@ -99,4 +99,4 @@ def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
     )
     said = told()
     assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
-    assert "do not show the altitude range" in said.warnings[0]
+    assert "altitude range could not be found" in said.warnings[0]

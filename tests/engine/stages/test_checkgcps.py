@@ -353,7 +353,7 @@ def test_what_cannot_be_checked_is_said_in_a_sentence(urban, scene, exact, point
         EmptyResultError,
         told,
         "None of the 12 points",
-        "choose the points of that place",
+        "choose points of the same area",
         gcps=far,
         dsm=urban.truth,
         output=str(tmp_path / "p.gpkg"),
