@@ -186,7 +186,9 @@ def _is_read(text: str) -> bool:
 
 def _pieces(text: str) -> list[str]:
     """The columns of a table's headers, which are one text; else the text."""
-    return text.split(" | ") if " | " in text and "{" not in text else [text] if _is_read(text) else []
+    if " | " in text:
+        return [column for column in text.split(" | ") if re.search("[A-Za-z]{2}", column)]
+    return [text] if _is_read(text) else []
 
 
 def _read_in(tree: ast.AST) -> list[str]:

@@ -16,7 +16,6 @@ from pyproj import CRS, Transformer
 from ..arrays import FloatArray, Mask
 from ..geometry.frames import EnuFrame, flat_crs, vertical_part
 from ..imagery.sampling import nmad
-from ..progress import counted
 from ..scene import View
 from ..sfm.ground_control import Gcp, intersect
 from .grids import Grid, HeightWarper, metres_per_unit
@@ -203,9 +202,9 @@ def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> 
         names = [gcp.id for gcp, yes in zip(found.gcps, which) if yes]
         if names:
             more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-            lies, is_not = ("lies", "is not") if len(names) == 1 else ("lie", "are not")
-            listed = ", ".join(names[:10]) + more
-            warnings.append(f"{counted(len(names), 'point')} {lies} {why} and {is_not} counted: {listed}.")
+            lie = "1 point lies" if len(names) == 1 else f"{len(names)} points lie"
+            counted = "is not counted" if len(names) == 1 else "are not counted"
+            warnings.append(f"{lie} {why} and {counted}: {', '.join(names[:10])}{more}.")
     return warnings
 
 

@@ -141,7 +141,7 @@ def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]
             if days_off_season(pair.days) > parameters.season_days or pair.days > parameters.old_days:
                 named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
     text = (
-        f"Images were taken seasons or years apart: {_listed(named)}. Fields, leaves, snow and building sites have "
+        f"Images were taken seasons or years apart: {_listed(named)}; fields, leaves, snow and building sites have "
         "changed, which causes gaps or wrong heights; take images of one pass, or leave one image out."
     )
     return [text] if named else []
@@ -165,7 +165,7 @@ def _thin(scene: Scene, figures: PointingFigures, parameters: AdviceParameters) 
     names = f" ({counted(len(few), 'tile')} of {len(tiles)}: {_listed(few)})" if few else ""
     return [
         f"There are hardly any tie points in the {where} of the overlap{names}, because of water, clouds, shadow or "
-        "changes; the pointing comes from the rest of the scene. Check the arrows of the tie points around it (their "
+        "changes; the pointing comes from the rest of the scene; check the arrows of the tie points around it (their "
         "field 'row') and its vertical parallax in 'Height maps', or leave it out with EXTENT."
     ]
 

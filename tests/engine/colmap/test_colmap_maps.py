@@ -30,13 +30,13 @@ def test_colmap_reads_what_is_written_and_writes_what_is_read(tmp_path):
     [
         (b"", "is not a map of COLMAP"),
         (b"II*\x00" + bytes(50), "is not a map of COLMAP"),
-        (b"11&7&" + bytes(400), "no map"),
-        (b"99999999999&7&1&", "no map"),
+        (b"11&7&" + bytes(400), "is not a map"),
+        (b"99999999999&7&1&", "is not a map"),
         (b"12&7&1&" + bytes(4 * 84), "12 x 7 x 1"),
         (b"11&7&3&" + bytes(4 * 77), "11 x 7 x"),
         (b"11&7&1&" + bytes(4 * 77 - 1), "damaged"),
         (b"11&7&1&" + bytes(4 * 77 + 1), "damaged"),
-        (b"-1&7&1&" + bytes(8), "no map"),
+        (b"-1&7&1&" + bytes(8), "is not a map"),
     ],
 )
 def test_a_file_that_is_no_such_map_is_refused_in_one_sentence(tmp_path, content, words):

@@ -62,7 +62,7 @@ def test_good_pairs_and_unknown_times_need_no_advice(scene):
 
 def test_narrow_pairs_tell_their_accuracy_in_metres(scene):
     text = only(advice(scene, all_three(replace(PAIR, base_to_height=0.06, angle_deg=3.4)), NO_TIES))
-    assert f"good to some {0.25 * scene.gsd_m / 0.06:.1f} m only; add an image" in text and "3.4 degrees" in text
+    assert f"accurate to about {0.25 * scene.gsd_m / 0.06:.1f} m only; add an image" in text and "3.4 degrees" in text
 
 
 def test_another_sun_tells_how_far_shadows_moved(scene):
@@ -135,7 +135,7 @@ def test_a_corner_without_ties_is_told_by_compass_and_tile(scene):
     assert "in the north-west of the overlap (1 tile of 9: r000c000)" in text and "'row'" in text and "EXTENT" in text
     # One tile for all: the part alone tells.
     text = only(said(bare, {"r000c000": 480}))
-    assert "in the north-west of the overlap: there is water" in text
+    assert "in the north-west of the overlap, because of water" in text
     # A small tile of a large part.
     assert "in the south-east of the overlap (1 tile of 9: r002c002)" in only(said(parts, {**tiles, "r002c002": 0}))
 

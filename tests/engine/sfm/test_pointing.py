@@ -271,7 +271,7 @@ def test_advice_names_the_pair_the_tile_and_the_remedy(pointed):
         said,
         (
             ("img_01 and img_02", "B/H 0.06", "m only"),
-            ("img_01 and img_03", "1.02", "from between"),
+            ("img_01 and img_03", "1.02", "a direction between"),
             ("1 tile of 2: r000c001", "of the overlap", "EXTENT"),
             ("6.4 m", "GCPS", "ALIGN=3d"),
         ),
