@@ -304,10 +304,11 @@ def engine_catalogue(language: str) -> dict[str, str]:
 
 
 def write_engine(language: str) -> list[str]:
-    """Write the engine's catalogue of a language; gives the texts that it lacks."""
+    """Write what the engine's catalogue of a language has; gives the texts that it lacks."""
     catalogue = engine_catalogue(language)
     path = ROOT / "i18n" / f"engine_{language}.json"
-    path.write_text(json.dumps(catalogue, ensure_ascii=False, indent=0) + "\n", encoding="utf-8")
+    known = {text: word for text, word in catalogue.items() if word}
+    path.write_text(json.dumps(known, ensure_ascii=False, indent=0) + "\n", encoding="utf-8")
     return [text for text, word in catalogue.items() if not word]
 
 
