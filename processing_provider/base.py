@@ -11,6 +11,7 @@ import os
 from typing import Any, Mapping
 
 from qgis.core import (
+    QgsApplication,
     QgsMapLayer,
     QgsProcessingAlgorithm,
     QgsProcessingContext,
@@ -22,7 +23,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
 from ..repm_qgis.products import products_of
-from . import engine, settings, styles
+from . import engine, helppages, settings, styles
 from .helptext import to_html
 from .kept import in_workspace, is_lasting
 from .language import said
@@ -116,8 +117,15 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self.shortDescription()
 
     def helpUrl(self) -> str:
-        page = os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")
-        return QUrl.fromLocalFile(page).toString() if os.path.exists(page) else ""
+        from ..repm_qgis.errors import WorkspaceError
+
+        entries = [*self.parameterDefinitions(), *self.outputDefinitions()]
+        more = {entry.name(): entry.help() for entry in self.parameterDefinitions()}
+        language = QgsApplication.locale() or "en"
+        try:
+            return helppages.page(self.ID, language, {each.name(): each.description() for each in entries}, more)
+        except WorkspaceError:  # a profile where nothing can be written
+            return QUrl.fromLocalFile(os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")).toString()
 
     def createInstance(self) -> RepmAlgorithm:
         return type(self)()

@@ -10,9 +10,16 @@ import html
 import re
 
 
-def _inline(text: str) -> str:
+def inline(text: str) -> str:
+    """Bold, italic, code and links of one paragraph."""
+    return "".join(
+        f"<code>{html.escape(part, quote=False)}</code>" if index % 2 else _marked(part)
+        for index, part in enumerate(re.split(r"`([^`]+)`", text))
+    )
+
+
+def _marked(text: str) -> str:
     text = html.escape(text, quote=False)
-    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     text = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", text)
     text = re.sub(r"\*([^*]+)\*", r"<i>\1</i>", text)
     return re.sub(r"\[([^\]]+)\]\(([^)\s]+)\)", r'<a href="\2">\1</a>', text)
@@ -20,11 +27,11 @@ def _inline(text: str) -> str:
 
 def _block(block: str) -> str:
     if block.startswith("#"):
-        return f"<h3>{_inline(block.lstrip('#').strip())}</h3>"
+        return f"<h3>{inline(block.lstrip('#').strip())}</h3>"
     if block.startswith("- "):
         items = re.split(r"\n- ", block[2:])
-        return "<ul>" + "".join(f"<li>{_inline(' '.join(item.split()))}</li>" for item in items) + "</ul>"
-    return f'<div style="margin-bottom: 8px">{_inline(" ".join(block.split()))}</div>'
+        return "<ul>" + "".join(f"<li>{inline(' '.join(item.split()))}</li>" for item in items) + "</ul>"
+    return f'<div style="margin-bottom: 8px">{inline(" ".join(block.split()))}</div>'
 
 
 def to_html(markdown: str) -> str:

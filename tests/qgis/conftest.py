@@ -142,13 +142,14 @@ def headless_start(tmp_path_factory):
     """Starts scripts/qgis-headless in a configuration folder of this session's; gives the running process."""
     config = tmp_path_factory.mktemp("headless")
 
-    def start(*arguments, config=config, **variables):
+    def start(*arguments, config=config, cwd=None, **variables):
         # The tests' own interpreter must not tell qgis_process where Python is.
         environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_"))}
         environment.update(REPM_QGIS_CONFIG=str(config), **variables)
         return subprocess.Popen(
             [str(ROOT / "scripts" / "qgis-headless"), *map(str, arguments)],
             env=environment,
+            cwd=cwd,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -1,0 +1,119 @@
+"""The Help button's pages: HTML with what the dialog shows, without a network, and with examples that work."""
+
+from __future__ import annotations
+
+import html
+import pathlib
+import re
+import shlex
+import subprocess
+import sys
+import urllib.parse
+import zipfile
+
+import pytest
+from qgis.core import QgsApplication
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
+IN_ORDER = "environment sampledata epmfit errormap refine exportcameras reconstruct dsmfuse pipeline comparedsm".split()
+IN_ORDER += ["checkgcps", "mosaic"]
+
+
+def help_page(name):
+    url = QgsApplication.processingRegistry().algorithmById(f"repm:{name}").create().helpUrl()
+    assert url.startswith("file:") and url.endswith(f"/{name}.html")
+    return pathlib.Path(urllib.parse.unquote(urllib.parse.urlparse(url).path))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_is_a_page_with_every_parameter_by_label_and_id(plugin, name):
+    page = help_page(name).read_text(encoding="utf-8")
+    words = html.unescape(re.sub(r"<[^>]+>", "", page))
+    algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
+    for entry in algorithm.parameterDefinitions():
+        assert re.search(rf"<strong>[^<]+</strong><br><code>{entry.name()}</code>", page), entry.name()
+        assert entry.description() in words, entry.name()
+    assert not re.search(r"\*\*|\]\(|\n\|", page), "Markdown is left"
+    assert not re.search(r"(src|href)=.https?://[^>]*\.(css|js|png)", page), "it would need a network"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_help_links_to_is_there(plugin, name):
+    seen, ahead = set(), [help_page(name)]
+    while ahead:
+        page = ahead.pop()
+        seen.add(page)
+        text = page.read_text(encoding="utf-8")
+        for link in re.findall(r'(?:href|src)="([^"]+)"', text):
+            if re.match(r"(https?|mailto):", link):
+                continue
+            path, _, anchor = link.partition("#")
+            place = urllib.parse.unquote(path[7:] if path.startswith("file://") else path)
+            target = (page.parent / place).resolve() if path else page
+            assert target.exists(), f"{page.name} links to {link}"
+            if target.suffix == ".html" and target not in seen:
+                ahead.append(target)
+            if anchor and target.suffix == ".html":
+                assert f'id="{anchor}"' in target.read_text(encoding="utf-8"), f"{page.name} links to {link}"
+    assert len(seen) > 1 or not re.search(
+        r"\]\([^)]*\.md", (ROOT / "docs" / "algorithms" / f"{name}.md").read_text("utf-8")
+    )
+
+
+def test_a_page_is_written_again_only_where_it_differs(plugin):
+    page = help_page("refine")
+    before = page.stat().st_mtime_ns
+    assert help_page("refine").stat().st_mtime_ns == before
+    whole = page.read_text(encoding="utf-8")
+    page.write_text("half", encoding="utf-8")
+    assert help_page("refine").read_text(encoding="utf-8") == whole
+
+
+def test_a_profile_that_cannot_be_written_gives_the_document_itself(plugin, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(QgsApplication, "qgisSettingsDirPath", staticmethod(lambda: str(tmp_path / "file")))
+    url = QgsApplication.processingRegistry().algorithmById("repm:refine").create().helpUrl()
+    assert url.endswith("/docs/algorithms/refine.md")
+
+
+def test_small_things_of_markdown_become_html(plugin):
+    from repm.processing_provider.helppages import PLUGIN_FOLDER, to_page
+
+    lists, table = "1. a *b*\n2. `c*d` and `e*f`", "| input | |\n|---|---|\n| A, B | x \\ y |"
+    text = f"# T\n\n{lists}\n\n{table}\n\n```\nq <b>\n```\n[k](z.md#t)"
+    page = to_page(text, f"{PLUGIN_FOLDER}/docs", {"A": "Label <a>"}, {"A": "", "C": "More."})
+    assert '<h1 id="t">T</h1>' in page and "<li>a <i>b</i></li>" in page
+    assert "<code>c*d</code> and <code>e*f</code>" in page
+    assert "<strong>Label &lt;a&gt;</strong><br><code>A</code><br>B" in page
+    assert "<pre>q &lt;b&gt;</pre>" in page and '<a href="z.html#t">k</a>' in page
+    assert "Further parameters" in page and "More." in page
+
+
+def examples(name):
+    text = (ROOT / "docs" / "algorithms" / f"{name}.md").read_text(encoding="utf-8")
+    return [" ".join(found.split("\\\n")) for found in re.findall(r"(?m)^    qgis_process ((?:.*\\\n)*.*)$", text)]
+
+
+def test_the_examples_of_help_work_one_after_the_other_from_the_zip(headless, tmp_path):
+    """Word for word, but for smaller images: each of them takes what those before it wrote."""
+    assert sorted(IN_ORDER) == NAMES and all(examples(name) for name in NAMES)
+    package = [sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path / "dist")]
+    subprocess.run(package, check=True, stdout=subprocess.PIPE)
+    (archive,) = (tmp_path / "dist").iterdir()
+    plugins = tmp_path / "config" / "profiles" / "default" / "python" / "plugins"
+    plugins.mkdir(parents=True)
+    with zipfile.ZipFile(archive) as opened:
+        opened.extractall(plugins)
+    folder = tmp_path / "work folder"
+    folder.mkdir()
+    for name in IN_ORDER:
+        for example in examples(name):
+            words = shlex.split(example.replace("SIZE=800", "SIZE=500"))
+            settings = {"config": tmp_path / "config", "REPM_ENGINE_PYTHON": sys.executable}
+            done = headless(*words, timeout=300, cwd=folder, **settings)
+            assert done.returncode == 0, f"{example}\n{done.stdout}{done.stderr}"
+            for word in words:
+                key, _, value = word.partition("=")
+                if key in ("OUTPUT", "OUTPUT_SCENE", "REPORT", "CLOUD", "MESH", "EPT", "ERROR", "FOLDER", "SOURCES"):
+                    assert (folder / value).exists(), f"{example}: no {key}"
