@@ -322,6 +322,25 @@
     </message>
 </context>
 <context>
+    <name>Inspect</name>
+    <message>
+        <source>Inspect images</source>
+        <translation>Bilder prüfen</translation>
+    </message>
+    <message>
+        <source>Footprints, overlaps, and the pairs that are worth matching: in seconds, before any matching.</source>
+        <translation>Bildflächen, Überlappungen und lohnende Bildpaare: in Sekunden, noch vor jeder Bildzuordnung.</translation>
+    </message>
+    <message>
+        <source>Number of images that can be used</source>
+        <translation>Anzahl der verwendbaren Bilder</translation>
+    </message>
+    <message>
+        <source>Number of pairs that are worth matching</source>
+        <translation>Anzahl der Paare, deren Zuordnung sich lohnt</translation>
+    </message>
+</context>
+<context>
     <name>Mosaic</name>
     <message>
         <source>Make a mosaic of DSMs</source>
@@ -794,6 +813,22 @@
     <message>
         <source>The scene.json that the previous stage wrote.</source>
         <translation>Die scene.json, die die vorige Stufe geschrieben hat.</translation>
+    </message>
+    <message>
+        <source>Footprints</source>
+        <translation>Bildflächen</translation>
+    </message>
+    <message>
+        <source>The outline of each image on the ground, with its time, its direction of view and the sun's.</source>
+        <translation>Der Umriss jedes Bildes am Boden, mit seiner Zeit, seiner Blickrichtung und der Richtung zur Sonne.</translation>
+    </message>
+    <message>
+        <source>Overlaps of pairs</source>
+        <translation>Überlappungen der Paare</translation>
+    </message>
+    <message>
+        <source>The ground that each two images share, and whether it is worth matching the two.</source>
+        <translation>Der Boden, den je zwei Bilder gemeinsam zeigen, und ob sich ihre Zuordnung lohnt.</translation>
     </message>
     <message>
         <source>Workspace</source>

@@ -141,9 +141,9 @@ class Points(QgsProcessingParameterVectorLayer):
         return Points(self)
 
 
-def images() -> QgsProcessingParameterDefinition:
+def images(least: int = 2) -> QgsProcessingParameterDefinition:
     parameter = Images("IMAGES", tr("Satellite images with RPCs"), QgsProcessing.SourceType.TypeRaster)
-    parameter.setMinimumNumberInputs(2)
+    parameter.setMinimumNumberInputs(least)
     return helped(
         parameter,
         tr(

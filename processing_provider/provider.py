@@ -18,6 +18,7 @@ from .environment import Environment
 from .epmfit import EpmFit
 from .errormap import ErrorMap
 from .exportcameras import ExportCameras
+from .inspect import Inspect
 from .mosaic import Mosaic
 from .pipeline import Pipeline
 from .reconstruct import Reconstruct
@@ -25,6 +26,7 @@ from .refine import Refine
 from .sampledata import SampleData
 
 ALGORITHMS = (
+    Inspect,
     EpmFit,
     ErrorMap,
     Refine,

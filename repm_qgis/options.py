@@ -136,6 +136,39 @@ class Options(metaclass=_ByName):
         return dataclasses.asdict(self)
 
 
+def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
+    """Raise OptionError for a list of images that is none, or lists of files ``beside`` them that do not fit it."""
+    if not all(images):
+        raise OptionError("IMAGES", images, "must be a list of image files")
+    if len(set(images)) != len(images):
+        raise OptionError("IMAGES", list(images), "must not name the same image twice")
+    for name, files in beside.items():
+        if files and len(files) != len(images):
+            count = f"{len(images)} files: one for each of IMAGES, in their order"
+            raise OptionError(name, list(files), f"must be empty, or name {count}")
+
+
+@dataclass(frozen=True)
+class InspectOptions(Options):
+    """Show what images and their RPCs alone say: where they lie, how they overlap, and which pairs fit.
+
+    ``images`` and ``rpcs`` as in :class:`EpmFitOptions`; one image is enough. ``footprints`` and ``overlaps`` are the
+    polygon layers to write, ``report`` the HTML page; None = not wanted.
+    """
+
+    images: Tuple[str, ...] = field(metadata=_READ)
+    rpcs: Tuple[str, ...] = read(())
+    footprints: Optional[str] = None
+    overlaps: Optional[str] = None
+    report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.images:
+            raise OptionError("IMAGES", list(self.images), "must name an image")
+        _check_images(self.images, RPCS=self.rpcs)
+
+
 @dataclass(frozen=True)
 class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
@@ -166,16 +199,9 @@ class EpmFitOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not all(self.images):
-            raise OptionError("IMAGES", self.images, "must be a list of image files")
-        if len(self.images) < 2:
+        if len(self.images) < 2 and all(self.images):
             raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
-        if len(set(self.images)) != len(self.images):
-            raise OptionError("IMAGES", list(self.images), "must not name the same image twice")
-        for name, files in (("RPCS", self.rpcs), ("MASKS", self.masks)):
-            if files and len(files) != len(self.images):
-                count = f"{len(self.images)} files: one for each of IMAGES, in their order"
-                raise OptionError(name, list(files), f"must be empty, or name {count}")
+        _check_images(self.images, RPCS=self.rpcs, MASKS=self.masks)
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
             limit = f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)"
             raise OptionError("ALTITUDE_MIN", self.altitude_min, limit)

@@ -45,6 +45,8 @@ STYLES = (
     Style("gcps"),
     Style("tie_points"),
     Style("tiles"),
+    Style("footprints"),
+    Style("overlaps"),
     Style("error", "viridis", off=True, template="ramp", unit=" px"),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
     Style("ept", "elevation", off=True, unit=" m"),
@@ -95,6 +97,8 @@ _HTML = "HTML (*.html)"
 SCENES = "REPM scene (*.json)"
 _WORKSPACE = "A folder for the scene and everything in between; a second run there continues where the first stopped."
 _OUTPUT_SCENE = "The results of this stage are kept in this file's folder."
+_FOOTPRINTS = "The outline of each image on the ground, with its time, its direction of view and the sun's."
+_OVERLAPS = "The ground that each two images share, and whether it is worth matching the two."
 _TILES = "The outlines of the tiles, with the equivalent error of each image's camera in px."
 _TIES = "Points on the ground that two or more images show, with their residuals in px."
 _HEIGHTS = "A folder for one height map of each pair and tile, from which the DSM is made."
@@ -118,6 +122,8 @@ _PAIRS = (
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
 PRODUCTS = (
+    Product("inspect", "footprints", "Footprints", POLYGONS, ALWAYS, "footprints", help=_FOOTPRINTS),
+    Product("inspect", "overlaps", "Overlaps of pairs", POLYGONS, UNLESS_SKIPPED, "overlaps", help=_OVERLAPS),
     Product("epmfit", "workspace", "Workspace", FOLDER, ALWAYS, help=_WORKSPACE),
     Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles", help=_TILES),
     *(
@@ -152,7 +158,7 @@ PRODUCTS = (
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
     *(
         Product(stage, "report", "Report", FILE, UNLESS_SKIPPED, filter=_HTML, help=_REPORT)
-        for stage in ("epmfit", "refine", "pipeline", "mosaic", "errormap", "comparedsm", "checkgcps")
+        for stage in ("inspect", "epmfit", "refine", "pipeline", "mosaic", "errormap", "comparedsm", "checkgcps")
     ),
     Product("environment", "report", "Report", FILE, ALWAYS, filter=_HTML, help=_REPORT),
 )

@@ -438,27 +438,45 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
 
     Raises ImageError or an RpcError with the file's name.
     """
-    from .imagery.raster import grey_band, name_of, opened_image, opened_masked
-    from .rpc.readers import rpc_of
-
     views: List[View] = []
     none = [""] * len(images)
     for path, rpc_file, mask in zip(images, rpcs or none, masks or none):
-        with opened_image(path) as dataset:
-            rpc = rpc_of(dataset, path, rpc_file)
-            width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
-            when = acquired(dataset, path)
-        with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
-            mask = os.path.abspath(mask) if os.path.exists(mask) else mask
-        if min(width, height) < 64:
-            raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")
-        taken = {view.name.lower() for view in views}  # files of products: most systems do not tell cases apart
-        name = file_name(name_of(path))
-        while name.lower() in taken:
-            name = f"{name}_{len(views) + 1}"
-        image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
-        views.append(View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask))
+        views.append(load_view(path, rpc_file, mask, views))
     return tuple(views)
+
+
+def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[View] = ()) -> View:
+    """One of the views of :func:`load_views`, with a name that none of the others has."""
+    from .imagery.raster import grey_band, name_of, opened_image, opened_masked
+    from .rpc.readers import rpc_of
+
+    with opened_image(path) as dataset:
+        rpc = rpc_of(dataset, path, rpc_file)
+        width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
+        when = acquired(dataset, path)
+    with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
+        mask = os.path.abspath(mask) if os.path.exists(mask) else mask
+    if min(width, height) < 64:
+        raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")
+    taken = {view.name.lower() for view in others}  # files of products: most systems do not tell cases apart
+    name = file_name(name_of(path))
+    while name.lower() in taken:
+        name = f"{name}_{len(others) + 1}"
+    image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
+    return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask)
+
+
+def middle_of(views: Sequence[View]) -> Tuple[float, float]:
+    """The mean longitude and latitude of views that are near each other, on the first one's side of the date line."""
+    first = views[0].rpc.lon_off
+    lon = first + float(np.mean([(view.rpc.lon_off - first + 180.0) % 360.0 - 180.0 for view in views]))
+    return lon, float(np.mean([view.rpc.lat_off for view in views]))
+
+
+def common_heights(views: Sequence[View]) -> Tuple[float, float]:
+    """The heights all RPCs were made for, m above the ellipsoid; all of theirs where they have none in common."""
+    lows, highs = zip(*(view.rpc.height_range for view in views))
+    return (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
 
 
 def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:

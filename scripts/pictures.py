@@ -26,6 +26,7 @@ SHOWN = {
     "pipeline_log.png": "log.png",
     "pipeline_map.png": "map.png",
     "errormap_map.png": "error_map.png",
+    "inspect_map.png": "inspect.png",
     "menu_first_steps.png": "first_steps.png",
 }
 MAX_BYTES = 390_000

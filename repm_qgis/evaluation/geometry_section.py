@@ -15,6 +15,7 @@ from ..imagery.acquisition import duration_text
 from ..progress import counted
 from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
+from ..sfm.pair_selection import shared_part
 from ..sfm.parameters import POINTING
 from ..vector import read_points
 from . import charts
@@ -59,9 +60,7 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
     middle = sum(scene.altitudes) / 2
     places = [footprint(view.localise, view.size, middle) for view in (scene.view(first), scene.view(second))]
     shapes = [geometry_of(projected_from_geodetic(scene.crs, place)) for place in places]
-    common = shapes[0].Intersection(shapes[1])
-    smaller = min(shape.GetArea() for shape in shapes)
-    return 100.0 * common.GetArea() / smaller if common is not None and smaller > 0 else 0.0
+    return 100.0 * shared_part(*shapes)
 
 
 def _metres_per_px(scene: Scene, pair: ViewPair) -> float:

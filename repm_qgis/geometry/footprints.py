@@ -6,7 +6,7 @@ from itertools import combinations
 from typing import Callable, List, Optional, Sequence
 
 import numpy as np
-from osgeo import gdal, ogr
+from osgeo import gdal, ogr, osr
 
 from ..arrays import Bounds, FloatArray, Size
 from .frames import EnuFrame
@@ -55,6 +55,18 @@ def geometry_of(polygon: Polygon) -> ogr.Geometry:
     geometry = ogr.Geometry(ogr.wkbPolygon)
     geometry.AddGeometry(ring)
     return geometry if geometry.IsValid() else geometry.Buffer(0.0)
+
+
+def reprojected(geometry: ogr.Geometry, source: str, target: str) -> ogr.Geometry:
+    """A copy of a geometry, brought vertex by vertex from one CRS (any text that PROJ knows) to another."""
+    found = geometry.Clone()
+    if source != target:
+        references = [osr.SpatialReference(), osr.SpatialReference()]
+        for reference, text in zip(references, (source, target)):
+            reference.SetFromUserInput(text)
+            reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+        found.Transform(osr.CoordinateTransformation(*references))
+    return found
 
 
 def seen_twice(footprints: Sequence[Sequence[Polygon]]) -> ogr.Geometry:

@@ -73,7 +73,7 @@ def _geometry(pair: ViewPair, gsd_m: float, parameters: PointingParameters) -> L
     names = f"{pair.first} and {pair.second}"
     angles = f"(B/H {pair.base_to_height:.2f}, {pair.angle_deg:.1f} degrees)"
     if pair.base_to_height < parameters.pairs.narrow:
-        accuracy = parameters.advice.matching_px * gsd_m / pair.base_to_height
+        accuracy = expected_accuracy_m(pair, gsd_m, parameters.advice)
         return [
             f"{names} were taken from nearly the same direction {angles}: heights of this pair are accurate to about "
             f"{accuracy:.1f} m only; add an image from another direction, or leave out one of the two."
@@ -120,7 +120,7 @@ def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
         f"{pair.first} and {pair.second} ({duration_text(pair.days)}, {pair.sun_deg:.0f} degrees between the suns: the "
         f"shadow of a {high:.0f} m building ends {high * (pair.shadow or 0.0):.0f} m elsewhere)"
         for pair in pairs
-        if _other_sun(pair, parameters)
+        if other_sun(pair, parameters)
     ]
     text = (
         f"The sun stood differently over {_listed(named)}: edges of shadows match as if they were ground, and ground "
@@ -129,17 +129,29 @@ def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
     return [text] if named else []
 
 
-def _other_sun(pair: ViewPair, parameters: AdviceParameters) -> bool:
+def other_sun(pair: ViewPair, parameters: AdviceParameters = POINTING.advice) -> bool:
+    """Whether the sun stood so differently over the two views that their shadows do not match."""
     return pair.sun_deg is not None and pair.sun_deg > parameters.sun_deg
+
+
+def other_season(pair: ViewPair, parameters: AdviceParameters = POINTING.advice) -> bool:
+    """Whether seasons or years lie between the two views."""
+    if pair.days is None:
+        return False
+    return days_off_season(pair.days) > parameters.season_days or pair.days > parameters.old_days
+
+
+def expected_accuracy_m(pair: ViewPair, gsd_m: float, parameters: AdviceParameters = POINTING.advice) -> float:
+    """How accurate the heights of a pair are where matching is as accurate as expected, m."""
+    return parameters.matching_px * gsd_m / pair.base_to_height
 
 
 def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
     """Pairs of different seasons or years, except those with different suns, which are named already."""
     named = []
     for pair in pairs:
-        if pair.days is not None and not _other_sun(pair, parameters):
-            if days_off_season(pair.days) > parameters.season_days or pair.days > parameters.old_days:
-                named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
+        if other_season(pair, parameters) and not other_sun(pair, parameters):
+            named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
     text = (
         f"Images were taken seasons or years apart: {_listed(named)}; fields, leaves, snow and building sites have "
         "changed, which causes gaps or wrong heights; take images of one pass, or leave one image out."

@@ -29,20 +29,26 @@ def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> L
     good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Raises
     EmptyResultError with the angles where no pair is usable.
     """
-    candidates = _candidates(scene)
+    return best_pairs(_candidates(scene), [view.name for view in scene.views], parameters)
+
+
+def best_pairs(
+    candidates: Sequence[ViewPair], names: Sequence[str], parameters: PairParameters = POINTING.pairs
+) -> List[ViewPair]:
+    """Those of the pairs of the named views that are matched: see :func:`choose_pairs`."""
     usable = [c for c in candidates if c.base_to_height >= parameters.least_base_to_height]
     if not usable:
         angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
         why = f"No pair of images can measure heights ({angles or 'they share no tile'})"
         raise EmptyResultError(f"{why}: choose images with lines of sight at least 3 degrees apart.")
-    if len(scene.views) <= parameters.all_up_to:
+    if len(names) <= parameters.all_up_to:
         return sorted(usable, key=lambda pair: abs(math.log(pair.base_to_height / parameters.best_base_to_height)))
     unknown = usual_change(usable, parameters)
 
     def cost(pair: ViewPair) -> float:
         return pair_cost(pair, unknown, parameters)
 
-    return sorted(_few(sorted(usable, key=cost), [view.name for view in scene.views], parameters), key=cost)
+    return sorted(_few(sorted(usable, key=cost), names, parameters), key=cost)
 
 
 def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters = POINTING.pairs) -> float:
@@ -99,7 +105,12 @@ def days_off_season(days: float) -> float:
 
 def sun_over(scene: Scene, view: View) -> Optional[Tuple[float, float]]:
     """The sun's azimuth and elevation (degrees) over the scene's middle as a view was taken; None if unknown."""
-    return sun_position(view.time, scene.frame.lon, scene.frame.lat) if view.time is not None else None
+    return sun_at(view, scene.frame.lon, scene.frame.lat)
+
+
+def sun_at(view: View, lon: float, lat: float) -> Optional[Tuple[float, float]]:
+    """The sun's azimuth and elevation (degrees) over a place as a view was taken; None if the time is unknown."""
+    return sun_position(view.time, lon, lat) if view.time is not None else None
 
 
 def _candidates(scene: Scene) -> List[ViewPair]:
@@ -112,13 +123,19 @@ def _candidates(scene: Scene) -> List[ViewPair]:
     for first, second in combinations(scene.views, 2):
         shared = sum(first.name in tile.views and second.name in tile.views for tile in scene.tiles)
         if shared:
-            angles = convergence(first, second, scene.frame.lon, scene.frame.lat, altitude)
-            share = _share(outlines[first.name], outlines[second.name], area)
-            found.append(ViewPair(first.name, second.name, *angles, shared, share, *_apart(scene, first, second)))
+            place = scene.frame.lon, scene.frame.lat, altitude
+            share = shared_part(outlines[first.name], outlines[second.name], area)
+            found.append(pair_at(first, second, place, shared, share))
     return found
 
 
-def _share(first: ogr.Geometry, second: ogr.Geometry, area: Optional[ogr.Geometry]) -> float:
+def pair_at(first: View, second: View, place: Tuple[float, float, float], tiles: int, share: float) -> ViewPair:
+    """Two views as they look at a place (longitude, latitude, height): angles, and how far time and sun differ."""
+    angles = convergence(first, second, *place)
+    return ViewPair(first.name, second.name, *angles, tiles, share, *_apart(first, second, *place[:2]))
+
+
+def shared_part(first: ogr.Geometry, second: ogr.Geometry, area: Optional[ogr.Geometry] = None) -> float:
     """The part of an area (of the smaller outline where there is none) that lies within two outlines."""
     common = first.Intersection(second)
     if area is not None and common is not None:
@@ -127,12 +144,14 @@ def _share(first: ogr.Geometry, second: ogr.Geometry, area: Optional[ogr.Geometr
     return min(1.0, common.GetArea() / whole) if common is not None and whole > 0 else 0.0
 
 
-def _apart(scene: Scene, first: View, second: View) -> Tuple[Optional[float], Optional[float], Optional[float]]:
+def _apart(
+    first: View, second: View, lon: float, lat: float
+) -> Tuple[Optional[float], Optional[float], Optional[float]]:
     """Days, angle between the suns and shadow shift; None where a time is unknown or the sun had set."""
     if first.time is None or second.time is None:
         return None, None, None
     days = abs((second.time - first.time).total_seconds()) / 86400.0
-    one, two = (sun_position(time, scene.frame.lon, scene.frame.lat) for time in (first.time, second.time))
+    one, two = (sun_position(time, lon, lat) for time in (first.time, second.time))
     if min(one[1], two[1]) <= 0:
         return days, None, None
     return days, sun_angle(one, two), shadow_shift(one, two)

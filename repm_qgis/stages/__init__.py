@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # QGIS asks for the options alone
     from .parameters import EngineParameters
 
 STAGES: dict[str, type[_options.Options]] = {
+    "inspect": _options.InspectOptions,
     "epmfit": _options.EpmFitOptions,
     "errormap": _options.ErrorMapOptions,
     "refine": _options.RefineOptions,

@@ -26,7 +26,7 @@ from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
-from ..scene import Scene, Tile, TileView, View, load_views, reusable
+from ..scene import Scene, Tile, TileView, View, common_heights, load_views, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
@@ -78,7 +78,7 @@ def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progres
     sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
     progress.info("; ".join(map("".join, zip(sizes, taken))))
     crs = _crs(options, views)
-    search = _common_heights(views)
+    search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
     ends, part, sweep = (
         (options.altitude_min, options.altitude_max),
@@ -101,23 +101,11 @@ def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progres
 
 
 def _crs(options: EpmFitOptions, views: Sequence[View]) -> str:
-    lat = float(np.mean([v.rpc.lat_off for v in views]))
-    # The first view's side of the date line.
-    first = views[0].rpc.lon_off
-    lon = first + float(np.mean([(v.rpc.lon_off - first + 180.0) % 360.0 - 180.0 for v in views]))
+    lon, lat = middle_of(views)
     if options.crs:
         projected_crs_at(options.crs, lon, lat)
         return options.crs
     return utm_crs(lon, lat)
-
-
-def _common_heights(views: Sequence[View]) -> Tuple[float, float]:
-    """The heights all RPCs were made for; all of theirs where they have none in common."""
-    low = max(v.rpc.height_range[0] for v in views)
-    high = min(v.rpc.height_range[1] for v in views)
-    if low >= high:
-        low, high = min(v.rpc.height_range[0] for v in views), max(v.rpc.height_range[1] for v in views)
-    return low, high
 
 
 def _area(

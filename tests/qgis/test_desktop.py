@@ -56,6 +56,17 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())
 
 
+def test_images_on_an_empty_map(desktop, town):
+    """What the area is drawn over: styled layers in the images' UTM zone, before anything is computed."""
+    found = desktop("Inspect images", {"IMAGES": town["images"]})
+    assert (found["chosen"], found["success"]) == ("repm:inspect", True)
+    assert [(layer["name"].split()[0], layer["renderer"], layer["shown"]) for layer in found["layers"]] == [
+        ("Footprints", "QgsSingleSymbolRenderer", True),
+        ("Overlaps", "QgsCategorizedSymbolRenderer", True),
+    ]
+    assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in found["layers"])
+
+
 def test_the_first_stage_in_the_desktop(desktop, sample, tmp_path):
     found = desktop("Fit equivalent", {"IMAGES": sample["images"], "WORKSPACE": str(tmp_path / "old town")})
     assert (found["chosen"], found["success"]) == ("repm:epmfit", True)

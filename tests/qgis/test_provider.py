@@ -12,6 +12,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 # Issue 2's table: models and scripts rely on these names.
 PARAMETERS = {
+    "inspect": "IMAGES RPCS FOOTPRINTS OVERLAPS REPORT",
     "epmfit": "IMAGES EXTENT DEM RPCS MASKS ALTITUDE_MIN ALTITUDE_MAX TILE_SIZE ERROR_BUDGET WORKSPACE TILES REPORT",
     "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
     "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
@@ -31,6 +32,7 @@ PARAMETERS = {
     "environment": "REPORT",
 }
 OUTPUTS = {
+    "inspect": "FOOTPRINTS OVERLAPS REPORT N_IMAGES N_PAIRS",
     "epmfit": "SCENE TILES REPORT RMSE MAX_ERROR WORKSPACE",
     "errormap": "OUTPUT REPORT RMSE MAX_ERROR",
     "refine": "OUTPUT_SCENE REPORT RMSE MAX_ERROR",
@@ -103,7 +105,17 @@ def test_identity_and_help_are_complete(plugin, name):
 def test_the_toolbox_shows_the_order_of_the_work(provider):
     """QGIS sorts groups and names by their words, so these are what it shows, from top to bottom."""
     shown = [entry.name() for entry in sorted(provider.algorithms(), key=lambda a: (a.group(), a.displayName()))]
-    work = ("environment", "sampledata", "pipeline", "dsm_by_stages", "epmfit", "errormap", "refine", "exportcameras")
+    work = (
+        "environment",
+        "sampledata",
+        "inspect",
+        "pipeline",
+        "dsm_by_stages",
+        "epmfit",
+        "errormap",
+        "refine",
+        "exportcameras",
+    )
     work += ("reconstruct", "dsmfuse", "mosaic", "comparedsm", "checkgcps")
     assert [name for name in shown if name in work] == list(work)
     assert len({entry.displayName().split(" ")[0] for entry in provider.algorithms()}) == len(shown)

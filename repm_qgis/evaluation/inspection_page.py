@@ -1,0 +1,136 @@
+"""The HTML page about images before anything is computed."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, List, Mapping, Sequence
+
+import numpy as np
+
+from ..imagery.acquisition import duration_text
+from ..progress import counted
+from ..sfm.advice import expected_accuracy_m
+from ..sfm.inspection import CARE, NO, YES, PairFacts, Place
+from ..sfm.parameters import POINTING, PointingParameters
+from . import charts
+from .report import Report, fixed
+
+_MOST_PAIRS = 200
+
+
+def inspection_page(
+    places: Sequence[Place], unusable: Mapping[str, str], parameters: PointingParameters = POINTING
+) -> Report:
+    """Where images lie, how pairs overlap, and what to match; ``unusable`` are reasons by the files' paths."""
+    count = sum(len(place.images) for place in places)
+    page = Report("Images inspected", f"{counted(count, 'image')}, {counted(_pairs(places), 'overlap')}")
+    page.paragraph(verdict(places, unusable))
+    for path, reason in unusable.items():
+        page.warning(f"'{os.path.basename(path)}' cannot be used: {reason}")
+    for number, place in enumerate(places, start=1):
+        of = f" of place {number}" if len(places) > 1 else ""
+        caption = f"Footprints{of} at {place.altitude:.0f} m above the ellipsoid, north up ({place.crs})."
+        page.svg(charts.footprints({facts.view.name: facts.outline for facts in place.images}), caption)
+    _images(page, places, unusable)
+    _overlaps(page, places, parameters)
+    _first_area(page, places, parameters)
+    return page
+
+
+def verdict(places: Sequence[Place], unusable: Mapping[str, str]) -> str:
+    """In one or two sentences: whether these images can give a DSM, and with which pair to begin."""
+    pairs = [facts for place in places for facts in place.pairs]
+    worth = {grade: [facts for facts in pairs if facts.worth == grade] for grade in (YES, CARE, NO)}
+    count = sum(len(place.images) for place in places)
+    missing = f" {counted(len(unusable), 'image')} cannot be used." if unusable else ""
+    if count < 2:
+        return f"One image alone gives no heights: add another image of the same ground.{missing}"
+    if not pairs:
+        return f"No two of these {count} images show the same ground: choose images of one place.{missing}"
+    best = next(iter([*worth[YES], *worth[CARE]]), None)
+    if best is None:
+        return (
+            f"No pair can measure heights, because all images look from nearly one direction: add an image from at "
+            f"least 3 degrees away.{missing}"
+        )
+    begin = f"begin with {best.pair.first} and {best.pair.second} ({_looks(best)})"
+    if not worth[YES]:
+        return f"A DSM is possible, but every pair has a weakness ({best.reason}): {begin}.{missing}"
+    care = f", and {len(worth[CARE])} with care" if worth[CARE] else ""
+    places_text = f" The images show {len(places)} places: process each by itself." if len(places) > 1 else ""
+    return (
+        f"Good: {counted(len(worth[YES]), 'pair')} of {len(pairs)} {'is' if len(worth[YES]) == 1 else 'are'} worth "
+        f"matching{care}; {begin}.{places_text}{missing}"
+    )
+
+
+def _looks(facts: PairFacts) -> str:
+    pair = facts.pair
+    apart = "" if pair.days is None else f", {duration_text(pair.days)} apart"
+    return f"{pair.angle_deg:.0f} degrees, B/H {pair.base_to_height:.2f}, {facts.percent:.0f} % overlap{apart}"
+
+
+def _pairs(places: Sequence[Place]) -> int:
+    return sum(len(place.pairs) for place in places)
+
+
+def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) -> None:
+    rows: List[List[Any]] = []
+    for number, place in enumerate(places, start=1):
+        for facts in place.images:
+            view, sun = facts.view, facts.sun
+            looks = fixed(view.gsd_m, decimals=2) + fixed(facts.incidence_deg, facts.azimuth_deg, decimals=1)
+            taken = f"{view.time:%Y-%m-%d %H:%M}" if view.time else "unknown"
+            stood = "{:.0f}°, {:.0f}°".format(*sun) if sun else "unknown"
+            of = [f"place {number}"] * (len(places) > 1)
+            rows.append([", ".join([view.name, *of]), f"{view.width} x {view.height}", *looks, taken, stood])
+    rows += [[os.path.basename(path), "cannot be used", *[None] * 3, "–", "–"] for path in unusable]
+    page.section("Images").table(
+        "image | size, px | GSD, m | incidence, ° | azimuth, ° | taken (UTC) | sun's azimuth, elevation",
+        rows,
+        "The incidence angle lies between the line of sight and the vertical on the ground; the off-nadir angle at the "
+        "satellite is somewhat smaller. The azimuth is the direction to the satellite. The sun's direction is computed "
+        "from the time in the product's files or name.",
+        where="The layer has them all.",
+    )
+
+
+def _overlaps(page: Report, places: Sequence[Place], parameters: PointingParameters) -> None:
+    rows: List[List[Any]] = []
+    for place in places:
+        gsd = {facts.view.name: facts.view.gsd_m for facts in place.images}
+        for facts in place.pairs:
+            pair = facts.pair
+            area = f"{facts.ground.GetArea() / 1e6:.2f} km², {facts.percent:.0f} %"
+            accuracy = expected_accuracy_m(pair, min(gsd[pair.first], gsd[pair.second]), parameters.advice)
+            looks = *fixed(pair.base_to_height, decimals=2), *fixed(pair.angle_deg, decimals=1)
+            sun = "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.0f}°"
+            figures = *looks, area, *fixed(accuracy, decimals=2), duration_text(pair.days), sun
+            rows.append([f"{pair.first}, {pair.second}", facts.worth, facts.reason, *figures])
+    limits, advice = parameters.pairs, parameters.advice
+    page.section("Pairs").table(
+        "pair | worth matching | why | B/H | angle, ° | overlap | accuracy, m | apart | suns",
+        rows,
+        "'Angle' is that of convergence, 'overlap' the ground that both show and its part of the smaller image, "
+        f"'accuracy' that of single heights where matching is accurate to {advice.matching_px:g} px, 'apart' the time "
+        f"between the two, 'suns' the angle between the directions to the sun. A pair is good with B/H from "
+        f"{limits.narrow:g} to {limits.wide:g}; below {limits.least_base_to_height:g} it measures no heights. Suns "
+        f"more than {advice.sun_deg:g}° apart move the shadows, and more than {advice.season_days:.0f} days of the "
+        "year change plants. Pairs that are not needed are left out where 'Make a DSM from satellite images' is given "
+        "all these images.",
+        most=_MOST_PAIRS,
+        where="The layer has them all.",
+    )
+
+
+def _first_area(page: Report, places: Sequence[Place], parameters: PointingParameters) -> None:
+    """A small square to begin with, as the parameter EXTENT of the other algorithms."""
+    for place in places:
+        area = place.first_area(parameters)
+        if area is not None:
+            xmin, ymin, xmax, ymax = np.round(area).astype(int)
+            page.section("A small area to begin with").paragraph(
+                "Draw it on the map over the overlap of the best pair, or give this as the area (EXTENT):"
+            )
+            page.command(f"{xmin},{xmax},{ymin},{ymax} [{place.crs}]")
+            return

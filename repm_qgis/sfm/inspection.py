@@ -1,0 +1,178 @@
+"""What images and their RPCs alone say, before anything is matched: where they lie, how they overlap, which pairs fit.
+
+Images of several places are treated place by place, each in a UTM zone of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+from typing import List, Optional, Sequence, Tuple
+
+import numpy as np
+from osgeo import ogr
+
+from ..arrays import Bounds, FloatArray
+from ..errors import EmptyResultError
+from ..geometry.footprints import Polygon, footprint, geometry_of, ray_slope, seen_twice
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
+from ..imagery.acquisition import duration_text
+from ..records import ViewPair
+from ..scene import View, common_heights, middle_of
+from .advice import expected_accuracy_m, other_season, other_sun
+from .graph import components
+from .pair_selection import best_pairs, pair_at, shared_part, sun_at
+from .parameters import POINTING, PointingParameters
+
+YES, CARE, NO = "yes", "with care", "no"
+_APART_DEG = 0.02  # footprints at different heights may miss each other by so much and overlap at the same height
+
+
+@dataclass(frozen=True)
+class ImageFacts:
+    """One image: its (N, 2) ``outline`` in its place's CRS, and how it looks at the middle of it.
+
+    ``incidence_deg`` is the angle between the line of sight and the vertical on the ground, ``azimuth_deg`` the
+    direction from the ground to the satellite, clockwise from north; ``sun`` its azimuth and elevation, None where the
+    time is unknown.
+    """
+
+    view: View
+    outline: Polygon
+    incidence_deg: float
+    azimuth_deg: float
+    sun: Optional[Tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class PairFacts:
+    """Two images that overlap: what they share, and whether matching them is worth it (YES, CARE, NO), with the reason.
+
+    ``ground`` is the overlap in the place's CRS, ``percent`` its part of the smaller footprint. ``chosen``: the
+    pipeline would match the pair, were it given all these images.
+    """
+
+    pair: ViewPair
+    ground: ogr.Geometry
+    percent: float
+    chosen: bool
+    worth: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Place:
+    """Images that lie together: their CRS, the altitude (m above the ellipsoid) of the outlines, images and pairs.
+
+    Pairs are in the order of their worth: those that are matched first, then others.
+    """
+
+    crs: str
+    altitude: float
+    images: Tuple[ImageFacts, ...]
+    pairs: Tuple[PairFacts, ...]
+
+    def first_area(self, parameters: PointingParameters = POINTING) -> Optional[Bounds]:
+        """A small square in the overlap of the best pair, for a first trial; None where no pair is worth it."""
+        if not self.pairs or self.pairs[0].worth == NO:
+            return None
+        ground = self.pairs[0].ground
+        half = min(parameters.advice.first_side_m, math.sqrt(ground.GetArea()) / 2) / 2
+        x, y = _inner_point(ground)
+        return Bounds(x - half, y - half, x + half, y + half)
+
+
+def inspect_views(
+    views: Sequence[View], least_px: float, parameters: PointingParameters = POINTING
+) -> Tuple[Place, ...]:
+    """The places of the views, those with most images first; overlaps of less than ``least_px`` a side do not count."""
+    boxes = [_box(footprint(view.localise, view.size, view.rpc.height_off)) for view in views]
+    names = [view.name for view in views]
+    near = [(names[i], names[j]) for i, j in combinations(range(len(views)), 2) if _touch(boxes[i], boxes[j])]
+    groups = [[view for view in views if view.name in group] for group in components(names, near)]
+    places = [_place(group, least_px, parameters) for group in groups]
+    return tuple(sorted(places, key=lambda place: -len(place.images)))
+
+
+def _box(outline: Polygon) -> FloatArray:
+    """(2, 2) lowest and highest longitude and latitude."""
+    return np.array([outline.min(axis=0), outline.max(axis=0)])
+
+
+def _touch(first: FloatArray, second: FloatArray) -> bool:
+    moved = second + [360.0 * np.round((first[0, 0] - second[0, 0]) / 360.0), 0.0]  # one side of the date line
+    return bool((moved[0] <= first[1] + _APART_DEG).all() and (moved[1] >= first[0] - _APART_DEG).all())
+
+
+def _place(views: Sequence[View], least_px: float, parameters: PointingParameters) -> Place:
+    crs, altitude = utm_crs(*middle_of(views)), sum(common_heights(views)) / 2
+    outlines = [projected_from_geodetic(crs, footprint(view.localise, view.size, altitude)) for view in views]
+    images = tuple(_image(view, crs, outline, altitude) for view, outline in zip(views, outlines))
+    shapes, area = [geometry_of(outline) for outline in outlines], seen_twice([outlines])
+    found: List[Tuple[ViewPair, ogr.Geometry, float]] = []
+    for i, j in combinations(range(len(views)), 2):
+        ground = shapes[i].Intersection(shapes[j])
+        if ground is None or ground.GetArea() < (least_px * min(views[i].gsd_m, views[j].gsd_m)) ** 2:
+            continue
+        lon, lat = geodetic_from_projected(crs, np.array(_inner_point(ground)))
+        part = shared_part(shapes[i], shapes[j], area)
+        pair = pair_at(views[i], views[j], (float(lon), float(lat), altitude), 0, part)
+        found.append((pair, ground, 100.0 * shared_part(shapes[i], shapes[j])))
+    matched = _matched([pair for pair, _, _ in found], [view.name for view in views], parameters)
+    gsd = {view.name: view.gsd_m for view in views}
+    pairs = [
+        PairFacts(pair, ground, percent, pair in matched, *_worth(pair, percent, gsd, pair in matched, parameters))
+        for pair, ground, percent in found
+    ]
+    order = {id(pair): rank for rank, pair in enumerate(matched)}
+    pairs.sort(key=lambda facts: ((YES, CARE, NO).index(facts.worth), order.get(id(facts.pair), len(order))))
+    return Place(crs, altitude, images, tuple(pairs))
+
+
+def _image(view: View, crs: str, outline: Polygon, altitude: float) -> ImageFacts:
+    lon, lat = map(float, geodetic_from_projected(crs, np.array(_inner_point(geometry_of(outline)))))
+    east, north = ray_slope(view, np.array([lon, lat]), altitude)
+    incidence, azimuth = math.degrees(math.atan(math.hypot(east, north))), math.degrees(math.atan2(east, north)) % 360.0
+    return ImageFacts(view, outline, incidence, azimuth, sun_at(view, lon, lat))
+
+
+def _inner_point(geometry: ogr.Geometry) -> Tuple[float, float]:
+    """The middle of a shape; some point in it where the middle lies outside."""
+    middle = geometry.Centroid()
+    point = middle if geometry.Contains(middle) else geometry.PointOnSurface()
+    return point.GetX(), point.GetY()
+
+
+def _matched(pairs: Sequence[ViewPair], names: Sequence[str], parameters: PointingParameters) -> List[ViewPair]:
+    """The pairs that the pipeline would match, best first."""
+    try:
+        return best_pairs(pairs, names, parameters.pairs)
+    except EmptyResultError:
+        return []
+
+
+def _worth(
+    pair: ViewPair, percent: float, gsd: "dict[str, float]", is_matched: bool, parameters: PointingParameters
+) -> Tuple[str, str]:
+    """Whether a pair is worth matching, and why (or why not)."""
+    limits, advice = parameters.pairs, parameters.advice
+    if pair.base_to_height < limits.least_base_to_height:
+        return NO, "both look from the same direction: no heights"
+    reasons = []
+    if pair.base_to_height < limits.narrow or pair.angle_deg < limits.least_good_deg:
+        accuracy = expected_accuracy_m(pair, min(gsd[pair.first], gsd[pair.second]), advice)
+        reasons.append(f"narrow: heights good to some {accuracy:.1f} m only")
+    elif pair.base_to_height > limits.wide:
+        reasons.append("wide: walls and trees will not match")
+    if other_sun(pair, advice):
+        reasons.append(f"the sun stood {pair.sun_deg:.0f} degrees elsewhere: shadows do not match")
+    if other_season(pair, advice):
+        reasons.append(f"{duration_text(pair.days)} apart: fields, leaves and buildings have changed")
+    if percent < 100.0 * advice.small_overlap:
+        reasons.append(f"only {percent:.0f} % of the smaller image is shared")
+    if not is_matched:
+        reasons.append("not needed: both have better partners")
+    fits = not reasons or (len(reasons) == 1 and not is_matched)
+    fitting = "angle, overlap and sun fit" if pair.sun_deg is not None else "angle and overlap fit, times are unknown"
+    return (YES if fits else CARE), "; ".join(reasons) or fitting

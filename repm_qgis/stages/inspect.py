@@ -1,0 +1,100 @@
+"""Look at images before anything is computed: footprints, overlaps of pairs, and which pairs are worth matching."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, List, Sequence, Tuple
+
+from osgeo import ogr
+
+from ..errors import Cancelled, ImageError, RepmError
+from ..evaluation.inspection_page import inspection_page, verdict
+from ..evaluation.styles import write_style
+from ..geometry.footprints import geometry_of, reprojected
+from ..options import InspectOptions
+from ..progress import Progress, counted
+from ..scene import View, load_view
+from ..sfm.inspection import CARE, YES, Place, inspect_views
+from ..vector import write_layer
+from .parameters import ENGINE, EngineParameters
+
+_GEODETIC = "EPSG:4326"
+
+
+def run(options: InspectOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+    """Read RPCs and times, and write both layers and the page; gives them with the numbers of images and pairs.
+
+    An image that cannot be used is named in a warning and on the page, and does not stop the others. Raises ImageError
+    where none can be used, WorkspaceError.
+    """
+    views, unusable = _loaded(options, progress)
+    if not views:
+        path, reason = next(iter(unusable.items()))
+        raise ImageError(f"None of {counted(len(unusable), 'image')} can be used; '{os.path.basename(path)}': {reason}")
+    progress.step(0.8, "overlaps of pairs")
+    places = inspect_views(views, parameters.tiles.least_overlap_px, parameters.pointing)
+    crs = places[0].crs if len(places) == 1 else _GEODETIC
+    if options.footprints:
+        _write_footprints(places, crs, options.footprints)
+    if options.overlaps:
+        _write_overlaps(places, crs, options.overlaps)
+    if options.report:
+        inspection_page(places, unusable, parameters.pointing).write(options.report)
+    progress.info(verdict(places, unusable))
+    progress.step(1.0, "images inspected")
+    worth = sum(facts.worth in (YES, CARE) for place in places for facts in place.pairs)
+    written = {"footprints": options.footprints, "overlaps": options.overlaps, "report": options.report}
+    return {**written, "n_images": len(views), "n_pairs": worth}
+
+
+def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Dict[str, str]]:
+    """The views, and why the other images cannot be used, by their paths."""
+    views: List[View] = []
+    unusable: Dict[str, str] = {}
+    for index, (path, rpc) in enumerate(zip(options.images, options.rpcs or [""] * len(options.images))):
+        progress.check_cancelled()
+        progress.step(0.8 * index / len(options.images), f"image {index + 1} of {len(options.images)}")
+        try:
+            views.append(load_view(path, rpc, others=views))
+        except Cancelled:
+            raise
+        except RepmError as error:
+            unusable[path] = str(error)
+            progress.warn(f"'{os.path.basename(path)}' cannot be used: {error}")
+    return views, unusable
+
+
+def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
+    texts = dict.fromkeys(("view", "file", "taken"), str)
+    numbers = ("gsd", "incidence", "azimuth", "sun_azimuth", "sun_elevation", "altitude")
+    fields: Dict[str, type] = {**texts, "width": int, "height": int, **dict.fromkeys(numbers, float)}
+
+    def features() -> Any:
+        for place in places:
+            for facts in place.images:
+                view, sun = facts.view, facts.sun or (None, None)
+                taken = f"{view.time:%Y-%m-%d %H:%M:%S}" if view.time else None
+                looks = view.gsd_m, facts.incidence_deg, facts.azimuth_deg
+                values = [view.name, view.image, taken, *view.size, *looks, *sun, place.altitude]
+                yield reprojected(geometry_of(facts.outline), place.crs, crs), values
+
+    write_layer(path, crs, ogr.wkbPolygon, fields, features())
+    write_style("footprints", path)
+
+
+def _write_overlaps(places: Sequence[Place], crs: str, path: str) -> None:
+    texts = dict.fromkeys(("first", "second", "worth", "reason"), str)
+    numbers = ("area_km2", "percent", "angle", "base_to_height", "days", "sun_angle")
+    fields: Dict[str, type] = {**texts, "matched": int, **dict.fromkeys(numbers, float)}
+
+    def features() -> Any:
+        for place in places:
+            for facts in reversed(place.pairs):  # the best is drawn last, on top of the others
+                pair, area = facts.pair, facts.ground.GetArea() / 1e6
+                looks = pair.angle_deg, pair.base_to_height, pair.days, pair.sun_deg
+                words = pair.first, pair.second, facts.worth, facts.reason
+                ground = ogr.ForceToMultiPolygon(reprojected(facts.ground, place.crs, crs))
+                yield ground, [*words, int(facts.chosen), area, facts.percent, *looks]
+
+    write_layer(path, crs, ogr.wkbMultiPolygon, fields, features())
+    write_style("overlaps", path)
