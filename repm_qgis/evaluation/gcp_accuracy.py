@@ -17,7 +17,7 @@ from ..arrays import FloatArray, Mask
 from ..geometry.frames import EnuFrame, flat_crs, vertical_part
 from ..imagery.sampling import nmad
 from ..scene import View
-from ..sfm.ground_control import Gcp, intersect
+from ..sfm.ground_control import Gcp, intersect, residuals
 from .grids import Grid, HeightWarper, metres_per_unit
 from .parameters import GCPS, GcpParameters
 
@@ -83,7 +83,7 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
     shifts of the other control points. Control points that contradict the others are named and left out.
     """
     plain = [view.with_pointing(np.eye(2, 3)) for view in views]
-    found.residuals["rpc"] = [_residuals(gcp, plain) for gcp in found.gcps]
+    found.residuals["rpc"] = [residuals(gcp, plain) for gcp in found.gcps]
     found.errors["rpc"] = _located(found.gcps, [plain] * len(found.gcps))
     seen = [(gcp, residual) for gcp, residual in zip(found.gcps, found.residuals["rpc"]) if residual]
     control = {gcp.id: residual for gcp, residual in seen if gcp.role == "control"}
@@ -97,10 +97,10 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
         )
     if good:
         shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
-        found.residuals["compensated"] = [_residuals(gcp, views) for gcp, views in zip(found.gcps, shifted)]
+        found.residuals["compensated"] = [residuals(gcp, views) for gcp, views in zip(found.gcps, shifted)]
         found.errors["compensated"] = _located(found.gcps, shifted)
     if any(np.abs(view.pointing - np.eye(2, 3)).max() > 1e-9 for view in views):
-        found.residuals["scene"] = [_residuals(gcp, views) for gcp in found.gcps]
+        found.residuals["scene"] = [residuals(gcp, views) for gcp in found.gcps]
         found.errors["scene"] = _located(found.gcps, [views] * len(found.gcps))
 
 
@@ -117,10 +117,6 @@ def wrong_control(residuals: Dict[str, Dict[str, FloatArray]], parameters: GcpPa
     typical = nmad(np.array(list(size.values()) or [0.0]), 0.0)
     limit = max(parameters.wrong_px, parameters.wrong_times * typical)
     return tuple(name for name in residuals if size[name] > limit)
-
-
-def _residuals(gcp: Gcp, views: Sequence[View]) -> Dict[str, FloatArray]:
-    return {view.name: gcp.pixels[view.name] - view.project(gcp.lon_lat_h) for view in views if view.name in gcp.pixels}
 
 
 def _shifts(residuals: Dict[str, Dict[str, FloatArray]], without: str = "") -> Dict[str, FloatArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
 from ..untrusted import distrust
 from ..vector import file_and_layer, open_vector
+from ..workspace import write_text
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
@@ -73,8 +75,9 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     names = {alias: known[0] for known in aliases for alias in known}
     for line, row in rows:
         _require_count(path, line)
-        gcp = _point(path, line, row)
-        at = f"'{path}', row {line}: point '{gcp.id}'"
+        place = f"'{path}', row {line}"
+        gcp = point_of(place, row)
+        at = f"{place}: point '{gcp.id}'"
         known = points.setdefault(gcp.id, gcp)
         if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
             text = "has another place or role than in an earlier row; give each point one place and one role."
@@ -86,7 +89,7 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
             known_views = ", ".join(v.name for v in views)
             text = f"was measured in '{view}', which is none of the images ({known_views}); use the images' file names."
             raise InputTableError(f"{at} {text}")
-        pixel = np.array([_number(path, line, row, "col"), _number(path, line, row, "row")])
+        pixel = np.array([_number(place, row, "col"), _number(place, row, "row")])
         if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
             text = f"has another pixel in '{view}' than in an earlier row; give each point one row for each image."
             raise InputTableError(f"{at} {text}")
@@ -95,31 +98,35 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     return _ellipsoidal(list(points.values()), vertical, path)
 
 
-def _point(path: str, line: int, row: Mapping[str, Any]) -> Gcp:
+def point_of(place: str, row: Mapping[str, Any]) -> Gcp:
+    """A point without pixels from the fields of a row; ``place`` says in messages where the row is.
+
+    Raises InputTableError for a missing id, a wrong role, and a position that is not on the Earth.
+    """
     identity = str(row.get("id") or "").strip()
     if not identity:
-        raise InputTableError(f"'{path}', row {line}: the field 'id' is empty; name every point.")
+        raise InputTableError(f"{place}: the field 'id' is empty; name every point.")
     role = str(row.get("role") or "control").strip().lower()
     if role not in ROLES:
         text = f"the role of point '{identity}' is '{role}'; it must be control or check."
-        raise InputTableError(f"'{path}', row {line}: {text}")
-    lon, lat, height = (_number(path, line, row, name) for name in ("lon", "lat", "height"))
+        raise InputTableError(f"{place}: {text}")
+    lon, lat, height = (_number(place, row, name) for name in ("lon", "lat", "height"))
     if not (-360 <= lon <= 360 and -90 <= lat <= 90 and -12000 < height < 10000):
         raise InputTableError(
-            f"'{path}', row {line}: point '{identity}' lies at longitude {lon:g}, latitude {lat:g}, "
+            f"{place}: point '{identity}' lies at longitude {lon:g}, latitude {lat:g}, "
             f"height {height:g} m; give degrees (WGS 84) and metres."
         )
     return Gcp(identity, lon, lat, height, role, {})
 
 
-def _number(path: str, line: int, row: Mapping[str, Any], name: str) -> float:
+def _number(place: str, row: Mapping[str, Any], name: str) -> float:
     value = row.get(name)
     try:
         number = math.nan if value is None else float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputTableError(f"'{path}', row {line}: the field '{name}' is {value!r}, which is not a number.")
+        raise InputTableError(f"{place}: the field '{name}' is {value!r}, which is not a number.")
     return number
 
 
@@ -203,6 +210,31 @@ def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> 
         uncovered = f"PROJ's grid for {name} does not cover all points of '{path}'"
         raise InputTableError(f"{uncovered}: check their places, or give heights above the ellipsoid.")
     return [replace(gcp, height=float(height)) for gcp, height in zip(gcps, heights)]
+
+
+def write_gcps(path: str, gcps: Sequence[Gcp]) -> str:
+    """Write the table that :func:`read_gcps` reads, heights above the ellipsoid: one row for each point and view.
+
+    A point that was measured in no view has one row whose view, col and row are empty. Raises WorkspaceError.
+    """
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(FIELDS)
+    for gcp in gcps:
+        place = [gcp.id, f"{gcp.lon:.10f}", f"{gcp.lat:.10f}", f"{gcp.height:.4f}"]
+        rows = [[view, *(f"{number:.4f}" for number in pixel)] for view, pixel in gcp.pixels.items()]
+        for measured in rows or [["", "", ""]]:
+            table.writerow([*place, *measured, gcp.role])
+    return write_text(path, text.getvalue())
+
+
+def residuals(gcp: Gcp, views: Sequence[View], place: Optional[FloatArray] = None) -> Dict[str, FloatArray]:
+    """(2,) px by view, measured minus projected (pointing included), where the point was measured.
+
+    ``place`` (3,) longitude, latitude, height replaces the point's own.
+    """
+    ground = gcp.lon_lat_h if place is None else place
+    return {view.name: gcp.pixels[view.name] - view.project(ground) for view in views if view.name in gcp.pixels}
 
 
 def intersect(gcp: Gcp, views: Sequence[View]) -> Optional[FloatArray]:

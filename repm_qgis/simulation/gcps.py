@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import dataclasses
-import io
-from dataclasses import dataclass
 from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import OptionError
-from ..workspace import write_text
+from ..sfm.ground_control import Gcp
 from .parameters import SIMULATION, SimulatedGcpParameters
 from .render import RayCaster
 from .sensor import PushbroomView
@@ -59,20 +55,6 @@ def _seen_by_all(
     return True
 
 
-@dataclass(frozen=True)
-class SimulatedGcp:
-    """One point in one view: degrees, metres above the ellipsoid, px (the first pixel's centre is (0, 0))."""
-
-    id: str
-    lon: float
-    lat: float
-    height: float
-    view: str
-    col: float
-    row: float
-    role: str
-
-
 def choose_gcps(
     surface: SimulatedSurface,
     views: Sequence[PushbroomView],
@@ -80,7 +62,7 @@ def choose_gcps(
     step: int,
     seed: int,
     parameters: SimulatedGcpParameters = SIMULATION.control,
-) -> List[SimulatedGcp]:
+) -> List[Gcp]:
     """Flat, visible places spread over the common square, measured in the real sensor with noise.
 
     In each field of the square, the candidate that most views see is taken: among flat ground and roofs if there are
@@ -91,7 +73,7 @@ def choose_gcps(
     casters = [RayCaster(surface, view) for view in views]
     extent = (square[2] - 1) * step
     columns, rows = parameters.fields
-    result: List[SimulatedGcp] = []
+    result: List[Gcp] = []
     for number in range(columns * rows):
         field_col, field_row = number % columns, number // columns
         place = rng.uniform(0.08, 0.92, (parameters.candidates, 2))
@@ -103,8 +85,8 @@ def choose_gcps(
         noise = rng.normal(0.0, parameters.noise_px, (len(views), 2))
         best: List[Tuple[int, FloatArray]] = []
         for ground in surface.ground(col[flattest], row[flattest]):
-            pixels = [(n, _seen_at(caster, ground, parameters.visible_m)) for n, caster in enumerate(casters)]
-            seen = [(n, pixel) for n, pixel in pixels if pixel is not None]
+            tried = [(n, _seen_at(caster, ground, parameters.visible_m)) for n, caster in enumerate(casters)]
+            seen = [(n, pixel) for n, pixel in tried if pixel is not None]
             if len(seen) > len(best):
                 best, (lon, lat, height) = seen, map(float, ground)
             if len(best) == len(views):
@@ -112,10 +94,8 @@ def choose_gcps(
         if len(best) < 2:
             continue
         role = "check" if number % 2 else "control"
-        for n, pixel in best:
-            image_col, image_row = map(float, pixel + noise[n])
-            name = f"P{number + 1:02d}"
-            result.append(SimulatedGcp(name, lon, lat, height, views[n].name, image_col, image_row, role))
+        pixels = {views[n].name: pixel + noise[n] for n, pixel in best}
+        result.append(Gcp(f"P{number + 1:02d}", lon, lat, height, role, pixels))
     return result
 
 
@@ -135,16 +115,3 @@ def _seen_at(caster: RayCaster, ground: FloatArray, visible_m: float) -> Optiona
         return None
     height = caster.cast(pixel[:1], pixel[1:])[1][0, 0]
     return pixel if abs(height - ground[2]) < visible_m else None
-
-
-def write_gcps(path: str, gcps: Sequence[SimulatedGcp]) -> None:
-    """CSV with the header id, lon, lat, height, view, col, row, role."""
-    digits = {"lon": 10, "lat": 10, "height": 4, "col": 4, "row": 4}
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    names = [field.name for field in dataclasses.fields(SimulatedGcp)]
-    table.writerow(names)
-    for gcp in gcps:
-        values = {name: getattr(gcp, name) for name in names}
-        table.writerow([f"{v:.{digits[name]}f}" if name in digits else v for name, v in values.items()])
-    write_text(path, text.getvalue())

@@ -24,8 +24,9 @@ from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import created
 from ..progress import Part, Progress
 from ..rpc.model import Rpc
+from ..sfm.ground_control import Gcp, write_gcps
 from ..workspace import ensure_folder, write_text
-from .gcps import SimulatedGcp, choose_gcps, common_square, write_gcps
+from .gcps import choose_gcps, common_square
 from .mountains import build_mountains
 from .parameters import SIMULATION, SimulationParameters, VendorParameters
 from .render import render_view
@@ -197,7 +198,7 @@ def _record(
     fits: Sequence[RpcFit],
     biases: FloatArray,
     surface: SimulatedSurface,
-    gcps: Sequence[SimulatedGcp],
+    gcps: Sequence[Gcp],
     gcp_noise_px: float,
 ) -> Dict[str, Any]:
     """The content of truth.json."""
@@ -210,7 +211,7 @@ def _record(
         "vertical_datum": "WGS 84 ellipsoid",
         "height_range_m": [low, high],
         "gcp_noise_px": gcp_noise_px,
-        "gcp_points": len({gcp.id for gcp in gcps}),
+        "gcp_points": len(gcps),
         "rpc_bias_note": "projection with the file's RPC minus the true projection, px",
         "views": [
             {
