@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable
+from typing import Any, Callable, Optional
 
-from qgis.PyQt.QtCore import QCoreApplication, QTimer
+from qgis.PyQt.QtCore import QCoreApplication, Qt, QTimer
 from qgis.PyQt.QtGui import QIcon
 from qgis.PyQt.QtWidgets import QAction
 
 from ..processing_provider.base import resource
 from . import model_copy
+from .control_points import ControlPointsDock
 from .first_steps import FirstSteps, show_once
 from .pages import Page
 
@@ -22,7 +23,9 @@ class PluginMenu:
     def __init__(self, iface: Any) -> None:
         self._iface, self._actions, self._windows = iface, [], {}
         self._toolbox_actions = model_copy.register()
+        self._dock: Optional[ControlPointsDock] = None
         self.add(self.tr("First steps"), "repm", lambda: self._show(FirstSteps))
+        self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
         self.add(self.tr("Tutorial"), "", lambda: self._show(Page).open("tutorial.md"))
         self.add(self.tr("Help"), "", lambda: self._show(Page).open("guide.md"))
         # QGIS is still starting: a window now would lie behind its splash screen.
@@ -43,11 +46,23 @@ class PluginMenu:
         for action in self._actions:
             self._iface.removePluginMenu(TITLE, action)
             action.deleteLater()
+        if self._dock is not None:
+            self._dock.close_down()
+            self._dock.deleteLater()
+            self._dock = None
         for window in self._windows.values():
             window.close()
             window.deleteLater()
         model_copy.unregister(self._toolbox_actions)
         self._actions, self._windows, self._toolbox_actions = [], {}, []
+
+    def measure_control_points(self) -> ControlPointsDock:
+        """Show the dock, below the map where it has not been moved."""
+        if self._dock is None:
+            self._dock = ControlPointsDock(self._iface)
+            self._iface.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._dock)
+        self._dock.setUserVisible(True)
+        return self._dock
 
     def _show(self, kind: Callable[..., Any]) -> Any:
         """The one window of a kind, in front."""

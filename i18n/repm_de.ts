@@ -136,6 +136,137 @@
     </message>
 </context>
 <context>
+    <name>ControlPointsDock</name>
+    <message>
+        <source>1. Images or scene…</source>
+        <translation>1. Bilder oder Szene…</translation>
+    </message>
+    <message>
+        <source>2. Points</source>
+        <translation>2. Punkte</translation>
+    </message>
+    <message>
+        <source>New point on the map</source>
+        <translation>Neuer Punkt auf der Karte</translation>
+    </message>
+    <message>
+        <source>Undo</source>
+        <translation>Rückgängig</translation>
+    </message>
+    <message>
+        <source>Delete point</source>
+        <translation>Punkt löschen</translation>
+    </message>
+    <message>
+        <source>3. Save for GCPS…</source>
+        <translation>3. Für GCPS speichern…</translation>
+    </message>
+    <message>
+        <source>WGS 84 ellipsoid</source>
+        <translation>WGS-84-Ellipsoid</translation>
+    </message>
+    <message>
+        <source>What the heights of a table refer to when it is loaded: the ellipsoid, EGM96, EGM2008, or a vertical CRS such as EPSG:5773. They are saved above the ellipsoid: leave GCP_DATUM empty then.</source>
+        <translation>Worauf sich die Höhen einer Tabelle beziehen, wenn sie geladen wird: das Ellipsoid, EGM96, EGM2008 oder ein Höhensystem wie EPSG:5773. Gespeichert werden sie über dem Ellipsoid: GCP_DATUM bleibt dann leer.</translation>
+    </message>
+    <message>
+        <source>Where a new point takes its height from; empty: you are asked for it.</source>
+        <translation>Woher ein neuer Punkt seine Höhe nimmt; leer: sie wird erfragt.</translation>
+    </message>
+    <message>
+        <source>Heights of tables:</source>
+        <translation>Höhen der Tabellen:</translation>
+    </message>
+    <message>
+        <source>New heights from:</source>
+        <translation>Neue Höhen aus:</translation>
+    </message>
+    <message>
+        <source>Page Up and Page Down go to another point. Double click a value to change it.</source>
+        <translation>Bild auf und Bild ab wechseln den Punkt. Ein Doppelklick auf einen Wert ändert ihn.</translation>
+    </message>
+    <message>
+        <source>Choose at least two images of the same ground, or a scene.</source>
+        <translation>Mindestens zwei Bilder desselben Geländes wählen, oder eine Szene.</translation>
+    </message>
+    <message>
+        <source>New point</source>
+        <translation>Neuer Punkt</translation>
+    </message>
+    <message>
+        <source>Height above the WGS 84 ellipsoid (m):</source>
+        <translation>Höhe über dem WGS-84-Ellipsoid (m):</translation>
+    </message>
+    <message>
+        <source>Images and scenes</source>
+        <translation>Bilder und Szenen</translation>
+    </message>
+    <message>
+        <source>Images of the same ground, or a scene</source>
+        <translation>Bilder desselben Geländes, oder eine Szene</translation>
+    </message>
+    <message>
+        <source>From a file…</source>
+        <translation>Aus einer Datei…</translation>
+    </message>
+    <message>
+        <source>Tables and point layers</source>
+        <translation>Tabellen und Punktlayer</translation>
+    </message>
+    <message>
+        <source>Control points</source>
+        <translation>Passpunkte</translation>
+    </message>
+    <message>
+        <source>Save for GCPS</source>
+        <translation>Für GCPS speichern</translation>
+    </message>
+    <message>
+        <source>not saved</source>
+        <translation>nicht gespeichert</translation>
+    </message>
+    <message>
+        <source>Measure control points</source>
+        <translation>Passpunkte messen</translation>
+    </message>
+    <message>
+        <source>not visible here</source>
+        <translation>hier nicht sichtbar</translation>
+    </message>
+    <message>
+        <source>from the RPC: {col}, {row} px</source>
+        <translation>zum RPC: {col}, {row} px</translation>
+    </message>
+    <message>
+        <source>outside this image</source>
+        <translation>außerhalb dieses Bildes</translation>
+    </message>
+    <message>
+        <source>click the point</source>
+        <translation>den Punkt anklicken</translation>
+    </message>
+    <message>
+        <source>Choose the images, or the scene of a run, that show the points.</source>
+        <translation>Die Bilder oder die Szene eines Laufs wählen, die die Punkte zeigen.</translation>
+    </message>
+    <message>
+        <source>Load points, or press New point on the map and click the place on an orthophoto.</source>
+        <translation>Punkte laden, oder „Neuer Punkt auf der Karte“ drücken und die Stelle auf einem Orthofoto anklicken.</translation>
+    </message>
+    <message>
+        <source>Point {name}: mark it in at least two images.</source>
+        <translation>Punkt {name}: in mindestens zwei Bildern markieren.</translation>
+    </message>
+    <message>
+        <source>Point {name}: the images see it {distance} m from its place (east {east}, north {north}, up {up} m), and contradict each other by {miss} px. If all points show the same offset, it is the vendor's pointing, which GCPS corrects; if one point differs, check its place and its marks.</source>
+        <translation>Punkt {name}: Die Bilder sehen ihn {distance} m von seinem Ort entfernt (Ost {east}, Nord {north}, Höhe {up} m) und widersprechen einander um {miss} px. Zeigen alle Punkte denselben Versatz, ist es die Ausrichtung des Anbieters, die GCPS korrigiert; weicht ein Punkt ab, seinen Ort und seine Marken prüfen.</translation>
+    </message>
+    <message>
+        <source>The measured points are not saved. Save them now? They stay here until QGIS closes.</source>
+        <translation>Die gemessenen Punkte sind nicht gespeichert. Jetzt speichern? Sie bleiben hier, bis QGIS schließt.</translation>
+    </message>
+</context>
+<context>
     <name>DsmFuse</name>
     <message>
         <source>Fuse heights into a DSM</source>
@@ -456,12 +587,51 @@
         <translation>Erste Schritte</translation>
     </message>
     <message>
+        <source>Measure control points…</source>
+        <translation>Passpunkte messen…</translation>
+    </message>
+    <message>
         <source>Tutorial</source>
         <translation>Anleitung zum Einstieg</translation>
     </message>
     <message>
         <source>Help</source>
         <translation>Hilfe</translation>
+    </message>
+</context>
+<context>
+    <name>PointTable</name>
+    <message>
+        <source>Point</source>
+        <translation>Punkt</translation>
+    </message>
+    <message>
+        <source>Images</source>
+        <translation>Bilder</translation>
+    </message>
+    <message>
+        <source>Offset (m)</source>
+        <translation>Versatz (m)</translation>
+    </message>
+    <message>
+        <source>Miss (px)</source>
+        <translation>Abweichung (px)</translation>
+    </message>
+    <message>
+        <source>Check only</source>
+        <translation>Nur Kontrolle</translation>
+    </message>
+    <message>
+        <source>Height (m)</source>
+        <translation>Höhe (m)</translation>
+    </message>
+    <message>
+        <source>Longitude (°)</source>
+        <translation>Länge (°)</translation>
+    </message>
+    <message>
+        <source>Latitude (°)</source>
+        <translation>Breite (°)</translation>
     </message>
 </context>
 <context>
@@ -1080,6 +1250,29 @@
     <message>
         <source>Make a DSM stage by stage (model)</source>
         <translation>DOM Stufe für Stufe erzeugen (Modell)</translation>
+    </message>
+</context>
+<context>
+    <name>_ViewPanel</name>
+    <message>
+        <source>Not visible</source>
+        <translation>Nicht sichtbar</translation>
+    </message>
+    <message>
+        <source>Delete</source>
+        <translation>Löschen</translation>
+    </message>
+    <message>
+        <source>This image does not show the point (key S).</source>
+        <translation>Dieses Bild zeigt den Punkt nicht (Taste S).</translation>
+    </message>
+    <message>
+        <source>Take the mark away (key Delete).</source>
+        <translation>Die Marke entfernen (Taste Entf).</translation>
+    </message>
+    <message>
+        <source>Click: mark the point. Wheel, + and −: zoom. Drag: move the image. Arrow keys: move the mark by 0.1 px, with Shift by 1 px. Enter: the point is where it is predicted (yellow ring). Delete: take the mark away. S: not visible here. Home: back to the point.</source>
+        <translation>Klick: den Punkt markieren. Rad, + und −: zoomen. Ziehen: das Bild verschieben. Pfeiltasten: die Marke um 0,1 px verschieben, mit Umschalt um 1 px. Eingabe: der Punkt liegt am vorhergesagten Ort (gelber Ring). Entf: die Marke entfernen. S: hier nicht sichtbar. Pos1: zurück zum Punkt.</translation>
     </message>
 </context>
 </TS>

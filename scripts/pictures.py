@@ -27,6 +27,7 @@ SHOWN = {
     "pipeline_map.png": "map.png",
     "errormap_map.png": "error_map.png",
     "inspect_map.png": "inspect.png",
+    "control_points_window.png": "control_points.png",
     "menu_first_steps.png": "first_steps.png",
 }
 MAX_BYTES = 390_000
@@ -144,6 +145,7 @@ def desktop(folder: str) -> None:
             f"--basetemp={folder}/work",
             "tests/qgis/test_desktop.py",
             "tests/qgis/test_menu.py",
+            "tests/qgis/test_control_points.py",
         ],
         cwd=ROOT,
         env={**os.environ, "REPM_KEEP_PICTURES": folder},

@@ -127,6 +127,10 @@ class GcpMeasuring:
         """Say that a view does not show a point; its pixel there is taken away."""
         self._change(_State(self._with_pixel(name, view, None), self._state.skipped | {(name, view)}))
 
+    @property
+    def can_undo(self) -> bool:
+        return bool(self._steps)
+
     def undo(self) -> bool:
         """Take the last change back; False where there is none."""
         if not self._steps:
