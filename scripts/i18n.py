@@ -156,13 +156,14 @@ def _forms(node: ast.AST) -> list[list[str | None]]:
     return []
 
 
-def _filled(value: ast.AST) -> list[list[str | None]]:
+def _filled(value: ast.expr) -> list[list[str | None]]:
     """The forms of a part of an f-string: {'s' if many else ''} has two, which are two sentences."""
-    if isinstance(value, ast.FormattedValue) and isinstance(value.value, ast.IfExp):
-        branches = [_forms(value.value.body), _forms(value.value.orelse)]
+    inner = value.value if isinstance(value, ast.FormattedValue) else value
+    if isinstance(inner, ast.IfExp):
+        branches = [_forms(inner.body), _forms(inner.orelse)]
         if all(branches):
             return [form for branch in branches for form in branch]
-    return _forms(value) or [[None]]
+    return _forms(inner) or [[None]]
 
 
 def template(form: list[str | None]) -> str:
@@ -218,7 +219,7 @@ def _read_in(tree: ast.AST) -> list[str]:
             if called in _CODE_CALLS:
                 return walk(node.func)
             if called == "counted":
-                nouns = [form[0] for form in _filled(ast.FormattedValue(node.args[1])) if form[0]]
+                nouns = [form[0] for form in _filled(node.args[1]) if form[0]]
                 found.extend(text for noun in nouns for text in (f"1 {noun}", f"{{0}} {noun}s"))
                 return walk(node.args[0])
         found.extend(piece for form in _forms(node) for piece in _pieces(template(form)))
