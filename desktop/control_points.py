@@ -43,6 +43,7 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
+from ..processing_provider.language import said
 from ..processing_provider.values import layer_path, points_path
 from .image_view import ImageView
 from .point_table import PointTable
@@ -257,7 +258,7 @@ class ControlPointsDock(QgsDockWidget):
 
         if not self._tried(measure):
             return None
-        self._say(" ".join(found.warnings))
+        self._say(" ".join(map(said, found.warnings)))
         height = float(found.dsm_heights[0])
         return height if np.isfinite(height) else None
 
@@ -322,7 +323,7 @@ class ControlPointsDock(QgsDockWidget):
         try:
             self.open_points(points_path(layer, QgsProcessingContext()))
         except QgsProcessingException as error:
-            self._say(str(error))
+            self._say(said(str(error)))
 
     def _choose_points(self) -> None:
         kinds = self.tr("Tables and point layers") + " (*.csv *.gpkg *.geojson *.shp *.fgb);;(*)"
@@ -373,7 +374,7 @@ class ControlPointsDock(QgsDockWidget):
         try:
             work()
         except RepmError as error:
-            return self._say(str(error))
+            return self._say(said(str(error)))
         return True
 
     def _say(self, text: str) -> bool:

@@ -10,17 +10,17 @@ from qgis.core import QgsSettings
 from qgis.PyQt.QtCore import QStandardPaths, Qt
 from qgis.PyQt.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton
 
-from .pages import Page
+from .documents import open_document
 
 SHOWN = "repm/first_steps_shown"
 SAMPLE = "repm/sample_folder"
 
 
-def show_once(show: Callable[..., Any]) -> None:
+def show_once(show: Callable[[], Any]) -> None:
     """Show the panel on the first start after the installation, and never again by itself."""
     if not QgsSettings().value(SHOWN, False, type=bool):
         QgsSettings().setValue(SHOWN, True)
-        show(FirstSteps)
+        show()
 
 
 def _sample_images() -> list[str]:
@@ -31,7 +31,7 @@ def _sample_images() -> list[str]:
 class FirstSteps(QDialog):
     """Three steps, each with one button; the second one waits for the images of the first."""
 
-    def __init__(self, iface: Any, show: Callable[..., Any]) -> None:
+    def __init__(self, iface: Any) -> None:
         super().__init__(iface.mainWindow())
         self.setWindowTitle(self.tr("REPM: first steps"))
         self._dialogs: list[Any] = []
@@ -56,7 +56,7 @@ class FirstSteps(QDialog):
             3,
             self.tr("<b>Read the tutorial.</b><br>From the order of images to a DSM that you can defend."),
             self.tr("Open the tutorial"),
-            lambda: show(Page).open("tutorial.md"),
+            lambda: open_document("tutorial"),
         )
         later = QLabel(self.tr("You find these steps again in the menu Plugins > REPM."))
         later.setEnabled(False)

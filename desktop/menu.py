@@ -11,8 +11,8 @@ from qgis.PyQt.QtWidgets import QAction
 from ..processing_provider.base import resource
 from . import model_copy
 from .control_points import ControlPointsDock
+from .documents import open_document
 from .first_steps import FirstSteps, show_once
-from .pages import Page
 
 TITLE = "REPM"
 
@@ -21,15 +21,16 @@ class PluginMenu:
     """Our entries in QGIS's menu, and the windows that they open; ``remove`` takes both away again."""
 
     def __init__(self, iface: Any) -> None:
-        self._iface, self._actions, self._windows = iface, [], {}
+        self._iface, self._actions = iface, []
+        self._panel: Optional[FirstSteps] = None
         self._toolbox_actions = model_copy.register()
         self._dock: Optional[ControlPointsDock] = None
-        self.add(self.tr("First steps"), "repm", lambda: self._show(FirstSteps))
+        self.add(self.tr("First steps"), "repm", self.first_steps)
         self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
-        self.add(self.tr("Tutorial"), "", lambda: self._show(Page).open("tutorial.md"))
-        self.add(self.tr("Help"), "", lambda: self._show(Page).open("guide.md"))
+        self.add(self.tr("Tutorial"), "", lambda: open_document("tutorial"))
+        self.add(self.tr("Help"), "", lambda: open_document("guide"))
         # QGIS is still starting: a window now would lie behind its splash screen.
-        QTimer.singleShot(0, lambda: show_once(self._show) if self._actions else None)
+        QTimer.singleShot(0, lambda: show_once(self.first_steps) if self._actions else None)
 
     def tr(self, text: str) -> str:
         return QCoreApplication.translate("PluginMenu", text)
@@ -50,11 +51,12 @@ class PluginMenu:
             self._dock.close_down()
             self._dock.deleteLater()
             self._dock = None
-        for window in self._windows.values():
-            window.close()
-            window.deleteLater()
+        if self._panel is not None:
+            self._panel.close()
+            self._panel.deleteLater()
+            self._panel = None
         model_copy.unregister(self._toolbox_actions)
-        self._actions, self._windows, self._toolbox_actions = [], {}, []
+        self._actions, self._toolbox_actions = [], []
 
     def measure_control_points(self) -> ControlPointsDock:
         """Show the dock, below the map where it has not been moved."""
@@ -64,11 +66,8 @@ class PluginMenu:
         self._dock.setUserVisible(True)
         return self._dock
 
-    def _show(self, kind: Callable[..., Any]) -> Any:
-        """The one window of a kind, in front."""
-        if kind not in self._windows:
-            self._windows[kind] = kind(self._iface, self._show)
-        window = self._windows[kind]
-        window.show()
-        window.raise_()
-        return window
+    def first_steps(self) -> None:
+        if self._panel is None:
+            self._panel = FirstSteps(self._iface)
+        self._panel.show()
+        self._panel.raise_()

@@ -539,25 +539,6 @@
     </message>
 </context>
 <context>
-    <name>Page</name>
-    <message>
-        <source>REPM: documents</source>
-        <translation>REPM: Dokumente</translation>
-    </message>
-    <message>
-        <source>Back</source>
-        <translation>Zurück</translation>
-    </message>
-    <message>
-        <source>Contents</source>
-        <translation>Inhalt</translation>
-    </message>
-    <message>
-        <source>Close</source>
-        <translation>Schließen</translation>
-    </message>
-</context>
-<context>
     <name>Pipeline</name>
     <message>
         <source>Make a DSM from satellite images</source>

@@ -37,7 +37,7 @@ def page(name: str, language: str, labels: Mapping[str, str], more: Mapping[str,
     ``labels`` are those of the parameters and outputs by their ids, ``more`` their explanations for those that the page
     does not have. The pages lie in the user's profile. "" where there is no such document; raises WorkspaceError.
     """
-    folder = os.path.join(QgsApplication.qgisSettingsDirPath(), "repm", "help", language)
+    folder = _pages(language)
     source = os.path.join(_DOCS, "algorithms", f"{name}.md")
     if not os.path.exists(source):
         return ""
@@ -46,6 +46,21 @@ def page(name: str, language: str, labels: Mapping[str, str], more: Mapping[str,
     with open(source, encoding="utf-8") as stream:
         _write(target, to_page(stream.read(), os.path.dirname(source), labels, more))
     return QUrl.fromLocalFile(target).toString()
+
+
+def document(name: str, language: str) -> str:
+    """Write a document of docs/ and those that it leads to, without the algorithms' pages; its address.
+
+    Raises WorkspaceError.
+    """
+    folder = _pages(language)
+    _write_documents(folder)
+    return QUrl.fromLocalFile(os.path.join(folder, f"{name}.html")).toString()
+
+
+def _pages(language: str) -> str:
+    """The folder of the pages in the user's profile."""
+    return os.path.join(QgsApplication.qgisSettingsDirPath(), "repm", "help", language)
 
 
 @cache
