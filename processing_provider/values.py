@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import subprocess  # nosec B404 # for its quoting alone
 from typing import Any, Mapping, Optional
 
 from qgis.core import (
@@ -227,7 +228,7 @@ def destination(
 
 
 def command_line(algorithm_id: str, options: Mapping[str, Any]) -> str:
-    """The ``qgis_process`` command that repeats a run with these engine options."""
+    """The ``qgis_process`` command that repeats a run with these engine options, as this system's shell reads it."""
     words = []
     for name, value in options.items():
         if is_empty(value) or name in ("extent_crs", "workers", "memory", "command"):
@@ -237,4 +238,5 @@ def command_line(algorithm_id: str, options: Mapping[str, Any]) -> str:
             value = f"{xmin!r},{xmax!r},{ymin!r},{ymax!r} [{options.get('extent_crs', 'EPSG:4326')}]"
         values = value if isinstance(value, (list, tuple)) else [value]
         words += [f"{name.upper()}={item}" for item in values]
-    return " ".join(["qgis_process", "run", algorithm_id, "--", *map(shlex.quote, words)])
+    command = ["qgis_process", "run", algorithm_id, "--", *words]
+    return subprocess.list2cmdline(command) if os.name == "nt" else shlex.join(command)

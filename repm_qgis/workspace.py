@@ -13,6 +13,7 @@ import socket
 import sys
 import tempfile
 import threading
+import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Iterator, List, Optional, Set
@@ -149,11 +150,47 @@ def take_name(temporary: str, path: str) -> None:
     try:
         _sync(temporary)
         _require_naming()
-        os.replace(temporary, target)
+        _replace(temporary, target)
         _sync(str(target.parent))
     except OSError as error:
         raise cannot_write(path, error) from error
     _own_temporaries.discard(temporary)
+
+
+_IN_USE = (5, 32, 33)  # Windows: access denied, sharing violation, lock violation (winerror.h)
+_PATIENCE_S = 2.0  # for virus scanners and indexers, which open a new file for a moment
+
+
+def _replace(source: str | os.PathLike[str], target: Path) -> None:
+    """``os.replace``; Windows refuses it while another program has either open, and then it is tried for a while."""
+    end = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            os.replace(source, target)
+            return
+        except OSError as error:
+            if not _in_use(error) or time.monotonic() > end:
+                raise
+        time.sleep(0.1)
+
+
+def _in_use(error: OSError) -> bool:
+    """Whether Windows says that another program has a file open; elsewhere files in use can be replaced."""
+    return getattr(error, "winerror", None) in _IN_USE
+
+
+def require_replaceable(path: str) -> None:
+    """Raise WorkspaceError where an older file of that name cannot be replaced.
+
+    Giving a file its own name changes nothing. Windows refuses it while another program has the file open, as it would
+    refuse the new file its name at the end of the work.
+    """
+    target = real_target(path)
+    if target.is_file():
+        try:
+            _replace(target, target)
+        except OSError as error:
+            raise cannot_write(path, error) from error
 
 
 _naming_ended = threading.Event()
@@ -201,6 +238,11 @@ def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
         return WorkspaceError(
             f"Cannot write '{path}': the disk is full ({free:.1f} MiB free{needed}): free some space, or choose a "
             "place on another disk."
+        )
+    if _in_use(error) and os.path.exists(path):
+        return WorkspaceError(
+            f"Cannot write '{path}': another program has it open, QGIS perhaps as a layer: remove that layer, close "
+            "that program, or choose another name."
         )
     if error.errno == errno.EROFS:
         return WorkspaceError(f"Cannot write '{path}': the disk is read-only: choose a place on another disk.")
@@ -292,8 +334,8 @@ def whole_file(path: str) -> Iterator[str]:
 
 
 def write_text(path: str, text: str) -> str:
-    """Write a UTF-8 text file, whole or not at all; raises WorkspaceError."""
-    with whole_file(path) as temporary, open(temporary, "w", encoding="utf-8") as stream:
+    """Write a UTF-8 text file, whole or not at all, the same bytes on every system; raises WorkspaceError."""
+    with whole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="\n") as stream:
         stream.write(text)
     return path
 
@@ -346,13 +388,13 @@ def _take_place(temporary: Path, target: Path) -> None:
     """
     _require_naming()
     if not target.exists():
-        os.replace(temporary, target)
+        _replace(temporary, target)
     elif not _exchange(temporary, target):
         aside = _aside(target)
         _remove(str(aside))
-        os.replace(target, aside)
+        _replace(target, aside)
         try:
-            os.replace(temporary, target)
+            _replace(temporary, target)
         except OSError:
             os.replace(aside, target)
             raise

@@ -1,7 +1,8 @@
 """The plugin on Qt 6 without QGIS 4: real PyQt6, and stand-ins for the part of QGIS 4's API that the provider uses.
 
 ``python qt6_stubs.py FOLDER`` with PyQt6 in FOLDER loads the plugin, registers its provider, makes every algorithm
-with its parameters, and prints as JSON what the toolbox would show, and which names of QGIS had no stand-in. Those
+with its parameters, opens every entry of the menu, and prints as JSON what the toolbox would show, and which names of
+QGIS had no stand-in. Those
 accept everything, and are only proven to be imported and called. The stand-ins know no unscoped enum, take only the
 arguments that QGIS 4's constructors take, and refuse values of other types, an int for an enum too. Names and
 arguments are those of QGIS's own Python bindings (python/PyQt6/core/auto_generated/processing).
@@ -11,6 +12,8 @@ from __future__ import annotations
 
 import enum
 import importlib
+import importlib.abc
+import importlib.machinery
 import importlib.util
 import inspect
 import json
@@ -265,9 +268,32 @@ class Library(types.ModuleType):
         if name.startswith("_"):
             raise AttributeError(name)
         ON_TRUST.add(f"{self.__name__}.{name}")
-        made = _Anything(name, (self._base,), {"__getattr__": lambda own, member: mock.MagicMock(name=member)})
+        members = {
+            "__init__": lambda own, *given, **named: self._base.__init__(own),
+            "__getattr__": lambda own, member: mock.MagicMock(name=member),
+        }
+        made = _Anything(name, (self._base,), members)
         setattr(self, name, made)
         return made
+
+
+class Processing(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds every module of QGIS's plugin Processing; the settings have no value yet."""
+
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "processing":
+            return importlib.machinery.ModuleSpec(name, self, is_package=True)
+        return None
+
+    def create_module(self, spec):
+        known = {}
+        if spec.name == "processing.core.ProcessingConfig":
+            unset = {"getSetting": staticmethod(lambda name, readable=False: None), "settingIcons": {}}
+            known["ProcessingConfig"] = _Anything("ProcessingConfig", (QtCore.QObject,), unset)
+        return Library(spec.name, QtCore.QObject, known)
+
+    def exec_module(self, module):
+        pass
 
 
 def install():
@@ -307,6 +333,7 @@ def install():
     for name in ("qgis", "qgis.PyQt"):
         packages[name].__path__ = []
     sys.modules.update(packages)
+    sys.meta_path.insert(0, Processing())
     for name in ("PyQt", "core", "gui", "utils"):
         setattr(packages["qgis"], name, packages[f"qgis.{name}"])
 
@@ -347,12 +374,18 @@ def main():
     iface.mainWindow.return_value = window
     plugin = package.classFactory(iface)
     plugin.initGui()
+    opened = []
+    for call in iface.addPluginToMenu.call_args_list:
+        opened.append(call.args[1].text())
+        call.args[1].trigger()  # an exception in it ends a program on PyQt6
+        application.processEvents()
     found = {each.name(): shown(each) for each in plugin.provider.algorithms()}
     plugin.unload()
-    for path in sorted((ROOT / "processing_provider").rglob("*.py")):
+    for path in sorted([*(ROOT / "processing_provider").rglob("*.py"), *(ROOT / "desktop").rglob("*.py")]):
         parts = path.relative_to(ROOT).with_suffix("").parts
         importlib.import_module(".".join(["repm", *parts]).replace(".__init__", ""))
-    print(json.dumps({"qt": QtCore.QT_VERSION_STR, "algorithms": found, "on_trust": sorted(ON_TRUST)}))
+    result = {"qt": QtCore.QT_VERSION_STR, "algorithms": found, "opened": opened, "on_trust": sorted(ON_TRUST)}
+    print(json.dumps(result))
     del window, application
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Dict, List
+from typing import Dict, List, Tuple
 
 from ..errors import ImageError, OptionError, SceneError
 from ..imagery.raster import files_of
@@ -14,33 +14,56 @@ from ..records import with_files
 from ..rpc.readers import rpc_sidecars
 from ..scene import Scene
 from ..vector import file_and_layer
+from ..workspace import existing_place, require_replaceable
 
 
 def require_distinct(stage: str, options: Options) -> None:
     """Raise OptionError for a product whose path is that of another one, or of a file that the stage reads.
 
     Links are followed, and the files that belong to an image, and those that a scene names, are compared too. A stage
-    may write its scene over the one that it reads, which it continues.
+    may write its scene over the one that it reads, which it continues. Names that differ in case alone are one where
+    the file system takes them for one. Raises WorkspaceError for a file that another program keeps from being replaced.
     """
     written = [(each, path) for each, path in paths_of(stage, options) if each.form != FOLDER]
-    taken: Dict[str, Product] = {}
+    taken: Dict[str, Tuple[Product, str]] = {}
     for each, path in written:
-        place = os.path.realpath(path)
+        place = _place(path)
         if place in taken:
-            raise OptionError(each.option.upper(), path, f"is also {taken[place].option.upper()}: choose two names")
-        taken[place] = each
-    built = {place: each for place, each in taken.items() if each.form == BUILT_FOLDER}
-    for place, each in taken.items():
+            raise OptionError(each.option.upper(), path, f"is also {taken[place][0].option.upper()}: choose two names")
+        taken[place] = each, path
+    built = {place: each for place, (each, _) in taken.items() if each.form == BUILT_FOLDER}
+    for place, (each, path) in taken.items():
         for folder, owner in built.items():
             if place.startswith(os.path.join(folder, "")):
                 inside = f"lies in {owner.option.upper()}, a folder that is replaced as a whole: choose another place"
-                raise OptionError(each.option.upper(), place, inside)
+                raise OptionError(each.option.upper(), path, inside)
     files = {(name, file) for name, path in options.read_paths() for file in _files(name, path, stage)}
     for each, path in written:
         for name, file in sorted(files):
             if not (each.form == SCENE and name == "scene") and _same(path, file, each in built.values()):
                 reason = f"is also a file of the input {name.upper()}, which would be lost: choose another name"
                 raise OptionError(each.option.upper(), path, reason)
+    for _, path in written:
+        require_replaceable(path)
+
+
+def _place(path: str) -> str:
+    """What is equal for two paths that are one file, which need not be there yet."""
+    place = os.path.realpath(path)
+    return place.casefold() if _ignores_case(existing_place(place)) else place
+
+
+def _ignores_case(place: str) -> bool:
+    """Whether a file or folder is also found under its name in the other case, as on Windows and macOS."""
+    folder, name = os.path.split(place)
+    if not name:
+        return os.name == "nt"
+    if name.swapcase() == name:
+        return _ignores_case(folder)
+    try:
+        return os.path.samefile(place, os.path.join(folder, name.swapcase()))
+    except OSError:
+        return False
 
 
 def _files(name: str, path: str, stage: str) -> List[str]:

@@ -114,6 +114,46 @@ def test_what_dead_processes_have_left_goes_and_what_living_ones_write_stays(tmp
     assert sorted(os.listdir(tmp_path)) == sorted(kept)
 
 
+def test_a_file_that_a_scanner_has_open_for_a_moment_is_replaced_a_little_later(tmp_path, monkeypatch):
+    """As on Windows; the sharing violation of winerror.h."""
+    left, real = [3], os.replace
+
+    def busy(source, target):
+        left[0] -= 1
+        if left[0] > 0:
+            error = PermissionError(13, "The process cannot access the file")
+            error.winerror = 32
+            raise error
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", busy)
+    write_text(str(tmp_path / "a.txt"), "new")
+    assert (tmp_path / "a.txt").read_text() == "new" and left == [0]
+
+
+def test_another_error_of_a_name_is_said_at_once(tmp_path, monkeypatch):
+    tries = []
+
+    def refused(source, target):
+        tries.append(target)
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "replace", refused)
+    with pytest.raises(WorkspaceError, match=r"Cannot write '.*a.txt' \(Permission denied\): choose another place"):
+        write_text(str(tmp_path / "a.txt"), "new")
+    assert len(tries) == 1 and not list(tmp_path.iterdir())
+
+
+def test_text_has_the_same_bytes_on_every_system(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "linesep", "\r\n")
+    opened = []
+    monkeypatch.setattr(
+        "builtins.open", lambda *words, _open=open, **more: opened.append(more) or _open(*words, **more)
+    )
+    write_text(str(tmp_path / "a.txt"), "one\ntwo\n")
+    assert opened[0]["newline"] == "\n" and (tmp_path / "a.txt").read_bytes() == b"one\ntwo\n"
+
+
 def test_links_stay_links_and_devices_stay_devices(tmp_path):
     (tmp_path / "disk").mkdir()
     (tmp_path / "disk" / "a.txt").write_text("old")

@@ -171,12 +171,12 @@ def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
     assert ran and not ran[0].startswith(str(ROOT)), "the unzipped plugin has no .venv: QGIS's own Python is to run"
 
 
-def family(mark):
-    """The numbers of the living processes whose environment holds the mark."""
+def family(mark, words=b""):
+    """The numbers of the living processes whose environment holds the mark, and whose command the words."""
     found = []
     for path in pathlib.Path("/proc").glob("[0-9]*"):
         try:
-            ours = mark in (path / "environ").read_bytes()
+            ours = mark in (path / "environ").read_bytes() and words in (path / "cmdline").read_bytes()
             state = (path / "stat").read_text().rsplit(")", 1)[1].split()[0]
         except OSError:
             continue
@@ -209,7 +209,9 @@ def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start,
         REPM_TEST_MARK=str(tmp_path),
     )
     try:
-        assert wait_for(lambda: len(family(mark.encode())) >= processes, 60), "the run did not get so far"
+        # The shell that starts qgis_process has children too, so the engine must be among those that are counted.
+        begun = wait_for(lambda: family(mark.encode(), b"-m\0repm_qgis\0pipeline"), 60)
+        assert begun and wait_for(lambda: len(family(mark.encode())) >= processes, 60), "the run did not get so far"
         start = time.monotonic()
         running.send_signal(number)
         output, errors = running.communicate(timeout=20)

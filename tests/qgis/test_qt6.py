@@ -24,6 +24,7 @@ FILES = [
     ROOT / "__init__.py",
     ROOT / "plugin.py",
     *sorted((ROOT / "processing_provider").rglob("*.py")),
+    *sorted((ROOT / "desktop").rglob("*.py")),
     *sorted((ROOT / "scripts").glob("*.py")),
     *sorted((ROOT / "tests" / "qgis").glob("*.py")),
 ]
@@ -113,7 +114,7 @@ def test_the_plugin_on_pyqt6_shows_what_it_shows_here(pyqt6, provider):
     done = on_qt6(pyqt6, str(STUBS), str(pyqt6))
     assert done.returncode == 0, done.stderr
     there = json.loads(done.stdout.splitlines()[-1])
-    assert there["qt"].startswith("6.")
+    assert there["qt"].startswith("6.") and "First steps" in there["opened"]
     flag = QgsProcessingParameterDefinition.Flag
     here = {}
     for entry in provider.algorithms():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import OptionError
+from repm_qgis.errors import OptionError, WorkspaceError
 from repm_qgis.locks import exclusive
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -60,6 +60,32 @@ def test_the_pipeline_refuses_and_touches_nothing(project, told, options, words)
     with pytest.raises(OptionError, match=words):
         run_stage("pipeline", job(project, **{name: whole(value) for name, value in options.items()}), told())
     assert state(project) == before and not (project / "w").exists()
+
+
+def test_names_that_differ_in_case_alone_are_one_where_the_disk_says_so(project, told, monkeypatch):
+    """As on Windows and macOS: a link gives the folder its name in the other case."""
+    options = {"ortho": str(project / "DSM.tif")}
+    monkeypatch.setattr("repm_qgis.stages.pipeline.run", lambda options, progress: {})
+    run_stage("pipeline", job(project, **options), told())
+    os.symlink(project, project.parent / project.name.swapcase())
+    with pytest.raises(OptionError, match="ORTHO is '.*DSM.tif': it is also OUTPUT: choose two names"):
+        run_stage("pipeline", job(project, **options), told())
+
+
+def test_a_product_that_another_program_has_open_is_refused_before_the_work(project, told, monkeypatch):
+    """As on Windows, where QGIS has the last run's DSM open."""
+    (project / "dsm.tif").write_bytes(b"the last one")
+    in_use = PermissionError(13, "Access is denied")
+    in_use.winerror = 5
+
+    def refused(source, target):
+        raise in_use
+
+    monkeypatch.setattr("repm_qgis.workspace.os.replace", refused)
+    monkeypatch.setattr("repm_qgis.workspace._PATIENCE_S", 0)
+    with pytest.raises(WorkspaceError, match="dsm.tif': another program has it open, QGIS perhaps as a layer: remove"):
+        run_stage("pipeline", job(project), told())
+    assert (project / "dsm.tif").read_bytes() == b"the last one" and not (project / "w").exists()
 
 
 def test_what_a_scene_names_is_an_input_too(urban_run, told, tmp_path):
