@@ -626,8 +626,8 @@
         <translation>Verknüpfungspunkte und relative Ausrichtung der Ansichten, dann eine Höhenkarte je Paar und Kachel.</translation>
     </message>
     <message>
-        <source>Report</source>
-        <translation>Bericht</translation>
+        <source>Report of the matching</source>
+        <translation>Bericht über die Bildzuordnung</translation>
     </message>
     <message>
         <source>Number of tie points</source>
@@ -1130,12 +1130,44 @@
         <translation>Wahres DOM</translation>
     </message>
     <message>
-        <source>Report</source>
-        <translation>Bericht</translation>
+        <source>Report of the images</source>
+        <translation>Bericht über die Bilder</translation>
     </message>
     <message>
         <source>A page for the browser with figures, pictures and warnings, in one file.</source>
         <translation>Eine Seite für den Browser mit Zahlen, Bildern und Warnungen, in einer Datei.</translation>
+    </message>
+    <message>
+        <source>Report of the cameras</source>
+        <translation>Bericht über die Kameras</translation>
+    </message>
+    <message>
+        <source>Report of the refinement</source>
+        <translation>Bericht über die Verfeinerung</translation>
+    </message>
+    <message>
+        <source>Report of the run</source>
+        <translation>Bericht über den Lauf</translation>
+    </message>
+    <message>
+        <source>Report of the mosaic</source>
+        <translation>Bericht über das Mosaik</translation>
+    </message>
+    <message>
+        <source>Report of the equivalent error</source>
+        <translation>Bericht über den äquivalenten Fehler</translation>
+    </message>
+    <message>
+        <source>Report of the comparison</source>
+        <translation>Bericht über den Vergleich</translation>
+    </message>
+    <message>
+        <source>Report of the control points</source>
+        <translation>Bericht über die Passpunkte</translation>
+    </message>
+    <message>
+        <source>Report of the environment</source>
+        <translation>Bericht über die Umgebung</translation>
     </message>
 </context>
 <context>

@@ -57,8 +57,8 @@ class CheckGcps(RepmAlgorithm):
         }
         return [
             QgsProcessingOutputNumber(
-                f"{name}_{figure}", self.tr("{figure} of heights by {source} (m)").format(figure=figure, source=source)
+                f"{name}_{output}", self.tr("{figure} of heights by {source} (m)").format(figure=figure, source=source)
             )
             for name, source in by.items()
-            for figure in ("ME", "RMSE", "MAX")
+            for output, figure in (("ME", "MedAE"), ("RMSE", "RMSE"), ("MAX", "Max"))
         ]

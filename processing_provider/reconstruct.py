@@ -41,6 +41,6 @@ class Reconstruct(RepmAlgorithm):
 
     def extra_outputs(self) -> list:
         return [
-            QgsProcessingOutputHtml("REPORT", self.tr("Report")),
+            QgsProcessingOutputHtml("REPORT", self.tr("Report of the matching")),
             QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
         ]

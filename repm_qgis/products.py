@@ -121,6 +121,16 @@ _PAIRS = (
 )
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
+_REPORTS = {
+    "inspect": "Report of the images",
+    "epmfit": "Report of the cameras",
+    "refine": "Report of the refinement",
+    "pipeline": "Report of the run",
+    "mosaic": "Report of the mosaic",
+    "errormap": "Report of the equivalent error",
+    "comparedsm": "Report of the comparison",
+    "checkgcps": "Report of the control points",
+}
 PRODUCTS = (
     Product("inspect", "footprints", "Footprints", POLYGONS, ALWAYS, "footprints", help=_FOOTPRINTS),
     Product("inspect", "overlaps", "Overlaps of pairs", POLYGONS, UNLESS_SKIPPED, "overlaps", help=_OVERLAPS),
@@ -157,10 +167,10 @@ PRODUCTS = (
     Product("sampledata", "folder", "Folder", FOLDER, ALWAYS, help=_SAMPLES),
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
     *(
-        Product(stage, "report", "Report", FILE, UNLESS_SKIPPED, filter=_HTML, help=_REPORT)
-        for stage in ("inspect", "epmfit", "refine", "pipeline", "mosaic", "errormap", "comparedsm", "checkgcps")
+        Product(stage, "report", title, FILE, UNLESS_SKIPPED, filter=_HTML, help=_REPORT)
+        for stage, title in _REPORTS.items()
     ),
-    Product("environment", "report", "Report", FILE, ALWAYS, filter=_HTML, help=_REPORT),
+    Product("environment", "report", "Report of the environment", FILE, ALWAYS, filter=_HTML, help=_REPORT),
 )
 
 

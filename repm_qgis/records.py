@@ -211,7 +211,7 @@ class PointingFigures(Record):
 
 @dataclass(frozen=True)
 class FusionFacts(Record):
-    """What fusion counted, in cells of the DSM: ``cells`` that tiles cover, ``valid`` ones with a height, and of these
+    """What fusion counted, in cells of the DSM: ``cells`` that two images see, ``valid`` ones with a height, of these
     ``matched``, ``background`` (of an occlusion) and ``interpolated`` ones; ``removed`` were outliers. ``points`` are
     the cloud's, ``resolution`` is the side of a cell in units of the ``crs``."""
 

@@ -69,7 +69,11 @@ def stages_model() -> QgsProcessingModelAlgorithm:
         "Fit equivalent pinhole cameras",
         ("IMAGES", "EXTENT", "DEM"),
         "",
-        {"TILES": ("TILES", "Tiles"), "WORKSPACE": ("WORKSPACE", "Workspace"), "REPORT": ("REPORT", "Report")},
+        {
+            "TILES": ("TILES", "Tiles"),
+            "WORKSPACE": ("WORKSPACE", "Workspace"),
+            "REPORT": ("REPORT", "Report of the cameras"),
+        },
     )
     _child(
         model,

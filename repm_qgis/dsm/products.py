@@ -8,12 +8,14 @@ from typing import Any, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
+from osgeo import ogr
 
 from .. import __version__
 from ..arrays import Bounds, FloatArray, Floats, Window
 from ..errors import EmptyResultError
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
-from ..geometry.frames import geodetic_from_projected
+from ..geometry.footprints import footprint, seen_twice
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..geometry.tiles import enclosing
@@ -172,8 +174,20 @@ def write_products(
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
         points = products.cloud.count if products.cloud is not None else 0
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
+    cells = max(round(overlap_m2(scene) / layout.grid.cell**2), valid)  # holes are filled beyond it, too
     counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, points, removed)
     return FusionFacts(*counts, layout.grid.cell, layout.crs)
+
+
+def overlap_m2(scene: Scene) -> float:
+    """The ground that two images see at the altitude of most tiles, within the area that is processed.
+
+    The scene's own area is larger: it is what they see at any altitude that was thought possible.
+    """
+    level = float(np.median([sum(tile.altitudes) / 2 for tile in scene.tiles]))
+    outlines = [projected_from_geodetic(scene.crs, footprint(v.localise, v.size, level)) for v in scene.views]
+    seen: ogr.Geometry = seen_twice([outlines]).Intersection(ogr.CreateGeometryFromWkt(scene.area))
+    return float(seen.GetArea())
 
 
 def _write_filled(

@@ -55,9 +55,10 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
             e = found.summary(column, "height", role)
             rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.me, e.rmse, e.max)])
     page.section("Heights").table(
-        "heights by | points | count | ME, m | RMSE, m | Max, m",
+        "heights by | points | count | MedAE, m | RMSE, m | Max, m",
         rows,
-        "ME is the median of the absolute errors, Max the largest of them." + _notes(found),
+        "MedAE is the median of the absolute errors (ME in the method's paper), Max the largest of them."
+        + _notes(found),
     )
 
 
@@ -85,7 +86,7 @@ def _components(page: Report, found: GcpAccuracy) -> None:
                 bias = float(np.nanmedian(errors[found.rows(), index]))
                 rows.append([COLUMNS[column], component, e.count, f"{bias:+.3f}", *fixed(e.me, e.rmse, e.max)])
     page.section("East, north and height").table(
-        "by | component | count | median, m | ME, m | RMSE, m | Max, m",
+        "by | component | count | median, m | MedAE, m | RMSE, m | Max, m",
         rows,
         "Errors are the place found minus the true place. A median far from zero is a shift of the whole, which "
         "control points remove.",

@@ -162,7 +162,7 @@ def _absolute(report: Report, ties: PointingFigures) -> None:
             "estimated from their own residuals), and have the weight that belongs to it."
         )
     report.table(
-        "points | count | component | ME, m | RMSE, m | Max, m",
+        "points | count | component | MedAE, m | RMSE, m | Max, m",
         _summary(points),
         "Errors are the place found by the corrected images minus the true place. Control points were used in the "
         "adjustment; only check points show how good the result is.",

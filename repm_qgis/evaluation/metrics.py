@@ -3,7 +3,7 @@
 With e = DSM - reference over the cells where both have a height (N of them), and M cells where the reference has one:
 
 - RMSE = sqrt(sum(e²) / N). A few gross errors dominate it; it contains the bias.
-- ME = median(\\|e\\|), the paper's "median error". It is *not* the mean error, nor signed.
+- MedAE = median(\\|e\\|), the paper's "median error" ME, and ``me`` in results. Elsewhere ME is the mean error, signed.
 - MAE = sum(\\|e\\|) / N.
 - bias = median(e), signed: positive where the DSM is too high.
 - NMAD = 1.4826 median(\\|e - median(e)\\|): the standard deviation that the bulk of the cells has, without the bias.
@@ -11,7 +11,7 @@ With e = DSM - reference over the cells where both have a height (N of them), an
 - completeness(t) = 100 count(\\|e\\| < t) / M, over *all* reference cells: a hole counts as a miss, so that leaving
   difficult cells out improves RMSE but not completeness. Always read the two together.
 
-RMSE, ME, MAE, completeness: Hong et al. (the method's paper), Section 4.1. NMAD: Höhle and Höhle (2009), ISPRS J. 64.
+RMSE, MedAE, MAE, completeness: Hong et al. (the method's paper), Section 4.1. NMAD: Höhle and Höhle (2009), ISPRS J.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class ErrorCollector:
         return HeightMetrics(self._n, self._reference, rmse, me, self._absolutes / n, spread, bias, completeness)
 
     def _medians(self) -> Tuple[float, float, float]:
-        """Bias, ME and NMAD."""
+        """Bias, MedAE and NMAD."""
         if self._counts is None:
             values = np.concatenate(self._blocks)
             self._blocks = [values]

@@ -63,13 +63,29 @@ class GcpParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class VerdictParameters(Parameters):
+    """From where on a report says "look at" instead of "good". All values are chosen: good scenes, simulated and real,
+    lie well on the other side (docs/benchmarks.md)."""
+
+    least_covered_percent: float = 80.0  # cells with a height, of the ground that two images see
+    most_residual_px: float = 0.5  # median residual of the tie points after the correction; 0.1 to 0.3 is usual
+    most_parallax_px: float = 0.5  # median vertical parallax of one pair then: beyond, its matching finds other rows
+    most_equivalent_px: float = 0.3  # RMSE of a tile's cameras after refinement; below, matching is not disturbed
+    least_compared_percent: float = 50.0  # reference cells with a height of the DSM
+    most_bias_m: float = 0.5  # median difference from a reference ...
+    most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
+
+
+@dataclass(frozen=True)
 class EvaluationParameters(Parameters):
     """The choices of all comparisons."""
 
     coregistration: CoregistrationParameters = field(default_factory=CoregistrationParameters)
     comparison: ComparisonParameters = field(default_factory=ComparisonParameters)
     gcps: GcpParameters = field(default_factory=GcpParameters)
+    verdict: VerdictParameters = field(default_factory=VerdictParameters)
 
 
 EVALUATION = EvaluationParameters()
 COREGISTRATION, COMPARISON, GCPS = EVALUATION.coregistration, EVALUATION.comparison, EVALUATION.gcps
+VERDICT = EVALUATION.verdict

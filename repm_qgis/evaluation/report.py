@@ -102,6 +102,10 @@ class Report:
         """Something the reader should know; ``remedy`` says what to do about it."""
         return self._add("warning", text=text, remedy=remedy)
 
+    def verdict(self, good: str, findings: Sequence[str]) -> Report:
+        """Whether the result can be used as it is: what is ``good``, or else the findings to look at."""
+        return self._add("verdict", good=good, findings=list(findings))
+
     def png(self, data: bytes, caption: str = "") -> Report:
         """A PNG, carried inside the page. Raises ValueError where ``data`` is not a PNG."""
         if data[:8] != b"\x89PNG\r\n\x1a\n":

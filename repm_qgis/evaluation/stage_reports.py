@@ -20,7 +20,7 @@ from ..progress import counted
 from ..records import FusionFacts
 from ..scene import Scene, View
 from ..sfm.pair_selection import sun_over
-from . import charts, pictures
+from . import charts, pictures, verdict
 from .error_study import add_error_study
 from .geometry_section import add_geometry
 from .report import Report, fixed
@@ -66,6 +66,7 @@ def refine_report(scene: Scene) -> Report:
 def reconstruct_report(scene: Scene) -> Report:
     """Tie points, relative pointing and height maps."""
     report = Report("Reconstruction", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
+    _verdict(report, scene)
     _warnings(report, scene)
     _reconstruction(report, scene)
     return _history(report, scene)
@@ -88,8 +89,9 @@ def pipeline_report(
     """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
     report = Report("Surface model from satellite images", os.path.basename(str(products["output"])))
     facts = FusionFacts.from_mapping(products)
+    _verdict(report, scene, facts)
     _surface(report, products["output"], products["vertical_datum"], facts)
-    _warnings(report, scene, facts)
+    _warnings(report, scene)
     _inputs(report, scene)
     _errors(report, scene)
     _reconstruction(report, scene)
@@ -114,7 +116,7 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     report.png(picture, "The DSM, shaded from the north-west, north up. White: no height was matched there.")
     limits = pictures.percentile_range(values)
     report.svg(charts.colour_bar(pictures.RAMPS["elevation"], *limits, f"m above the {datum}"))
-    known = f"{facts.valid} of {facts.cells} ({facts.valid_percent:.1f} %)"
+    known = f"{facts.valid} of {facts.cells} that two images see ({facts.valid_percent:.1f} %)"
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
     report.facts([*figures, ("Heights", heights), ("CRS", facts.crs)])
@@ -126,13 +128,20 @@ def _map(report: Report, values: FloatImage, limits: Tuple[float, float], captio
     report.svg(charts.colour_bar(pictures.RAMPS["viridis"], *limits, unit))
 
 
-def _warnings(report: Report, scene: Scene, facts: Optional[FusionFacts] = None) -> None:
+def _verdict(report: Report, scene: Scene, facts: Optional[FusionFacts] = None) -> None:
+    """The first thing to read: whether the figures of the page are as usual."""
+    good = []
+    if facts is not None:
+        good.append(f"{facts.valid_percent:.0f} % of the ground that two images see has a height.")
+    if scene.pointing is not None:
+        good.append(f"The median residual of the tie points is {scene.pointing.after_px:.2f} px.")
+    if facts is not None and (scene.pointing is None or not scene.pointing.gcps):
+        good.append("Nothing here measures the absolute position: only ground control points or a reference can.")
+    report.verdict(" ".join(good), verdict.of_run(scene, facts))
+
+
+def _warnings(report: Report, scene: Scene) -> None:
     """Everything that the stages warned of, at the top of the page."""
-    if facts is not None and facts.valid_percent < 20:
-        report.warning(
-            f"Only {facts.valid_percent:.0f} % of the cells have a height. Water, shadow and clouds leave gaps, and so "
-            "do images whose directions or dates differ too much: 'Height maps' below shows which pairs matched badly."
-        )
     for text in dict.fromkeys(text for entry in scene.history for text in entry.warnings):
         report.warning(text)
 

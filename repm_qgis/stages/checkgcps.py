@@ -92,7 +92,7 @@ def _log_heights(found: GcpAccuracy, progress: Progress) -> None:
     for column in found.errors:
         errors = found.summary(column, "height")
         if errors.count:
-            figures = f"heights ME {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max {errors.max:.3f} m"
+            figures = f"heights MedAE {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max {errors.max:.3f} m"
             points = f"{counted(errors.count, 'point')}{_checked(found, column)}"
             progress.info(f"{COLUMNS[column]}: {figures} of {points}.")
 
@@ -102,7 +102,7 @@ def _checked(found: GcpAccuracy, column: str) -> str:
     check = found.summary(column, "height", "check")
     if not check.count or check.count == found.summary(column, "height").count:
         return ""
-    return f" ({counted(check.count, 'check point')}: ME {check.me:.3f} m, RMSE {check.rmse:.3f} m)"
+    return f" ({counted(check.count, 'check point')}: MedAE {check.me:.3f} m, RMSE {check.rmse:.3f} m)"
 
 
 def _shown(found: GcpAccuracy) -> str:

@@ -44,8 +44,10 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, A
         comparison_page(found[0], options.error or "", found[1:]).write(options.report)
     for path, one in zip(paths, found):
         progress.info(
-            "{}RMSE {rmse:.3f} m, ME {me:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, bias {bias:+.3f} m; {valid:.1f} % "
-            "of the reference's cells have a height.".format(f"'{path}': " if options.others else "", **_figures(one))
+            "{}RMSE {rmse:.3f} m, MedAE {me:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, bias {bias:+.3f} m; "
+            "{valid:.1f} % of the reference's cells have a height.".format(
+                f"'{path}': " if options.others else "", **_figures(one)
+            )
         )
     progress.step(1.0, "Done")
     by_class = {name: _accuracy(metrics) for name, metrics in found[0].by_class}

@@ -206,7 +206,7 @@ def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progr
     counts = facts.matched, facts.background, facts.interpolated
     matched, background, interpolated = (100.0 * count / facts.cells for count in counts)
     progress.info(
-        f"Heights in {facts.valid_percent:.1f} % of {facts.cells} cells that the tiles cover: "
+        f"Heights in {facts.valid_percent:.1f} % of {facts.cells} cells that two images see: "
         f"{matched:.1f} % matched, {background:.1f} % from the background of occlusions, "
         f"{interpolated:.1f} % interpolated."
     )

@@ -49,6 +49,11 @@ def test_every_style_has_its_template_and_every_template_its_style():
     assert {style.view_of for style in STYLES if style.view_of} < layers
 
 
+def test_no_two_reports_have_the_same_name():
+    titles = [product.title for product in PRODUCTS if product.option == "report"]
+    assert len(set(titles)) == len(titles) >= 8 and "Report" not in titles
+
+
 def test_the_pipeline_has_the_products_of_its_stages_and_one_report():
     names = [product.option for product in products_of("pipeline")]
     assert {"tiles", "tie_points", "output", "view_heights", "workspace"} < set(names) and names.count("report") == 1

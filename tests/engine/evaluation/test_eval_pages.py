@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,6 +40,23 @@ def test_page_is_whole_escaped_and_offline():
         assert piece in text
     assert "i" not in page.tags and "x" not in page.tags and page.tags.count("svg") == 5
     assert page.tags.count("nav") == 1
+
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs Chromium, which measures how wide tables are")
+def test_no_table_is_cut_at_the_right(tmp_path, urban_run):
+    """At 900 px, the width of half a screen, no table is wider than the page."""
+    page = (Path(urban_run.result["report"])).read_text(encoding="utf-8")
+    measure = "[...document.querySelectorAll('.scroll')].map(x => x.scrollWidth - x.clientWidth)"
+    script = f"<script>document.title = 'cut ' + Math.max(...{measure})</script>"
+    (tmp_path / "r.html").write_text(page.replace("</body>", f"{script}</body>"), encoding="utf-8")
+    options = "--headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --dump-dom".split()
+    place = [f"--user-data-dir={tmp_path / 'browser'}", "--window-size=900,800", f"file://{tmp_path / 'r.html'}"]
+    shown = subprocess.run([BROWSER, *options, *place], stdout=subprocess.PIPE, text=True, timeout=120, check=True)
+    cut = re.search(r"<title>cut (-?\d+)</title>", shown.stdout)
+    assert cut is not None and int(cut.group(1)) <= 0
 
 
 def test_comparison_report_is_whole_and_offline(make_raster, tmp_path, terrain):

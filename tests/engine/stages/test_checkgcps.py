@@ -328,8 +328,8 @@ def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, 
 def test_the_log_tells_check_points_apart(urban, scene, exact, tmp_path, told):
     said = told()
     run_stage("checkgcps", {"gcps": exact, "scene": scene}, said)
-    told_heights = [text for text in said.notes if "heights ME" in text]
-    assert len(told_heights) == 2 and all("of 12 points (6 check points: ME" in text for text in told_heights)
+    told_heights = [text for text in said.notes if "heights MedAE" in text]
+    assert len(told_heights) == 2 and all("of 12 points (6 check points: MedAE" in text for text in told_heights)
 
 
 def fails(kind, told, *words, **options):

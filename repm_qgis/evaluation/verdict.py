@@ -1,0 +1,72 @@
+"""Whether a result can be used as it is: each figure against the bound from where on somebody should look at it.
+
+The bounds are :class:`~repm_qgis.evaluation.parameters.VerdictParameters`. A finding is a sentence with the figure and
+the bound; no finding is a good result.
+"""
+
+from __future__ import annotations
+
+from typing import List, Optional
+
+from ..records import FusionFacts
+from ..scene import Scene
+from .metrics import HeightMetrics
+from .parameters import VERDICT, VerdictParameters
+
+
+def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of a reconstructed scene and, where there is one, of its DSM."""
+    found = []
+    if facts is not None and facts.valid_percent < bounds.least_covered_percent:
+        found.append(
+            f"Only {facts.valid_percent:.0f} % of the ground that two images see has a height (usual: at least "
+            f"{bounds.least_covered_percent:g} %): see 'Height maps'."
+        )
+    ties = scene.pointing
+    if ties is not None and ties.after_px > bounds.most_residual_px:
+        found.append(
+            f"The median residual of the tie points is {ties.after_px:.2f} px (usual: at most "
+            f"{bounds.most_residual_px:g} px): see 'Tie points'."
+        )
+    for pair in ties.pairs if ties is not None else ():
+        if pair.after_px > bounds.most_parallax_px:
+            found.append(
+                f"{pair.pair[0]} and {pair.pair[1]} keep a vertical parallax of {pair.after_px:.2f} px (usual: at most "
+                f"{bounds.most_parallax_px:g} px): see 'Tie points'."
+            )
+    if ties is not None and ties.rejected_gcps:
+        found.append(
+            f"Control points contradict the others ({', '.join(ties.rejected_gcps)}): see 'Absolute position'."
+        )
+    worst = largest_error_px(scene)
+    if worst is not None and worst > bounds.most_equivalent_px:
+        found.append(
+            f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; usual: at most "
+            f"{bounds.most_equivalent_px:g} px): see 'Equivalent error'."
+        )
+    warnings = len(dict.fromkeys(text for entry in scene.history for text in entry.warnings))
+    if warnings:
+        found.append(f"Warnings of the stages, which stand below: {warnings}.")
+    return found
+
+
+def largest_error_px(scene: Scene) -> Optional[float]:
+    """The largest RMSE of a view's camera in a tile after refinement, px; None before."""
+    errors = [view.refined.error.rmse for tile in scene.tiles for view in tile.views.values() if view.refined]
+    return max(errors, default=None)
+
+
+def of_comparison(metrics: HeightMetrics, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of a comparison with a reference."""
+    found = []
+    if metrics.valid < bounds.least_compared_percent:
+        found.append(
+            f"The DSM covers only {metrics.valid:.1f} % of the reference's cells, and the completeness counts all of "
+            "them: cut the reference to the DSM's area if the DSM was not meant to cover the rest."
+        )
+    if abs(metrics.bias) > max(bounds.most_bias_nmads * metrics.nmad, bounds.most_bias_m):
+        found.append(
+            f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than they scatter: check the "
+            "vertical datums and the absolute pointing, or set ALIGN to vertical or 3d."
+        )
+    return found
