@@ -1,0 +1,34 @@
+"""All numbers that the registration to a reference chooses. "Chosen" means that no experiment is recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class RegistrationParameters(Parameters):
+    """How a surface is laid onto a reference; lengths in metres where nothing else is said. Chosen, unless a source is
+    given."""
+
+    covered: float = 0.6  # of a support's area that must have heights of the own surface
+    least_supports: int = 50  # heights of the reference that see the own surface: fewer are refused
+    search_supports: int = 4000  # of them that the search over whole steps looks at, evenly taken
+    search_step: float = 0.5  # of the larger of the surface's cell and the support's width
+    keep_share: float = 0.5  # of the supports that a shift of the search must leave in common
+    cap_nmad: float = 3.0  # differences are truncated here in the search
+    iterations: int = 30  # Gauss-Newton steps, at most
+    converged_m: float = 0.002  # a step as small as this is the last
+    tukey: float = 4.685  # of the biweight, in standard deviations: 95 % efficiency (Holland and Welsch 1977)
+    slope_bins: int = 6  # parts of the supports by slope, for which the noise is estimated (Hugonnet et al. 2022)
+    least_noise_m: float = 0.01
+    mode_share: float = 0.5  # of the differences: the shortest interval that holds so many lies at their mode
+    lags: int = 64  # classes of distance of the differences' correlation ...
+    reach: float = 0.5  # ... up to this share of the extent's diagonal
+    pairs: int = 4_000_000  # of differences that their correlation is estimated from, about
+    lattice: int = 400  # cells along the longer side, in which the covariance sums up scores
+    undetermined: float = 0.3  # of the promised standard deviation: a direction less certain than that stays as it was
+
+
+REGISTRATION = RegistrationParameters()

@@ -1,0 +1,382 @@
+"""The shift that lays a surface onto a reference, and how well the heights determine it.
+
+Where a surface with slopes g is displaced by s, its heights differ by g·s (Nuth and Kääb 2011, The Cryosphere 5);
+here the reference's own resolution is imitated first, and every height has the weight that it deserves: Tukey's
+biweight around the mode, so that trees and roofs above a bare-earth reference count little, with a noise that grows
+with the slope (Hugonnet et al. 2022, IEEE JSTARS 15). The noise of the own surface makes slopes, too, which look as if
+they told a position: a raster's own slopes are therefore instruments of the solution (instrumental variables; Bound,
+Jaeger and Baker 1995 on weak ones), as the two noises have nothing in common. Errors of neighbouring heights are
+alike; the covariance of the solution sums them up with the correlation that the residuals show, which without that
+would be far too small.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Callable, Optional, Tuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from ..arrays import FloatArray, IntArray, Mask
+from ..errors import EmptyResultError
+from ..imagery.sampling import NMAD_FACTOR, nmad
+from .parameters import REGISTRATION, RegistrationParameters
+from .surfaces import Reference, SupportMeans
+
+_ROWS = 512  # of pairs' distances that are computed at once
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What the vendor promises of the pointing: standard deviations of a position in one direction, and of a height, m;
+    and how far at most a shift is looked for."""
+
+    horizontal_m: float
+    vertical_m: float
+    most_m: float
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What to add to the own surface's coordinates so that it lies on the reference.
+
+    ``moved`` (3,) metres east, north, up. ``tilt`` (2,) is how much more is added to heights for each metre east and
+    north of ``centre`` (2,), zero where none was asked for or carried. ``covariance`` (5, 5) of both, as far as they
+    are determined. ``determined`` (2, 2): rows are the horizontal directions (unit vectors) that the relief determines
+    well enough; in the others the surface stays as it was. ``before`` and ``after`` are NMADs of the differences, m,
+    ``used`` counts the heights with a weight, ``seen`` all that see the surface; ``range_m`` is how far the
+    differences are correlated.
+    """
+
+    moved: FloatArray
+    tilt: FloatArray
+    centre: FloatArray
+    covariance: FloatArray
+    determined: FloatArray
+    before: float
+    after: float
+    used: int
+    seen: int
+    range_m: float
+
+    @property
+    def deviations(self) -> FloatArray:
+        """(3,) standard deviations of ``moved``, m."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[:3]))
+
+
+def solve_shift(
+    surface: SupportMeans,
+    reference: Reference,
+    prior: Prior,
+    tilted: bool = False,
+    check: Callable[[], None] = lambda: None,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> Shift:
+    """The shift, and a tilt where wanted; ``check`` is called between steps, and may raise to stop.
+
+    Raises EmptyResultError where too few heights of the reference see the surface.
+    """
+    xyz = reference.xyz
+    start = _search(surface, xyz, prior, check, parameters)
+    value, _, _ = surface.at(xyz[:, 0], xyz[:, 1])
+    before = _known(xyz[:, 2] - value)
+    problem = _Problem(surface, reference, parameters)
+    free = np.eye(2)
+    solution = problem.solve(start, free, tilted, check)
+    covariance = problem.covariance(solution, free, tilted)
+    horizontal, directions = np.linalg.eigh(covariance[:2, :2])
+    good = horizontal <= (parameters.undetermined * prior.horizontal_m) ** 2
+    free = directions[:, good].T
+    if not good.all():  # what the relief does not determine stays as it was
+        solution = problem.solve(np.array([*(free.T @ (free @ start[:2])), start[2]]), free, tilted, check)
+        covariance = problem.covariance(solution, free, tilted)
+        covariance[:2, :2] += prior.horizontal_m**2 * (np.eye(2) - free.T @ free)
+    residual, weight = solution.residual, solution.weight
+    return Shift(
+        moved=solution.unknowns[:3],
+        tilt=solution.unknowns[3:],
+        centre=problem.centre,
+        covariance=covariance,
+        determined=free,
+        before=nmad(before),
+        after=nmad(residual, 0.0),
+        used=int((weight > 0).sum()),
+        seen=int(solution.seen.sum()),
+        range_m=problem.range_m(solution),
+    )
+
+
+def mode(values: FloatArray, share: float) -> float:
+    """The middle of the shortest interval that holds a share of the values: their mode, roughly, whatever the tails."""
+    ordered = np.sort(values)
+    count = max(int(math.ceil(share * len(ordered))), 1)
+    if count >= len(ordered):
+        return float(np.median(ordered))
+    at = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
+    return float(np.median(ordered[at : at + count]))
+
+
+def _known(values: FloatArray) -> FloatArray:
+    known: FloatArray = values[np.isfinite(values)]
+    return known
+
+
+def _search(
+    surface: SupportMeans,
+    xyz: FloatArray,
+    prior: Prior,
+    check: Callable[[], None],
+    parameters: RegistrationParameters,
+) -> FloatArray:
+    """The shift by whole steps with the least truncated differences, coarse to fine: where the minimum is."""
+    some = xyz[:: max(len(xyz) // parameters.search_supports, 1)]
+    standing = np.isfinite(surface.at(some[:, 0], some[:, 1])[0]).sum()
+    least = max(parameters.keep_share * standing, parameters.least_supports * len(some) / len(xyz))
+
+    def cost(dx: float, dy: float) -> Tuple[float, float]:
+        check()
+        found = _known(some[:, 2] - surface.at(some[:, 0] - dx, some[:, 1] - dy)[0])
+        if len(found) < max(least, 3):
+            return math.inf, 0.0
+        up = mode(found, parameters.mode_share)
+        away = np.abs(found - up)
+        cap = parameters.cap_nmad * max(NMAD_FACTOR * float(np.median(away)), parameters.least_noise_m)
+        return float(np.minimum(away, cap).mean()), up
+
+    best, (least_cost, up) = (0.0, 0.0), cost(0.0, 0.0)
+    if math.isinf(least_cost):
+        count = int(np.isfinite(surface.at(xyz[:, 0], xyz[:, 1])[0]).sum())
+        few = f"Only {count} heights of the reference lie on the scene's own surface"
+        remedy = f"at least {parameters.least_supports} are needed: choose a reference that covers the scene"
+        raise EmptyResultError(f"{few}, and {remedy}.")
+    step = prior.most_m / 4
+    while step >= surface.resolution_m * parameters.search_step:
+        around = 4 if step == prior.most_m / 4 else 2
+        offsets = np.arange(-around, around + 1) * step
+        centre = best
+        for dx in centre[0] + offsets:
+            for dy in centre[1] + offsets:
+                if math.hypot(dx, dy) <= prior.most_m * 1.01:
+                    found, height = cost(dx, dy)
+                    if found < least_cost * (1 - 1e-9):
+                        best, least_cost, up = (float(dx), float(dy)), found, height
+        step /= 2
+    return np.array([*best, up])
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """(5,) unknowns; of all heights of the reference: residuals, weights (0 .. 1), whether they see the surface,
+    noise, m, the (N, 5) design and the (N, 5) instruments."""
+
+    unknowns: FloatArray
+    residual: FloatArray
+    weight: FloatArray
+    seen: Mask
+    noise: FloatArray
+    design: FloatArray
+    instruments: FloatArray
+
+
+class _Problem:
+    """Heights of a reference as observations of the shift: h = S(p - d) + dz + tilt (p - centre)."""
+
+    def __init__(self, surface: SupportMeans, reference: Reference, parameters: RegistrationParameters) -> None:
+        self._surface, self._xyz, self._parameters = surface, reference.xyz, parameters
+        self._slopes = reference.slopes
+        self.centre = self._xyz[:, :2].mean(axis=0)
+
+    def solve(self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]) -> _Solution:
+        """Gauss-Newton steps with Tukey's weights; ``free`` (k, 2) are the horizontal directions that may change."""
+        p, unknowns = self._parameters, np.array([*start, 0.0, 0.0])
+        basis = _basis(free, tilted)
+        noise: Optional[FloatArray] = None
+        for iteration in range(p.iterations):
+            check()
+            residual, design, seen = self._linearised(unknowns)
+            if seen.sum() < p.least_supports:
+                few = f"Only {int(seen.sum())} heights of the reference lie on the scene's own surface"
+                raise EmptyResultError(f"{few}: choose a reference that covers more of the scene.")
+            if iteration < 3:  # the middle of the differences until the shift is nearly right
+                residual = residual - mode(residual[seen], p.mode_share)
+            noise = self._noise(residual, np.hypot(design[:, 0], design[:, 1]), seen)
+            weight = _tukey(residual / noise, p.tukey) * seen
+            weighted = (self._instruments(design) @ basis * (weight / noise**2)[:, None]).T
+            step = basis @ np.linalg.lstsq(weighted @ design @ basis, weighted @ residual, rcond=None)[0]
+            longest = np.hypot(*step[:2])
+            most = 2.0 * self._surface.resolution_m
+            if longest > most:
+                step = step * (most / longest)
+            unknowns = unknowns + step
+            if iteration >= 3 and np.abs(step[:3]).max() < p.converged_m:
+                break
+        residual, design, seen = self._linearised(unknowns)
+        noise = self._noise(residual, np.hypot(design[:, 0], design[:, 1]), seen)
+        weight = _tukey(np.where(seen, residual, np.inf) / noise, p.tukey) * seen
+        return _Solution(unknowns, residual, weight, seen, noise, design, self._instruments(design))
+
+    def _instruments(self, design: FloatArray) -> FloatArray:
+        """The design with the reference's own slopes, where it has some."""
+        if self._slopes is None:
+            return design
+        known = np.isfinite(self._slopes).all(axis=1) & (design[:, 2] > 0)
+        return np.column_stack([np.where(known[:, None], -self._slopes, 0.0), design[:, 2:]])
+
+    def _linearised(self, unknowns: FloatArray) -> Tuple[FloatArray, FloatArray, Mask]:
+        """(N,) residuals h - predicted, (N, 5) derivatives of the prediction, and which heights see the surface."""
+        x, y, z = self._xyz.T
+        value, east, north = self._surface.at(x - unknowns[0], y - unknowns[1])
+        away = self._xyz[:, :2] - self.centre
+        seen = np.isfinite(value)
+        design = np.column_stack([-east, -north, np.ones(len(x)), away])  # the third is 0 where nothing is seen
+        residual = z - value - unknowns[2] - away @ unknowns[3:]
+        return np.where(seen, residual, 0.0), np.where(seen[:, None], design, 0.0), seen
+
+    def _noise(self, residual: FloatArray, slope: FloatArray, seen: Mask) -> FloatArray:
+        """(N,) standard deviation of the differences by slope, from the lower half of them: trees lie above."""
+        p = self._parameters
+        known = residual[seen]
+        edges = np.quantile(slope[seen], np.linspace(0, 1, p.slope_bins + 1))
+        middle, spread = [], []
+        for low, high in zip(edges[:-1], edges[1:]):
+            inside = known[(slope[seen] >= low) & (slope[seen] <= high)]
+            if len(inside) >= 20:
+                middle.append((low + high) / 2)
+                spread.append(max(nmad(inside, 0.0), p.least_noise_m))
+        if not middle:
+            return np.full(len(residual), max(nmad(known, 0.0), p.least_noise_m))
+        return np.asarray(np.interp(slope, middle, spread))
+
+    # How well it is determined -------------------------------------------------------------------------------------
+
+    def covariance(self, solution: _Solution, free: FloatArray, tilted: bool) -> FloatArray:
+        """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side."""
+        basis = _basis(free, tilted)
+        use = solution.weight > 0
+        instruments = solution.instruments[use] @ basis
+        weighted = instruments * (solution.weight / solution.noise**2)[use][:, None]
+        # Derivative of Tukey's psi: what a weight of residuals near the limit really counts.
+        u = (solution.residual / solution.noise)[use] / self._parameters.tukey
+        slope = (1 - u**2) * (1 - 5 * u**2) / solution.noise[use] ** 2
+        normal = (instruments * slope[:, None]).T @ (solution.design[use] @ basis)
+        scores = weighted * solution.noise[use][:, None]  # of a residual of one standard deviation
+        middle = self._correlated(scores, self._xyz[use, :2], self._correlation(solution))
+        inverse = np.linalg.pinv(normal)
+        return np.asarray(basis @ inverse @ middle @ inverse.T @ basis.T)
+
+    def range_m(self, solution: _Solution) -> float:
+        """How far the differences are correlated: up to where the correlation is 1 / e."""
+        return self._correlation(solution).range_m
+
+    def _correlation(self, solution: _Solution) -> "_Correlation":
+        """The correlation of standardised differences by their distance, fitted to pairs of them."""
+        p = self._parameters
+        use = np.nonzero(solution.weight > 0)[0]
+        some = _some(use, p.pairs, 0)
+        r = (solution.residual / solution.noise)[some]
+        r = r - r.mean()
+        place = self._xyz[some, :2]
+        edges = p.reach * float(np.hypot(*np.ptp(place, axis=0))) * np.linspace(0, 1, p.lags + 1) ** 2
+        total, count = np.zeros(p.lags), np.zeros(p.lags)
+        for begin in range(0, len(some), _ROWS):
+            rows = np.arange(begin, min(begin + _ROWS, len(some)))
+            later = np.arange(len(some))[None, :] > rows[:, None]
+            kind = np.digitize(_distances(place[rows], place)[later], edges) - 1
+            inside = kind < p.lags
+            product = (r[rows, None] * r[None, :])[later]
+            total += np.bincount(kind[inside], product[inside], p.lags)
+            count += np.bincount(kind[inside], minlength=p.lags)
+        good = count > 0
+        lags = ((edges[:-1] + edges[1:]) / 2)[good]
+        return _Correlation.fitted(lags, total[good] / count[good] / float(np.mean(r**2) or 1.0), count[good])
+
+    def _correlated(self, scores: FloatArray, place: FloatArray, correlation: "_Correlation") -> FloatArray:
+        """(k, k) sum over all pairs of scores, s_i s_j' ρ(distance).
+
+        Scores are summed in the cells of a lattice, and the pairs of cells by Fourier transforms. All within a cell
+        count as being in one place, which makes the sum rather too large.
+        """
+        low, side = place.min(axis=0), float(np.ptp(place, axis=0).max())
+        cell = max(side / self._parameters.lattice, 1e-6)
+        column, row = np.floor((place - low) / cell).astype(int).T
+        shape = int(row.max()) + 1, int(column.max()) + 1
+        index, padded = row * shape[1] + column, (2 * shape[0], 2 * shape[1])
+        down, right = (np.minimum(np.arange(n), n - np.arange(n)) * cell for n in padded)
+        spectrum = np.fft.rfft2(correlation.at(np.hypot(down[:, None], right[None, :])))
+        sums = [np.bincount(index, column, shape[0] * shape[1]).reshape(shape) for column in scores.T]
+        smeared = [
+            np.fft.irfft2(np.fft.rfft2(each, padded) * spectrum, padded)[: shape[0], : shape[1]] for each in sums
+        ]
+        apart = np.array([[float((a * b).sum()) for b in smeared] for a in sums])
+        alone = 1.0 - float(correlation.at(np.zeros(1))[0])  # what is each height's own
+        return np.asarray(alone * scores.T @ scores + (apart + apart.T) / 2)
+
+
+@dataclass(frozen=True)
+class _Correlation:
+    """A sum of exponential and Gaussian functions of the distance, none negative: a valid correlation in the plane."""
+
+    lengths_m: FloatArray
+    exponential: FloatArray
+    gaussian: FloatArray
+
+    @classmethod
+    def fitted(cls, lags: FloatArray, values: FloatArray, counts: FloatArray) -> "_Correlation":
+        """To values at distances, by non-negative least squares over lengths from the least to the largest lag."""
+        if not len(lags):
+            return cls(np.ones(1), np.zeros(1), np.zeros(1))
+        lengths = np.geomspace(max(lags[0], 1e-6), max(lags[-1] / 2, 2 * lags[0], 1e-5), 12)
+        zero = np.zeros(len(lengths))
+        design = np.column_stack(
+            [
+                cls(lengths, *pair).at(lags)
+                for pair in (*((e, zero) for e in np.eye(12)), *((zero, e) for e in np.eye(12)))
+            ]
+        )
+        weight = np.sqrt(counts)
+        found = nnls(design * weight[:, None], values * weight)[0]
+        found = found / max(found.sum(), 1.0)
+        return cls(lengths, found[:12], found[12:])
+
+    def at(self, distance: FloatArray) -> FloatArray:
+        total = np.zeros(distance.shape)
+        for length, a, b in zip(self.lengths_m, self.exponential, self.gaussian):
+            if a:
+                total += a * np.exp(-distance / length)
+            if b:
+                total += b * np.exp(-((distance / length) ** 2))
+        return total
+
+    @property
+    def range_m(self) -> float:
+        at = np.linspace(0.0, 3.0 * float(self.lengths_m[-1]), 3000)
+        above = np.nonzero(self.at(at) >= math.exp(-1))[0]
+        return float(at[above[-1]]) if len(above) else 0.0
+
+
+def _some(numbers: IntArray, pairs: int, seed: int) -> IntArray:
+    """So many of the numbers that they make about so many pairs."""
+    most = int(math.sqrt(2 * pairs))
+    if len(numbers) <= most:
+        return numbers
+    return np.sort(np.random.default_rng(seed).permutation(numbers)[:most])
+
+
+def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1]))
+
+
+def _basis(free: FloatArray, tilted: bool) -> FloatArray:
+    """(5, k): the unknowns that may change: free horizontal directions, the height, and the tilt where wanted."""
+    columns = [np.array([*direction, 0.0, 0.0, 0.0]) for direction in free]
+    columns.append(np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
+    if tilted:
+        columns += [np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 1.0])]
+    return np.column_stack(columns)
+
+
+def _tukey(u: FloatArray, limit: float) -> FloatArray:
+    return np.asarray(np.clip(1 - (u / limit) ** 2, 0, None) ** 2)
