@@ -17,14 +17,14 @@ from ..geometry.cell_grid import CellGrid
 class Reference:
     """Heights of known place: (N, 3) ``xyz`` in the scene's CRS and metres above the ellipsoid.
 
-    Each is the mean over a square (a raster's cell) or a disc (a laser's footprint) that is ``width_m`` wide; 0 for
-    points. ``slopes`` (N, 2), of a raster, are its own slopes to the east and to the north (m per m), NaN where
-    unknown. ``name`` is what people know it by.
+    Each is the mean over a rectangle (a raster's cell) or a disc (a laser's footprint) that is ``width_m`` wide from
+    west to east and from south to north; 0 for points. ``slopes`` (N, 2), of a raster, are its own slopes to the east
+    and to the north (m per m), NaN where unknown. ``name`` is what people know it by.
     """
 
     name: str
     xyz: FloatArray
-    width_m: float
+    width_m: Tuple[float, float]
     disc: bool = False
     slopes: Optional[FloatArray] = None
 
@@ -32,16 +32,16 @@ class Reference:
 class SupportMeans:
     """A surface averaged over supports of one kind, and its gradient, at any place."""
 
-    def __init__(self, grid: CellGrid, height: Floats, width_m: float, disc: bool, covered: float) -> None:
-        """``height`` (rows, columns) of ``grid``, NaN where unknown; see :class:`Reference` for the support.
+    def __init__(self, grid: CellGrid, height: Floats, reference: Reference, covered: float) -> None:
+        """``height`` (rows, columns) of ``grid``, NaN where unknown; the reference says what the supports are.
 
         Means have a value where ``covered`` of the support's area is known; they are means of what is known.
         """
         self._grid = grid
-        self.resolution_m = max(grid.cell, width_m)
+        self.resolution_m = max(grid.cell, *reference.width_m)
         known = np.isfinite(height)
         level = float(np.median(height[known])) if known.any() else 0.0
-        kernel = _kernel(width_m / grid.cell, disc)
+        kernel = _kernel(reference.width_m[0] / grid.cell, reference.width_m[1] / grid.cell, reference.disc)
         weights = _filtered(known.astype(np.float64), kernel)
         total = _filtered(np.where(known, height - level, 0.0).astype(np.float64), kernel)
         mean = total / np.maximum(weights, 1e-9) + level
@@ -74,27 +74,30 @@ class SupportMeans:
         return value, (right - left) / self._grid.cell, (above - below) / self._grid.cell
 
 
-def _kernel(width: float, disc: bool) -> FloatArray:
-    """Weights of cells in a support ``width`` cells wide around a cell's centre; sum 1."""
-    reach = max(math.ceil(width / 2 - 0.5), 0)
-    if not disc:
-        line = np.ones(2 * reach + 1)
-        line[[0, -1]] = width / 2 - reach + 0.5 if reach else 1.0
-        kernel = np.outer(line, line)
-    else:
-        fine = 8  # parts of a cell's side
+def _kernel(width: float, height: float, disc: bool) -> FloatArray:
+    """Weights of cells in a support of so many cells around a cell's centre; sum 1."""
+    if disc:
+        fine, reach = 8, max(math.ceil(width / 2 - 0.5), 0)  # parts of a cell's side
         at = (np.arange((2 * reach + 1) * fine) + 0.5) / fine - reach - 0.5
-        inside = np.hypot(at[:, None], at[None, :]) <= max(width, 1e-9) / 2
+        inside = np.hypot(at[:, None], at[None, :]) <= max(width, 1.0) / 2
         kernel = inside.reshape(2 * reach + 1, fine, 2 * reach + 1, fine).mean(axis=(1, 3))
-        if not kernel.any():
-            kernel = np.ones((1, 1))
-    result: FloatArray = kernel / kernel.sum()
-    return result
+    else:
+        kernel = np.outer(_line(height), _line(width))
+    return np.asarray(kernel / kernel.sum())
+
+
+def _line(width: float) -> FloatArray:
+    """Parts of cells within so many cells' width."""
+    reach = max(math.ceil(width / 2 - 0.5), 0)
+    line = np.ones(2 * reach + 1)
+    if reach:
+        line[[0, -1]] = width / 2 - reach + 0.5
+    return line
 
 
 def _filtered(values: FloatArray, kernel: FloatArray) -> FloatArray:
-    line = kernel.sum(axis=0)
-    if np.allclose(kernel, np.outer(line, line)):
-        once = ndimage.correlate1d(values, line, axis=1, mode="constant")
-        return np.asarray(ndimage.correlate1d(once, line, axis=0, mode="constant"))
+    across, down = kernel.sum(axis=0), kernel.sum(axis=1)
+    if np.allclose(kernel, np.outer(down, across)):
+        once = ndimage.correlate1d(values, across, axis=1, mode="constant")
+        return np.asarray(ndimage.correlate1d(once, down, axis=0, mode="constant"))
     return np.asarray(ndimage.correlate(values, kernel, mode="constant"))

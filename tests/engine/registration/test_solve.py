@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -51,15 +53,15 @@ def reference(rng, truth, kind):
     if kind == "discs":
         col, row = rng.uniform(30, SIDE - 30, (2, 1000))
         x, y = WEST + (col + 0.5) * CELL, NORTH - (row + 0.5) * CELL
-        exact = SupportMeans(CellGrid(WEST, NORTH, CELL, truth.shape), truth, 12.0, True, 0.6).at(x, y)[0]
-        return Reference(kind, np.column_stack([x, y, exact + rng.normal(size=1000) * 0.2]), 12.0, True)
+        exact = surface_of(truth, Reference(kind, truth, (12.0, 12.0), True)).at(x, y)[0]
+        return Reference(kind, np.column_stack([x, y, exact + rng.normal(size=1000) * 0.2]), (12.0, 12.0), True)
     cells = {"30 m": 6, "lidar": 3}[kind]
     x, y, height = means(truth, cells)
     noise = correlated(rng, height.shape, 1.5, 2.0) if kind == "30 m" else rng.normal(size=height.shape) * 0.03
     height = height + noise
     down, right = np.gradient(height, cells * CELL)
     slopes = np.column_stack([right.ravel(), -down.ravel()])
-    return Reference(kind, np.column_stack([x.ravel(), y.ravel(), height.ravel()]), cells * CELL, slopes=slopes)
+    return Reference(kind, np.column_stack([x.ravel(), y.ravel(), height.ravel()]), (cells * CELL,) * 2, slopes=slopes)
 
 
 def found(seed, kind, metres=60.0, town=False, tilt=(0.0, 0.0), tilted=False, trees=0.0):
@@ -76,9 +78,11 @@ def found(seed, kind, metres=60.0, town=False, tilt=(0.0, 0.0), tilted=False, tr
     own[rng.random(own.shape) < 0.05] = np.nan
     own[:, :20] = np.nan
     wanted = reference(rng, truth, kind)
-    grid = CellGrid(WEST, NORTH, CELL, own.shape)
-    surface = SupportMeans(grid, own, wanted.width_m, wanted.disc, REGISTRATION.covered)
-    return shift, solve_shift(surface, wanted, PROMISED, tilted)
+    return shift, solve_shift(surface_of(own, wanted), wanted, PROMISED, tilted)
+
+
+def surface_of(own, wanted):
+    return SupportMeans(CellGrid(WEST, NORTH, CELL, own.shape), own, wanted, REGISTRATION.covered)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +122,7 @@ def test_slopes_in_one_direction_tell_the_position_across_them():
     ridges = np.tile(60.0 * np.sin(np.arange(SIDE) / 9.0), (SIDE, 1))  # as high everywhere to the north and south
     own = ndimage.shift(ridges, (2.0, -3.0), order=3, mode="nearest") + rng.normal(size=ridges.shape) * 0.3
     wanted = reference(rng, ridges, "30 m")
-    solved = solve_shift(SupportMeans(CellGrid(WEST, NORTH, CELL, own.shape), own, 30.0, False, 0.6), wanted, PROMISED)
+    solved = solve_shift(surface_of(own, wanted), wanted, PROMISED)
     assert len(solved.determined) == 1 and abs(solved.determined[0, 0]) > 0.999
     assert solved.moved[0] == pytest.approx(15.0, abs=0.5) and abs(solved.moved[1]) < 0.5
     assert solved.deviations[0] < 0.5 and solved.deviations[1] == pytest.approx(8.0, rel=0.01)
@@ -139,10 +143,10 @@ def test_trees_above_bare_earth_count_little():
 def test_too_few_heights_are_a_sentence():
     rng = np.random.default_rng(2)
     truth = relief(rng, 60.0)
-    surface = SupportMeans(CellGrid(WEST, NORTH, CELL, truth.shape), truth, 30.0, False, 0.6)
-    far = reference(rng, truth, "30 m").xyz + [1e5, 0, 0]
+    near = reference(rng, truth, "30 m")
+    far = replace(near, xyz=near.xyz + [1e5, 0, 0])
     with pytest.raises(EmptyResultError, match="Only 0 heights of the reference lie on the scene's own surface"):
-        solve_shift(surface, Reference("far", far, 30.0), PROMISED)
+        solve_shift(surface_of(truth, near), far, PROMISED)
 
 
 def test_the_mode_is_where_most_values_are():
@@ -156,18 +160,33 @@ def test_the_mode_is_where_most_values_are():
 def test_means_are_those_of_the_support(disc):
     """A plane's mean is its middle, a step's the share of it; slopes are the surface's."""
     x = np.arange(60) * 2.0 + 1.0
-    plane = np.tile(0.3 * x, (60, 1)) - 0.2 * (x[:, None])
-    support = SupportMeans(CellGrid(0.0, 0.0, 2.0, plane.shape), plane, 9.0, disc, 0.6)
+    kind = Reference("", x, (9.0, 9.0), disc)
+
+    def means(values):
+        return SupportMeans(CellGrid(0.0, 0.0, 2.0, values.shape), values, kind, 0.6)
+
     at = np.array([40.0, 61.3, 80.2])
-    value, east, north = support.at(at, -at)
+    value, east, north = means(np.tile(0.3 * x, (60, 1)) - 0.2 * x[:, None]).at(at, -at)
     np.testing.assert_allclose(value, 0.1 * at, atol=1e-6)
     np.testing.assert_allclose(east, 0.3, atol=1e-6)
     np.testing.assert_allclose(north, 0.2, atol=1e-6)
     step = np.where(np.tile(x, (60, 1)) > 60, 10.0, 0.0)
-    half = SupportMeans(CellGrid(0.0, 0.0, 2.0, step.shape), step, 9.0, disc, 0.6).at(
-        np.array([60.0]), np.array([-60.0])
-    )
+    half = means(step).at(np.array([60.0]), np.array([-60.0]))
     assert half[0][0] == pytest.approx(5.0, abs=0.01) and half[1][0] > 0.5
     step[:, :20] = np.nan
-    gone = SupportMeans(CellGrid(0.0, 0.0, 2.0, step.shape), step, 9.0, disc, 0.6).at(np.array([20.0, 60.0]), -at[:2])
+    gone = means(step).at(np.array([20.0, 60.0]), -at[:2])
     assert np.isnan(gone[0][0]) and np.isfinite(gone[0][1])
+
+
+def test_a_cell_may_be_wider_than_high():
+    """As those of a grid in degrees are higher than wide."""
+    spike = np.zeros((21, 21))
+    spike[10, 10] = 1.0
+    found = SupportMeans(CellGrid(0.0, 0.0, 1.0, spike.shape), spike, Reference("", spike, (6.0, 2.0)), 0.6)
+    at = np.arange(21) + 0.5
+    across, along = found.at(at, np.full(21, -10.5))[0], found.at(np.full(21, 10.5), -at)[0]
+    assert (
+        (across > 0.01).sum() == 7
+        and (along > 0.01).sum() == 3
+        and np.nanmax(across) == pytest.approx(1 / 12, abs=1e-6)
+    )

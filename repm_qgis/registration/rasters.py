@@ -1,0 +1,128 @@
+"""Rasters as references: their cells, or means of many of them where they are finer than the scene's own surface."""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, Optional, Tuple
+
+import numpy as np
+import pyproj
+from osgeo import gdal
+
+from ..arrays import Bounds, FloatArray, FloatImage, Window
+from ..errors import ImageError, OverlapError
+from ..geometry.frames import flat_crs, geodetic_from_projected
+from ..imagery.raster import opened, read
+from .surfaces import Reference
+
+_STRIP_CELLS = 1 << 24  # of the raster that are read at once
+
+
+def raster_reference(
+    path: str,
+    crs: str,
+    bounds: Bounds,
+    least_m: float,
+    to_ellipsoid: Callable[[pyproj.CRS, FloatArray], FloatArray],
+    check: Callable[[], None] = lambda: None,
+) -> Reference:
+    """The heights of a raster within bounds of the scene's projected CRS.
+
+    Cells smaller than ``least_m`` are averaged in blocks of whole cells, those without heights left out; a block needs
+    half of its cells. ``to_ellipsoid`` gives the metres to add to the raster's heights, from its CRS and (N, 2)
+    longitudes and latitudes. ``check`` is called between strips, and may raise to stop.
+
+    Raises ImageError for a raster without a CRS, OverlapError where it has no heights within the bounds.
+    """
+    with opened(path) as dataset:
+        if not dataset.GetProjection():
+            raise ImageError(f"The reference '{path}' has no coordinate reference system: assign it one first.")
+        system = pyproj.CRS.from_wkt(dataset.GetProjection())
+        place = dataset.GetGeoTransform()
+        forth = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
+        back = pyproj.Transformer.from_crs(flat_crs(system), crs, always_xy=True)
+        window = _window(dataset, place, forth, bounds)
+        if window is None:
+            raise OverlapError(f"The reference '{path}' does not cover the scene: choose one that does.")
+        jacobian = _jacobian(place, back, window)
+        widths = np.hypot(*jacobian)
+        factor = max(1, math.ceil(least_m / float(widths.min()) - 1e-6))
+        heights = _block_means(dataset, window, factor, check)
+    col, row = np.meshgrid(
+        *(origin + factor * (np.arange(n) + 0.5) for origin, n in zip(window[:2], heights.shape[::-1]))
+    )
+    x, y = _moved(back, place[0] + col * place[1] + row * place[2], place[3] + col * place[4] + row * place[5])
+    slopes = _slopes(heights, jacobian * factor)
+    known = np.isfinite(heights) & np.isfinite(x) & np.isfinite(y)
+    if not known.any():
+        raise OverlapError(f"The reference '{path}' has no heights over the scene: choose one that has.")
+    xy = np.column_stack([x[known], y[known]])
+    up = to_ellipsoid(system, geodetic_from_projected(crs, xy))
+    width = factor * widths
+    return Reference(
+        path, np.column_stack([xy, heights[known] + up]), (float(width[0]), float(width[1])), False, slopes[known]
+    )
+
+
+def _window(
+    dataset: gdal.Dataset, place: Tuple[float, ...], forth: pyproj.Transformer, bounds: Bounds
+) -> Optional[Window]:
+    """The cells that bounds may need, and two more on each side; None where there are none."""
+    u, v = np.linspace(bounds.xmin, bounds.xmax, 9), np.linspace(bounds.ymin, bounds.ymax, 9)
+    x, y = (values.ravel() for values in _moved(forth, *np.meshgrid(u, v)))
+    inverse = gdal.InvGeoTransform(place)
+    col, row = inverse[0] + x * inverse[1] + y * inverse[2], inverse[3] + x * inverse[4] + y * inverse[5]
+    good = np.isfinite(col) & np.isfinite(row)
+    if not good.any():
+        return None
+    low = [max(math.floor(each[good].min()) - 2, 0) for each in (col, row)]
+    high = [
+        min(math.ceil(each[good].max()) + 2, most)
+        for each, most in zip((col, row), (dataset.RasterXSize, dataset.RasterYSize))
+    ]
+    return Window.spanning(*low, *high) if low[0] < high[0] and low[1] < high[1] else None
+
+
+def _jacobian(place: Tuple[float, ...], back: pyproj.Transformer, window: Window) -> FloatArray:
+    """(2, 2) metres to the east and north (rows) for a cell to the right and a cell down (columns), at the middle."""
+    col, row = window.col + window.width / 2, window.row + window.height / 2
+    cells = np.array([[col, row], [col + 1, row], [col, row + 1]])
+    x, y = _moved(
+        back,
+        place[0] + cells[:, 0] * place[1] + cells[:, 1] * place[2],
+        place[3] + cells[:, 0] * place[4] + cells[:, 1] * place[5],
+    )
+    at = np.column_stack([x, y])
+    return np.column_stack([at[1] - at[0], at[2] - at[0]])
+
+
+def _moved(to: pyproj.Transformer, x: FloatArray, y: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    found = to.transform(x, y)
+    return np.asarray(found[0]), np.asarray(found[1])
+
+
+def _block_means(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> FloatArray:
+    """Means of blocks of factor x factor cells, strip by strip; the raster's overviews are not used: they may be
+    shifted by half a cell."""
+    columns, rows = window.width // factor, window.height // factor
+    result = np.full((rows, columns), np.nan)
+    strip = max(1, _STRIP_CELLS // max(window.width * factor, 1))
+    for begin in range(0, rows, strip):
+        check()
+        count = min(strip, rows - begin)
+        part = Window(window.col, window.row + begin * factor, columns * factor, count * factor)
+        cells: FloatImage = read(dataset, part)
+        blocks = cells.reshape(count, factor, columns, factor)
+        known = np.isfinite(blocks).sum(axis=(1, 3))
+        total = np.nansum(blocks, axis=(1, 3), dtype=np.float64)
+        result[begin : begin + count] = np.where(2 * known >= factor**2, total / np.maximum(known, 1), np.nan)
+    return result
+
+
+def _slopes(heights: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """(rows, columns, 2) slopes to the east and north by central differences; NaN at borders and beside gaps."""
+    right, down = np.full(heights.shape, np.nan), np.full(heights.shape, np.nan)
+    right[:, 1:-1] = (heights[:, 2:] - heights[:, :-2]) / 2
+    down[1:-1] = (heights[2:] - heights[:-2]) / 2
+    slopes: FloatArray = np.stack([right, down], axis=-1) @ np.linalg.inv(jacobian)
+    return slopes

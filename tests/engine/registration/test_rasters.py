@@ -1,0 +1,102 @@
+"""Rasters as references: cells where they are, means of fine ones, slopes, datums and what cannot be used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyproj
+import pytest
+from osgeo import gdal
+
+from repm_qgis.arrays import Bounds
+from repm_qgis.errors import ImageError, OverlapError
+from repm_qgis.registration.rasters import raster_reference
+
+UTM = "EPSG:32631"
+BOUNDS = Bounds(500_000.0, 4_000_000.0, 501_000.0, 4_001_000.0)
+
+
+def plane(x, y):
+    """Heights that rise by 0.05 to the east and fall by 0.02 to the north."""
+    return 100.0 + 0.05 * (np.asarray(x) - 500_000.0) - 0.02 * (np.asarray(y) - 4_000_000.0)
+
+
+@pytest.fixture
+def raster(tmp_path):
+    def make(crs, transform, size, nodata=None, holes=None):
+        path = str(tmp_path / "reference.tif")
+        dataset = gdal.GetDriverByName("GTiff").Create(path, *size, 1, gdal.GDT_Float32)
+        dataset.SetGeoTransform(transform)
+        if crs:
+            dataset.SetProjection(pyproj.CRS(crs).to_wkt())
+        col, row = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+        x, y = transform[0] + col * transform[1], transform[3] + row * transform[5]
+        if crs and pyproj.CRS(crs).is_geographic:
+            x, y = pyproj.Transformer.from_crs("EPSG:4326", UTM, always_xy=True).transform(x, y)
+        heights = plane(x, y)
+        if holes:
+            heights[holes] = nodata
+        dataset.GetRasterBand(1).WriteArray(heights)
+        if nodata is not None:
+            dataset.GetRasterBand(1).SetNoDataValue(nodata)
+        dataset = None
+        return path
+
+    return make
+
+
+def nothing(_, lon_lat):
+    return np.zeros(len(lon_lat))
+
+
+def test_cells_in_degrees_lie_where_they_are(raster):
+    """A DEM of one second of arc: places in the scene's CRS, widths in metres, slopes to the true east and north."""
+    second = 1 / 3600
+    path = raster("EPSG:4326", (2.98, second, 0, 36.16, 0, -second), (140, 100))
+    found = raster_reference(path, UTM, BOUNDS, 0.0, nothing)
+    x, y, z = found.xyz.T
+    np.testing.assert_allclose(z, plane(x, y), atol=1e-3)
+    assert found.width_m[0] == pytest.approx(25.0, abs=0.3) and found.width_m[1] == pytest.approx(30.8, abs=0.3)
+    assert x.min() < BOUNDS.xmin and x.max() > BOUNDS.xmax and x.max() < BOUNDS.xmax + 200
+    known = np.isfinite(found.slopes).all(axis=1)
+    assert known.mean() > 0.8
+    np.testing.assert_allclose(found.slopes[known], [[0.05, -0.02]] * known.sum(), atol=2e-3)
+
+
+def test_fine_cells_are_averaged_and_gaps_left_out(raster):
+    holes = (slice(0, 400), slice(500, 700))
+    path = raster(UTM, (499_900.0, 0.5, 0, 4_001_100.0, 0, -0.5), (2400, 2400), -9999.0, holes)
+    found = raster_reference(path, UTM, BOUNDS, 3.0, nothing)
+    x, y, z = found.xyz.T
+    assert found.width_m == pytest.approx((3.0, 3.0)) and len(z) < (1010 / 3) ** 2
+    np.testing.assert_allclose(z, plane(x, y), atol=0.1)  # beside gaps a mean is that of the cells that are there
+    inside = (x < 500_140.0) & (y < 4_000_890.0)
+    np.testing.assert_allclose(z[inside], plane(x, y)[inside], atol=1e-3)
+    assert not ((x > 500_152.0) & (x < 500_248.0) & (y > 4_000_902.0)).any()
+
+
+def test_heights_are_brought_to_the_ellipsoid(raster):
+    path = raster(UTM, (499_900.0, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40))
+    asked = []
+
+    def undulation(crs, lon_lat):
+        asked.append((crs.to_epsg(), lon_lat))
+        return np.full(len(lon_lat), 47.0)
+
+    x, y, z = raster_reference(path, UTM, BOUNDS, 0.0, undulation).xyz.T
+    np.testing.assert_allclose(z, plane(x, y) + 47.0, atol=1e-3)
+    assert asked[0][0] == 32631 and np.abs(asked[0][1] - [3.005, 36.14]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    "crs, west, holes, kind, words",
+    (
+        (None, 499_900.0, None, ImageError, "has no coordinate reference system: assign it one first"),
+        (UTM, 600_000.0, None, OverlapError, "does not cover the scene: choose one that does"),
+        (UTM, 499_900.0, (slice(None), slice(None)), OverlapError, "has no heights over the scene"),
+    ),
+)
+def test_what_cannot_be_used_is_a_sentence(raster, crs, west, holes, kind, words):
+    path = raster(crs, (west, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40), -9999.0, holes)
+    with pytest.raises(kind, match=words) as caught:
+        raster_reference(path, UTM, BOUNDS, 0.0, nothing)
+    assert path in str(caught.value)
