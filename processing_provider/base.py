@@ -112,7 +112,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def shortHelpString(self) -> str:
         try:
             with open(resource("help", f"{self.ID}.md"), encoding="utf-8") as stream:
-                return to_html(stream.read())
+                return to_html(stream.read(), resource("help"))
         except OSError:
             return self.shortDescription()
 

@@ -7,7 +7,12 @@ elements take the theme's colour. QGIS puts all of it into one <p>, which has to
 from __future__ import annotations
 
 import html
+import os
 import re
+
+from qgis.PyQt.QtCore import QUrl
+
+_WIDTH_PX = 230  # of the panel as QGIS first opens it
 
 
 def inline(text: str) -> str:
@@ -25,6 +30,18 @@ def _marked(text: str) -> str:
     return re.sub(r"\[([^\]]+)\]\(([^)\s]+)\)", r'<a href="\2">\1</a>', text)
 
 
+def _picture(block: str, folder: str) -> str:
+    """A picture alone in its paragraph, as wide as the narrow panel; "" for other blocks, or where the file is gone."""
+    found = re.fullmatch(r"!\[([^\]]*)\]\(([^)\s]+)\)", block)
+    path = os.path.normpath(os.path.join(folder, found[2])) if found else ""
+    if not os.path.exists(path):
+        return ""
+    address = html.escape(QUrl.fromLocalFile(path).toString())
+    return (
+        f'<div style="margin-bottom: 8px"><img src="{address}" width="{_WIDTH_PX}" alt="{html.escape(found[1])}"></div>'
+    )
+
+
 def _block(block: str) -> str:
     if block.startswith("#"):
         return f"<h3>{inline(block.lstrip('#').strip())}</h3>"
@@ -34,8 +51,12 @@ def _block(block: str) -> str:
     return f'<div style="margin-bottom: 8px">{inline(" ".join(block.split()))}</div>'
 
 
-def to_html(markdown: str) -> str:
-    """Headings, paragraphs, "- " lists, bold, italic, code and links; anything else stays as text."""
+def to_html(markdown: str, folder: str = "") -> str:
+    """Headings, paragraphs, "- " lists, bold, italic, code, links and pictures; anything else stays as text.
+
+    ``folder`` is the document's, from which its pictures are found.
+    """
     # A heading needs no empty line after it.
     text = re.sub(r"(?m)^(#+ .*)$", r"\n\1\n", markdown.replace("\r\n", "\n"))
-    return "</p>" + "".join(_block(block.strip()) for block in re.split(r"\n\s*\n", text) if block.strip())
+    blocks = (block.strip() for block in re.split(r"\n\s*\n", text))
+    return "</p>" + "".join(_picture(block, folder) or _block(block) for block in blocks if block)

@@ -100,14 +100,14 @@ def real(data: str, folder: str) -> str:
     return made
 
 
-def report(source: str, name: str, height: int, folder: str) -> None:
-    """A run's report as Chromium shows it, from the top."""
+def report(source: str, name: str, height: int, folder: str, kind: str = "report.html") -> None:
+    """A report of a run as Chromium shows it, from the top."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if not browser:
         say(f"  {name} is left as it is: no Chromium here")
         return
     path, page = os.path.join(folder, name), os.path.join(folder, "report.html")
-    with open(os.path.join(source, "report.html"), encoding="utf-8") as text, open(page, "w", encoding="utf-8") as copy:
+    with open(os.path.join(source, kind), encoding="utf-8") as text, open(page, "w", encoding="utf-8") as copy:
         # The picture must not show folders of this machine.
         copy.write(text.read().replace(source + os.sep, "").replace(SHARED + os.sep, ""))
     subprocess.run(
@@ -165,6 +165,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         shaded(os.path.join(DEMO, "dsm.tif"), "demo_dsm.png", 640, folder)
         report(DEMO, "report.png", 1500, folder)
+        report(DEMO, "comparison.png", 1250, folder, "accuracy_none.html")
         desktop(folder)
         pair = real("pleiades_pair", folder)
         if pair:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 import re
 
 import pytest
 from qgis.core import QgsApplication, QgsProcessingParameterDefinition
+from qgis.PyQt.QtCore import QUrl
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -179,6 +181,16 @@ def test_helps_markdown_becomes_html(plugin):
         '</p><div style="margin-bottom: 8px">One &lt;b&gt; &amp; <code>two</code>.</div><h3>Head</h3>'
         "<ul><li><strong>a</strong>: x y</li><li><i>b</i></li></ul>"
     )
+
+
+def test_help_shows_pictures_where_they_pay(plugin):
+    from repm.processing_provider.helptext import to_html
+
+    found = {name: re.findall(r'<img src="([^"]*)"', algorithm(name).shortHelpString()) for name in PARAMETERS}
+    assert {"pipeline", "errormap", "inspect", "mosaic", "checkgcps"} <= {name for name, each in found.items() if each}
+    assert all(os.path.exists(QUrl(each).toLocalFile()) for several in found.values() for each in several)
+    assert not [name for name in PARAMETERS if "![" in algorithm(name).shortHelpString()]
+    assert "gone" in to_html("![gone](gone.png)") and "<img" not in to_html("![gone](gone.png)")
 
 
 @pytest.mark.parametrize("name", PARAMETERS)

@@ -1,0 +1,165 @@
+"""The cook book: the commands of docs/cookbook.md are run as they stand, and what they promise is looked for."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from osgeo import gdal, osr
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "cookbook.md").read_text(encoding="utf-8")
+TASKS = {int(number): text for number, text in re.findall(r"(?ms)^## (\d+)\. [^\n]*\n(.*?)(?=^## |\Z)", PAGE)}
+BEFORE = PAGE.split("## Before you begin")[1].split("\n## ")[0]
+SPENT: dict[object, float] = {}
+"""Seconds of the processor by task: the wall's depend on who else works on the machine."""
+
+resource = pytest.importorskip("resource", reason="the commands are those of a POSIX shell")
+
+
+def commands(text):
+    """The indented blocks of a text."""
+    return "\n".join(line[4:] for line in text.splitlines() if line.startswith("    "))
+
+
+@pytest.fixture(scope="module")
+def cook(tmp_path_factory):
+    """Runs a task once, after the tasks it names; gives the folder of all results and what the task said."""
+    folder = tmp_path_factory.mktemp("cookbook")
+    programs = folder / "programs"
+    programs.mkdir()
+    for name, line in (
+        ("qgis_process", f"exec '{ROOT}/scripts/qgis-headless' \"$@\""),
+        ("python", f"PYTHONPATH='{ROOT}' exec '{sys.executable}' \"$@\""),
+    ):
+        (programs / name).write_text(f"#!/bin/sh\n{line}\n")
+        (programs / name).chmod(0o755)
+    variables = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_"))}
+    variables.update(PATH=f"{programs}:/usr/bin:/bin", REPM_QGIS_CONFIG=str(folder / "config"))
+    variables.update(REPM_ENGINE_PYTHON=sys.executable, QT_QPA_PLATFORM="offscreen")
+    said = {}
+
+    def shell(name, text):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(
+            ["/bin/sh", "-e", "-c", commands(text)],
+            cwd=folder,
+            env=variables,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        SPENT[name] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        assert done.returncode == 0, done.stdout
+        return done.stdout
+
+    def run(number):
+        if not said:
+            said[0] = shell("before", BEFORE)
+        for needed in map(int, re.findall(r"\*After task (\d+)", TASKS[number])):
+            run(needed)
+        if number not in said:
+            said[number] = shell(number, TASKS[number])
+        return folder, said[number]
+
+    return run
+
+
+def heights(path):
+    raster = gdal.Open(str(path))
+    values = raster.ReadAsArray().astype(float)
+    values[values == raster.GetRasterBand(1).GetNoDataValue()] = np.nan
+    return values
+
+
+def test_the_book_has_ten_tasks():
+    assert sorted(TASKS) == list(range(1, 11))
+    assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
+
+
+def test_1_three_images(cook):
+    folder, _ = cook(1)
+    assert np.isfinite(heights(folder / "dsm.tif")).mean() > 0.5
+    assert np.nanmax(heights(folder / "confidence.tif")[0]) == 3  # height maps that agree
+
+
+def test_2_mountains(cook):
+    folder, said = cook(2)
+    assert np.isfinite(heights(folder / "mountains.tif")).mean() > 0.4
+    assert json.loads((folder / "work_mountains" / "reconstructed.json").read_text())["refinement"] == "terrain"
+    assert "Altitudes " in said
+
+
+def test_3_ground_control_points(cook):
+    folder, said = cook(3)
+    with open(folder / "images" / "gcps.csv", encoding="utf-8") as stream:
+        assert {row["role"] for row in csv.DictReader(stream)} == {"control", "check"}
+    found = dict(re.findall(r"(\w+_RMSE):\t([\d.]+)", said))
+    assert float(found["SCENE_RMSE"]) <= float(found["RPC_RMSE"]) and float(found["DSM_RMSE"]) < 0.6
+    assert "check point" in (folder / "gcps.html").read_text(encoding="utf-8")
+
+
+def test_4_heights_above_a_geoid(cook):
+    folder, _ = cook(4)
+    difference = heights(folder / "dsm.tif") - heights(folder / "dsm_egm96.tif")
+    assert 45 < np.nanmedian(difference) < 55  # the geoid's height near Toulouse
+    crs = osr.SpatialReference(gdal.Open(str(folder / "dsm_egm96.tif")).GetProjection())
+    assert crs.IsCompound() and "EGM96" in crs.GetName()
+
+
+def test_5_masks(cook):
+    cook(1)
+    folder, _ = cook(5)
+    mask = gdal.Open(str(folder / "mask_01.tif")).ReadAsArray()
+    share = (mask != 0).mean()
+    assert 0.02 < share < 0.5
+    assert np.isnan(heights(folder / "masked.tif")).mean() > np.isnan(heights(folder / "dsm.tif")).mean() + share / 2
+
+
+def test_6_many_at_once(cook):
+    folder, _ = cook(6)
+    for pair in ("01_02", "02_03"):
+        raster = gdal.Open(str(folder / "batch" / f"{pair}.tif"))
+        assert abs(raster.GetGeoTransform()[1] - 2.0) < 1e-9
+        assert (folder / "batch" / pair / "report.html").exists()
+
+
+def test_7_a_model(cook):
+    folder, _ = cook(7)
+    assert np.isfinite(heights(folder / "model.tif")).mean() > 0.4
+    assert np.nanmax(heights(folder / "error_map.tif")) < 0.1
+
+
+def test_8_without_qgis(cook):
+    folder, said = cook(8)
+    last = json.loads(said.splitlines()[-1])
+    assert last["type"] == "result" and np.isfinite(heights(folder / "job.tif")).mean() > 0.4
+
+
+def test_9_export_to_colmap(cook):
+    folder, _ = cook(9)
+    (model,) = (folder / "colmap").iterdir()
+    cameras = (model / "sparse_text" / "cameras.txt").read_text()
+    assert cameras.count("PINHOLE") == 3
+    assert "ecef_from_world" in (model / "frame.json").read_text()
+
+
+def test_10_compare_with_lidar(cook):
+    folder, said = cook(10)
+    absolute, shape = (float(value) for value in re.findall(r"NMAD:\t([\d.]+)", said))
+    assert shape <= absolute + 0.05 < 0.6
+    assert (folder / "absolute.html").exists() and (folder / "shape.html").exists()
+
+
+def test_the_whole_book_is_quick():
+    if len(SPENT) < 1 + len(TASKS):
+        pytest.skip(f"only {len(SPENT)} of {1 + len(TASKS)} parts were run in this session")
+    assert sum(SPENT.values()) < 90, SPENT
