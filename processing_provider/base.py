@@ -23,7 +23,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
 from ..repm_qgis.products import products_of
-from . import engine, helppages, settings, styles
+from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
 from .kept import in_workspace, is_lasting
 from .language import said
@@ -127,6 +127,14 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         except WorkspaceError:  # a profile where nothing can be written
             return QUrl.fromLocalFile(os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")).toString()
 
+    def createCustomParametersWidget(self, parent: Any = None) -> Any:
+        """Our dialog; QGIS's own where the Processing plugin's is not to be had."""
+        try:
+            from ..desktop.dialog import Dialog
+        except ImportError:
+            return None
+        return Dialog(self, parent=parent)
+
     def createInstance(self) -> RepmAlgorithm:
         return type(self)()
 
@@ -161,6 +169,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         given = {
             definition.name().lower(): checked_value(self, definition, parameters, context)
             for definition in self.parameterDefinitions()
+            if definition.name().lower() not in self.left_to_engine(parameters)
         }
         try:
             STAGES[self.ID].from_json(self.complete(given))
@@ -253,6 +262,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         for definition in self.parameterDefinitions():
             if not definition.isDestination():
                 self._inputs.update(input_options(self, definition, parameters, context))
+        for name in self.left_to_engine(parameters):
+            del self._inputs[name]
         if self.USES_WORKERS:
             self._inputs.update(workers=settings.workers(), memory=settings.memory())
         if "cluster" in self._inputs:
@@ -301,7 +312,17 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                     stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())
                 )
             )
+        self._scene = outputs.get("OUTPUT_SCENE") or outputs.get("SCENE")
         return outputs
+
+    def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> dict[str, Any]:
+        if self._scene:
+            last_scene.remember(self._scene)
+        return super().postProcessAlgorithm(context, feedback)
+
+    def left_to_engine(self, parameters: Mapping[str, Any]) -> set[str]:
+        """The names of options whose values the engine chooses, as the user gave none."""
+        return set()
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         """The engine's options out of the parameters' values, where these are not the same."""

@@ -28,7 +28,14 @@ from qgis.PyQt.QtCore import QCoreApplication
 
 from ..repm_qgis import products
 from ..repm_qgis.checks import Number
-from ..repm_qgis.options import DsmFuseOptions, EpmFitOptions, Options, ReconstructOptions, RefineOptions
+from ..repm_qgis.options import (
+    DsmFuseOptions,
+    EpmFitOptions,
+    Options,
+    PipelineOptions,
+    ReconstructOptions,
+    RefineOptions,
+)
 from ..repm_qgis.products import tiles_folder
 
 SCENE_FILTER = products.SCENES
@@ -253,6 +260,20 @@ def pointing() -> QgsProcessingParameterDefinition:
     )
 
 
+def pairs() -> QgsProcessingParameterDefinition:
+    return advanced(
+        choice(
+            ReconstructOptions,
+            "pairs",
+            tr("Pairs of images"),
+            tr(
+                "best: all pairs of up to three images, and the three best ones of each of more images; fewest: only "
+                "as many as connect all images, which takes less time and leaves more gaps."
+            ),
+        )
+    )
+
+
 def adjustment() -> QgsProcessingParameterDefinition:
     return advanced(
         choice(
@@ -265,6 +286,19 @@ def adjustment() -> QgsProcessingParameterDefinition:
                 "control points."
             ),
         )
+    )
+
+
+def preset() -> QgsProcessingParameterDefinition:
+    return choice(
+        PipelineOptions,
+        "preset",
+        tr("Preset"),
+        tr(
+            "Values that go together, for advanced parameters below; the dialog fills them in, and you can change each "
+            "of them afterwards. city: sharp edges of houses; mountains: steep ground, closed surface; fast: a first "
+            "look. In a command, a value that you give goes before the preset's."
+        ),
     )
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Mapping
 
 from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
 
+from ..repm_qgis.options import PRESETS
 from . import parameters
 from .base import RepmAlgorithm
 from .values import command_line
@@ -36,9 +37,11 @@ class Pipeline(RepmAlgorithm):
             parameters.resolution(),
             parameters.crs(),
             parameters.vertical_datum(),
+            parameters.preset(),
             parameters.rpcs(),
             parameters.masks(),
             parameters.gcp_datum(),
+            parameters.pairs(),
             parameters.pointing(),
             parameters.adjustment(),
             *parameters.altitudes(),
@@ -60,6 +63,11 @@ class Pipeline(RepmAlgorithm):
             QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
             QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)")),
         ]
+
+    def left_to_engine(self, parameters: Mapping[str, Any]) -> set[str]:
+        """What the preset decides: QGIS's default of a parameter that was not given must not go before it."""
+        preset = PRESETS.get(str(parameters.get("PRESET")), {})
+        return {name for name in preset if name.upper() not in parameters}
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         return {**options, "command": command_line(self.id(), options)}

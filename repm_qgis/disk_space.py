@@ -56,12 +56,12 @@ def heights_need(scene: Scene, pairs: Sequence[ViewPair], folder: str) -> Need:
     margin = 2 * STEREO.tile_margin_px * scene.gsd_m
     sides = [(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (tile.bounds for tile in scene.tiles)]
     grown = sum((x + margin) * (y + margin) for x, y in sides) / sum(x * y for x, y in sides)
-    return _need(folder, _HEIGHT_MAP * _seen_px(scene, pairs) * grown, size_of(folder))
+    return _need(folder, _HEIGHT_MAP * seen_px(scene, pairs) * grown, size_of(folder))
 
 
 def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOptions, cell: float) -> List[Need]:
     """Fused tiles and products on cells of a side (m), without what an earlier run has left of the tiles."""
-    cells, points = _area(scene) / cell**2, _seen_px(scene, pairs) if options.cloud or options.ept else 0.0
+    cells, points = _area(scene) / cell**2, seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
     between = cells * (_FUSED_CELL + (_FUSED_ORTHO if options.ortho else 0.0)) + points * _FUSED_POINT
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
@@ -97,7 +97,7 @@ def _area(scene: Scene) -> float:
     return float(ogr.CreateGeometryFromWkt(scene.area).GetArea()) if scene.area else 0.0
 
 
-def _seen_px(scene: Scene, pairs: Sequence[ViewPair]) -> float:
+def seen_px(scene: Scene, pairs: Sequence[ViewPair]) -> float:
     """The pixels of ground that both views of a pair see, of all pairs together."""
     return _area(scene) / scene.gsd_m**2 * sum(pair.share for pair in pairs)
 

@@ -19,6 +19,7 @@ MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm", "colmap")
 POINTINGS = ("auto", "shift", "affine")
+PAIRS = ("best", "fewest")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
@@ -29,6 +30,15 @@ KINDS = ("urban", "mountains")
 
 TERRAIN_TILE_PX = 1300
 """Side of automatic tiles with the model terrain: its error does not grow with the tile, only the memory does."""
+
+PRESETS: Dict[str, Dict[str, Any]] = {
+    "none": {},
+    "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
+    "mountains": {"model": "polynomial", "method": "mean", "fill": "all"},
+    "fast": {"pairs": "fewest", "pointing": "shift", "fill": "none", "outlier_radius": 0.0},
+}
+"""Values that go together, for options of the pipeline that are not given; docs/algorithms/pipeline.md has what each
+costs and gives."""
 
 Extent = Annotated[Tuple[float, float, float, float], Rectangle()]
 T = TypeVar("T", bound="Options")
@@ -275,6 +285,7 @@ class ReconstructOptions(Options):
     scheduler file of a Dask cluster whose workers do the work; "" is this machine.
     ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
     colmap's.
+    ``pairs``: ``best``, each view's best ones, or ``fewest``, those that connect all views.
     ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
     """
 
@@ -295,6 +306,7 @@ class ReconstructOptions(Options):
     window_radius: int = whole(5, 1, 20, "px")
     gpu_memory: float = number(0.0, 0, 1024, "GiB")
     own_surface: bool = switch(False)
+    pairs: str = choice("best", PAIRS)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -350,32 +362,36 @@ class DsmFuseOptions(Options):
 class PipelineOptions(Options):
     """From images to a DSM: the options of all stages, each of which takes the scene that the one before wrote.
 
-    JSON has them all in one object, without those that the pipeline sets itself. ``report`` is the whole run's page,
-    ``command`` the command line that it shows.
+    JSON has them all in one object, without those that the pipeline sets itself; what is not given there is the
+    ``preset``'s, or else the default. ``report`` is the whole run's page, ``command`` the command line that it shows.
     """
 
     fit: EpmFitOptions
     refine: RefineOptions
     reconstruct: ReconstructOptions
     fuse: DsmFuseOptions
+    preset: str = choice("none", tuple(PRESETS))
     report: Optional[str] = None
     command: Optional[str] = None
 
+    OWN: ClassVar[Tuple[str, ...]] = ("preset", "report", "command")
     STAGES: ClassVar[Tuple[Type[Options], ...]] = (EpmFitOptions, RefineOptions, ReconstructOptions, DsmFuseOptions)
     SET_HERE: ClassVar[Tuple[str, ...]] = ("scene", "output_scene", "heights", "kernel", "write_images", "own_surface")
 
     @classmethod
     def names(cls) -> List[str]:
         names = dict.fromkeys(name for stage in cls.STAGES for name in stage.names() if name not in cls.SET_HERE)
-        return [*names, "command"]
+        return list(dict.fromkeys([*names, *cls.OWN]))
 
     @classmethod
     def option(cls, name: str) -> "dataclasses.Field[Any]":
         stages = (stage for stage in cls.STAGES if name in stage.names())
-        return next(stages).option(name) if name not in ("report", "command") else super().option(name)
+        return next(stages).option(name) if name not in cls.OWN else super().option(name)
 
     @classmethod
     def _of(cls, values: Mapping[str, Any], **set_here: Any) -> "PipelineOptions":
+        own = {name: values[name] for name in cls.OWN if name in values}
+        values = {**PRESETS.get(str(own.get("preset", "none")), {}), **values}
         folder = Path(str(values.get("workspace", "")))
         fitted, refined, matched = (str(folder / f"{name}.json") for name in ("scene", "refined", "reconstructed"))
         terrain = values.get("model") == "terrain"
@@ -390,8 +406,7 @@ class PipelineOptions(Options):
             refine=RefineOptions._of(values, dem=dem, write_images=False, report=None, **model),
             reconstruct=ReconstructOptions._of(values, scene=refined, output_scene=matched, own_surface=own_surface),
             fuse=DsmFuseOptions._of(values, scene=matched),
-            report=values.get("report"),
-            command=values.get("command"),
+            **own,
         )
 
 

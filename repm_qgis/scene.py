@@ -29,7 +29,7 @@ from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain
 from .geometry.tiles import enclosing
 from .imagery.acquisition import acquired, moment
-from .options import BACKENDS, MODELS
+from .options import BACKENDS, MODELS, PRESETS
 from .records import (
     FilePath,
     Ground,
@@ -187,7 +187,8 @@ class Scene(Record):
     ``area`` is the outline, as WKT in ``crs``, of the ground that at least two views see. ``altitudes`` are metres
     above the ellipsoid. ``dem`` is the terrain model that was given, "" for none. ``refinement`` is the model's name
     ("" before any), ``order`` the polynomial's, ``surface`` the file of the terrain model's coarse surface. Matching
-    adds the ``pairs`` of views, their ``pointing``, the layer of ``tie_points`` and the ``backend``.
+    adds the ``pairs`` of views, their ``pointing``, the layer of ``tie_points`` and the ``backend``. ``preset`` is the
+    one that the last run of the pipeline was given; what it set is in the ``history``, with all other options.
     """
 
     views: Tuple[View, ...]
@@ -206,6 +207,7 @@ class Scene(Record):
     backend: Annotated[str, Choice(("", *BACKENDS))] = ""
     history: Tuple[StageRecord, ...] = ()
     path: Path = Path("scene.json")
+    preset: Annotated[str, Choice(tuple(PRESETS))] = "none"
 
     def contradiction(self) -> str:
         views = {view.name: view for view in self.views}

@@ -247,6 +247,8 @@ def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]
 def _options(report: Report, scene: Scene) -> None:
     """One table of all stages' options; a value that several stages share has one row."""
     found: Dict[Tuple[str, str], List[str]] = {}
+    if scene.preset != "none":
+        found["preset", scene.preset] = ["pipeline"]
     for entry in scene.history:
         for name, value in entry.options.items():
             if value not in (None, "", []) and name not in _PATH_OPTIONS:

@@ -17,6 +17,9 @@ from .frames import geodetic_from_projected, vertical_operations
 DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
 """Common names of vertical datums and their PROJ codes; "" is the WGS 84 ellipsoid."""
 
+LISTED = ("EGM2008", "EGM96", "EPSG:5621", "EPSG:7837", "EPSG:5720", "EPSG:5701", "EPSG:5703", "EPSG:5711")
+"""What dialogs offer: the world's geoids, then Europe, Germany, France, Great Britain, North America, Australia."""
+
 ELLIPSOID = "WGS 84 ellipsoid"
 TAG = "VERTICAL_DATUM"
 """The metadata item of a raster with the name of its heights' datum."""

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, Dict, List, Sequence
 
 from ..disk_space import Need, fusion_needs, heights_need, require_space
 from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.vertical import HeightDatum
 from ..matching.backends import matched_pairs, require, resolve
-from ..options import PipelineOptions
+from ..options import PRESETS, PipelineOptions
 from ..parallel import kept_workers
 from ..products import FOLDER, paths_of
 from ..progress import Part, Progress
+from ..records import ViewPair
+from ..run_estimate import estimate_run
 from ..scene import Scene, load_views
 from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
-from ..sfm.pair_selection import choose_pairs
 from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine
 from .parameters import ENGINE, EngineParameters
@@ -34,6 +36,9 @@ def run(options: PipelineOptions, progress: Progress, parameters: EngineParamete
 
 
 def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> Dict[str, Any]:
+    if options.preset != "none":
+        values = ", ".join(f"{name.upper()} {value}" for name, value in PRESETS[options.preset].items())
+        progress.info(f"Preset {options.preset}: {values}, where they are not given.")
     _check_early(options, parameters)
     seconds: Dict[str, float] = {}
     begin = 0.0
@@ -50,15 +55,24 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     first = stage("epmfit", "Pinhole cameras", epmfit.run, options.fit)
     scene = Scene.load(first["scene"])
     HeightDatum.of(options.fuse.vertical_datum).require(scene.frame.lon, scene.frame.lat)
-    require_space("this run", _needs(options, scene, parameters), progress)
+    pairs = reconstruct.pairs_of(scene, options.reconstruct, parameters)
+    backend = resolve(options.reconstruct.backend)[0]
+    if backend.name == "sgm" and not options.reconstruct.cluster:  # others were not measured
+        own_surface, workers = options.reconstruct.own_surface, options.reconstruct.workers
+        progress.info(estimate_run(scene, pairs, own_surface, workers).sentence())
+    require_space("this run", _needs(options, scene, matched_pairs(pairs, backend), parameters), progress)
     stage("refine", "Refinement", refine.run, options.refine)
     heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
     fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
     scene_path = options.reconstruct.output_scene
+    scene = Scene.load(scene_path)
+    if scene.preset != options.preset:
+        scene = replace(scene, preset=options.preset)
+        scene.save(scene_path)
     report_paths = with_copy(str(Path(options.fit.workspace) / "report.html"), options.report)
     made = {"tiles": first["tiles"], "tie_points": heights["tie_points"], "heights": heights["heights"]}
     products = {**fused, "scene": scene_path, "report": report_paths[-1], **made}
-    report = pipeline_report(Scene.load(scene_path), products, seconds, options.command)
+    report = pipeline_report(scene, products, seconds, options.command)
     for path in report_paths:
         report.write(path)
     progress.step(1.0, "done")
@@ -66,10 +80,10 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     return {**products, **errors, "n_tie_points": heights["n_tie_points"], "seconds": seconds}
 
 
-def _needs(options: PipelineOptions, scene: Scene, parameters: EngineParameters) -> List[Need]:
+def _needs(
+    options: PipelineOptions, scene: Scene, matched: Sequence[ViewPair], parameters: EngineParameters
+) -> List[Need]:
     """The disk space of all stages to come."""
-    pairs = choose_pairs(scene, parameters.pointing.pairs)
-    matched = matched_pairs(pairs, resolve(options.reconstruct.backend)[0])
     cell = options.fuse.resolution or parameters.tiles.cell_gsd * scene.gsd_m
     heights = heights_need(scene, matched, reconstruct.heights_folder(options.reconstruct))
     return [heights, *fusion_needs(scene, matched, options.fuse, cell)]

@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -25,7 +25,7 @@ from ..matching.coarse_surface import coarse_surface
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
-from ..records import HeightMapRecord
+from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile, View, folder_of, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice
@@ -58,7 +58,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     control = [gcp.to_mapping() for gcp in gcps] or None
     chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
     files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
-    others = *backends[0].settings(options), *parameters.in_fingerprint()
+    few = [options.pairs] if options.pairs != "best" else []
+    others = *backends[0].settings(options), *few, *parameters.in_fingerprint()
     key = fingerprint("reconstruct", scene.fingerprint, *chosen, files, *others)
     place = Path(options.output_scene)
     report_path = str(place.with_name("reconstruction.html"))
@@ -69,7 +70,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
         notes = Recorder(progress)
-        pairs = choose_pairs(scene, parameters.pointing.pairs)
+        pairs = pairs_of(scene, options, parameters)
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         ties = f"{folder_of(place, 'tie_points')}.gpkg"
         scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties, backend=backends[0].name)
@@ -91,6 +92,14 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}
     count = done.pointing.count if done.pointing else 0
     return {"output_scene": options.output_scene, **written, "n_tie_points": count}
+
+
+def pairs_of(scene: Scene, options: ReconstructOptions, parameters: EngineParameters = ENGINE) -> List[ViewPair]:
+    """The pairs that are matched, best first; raises EmptyResultError where no pair is usable."""
+    numbers = parameters.pointing.pairs
+    if options.pairs == "fewest":
+        numbers = replace(numbers, all_up_to=2, per_view=1)
+    return choose_pairs(scene, numbers)
 
 
 def heights_folder(options: ReconstructOptions) -> str:

@@ -1,0 +1,61 @@
+"""How long the pipeline takes, and how much memory: estimated before its work begins, from what was measured.
+
+docs/benchmarks.md has the runs that the constants were fitted to: two to three images of 1 to 100 million pixels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Sequence
+
+from .disk_space import seen_px
+from .memory import matching_mib
+from .parallel import cores
+from .records import ViewPair
+from .scene import Scene
+from .stereo.parameters import STEREO
+
+_START_S = 1.5  # of a core, whatever the images
+_PIXEL_S = 2.4e-6  # of a core, for each pixel of ground that a pair sees
+_OWN_SURFACE = 1.33  # where the terrain model refines on a surface that has to be found first
+_SHARED = 0.87  # of what so many workers could do, as they wait for each other
+_ENGINE_MIB = 160.0  # the engine itself, beside its workers
+_RECTIFIED = 1.2  # side of a rectified tile by that of its ground
+
+
+class RunEstimate(NamedTuple):
+    """Seconds of one core, seconds by the clock with so many workers, and the memory of all of them, MiB."""
+
+    core_s: float
+    wall_s: float
+    mib: float
+    workers: int
+
+    def sentence(self) -> str:
+        """What people read, before the run."""
+        size = f"{self.mib / 1024:.1f} GiB of memory"
+        count = f"{self.workers} worker{'s' if self.workers > 1 else ''}"
+        return (
+            f"This run will take about {_duration(self.wall_s)} with {count}, and {size}; less where it is continued."
+        )
+
+
+def estimate_run(scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = False, workers: int = 0) -> RunEstimate:
+    """What the pipeline takes for a scene with tiles whose pairs are matched on the CPU, from images to the DSM.
+
+    ``own_surface`` is the terrain model without a DEM; ``workers`` 0 means one a core. Point clouds and meshes come on
+    top. The estimate is right within a factor of 2 on a machine as those of the benchmarks that does nothing else.
+    """
+    count = max(1, min(workers or cores(), len(scene.tiles) * len(pairs)))
+    work = _PIXEL_S * seen_px(scene, pairs) * (_OWN_SURFACE if own_surface else 1.0)
+    side = max(max(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (tile.bounds for tile in scene.tiles)) / scene.gsd_m
+    side = _RECTIFIED * (side + 2 * STEREO.tile_margin_px)
+    slope = max(pair.base_to_height for pair in pairs)
+    each = matching_mib(side, side, slope * (scene.altitudes[1] - scene.altitudes[0]) / scene.gsd_m)
+    wall = _START_S + work / (count * (_SHARED if count > 1 else 1.0))
+    return RunEstimate(_START_S + work, wall, _ENGINE_MIB + count * each, count)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{max(5, 5 * round(seconds / 5))} s"
+    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"

@@ -1,0 +1,87 @@
+"""Runs inside a real QGIS desktop: what our dialogs add to Processing's, looked at widget by widget."""
+
+import os
+import sys
+
+from qgis.core import QgsApplication
+from qgis.PyQt.QtWidgets import QApplication, QGroupBox, QLineEdit, QMenu
+from qgis.utils import iface
+
+sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
+from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
+
+FOUND["name"] = "dialogs"
+COLMAP = ("GEOMETRIC", "COLMAP_FUSION", "WINDOW_RADIUS", "GPU_MEMORY")
+
+
+def opened(name):
+    algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}").create()
+    dialog = algorithm.createCustomParametersWidget(iface.mainWindow())
+    dialog.show()
+    QApplication.processEvents()
+    return dialog
+
+
+def offered(panel, name):
+    """The texts of a parameter's list; the second one is chosen."""
+    line = panel.wrappers[name].wrappedWidget()
+    next(action for action in line.actions() if action.objectName() == "list").trigger()
+    menu = line.findChildren(QMenu)[-1]
+    texts = [action.text() for action in menu.actions()]
+    if len(texts) > 1:
+        menu.actions()[1].trigger()
+    menu.close()
+    return texts, panel.wrappers[name].parameterValue()
+
+
+def shown(panel):
+    QApplication.processEvents()
+    return [name for name in COLMAP if panel.wrappers[name].wrappedWidget().isVisible()]
+
+
+@guarded
+def look():
+    dialog = opened("reconstruct")
+    panel = dialog.mainWidget()
+    FOUND["scene"] = panel.wrappers["SCENE"].parameterValue()
+    FOUND["closed"] = shown(panel)
+    (group,) = panel.findChildren(QGroupBox)
+    group.setProperty("collapsed", False)
+    FOUND["auto"] = shown(panel)
+    panel.setParameters({"BACKEND": "colmap", "WINDOW_RADIUS": 7})
+    FOUND["colmap"] = shown(panel)
+    picture(dialog, "colmap.png")
+    group.setProperty("collapsed", True)
+    group.setProperty("collapsed", False)
+    FOUND["given"] = dialog.mainWidget().createProcessingParameters()["WINDOW_RADIUS"]
+    panel.setParameters({"BACKEND": "sgm"})
+    FOUND["sgm"] = shown(panel)
+    dialog.close()
+
+    dialog = opened("pipeline")
+    panel = dialog.mainWidget()
+    FOUND["datums"], FOUND["datum"] = offered(panel, "VERTICAL_DATUM")
+    FOUND["line"] = isinstance(panel.wrappers["VERTICAL_DATUM"].wrappedWidget(), QLineEdit)
+    values = {}
+    for preset in PLAN["presets"]:
+        panel.setParameters({"PRESET": preset})
+        values[preset] = {name: panel.wrappers[name].parameterValue() for name in PLAN["names"]}
+    FOUND["presets"] = values
+    panel.setParameters({"PRESET": "mountains"})
+    panel.setParameters({"FILL": "none"})
+    panel.setParameters({"PRESET": "none"})
+    FOUND["changed"] = [panel.wrappers[name].parameterValue() for name in ("MODEL", "FILL")]
+    panel.setParameters({"PRESET": "mountains", "MODEL": "homography"})  # from the history
+    FOUND["history"] = [panel.wrappers[name].parameterValue() for name in ("MODEL", "FILL")]
+    picture(dialog, "preset.png")
+    dialog.close()
+
+    panel = opened("errormap").mainWidget()
+    FOUND["views"], FOUND["view"] = offered(panel, "VIEW")
+    panel.setParameters({"SCENE": "gone.json"})
+    FOUND["no views"], _ = offered(panel, "VIEW")
+    FOUND["tiles"], _ = offered(opened("exportcameras").mainWidget(), "TILE")
+    finish()
+
+
+begin(look)
