@@ -539,6 +539,17 @@
     </message>
 </context>
 <context>
+    <name>Panel</name>
+    <message>
+        <source>Choose from a list</source>
+        <translation>Aus einer Liste wählen</translation>
+    </message>
+    <message>
+        <source>Choose a scene first</source>
+        <translation>Zuerst eine Szene wählen</translation>
+    </message>
+</context>
+<context>
     <name>Pipeline</name>
     <message>
         <source>Make a DSM from satellite images</source>
@@ -786,12 +797,28 @@
         <translation>Was in jedem Bild korrigiert wird. shift: eine Verschiebung; affine: auch Maßstab, Scherung und Drehung; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken.</translation>
     </message>
     <message>
+        <source>Pairs of images</source>
+        <translation>Bildpaare</translation>
+    </message>
+    <message>
+        <source>best: all pairs of up to three images, and the three best ones of each of more images; fewest: only as many as connect all images, which takes less time and leaves more gaps.</source>
+        <translation>best: alle Paare von bis zu drei Bildern, bei mehr Bildern die drei besten jedes Bildes; fewest: nur so viele, dass sie alle Bilder verbinden, was weniger Zeit kostet und mehr Lücken lässt.</translation>
+    </message>
+    <message>
         <source>Adjustment that finds the pointing correction</source>
         <translation>Ausgleichung, die die Korrektur der Ausrichtung findet</translation>
     </message>
     <message>
         <source>rpc: against the original RPCs, exact, with control points and affine corrections; colmap: as in the paper, COLMAP moves the principal points of the pinhole cameras: shifts only, and no control points.</source>
         <translation>rpc: gegen die ursprünglichen RPC, exakt, mit Passpunkten und affinen Korrekturen; colmap: wie in der Veröffentlichung verschiebt COLMAP die Bildhauptpunkte der Lochkameras: nur Verschiebungen und keine Passpunkte.</translation>
+    </message>
+    <message>
+        <source>Preset</source>
+        <translation>Voreinstellung</translation>
+    </message>
+    <message>
+        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a command, a value that you give goes before the preset's.</source>
+        <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
     </message>
     <message>
         <source>Area (empty: all that two images see)</source>

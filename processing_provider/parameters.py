@@ -296,8 +296,8 @@ def preset() -> QgsProcessingParameterDefinition:
         tr("Preset"),
         tr(
             "Values that go together, for advanced parameters below; the dialog fills them in, and you can change each "
-            "of them afterwards. city: sharp edges of houses; mountains: steep ground, closed surface; fast: a first "
-            "look. In a command, a value that you give goes before the preset's."
+            "of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a "
+            "command, a value that you give goes before the preset's."
         ),
     )
 

@@ -10,6 +10,7 @@ from typing import NamedTuple, Sequence
 from .disk_space import seen_px
 from .memory import matching_mib
 from .parallel import cores
+from .progress import counted
 from .records import ViewPair
 from .scene import Scene
 from .stereo.parameters import STEREO
@@ -32,11 +33,9 @@ class RunEstimate(NamedTuple):
 
     def sentence(self) -> str:
         """What people read, before the run."""
-        size = f"{self.mib / 1024:.1f} GiB of memory"
-        count = f"{self.workers} worker{'s' if self.workers > 1 else ''}"
-        return (
-            f"This run will take about {_duration(self.wall_s)} with {count}, and {size}; less where it is continued."
-        )
+        time, size = _duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
+        workers = counted(self.workers, "worker")
+        return f"This run will take about {time} with {workers}, and {size} of memory; less where it is continued."
 
 
 def estimate_run(scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = False, workers: int = 0) -> RunEstimate:
