@@ -69,7 +69,8 @@ def style_text(
 
     ``limits`` set a raster's range, so that maps that belong together have the same colours; a cloud (``ept``) and a
     ``mesh`` need them (see :func:`height_limits`). For ``gcps`` the second limit is the error in metres that an arrow
-    of 10 mm shows. ``taken`` is when the first and the last image of an ``ortho`` were taken, ISO 8601.
+    of 10 mm shows. ``taken`` is when the first and the last image of an ``ortho`` or of
+    ``footprints`` were taken, ISO 8601.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read.
     """
@@ -87,7 +88,7 @@ def style_text(
     if kind == "gcps":
         length = limits[1] if limits else 1.0
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
-    text = text.replace("@elevation@", str(int(kind == "dsm"))).replace("@temporal@", _temporal(taken))
+    text = text.replace("@elevation@", str(int(kind == "dsm"))).replace("@temporal@", _temporal(kind, taken))
     return _said(text)
 
 
@@ -161,10 +162,13 @@ def _entries(style: Style, path: str | os.PathLike[str]) -> List[str]:
     ]
 
 
-def _temporal(taken: Optional[Tuple[str, str]]) -> str:
+def _temporal(kind: str, taken: Optional[Tuple[str, str]]) -> str:
     """When a layer shows the ground, for QGIS's temporal controller; "" where that is unknown."""
     if taken is None:
         return ""
     first, last = taken
+    if kind == "footprints":  # each has its own time
+        time = quoteattr('to_datetime("taken")', {'"': "&quot;"})
+        return f'  <temporal enabled="1" mode="4" startExpression={time} endExpression={time}/>\n'
     ends = f"<fixedRange><start>{first}</start><end>{last}</end></fixedRange>"
     return f'  <temporal enabled="1" mode="0" fetchMode="0">{ends}</temporal>\n'

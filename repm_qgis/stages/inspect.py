@@ -79,7 +79,8 @@ def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
                 yield reprojected(geometry_of(facts.outline), place.crs, crs), values
 
     write_layer(path, crs, ogr.wkbPolygon, fields, features())
-    write_style("footprints", path)
+    times = sorted(facts.view.acquired for place in places for facts in place.images if facts.view.time)
+    write_style("footprints", path, taken=(times[0], times[-1]) if times else None)
 
 
 def _write_overlaps(places: Sequence[Place], crs: str, path: str) -> None:

@@ -10,6 +10,7 @@ import pytest
 from osgeo import gdal
 from qgis.core import (
     Qgis,
+    QgsDateTimeRange,
     QgsFeature,
     QgsGeometry,
     QgsLayerTreeModel,
@@ -18,7 +19,9 @@ from qgis.core import (
     QgsRasterLayer,
     QgsRectangle,
     QgsVectorLayer,
+    QgsVectorLayerTemporalContext,
 )
+from qgis.PyQt.QtCore import QDateTime
 from qgis.PyQt.QtGui import QFont
 
 from tests.qgis.drawing import drawn
@@ -171,6 +174,28 @@ def test_an_orthophoto_is_shown_when_its_images_were_taken(raster):
     assert found.begin().toUTC().toString("yyyy-MM-dd HH:mm:ss") == "2019-04-02 10:15:00"
     assert found.end().toUTC().toString("yyyy-MM-dd HH:mm:ss") == "2019-04-02 10:16:30"
     assert not raster("dsm", grey).temporalProperties().isActive()
+
+
+def test_footprints_have_the_times_of_their_images(plugin, tmp_path):
+    from repm_qgis.evaluation.styles import write_style
+
+    layer = QgsVectorLayer(f"Point?crs={UTM}&field=view:string&field=taken:string", "footprints", "memory")
+    for view, taken in (("a", "2019-04-02 10:15:00"), ("b", "2019-06-01 10:15:00"), ("c", None)):
+        feature = QgsFeature(layer.fields())
+        feature.setAttributes([view, taken])
+        layer.dataProvider().addFeature(feature)
+    polygons = QgsVectorLayer(f"Polygon?crs={UTM}&field=taken:string", "footprints", "memory")
+    taken = "2019-04-02T10:15:00.000Z", "2019-06-01T10:15:00.000Z"
+    polygons.loadNamedStyle(write_style("footprints", tmp_path / "f.gpkg", taken=taken))
+    time = polygons.temporalProperties()
+    assert time.isActive()
+    context = QgsVectorLayerTemporalContext()
+    context.setLayer(polygons)
+    april = QgsDateTimeRange(QDateTime(2019, 4, 1, 0, 0, 0), QDateTime(2019, 4, 30, 0, 0, 0))
+    wanted = layer.getFeatures(time.createFilterString(context, april))
+    assert [feature["view"] for feature in wanted] == ["a"]
+    polygons.loadNamedStyle(write_style("footprints", tmp_path / "f.gpkg"))
+    assert "<temporal" not in (tmp_path / "f.qml").read_text(encoding="utf-8")
 
 
 def test_a_dsm_is_an_elevation(raster):
