@@ -122,12 +122,12 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
         placed = _place(node, self._kind, self._run)
         if self._title and layer.name() == self._given:  # else QGIS names results after their files, as the user chose
             layer.setName(self._run.name(self._title, self._more))
-        if self._kind == "dsm":
+        if self._kind == "dsm" and isinstance(layer, QgsRasterLayer):
             _shade(layer, placed, project, self._run)
             _as_terrain(layer, project)
 
 
-def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, run: Run) -> None:
+def _shade(layer: QgsRasterLayer, node: QgsLayerTreeLayer, project: QgsProject, run: Run) -> None:
     """Lay the DSM's own hillshade over its colours: one raster layer can have only one of the two."""
     hillshade = QgsRasterLayer(layer.source(), run.name(_tr("Hillshade")), layer.providerType())
     if not hillshade.isValid():
@@ -140,7 +140,7 @@ def _shade(layer: QgsMapLayer, node: QgsLayerTreeLayer, project: QgsProject, run
     above.setExpanded(False)
 
 
-def _as_terrain(layer: QgsMapLayer, project: QgsProject) -> None:
+def _as_terrain(layer: QgsRasterLayer, project: QgsProject) -> None:
     """Make the DSM the project's terrain, for 3-D views and profiles, where the terrain was flat (QGIS 3.26)."""
     if not hasattr(project, "elevationProperties"):
         return

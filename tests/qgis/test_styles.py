@@ -206,6 +206,24 @@ def test_a_dsm_is_an_elevation(raster):
     assert not raster("error", np.arange(100.0).reshape(10, 10)).elevationProperties().isEnabled()
 
 
+def test_a_dsm_is_the_terrain_of_a_project_that_had_none(raster, feedback):
+    from qgis.core import QgsProcessingContext
+    from repm.processing_provider.styles import LayerStyler, Run
+
+    project, context = QgsProject(), QgsProcessingContext()
+    context.setProject(project)
+    if not hasattr(project, "elevationProperties"):
+        pytest.skip(f"QGIS {Qgis.QGIS_VERSION}: projects have a terrain from 3.26 on")
+    layer = raster("dsm", np.arange(100.0).reshape(10, 10))
+    others = QgsRasterLayer(layer.source(), "another")
+    for each in (layer, others):
+        project.addMapLayer(each)
+        LayerStyler.make("", "dsm", Run("town", kinds={"dsm"})).postProcessLayer(each, context, feedback)
+    terrain = project.elevationProperties().terrainProvider()
+    assert terrain.type() == "raster" and terrain.layer().id() == layer.id()  # the first stays, as somebody may have it
+    project.clear()
+
+
 def test_statistics_are_in_the_file_and_qgis_writes_none_beside_it(raster, tmp_path):
     values = np.arange(600.0 * 600).reshape(600, 600)
     layer = raster("dsm", values)
@@ -231,12 +249,12 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
     )
     manager = layer.styleManager()
     assert set(manager.styles()) == {"default", "Height maps that agree", "Source of each height"}
-    assert layer.renderer().type() == "singlebandpseudocolor" and layer.renderer().band() == 5
+    assert layer.renderer().type() == "singlebandpseudocolor" and layer.renderer().usesBands() == [5]
     found = {}
     for name in ("Height maps that agree", "Source of each height"):
         assert manager.setCurrentStyle(name)
         assert layer.renderer().type() == "paletted"
-        found[layer.renderer().band()] = [each.label for each in layer.renderer().classes()]
+        found[layer.renderer().usesBands()[0]] = [each.label for each in layer.renderer().classes()]
     assert found[1] == ["1", "2", "3"]
     assert found[4] == ["Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM"]
     assert len({tuple(pixel) for pixel in drawn(layer, layer.extent(), (4, 4)).reshape(-1, 3)}) == 4
