@@ -299,3 +299,14 @@ def test_further_rasters_are_checked_one_by_one(plugin, context, rasters, tmp_pa
     assert not fine and f"OTHERS '{gone}' is not there" in text
     fine, text = check("comparedsm", {**given, "PROFILES": gone}, context)
     assert not fine and f"PROFILES '{gone}' is not there" in text
+
+
+def test_the_command_is_quoted_for_the_shell_of_the_system(plugin, monkeypatch):
+    from repm.processing_provider import values
+
+    options = {"images": ["/data/a b.tif"], "output": "dsm.tif", "workers": 4, "crs": None}
+    assert values.command_line("repm:x", options) == "qgis_process run repm:x -- 'IMAGES=/data/a b.tif' OUTPUT=dsm.tif"
+    monkeypatch.setattr(values.os, "name", "nt")
+    options["images"] = [r"D:\data\a b.tif"]
+    quoted = r'qgis_process run repm:x -- "IMAGES=D:\data\a b.tif" OUTPUT=dsm.tif'
+    assert values.command_line("repm:x", options) == quoted
