@@ -10,6 +10,7 @@ from qgis.core import QgsSettings
 from qgis.PyQt.QtCore import QStandardPaths, Qt
 from qgis.PyQt.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton
 
+from ..processing_provider import installation
 from .documents import open_document
 
 SHOWN = "repm/first_steps_shown"
@@ -31,7 +32,7 @@ def _sample_images() -> list[str]:
 class FirstSteps(QDialog):
     """Three steps, each with one button; the second one waits for the images of the first."""
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: Any, install: Callable[[], Any]) -> None:
         super().__init__(iface.mainWindow())
         self.setWindowTitle(self.tr("REPM: first steps"))
         self._dialogs: list[Any] = []
@@ -40,6 +41,12 @@ class FirstSteps(QDialog):
         self._layout.setVerticalSpacing(14)
         intro = QLabel(self.tr("From satellite images to a surface model on the map, in three steps:"))
         self._layout.addWidget(intro, 0, 0, 1, 3)
+        self.install = self._step(
+            0,
+            self.tr("<b>First, install the engine's packages.</b><br>QGIS does not ship them."),
+            self.tr("Install the packages…"),
+            install,
+        )
         self.sample = self._step(
             1,
             self.tr("<b>Make sample images.</b><br>Three simulated images of a town, with RPCs (some 10 s, 10 MB)."),
@@ -60,7 +67,7 @@ class FirstSteps(QDialog):
         )
         later = QLabel(self.tr("You find these steps again in the menu Plugins > REPM."))
         later.setEnabled(False)
-        self._layout.addWidget(later, 4, 0, 1, 3)
+        self._layout.addWidget(later, 5, 0, 1, 3)
         self._refresh()
 
     def showEvent(self, event: Any) -> None:
@@ -68,19 +75,22 @@ class FirstSteps(QDialog):
         super().showEvent(event)
 
     def _step(self, number: int, text: str, button_text: str, run: Callable[[], Any]) -> QPushButton:
-        figure, label, button = QLabel(f"<big>{number}</big>"), QLabel(text), QPushButton(button_text)
+        figure, label, button = QLabel(f"<big>{number or '!'}</big>"), QLabel(text), QPushButton(button_text)
         label.setWordWrap(True)
         label.setMinimumWidth(330)
         figure.setAlignment(Qt.AlignmentFlag.AlignTop)
         button.clicked.connect(lambda: run())
         for column, widget in enumerate((figure, label, button)):
-            self._layout.addWidget(widget, number, column)
+            self._layout.addWidget(widget, number + 1, column)
         return button
 
     def _refresh(self) -> None:
         images = _sample_images()
         self.dsm.setEnabled(bool(images))
         self.dsm.setToolTip("" if images else self.tr("Make the sample images first."))
+        missing = installation.state() != installation.FINE
+        for column in range(3):
+            self._layout.itemAtPosition(1, column).widget().setVisible(missing)
 
     def _make_images(self) -> None:
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)

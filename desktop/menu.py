@@ -13,6 +13,7 @@ from . import model_copy
 from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
+from .install import InstallDialog, offer_once
 
 TITLE = "REPM"
 
@@ -23,14 +24,21 @@ class PluginMenu:
     def __init__(self, iface: Any) -> None:
         self._iface, self._actions = iface, []
         self._panel: Optional[FirstSteps] = None
+        self._installer: Optional[InstallDialog] = None
         self._toolbox_actions = model_copy.register()
         self._dock: Optional[ControlPointsDock] = None
         self.add(self.tr("First steps"), "repm", self.first_steps)
         self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
+        self.add(self.tr("Install the engine's packages…"), "environment", self.install)
         self.add(self.tr("Tutorial"), "", lambda: open_document("tutorial"))
         self.add(self.tr("Help"), "", lambda: open_document("guide"))
         # QGIS is still starting: a window now would lie behind its splash screen.
-        QTimer.singleShot(0, lambda: show_once(self.first_steps) if self._actions else None)
+        QTimer.singleShot(0, self._begin)
+
+    def _begin(self) -> None:
+        if self._actions:  # else the plugin was unloaded meanwhile
+            show_once(self.first_steps)
+            offer_once(self._iface, self.install)
 
     def tr(self, text: str) -> str:
         return QCoreApplication.translate("PluginMenu", text)
@@ -55,6 +63,10 @@ class PluginMenu:
             self._panel.close()
             self._panel.deleteLater()
             self._panel = None
+        if self._installer is not None:
+            self._installer.close_down()
+            self._installer.deleteLater()
+            self._installer = None
         model_copy.unregister(self._toolbox_actions)
         self._actions, self._toolbox_actions = [], []
 
@@ -68,6 +80,13 @@ class PluginMenu:
 
     def first_steps(self) -> None:
         if self._panel is None:
-            self._panel = FirstSteps(self._iface)
+            self._panel = FirstSteps(self._iface, self.install)
         self._panel.show()
         self._panel.raise_()
+
+    def install(self) -> None:
+        """Show the dialog that installs the engine's packages."""
+        if self._installer is None:
+            self._installer = InstallDialog(self._iface)
+        self._installer.show()
+        self._installer.raise_()

@@ -288,8 +288,32 @@
         <translation>Über die Umgebung berichten</translation>
     </message>
     <message>
-        <source>Versions, missing packages with the command that installs them, CUDA, memory, PROJ grids.</source>
-        <translation>Versionen, fehlende Pakete mit dem Befehl, der sie installiert, CUDA, Speicher, PROJ-Gitter.</translation>
+        <source>Versions, missing packages and their installation, CUDA, memory, PROJ grids.</source>
+        <translation>Versionen, fehlende Pakete und ihre Installation, CUDA, Speicher, Gitter von PROJ.</translation>
+    </message>
+    <message>
+        <source>Install from a folder of wheels (without a network)</source>
+        <translation>Aus einem Ordner mit Wheels installieren (ohne Netz)</translation>
+    </message>
+    <message>
+        <source>Install what the engine needs, if it is missing</source>
+        <translation>Installieren, was der Engine fehlt</translation>
+    </message>
+    <message>
+        <source>Makes or renews the engine's own environment in your profile (about {download:.0f} MB to download, {disk:.0f} MB on the disk), through the proxy of QGIS's settings. QGIS itself is not changed.</source>
+        <translation>Erstellt oder erneuert die eigene Umgebung der Engine in Ihrem Profil (etwa {download:.0f} MB herunterzuladen, {disk:.0f} MB auf der Platte), über den Proxy aus den Einstellungen von QGIS. QGIS selbst wird nicht verändert.</translation>
+    </message>
+    <message>
+        <source>Files that end with .whl, for this Python and system. Empty: the Python Package Index.</source>
+        <translation>Dateien mit der Endung .whl, für dieses Python und dieses System. Leer: der Python Package Index.</translation>
+    </message>
+    <message>
+        <source>Remove the engine's environment</source>
+        <translation>Umgebung der Engine entfernen</translation>
+    </message>
+    <message>
+        <source>Do this before you uninstall the plugin, because QGIS removes the plugin's folder alone.</source>
+        <translation>Vor der Deinstallation der Erweiterung ausführen, denn QGIS entfernt nur deren Ordner.</translation>
     </message>
     <message>
         <source>QGIS {version}</source>
@@ -418,6 +442,14 @@
     <message>
         <source>From satellite images to a surface model on the map, in three steps:</source>
         <translation>Von Satellitenbildern zu einem Oberflächenmodell auf der Karte, in drei Schritten:</translation>
+    </message>
+    <message>
+        <source>&lt;b&gt;First, install the engine's packages.&lt;/b&gt;&lt;br&gt;QGIS does not ship them.</source>
+        <translation>&lt;b&gt;Zuerst die Pakete der Engine installieren.&lt;/b&gt;&lt;br&gt;QGIS liefert sie nicht mit.</translation>
+    </message>
+    <message>
+        <source>Install the packages…</source>
+        <translation>Pakete installieren…</translation>
     </message>
     <message>
         <source>&lt;b&gt;Make sample images.&lt;/b&gt;&lt;br&gt;Three simulated images of a town, with RPCs (some 10 s, 10 MB).</source>
@@ -583,6 +615,10 @@
         <translation>Passpunkte messen…</translation>
     </message>
     <message>
+        <source>Install the engine's packages…</source>
+        <translation>Pakete der Engine installieren…</translation>
+    </message>
+    <message>
         <source>Tutorial</source>
         <translation>Anleitung zum Einstieg</translation>
     </message>
@@ -717,6 +753,109 @@
     <message>
         <source>Seconds: {stages}</source>
         <translation>Sekunden: {stages}</translation>
+    </message>
+</context>
+<context>
+    <name>RepmInstall</name>
+    <message>
+        <source>Python packages that REPM needs are missing.</source>
+        <translation>Es fehlen Python-Pakete, die REPM braucht.</translation>
+    </message>
+    <message>
+        <source>REPM now needs other Python packages than before.</source>
+        <translation>REPM braucht jetzt andere Python-Pakete als vorher.</translation>
+    </message>
+    <message>
+        <source>Install the packages…</source>
+        <translation>Pakete installieren…</translation>
+    </message>
+    <message>
+        <source>The installation was cancelled.</source>
+        <translation>Die Installation wurde abgebrochen.</translation>
+    </message>
+    <message>
+        <source>REPM: install the engine's packages</source>
+        <translation>REPM: Pakete der Engine installieren</translation>
+    </message>
+    <message>
+        <source>Package</source>
+        <translation>Paket</translation>
+    </message>
+    <message>
+        <source>For</source>
+        <translation>Für</translation>
+    </message>
+    <message>
+        <source>Download (MB)</source>
+        <translation>Herunterladen (MB)</translation>
+    </message>
+    <message>
+        <source>Disk (MB)</source>
+        <translation>Platte (MB)</translation>
+    </message>
+    <message>
+        <source>empty: from the Python Package Index</source>
+        <translation>leer: vom Python Package Index</translation>
+    </message>
+    <message>
+        <source>Proxy (empty: none, or the system's)</source>
+        <translation>Proxy (leer: keiner oder der des Systems)</translation>
+    </message>
+    <message>
+        <source>Folder of wheels (without a network)</source>
+        <translation>Ordner mit Wheels (ohne Netz)</translation>
+    </message>
+    <message>
+        <source>Install</source>
+        <translation>Installieren</translation>
+    </message>
+    <message>
+        <source>Cancel</source>
+        <translation>Abbrechen</translation>
+    </message>
+    <message>
+        <source>Remove the environment</source>
+        <translation>Umgebung entfernen</translation>
+    </message>
+    <message>
+        <source>Open the log</source>
+        <translation>Protokoll öffnen</translation>
+    </message>
+    <message>
+        <source>Close</source>
+        <translation>Schließen</translation>
+    </message>
+    <message>
+        <source>The engine has all packages that it needs. Nothing has to be done.</source>
+        <translation>Die Engine hat alle Pakete, die sie braucht. Es ist nichts zu tun.</translation>
+    </message>
+    <message>
+        <source>REPM's engine needs these packages, which QGIS does not ship. They get an environment of their own in your profile: QGIS itself is not changed, and an update of REPM finds them again.</source>
+        <translation>Die Engine von REPM braucht diese Pakete, die QGIS nicht mitliefert. Sie bekommen eine eigene Umgebung in Ihrem Profil: QGIS selbst wird nicht verändert, und eine neue Version von REPM findet sie wieder.</translation>
+    </message>
+    <message>
+        <source>This version of REPM needs other packages than the earlier one: install again.</source>
+        <translation>Diese Version von REPM braucht andere Pakete als die vorige: bitte neu installieren.</translation>
+    </message>
+    <message>
+        <source>To download: about {download:.0f} MB. On the disk: about {disk:.0f} MB in {folder} ({free} MB are free there). Python: {python}</source>
+        <translation>Herunterzuladen: etwa {download:.0f} MB. Auf der Platte: etwa {disk:.0f} MB in {folder} (dort sind {free} MB frei). Python: {python}</translation>
+    </message>
+    <message>
+        <source>Install REPM's packages</source>
+        <translation>Pakete von REPM installieren</translation>
+    </message>
+    <message>
+        <source>Cancelling…</source>
+        <translation>Wird abgebrochen…</translation>
+    </message>
+    <message>
+        <source>The packages are installed: every algorithm of REPM can run now.</source>
+        <translation>Die Pakete sind installiert: Jetzt läuft jeder Algorithmus von REPM.</translation>
+    </message>
+    <message>
+        <source>Remove the engine's environment? Do this before you uninstall REPM; it can be installed again.</source>
+        <translation>Umgebung der Engine entfernen? Tun Sie das, bevor Sie REPM deinstallieren; sie lässt sich wieder installieren.</translation>
     </message>
 </context>
 <context>
@@ -1207,8 +1346,8 @@
 <context>
     <name>RepmSettings</name>
     <message>
-        <source>Engine interpreter (empty: the plugin's .venv, else QGIS's Python)</source>
-        <translation>Interpreter der Engine (leer: .venv des Plugins, sonst Python von QGIS)</translation>
+        <source>Engine interpreter (empty: the engine's own environment, else QGIS's Python)</source>
+        <translation>Interpreter der Engine (leer: eigene Umgebung der Engine, sonst Python von QGIS)</translation>
     </message>
     <message>
         <source>Worker processes (0: one per core)</source>

@@ -17,6 +17,7 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingParameterDefinition,
+    QgsProcessingParameterFile,
     QgsVectorLayer,
 )
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
@@ -187,7 +188,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self._check_images(name, value, context)
         if name == "BACKEND":
             return self._check_backend(definition, value)
-        if definition.type() == "file":
+        if definition.type() == "file" and definition.behavior() == QgsProcessingParameterFile.Behavior.File:
             return self._check_file(definition, value)
         if definition.type() in ("raster", "multilayer") and not is_empty(value):
             return self._check_raster(name, value, context)

@@ -12,33 +12,25 @@ import os
 import queue
 import signal
 import subprocess  # nosec B404 # see its one use
-import sys
 import tempfile
 import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Callable, Iterator, Mapping, Optional
 
 from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsProjUtils
 from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
+from ..repm_qgis.installer.environments import usable, user_home
+from ..repm_qgis.installer.interpreter import candidates, is_program, program_in, variables
+from ..repm_qgis.installer.packages import PACKAGES
 from . import settings
 from .cleanup import remove_half_written
 from .language import language, said
 
 PLUGIN_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 WATCH_VARIABLE = "REPM_ENGINE_WATCH_STDIN"
-# What QGIS or the shell may have set for another Python than the engine's.
-_MISLEADING = (
-    "PYTHONHOME",
-    "PYTHONPATH",
-    "PYTHONSTARTUP",
-    "PYTHONEXECUTABLE",
-    "PYTHONUSERBASE",
-    "PYTHONPLATLIBDIR",
-    "VIRTUAL_ENV",
-    "__PYVENV_LAUNCHER__",
-)
 _POLL_S = 0.1
 _ASK_S = 30
 _GRACE_S = 1.2  # for the engine to remove half-written files; the whole of Cancel must take less than 2 s
@@ -129,9 +121,11 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
     except ImportError as error:
         if "repm_qgis" in (error.name or ""):  # a part of the engine itself: a bug, or half a plugin
             raise
+        debian = next((each.debian for each in PACKAGES if each.module == error.name and each.debian), "")
+        apt = f" (on Debian and Ubuntu with 'sudo apt install {debian}')" if debian else ""
         raise _failure(
-            f"The Python package '{error.name}' is not installed for QGIS's Python ({error}): run the algorithm "
-            "'Report the environment' for the command that installs it."
+            f"The Python package '{error.name}' is not installed for QGIS's own Python ({error}): install QGIS again "
+            f"with its Python modules{apt}."
         ) from None
 
 
@@ -155,7 +149,7 @@ def run_apart(
 
 
 def find_python() -> str:
-    """The interpreter for the engine: the setting, REPM_ENGINE_PYTHON, the plugin's .venv, else QGIS's own Python.
+    """The interpreter for the engine: the setting, REPM_ENGINE_PYTHON, the engine's environment, else QGIS's Python.
 
     Never ``sys.executable``: inside QGIS that is whatever ``python3`` comes first on PATH.
     """
@@ -167,13 +161,15 @@ def find_python() -> str:
                 "Processing > Providers > REPM (or the variable REPM_ENGINE_PYTHON)."
             )
         return chosen
-    candidates = _candidates()
-    for path in candidates:
-        if is_program(path):
-            return path
+    own = own_programs()
+    folder = usable(homes(), own, plugin_folder())
+    if folder:
+        return program_in(folder)
+    if own:
+        return own[0]
     raise _failure(
-        f"No Python was found to run the engine (looked for {', '.join(candidates)}): run 'bash scripts/setup' in "
-        f"'{PLUGIN_FOLDER}', or choose one in Settings > Options > Processing > Providers > REPM."
+        f"No Python was found to run the engine (looked for {', '.join(candidates(program_folders()))}): choose QGIS's "
+        "Python in Settings > Options > Processing > Providers > REPM."
     )
 
 
@@ -211,23 +207,28 @@ def _quiet_process() -> QProcess:
     return process
 
 
-def _candidates() -> list[str]:
-    if _WINDOWS:
-        venv = os.path.join(PLUGIN_FOLDER, ".venv", "Scripts", "python.exe")
-        return [venv, os.path.join(sys.exec_prefix, "python.exe"), os.path.join(sys.base_exec_prefix, "python.exe")]
-    names = (f"python{sys.version_info[0]}.{sys.version_info[1]}", "python3")
-    prefixes = (sys.base_exec_prefix, "/usr") if sys.platform != "darwin" else (sys.base_exec_prefix,)
-    own = [os.path.join(prefix, "bin", name) for prefix in prefixes for name in names]
-    return [os.path.join(PLUGIN_FOLDER, ".venv", "bin", "python"), *dict.fromkeys(own)]
+def plugin_folder() -> Path:
+    return Path(PLUGIN_FOLDER)
 
 
-def is_program(path: str) -> bool:
-    return os.path.isfile(path) and os.access(path, os.X_OK)
+def homes() -> list[str]:
+    """Where the engine's environments lie: in this profile, which updates of the plugin keep; else the user's."""
+    return [os.path.join(os.path.abspath(QgsApplication.qgisSettingsDirPath()), "repm"), user_home()]
+
+
+def program_folders() -> list[str]:
+    """Where QGIS's own programs lie."""
+    return [QgsApplication.prefixPath(), QCoreApplication.applicationDirPath()]
+
+
+def own_programs() -> list[str]:
+    """The Pythons that may be QGIS's own, the likeliest first."""
+    return [path for path in candidates(program_folders()) if is_program(path)]
 
 
 def environment(python: str) -> dict[str, str]:
     """The engine's environment: this plugin's folder on PYTHONPATH, nothing that is meant for another Python."""
-    values = {name: value for name, value in os.environ.items() if name not in _MISLEADING}
+    values = variables(python)
     values.update(PYTHONPATH=PLUGIN_FOLDER, PYTHONUNBUFFERED="1", PYTHONIOENCODING="utf-8", **{WATCH_VARIABLE: "1"})
     # Distributions' pyproj looks for its data below the interpreter's prefix, which in a venv is the venv.
     in_venv = os.path.exists(os.path.join(os.path.dirname(os.path.dirname(python)), "pyvenv.cfg"))
@@ -362,7 +363,7 @@ class _EngineProcess:
         else:
             cause, remedy = (
                 f"ended with code {code} and no result",
-                f"check with 'Report the environment' that '{self._python}' has what the engine needs",
+                f"check with 'Report the environment' (repm:environment) that '{self._python}' has what it needs",
             )
         if self._memory_kills is not None and (memory_kills() or 0) > self._memory_kills:
             remedy = f"the system says that memory ran out: {MEMORY_REMEDY}"

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any, Mapping
 
-from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback
+from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback, QgsProcessingParameterFile
 
-from . import engine, parameters
+from ..repm_qgis.installer.packages import REQUIREMENTS, requirements_of, sizes_mb
+from ..repm_qgis.options import EnvironmentOptions
+from . import engine, installation, parameters
 from .base import RepmAlgorithm
 
 
 class Environment(RepmAlgorithm):
-    """Reports what is installed for the engine, and what is missing."""
+    """Reports what is installed for the engine, and what is missing; installs or removes it where asked to."""
 
     ID = "environment"
     GROUP = "tools"
@@ -22,14 +24,52 @@ class Environment(RepmAlgorithm):
         return self.tr("Report the environment")
 
     def shortDescription(self) -> str:
-        return self.tr("Versions, missing packages with the command that installs them, CUDA, memory, PROJ grids.")
+        return self.tr("Versions, missing packages and their installation, CUDA, memory, PROJ grids.")
 
     def parameters(self) -> list:
-        return [parameters.product(self.ID, "report")]
+        download, disk = sizes_mb(requirements_of([REQUIREMENTS]))
+        folder = QgsProcessingParameterFile.Behavior.Folder
+        wheels = QgsProcessingParameterFile(
+            "WHEELS", self.tr("Install from a folder of wheels (without a network)"), folder, "", "", True
+        )
+        return [
+            parameters.switch(
+                EnvironmentOptions,
+                "install",
+                self.tr("Install what the engine needs, if it is missing"),
+                self.tr(
+                    "Makes or renews the engine's own environment in your profile (about {download:.0f} MB to "
+                    "download, {disk:.0f} MB on the disk), through the proxy of QGIS's settings. QGIS "
+                    "itself is not changed."
+                ).format(download=download, disk=disk),
+            ),
+            parameters.helped(
+                wheels,
+                self.tr("Files that end with .whl, for this Python and system. Empty: the Python Package Index."),
+            ),
+            parameters.advanced(
+                parameters.switch(
+                    EnvironmentOptions,
+                    "remove",
+                    self.tr("Remove the engine's environment"),
+                    self.tr("Do this before you uninstall the plugin, because QGIS removes the plugin's folder alone."),
+                )
+            ),
+            parameters.product(self.ID, "report"),
+        ]
+
+    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+        return {**options, "wheels": options.get("wheels") or ""}
 
     def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
         """In the engine's interpreter, which is the one that matters; in QGIS's where that one does not run."""
         feedback.pushInfo(self.tr("QGIS {version}").format(version=Qgis.version()))
+        with engine.sigterm_cancels(feedback):
+            installation.run(options, feedback)
+            return self._report(options, feedback)
+
+    def _report(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+        options = {"report": options.get("report")}
         try:
             return engine.run_apart(self.ID, options, feedback)
         except QgsProcessingException as error:

@@ -30,7 +30,7 @@ def register(icon_path: str) -> None:
         Setting(
             GROUP,
             ENGINE_PYTHON,
-            _tr("Engine interpreter (empty: the plugin's .venv, else QGIS's Python)"),
+            _tr("Engine interpreter (empty: the engine's own environment, else QGIS's Python)"),
             "",
             valuetype=Setting.FILE,
         )

@@ -22,7 +22,7 @@ import time
 import traceback
 from typing import Any, Dict
 
-from .errors import Cancelled, MissingPackageError, OptionError, RepmError
+from .errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
 from .shortage import reserve_buffers, said_in_a_sentence
@@ -171,8 +171,7 @@ def _said(error: Exception, lines: JsonLines) -> int:
     if isinstance(error, ImportError) and not (error.name or "").startswith(__package__ or "repm_qgis"):
         reason = " ".join(str(error).split())[:300]  # numpy's has paragraphs
         missing = MissingPackageError(
-            f"The Python package '{error.name}' is not installed for {sys.executable} ({reason}): "
-            "run 'bash scripts/setup' in the plugin's folder, or the command that 'Report the environment' shows."
+            f"The Python package '{error.name}' is not installed for {sys.executable} ({reason}): {INSTALL_REMEDY}."
         )
         lines.send(type="error", kind=type(missing).__name__, text=lines.translate(str(missing)))
         return 1

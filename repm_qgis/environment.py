@@ -1,4 +1,4 @@
-"""What is installed here, what is missing with the command that installs it, and what this machine has.
+"""What is installed here, what is missing with what installs it, and what this machine has.
 
 Answers questions only: nothing is imported but what is asked about, nothing is changed. Packages whose import may take
 long or end the process are asked for their version in their metadata, not by importing them.
@@ -17,7 +17,8 @@ import sys
 from dataclasses import dataclass
 from typing import Any, Optional
 
-from .errors import MissingPackageError
+from .errors import INSTALL_REMEDY, MissingPackageError
+from .installer.packages import PACKAGES, Package
 from .memory import kernel_memory, physical_memory
 from .parallel import cores
 
@@ -26,28 +27,6 @@ CUDA_WHEEL = "pycolmap-cuda12>=4.2,<5"
 
 _ASK_SECONDS = 60
 
-
-@dataclass(frozen=True)
-class Package:
-    """A Python package: what to import, how it is called on PyPI and in Debian ("" = not there), and what it is for."""
-
-    module: str
-    distribution: str
-    debian: str
-    purpose: str
-
-
-PACKAGES = (
-    Package("numpy", "numpy", "python3-numpy", "all arithmetic"),
-    Package("osgeo", "GDAL", "python3-gdal", "reading and writing rasters and vectors"),
-    Package("pyproj", "pyproj", "python3-pyproj", "map projections and datums"),
-    Package("jinja2", "Jinja2", "python3-jinja2", "reports"),
-    Package("scipy", "scipy", "python3-scipy", "tie points, simulated scenes"),
-    Package("cv2", "opencv-python-headless", "", "keypoints, semi-global matching, resampling"),
-    Package("pycolmap", "pycolmap", "", "tie points, bundle adjustment, matching on CUDA"),
-    Package("laspy", "laspy", "", "point clouds (LAS)"),
-    Package("lazrs", "lazrs", "", "compressed point clouds (LAZ)"),
-)
 
 GRIDS = (
     ("us_nga_egm96_15.tif", "EGM96 geoid"),
@@ -74,28 +53,14 @@ def version_of(package: Package) -> Optional[str]:
     return str(getattr(module, "__version__", "unknown"))
 
 
-def install_command(package: Package) -> str:
-    """The exact command that installs a missing package for this interpreter."""
-    if package.debian:
-        if shutil.which("apt-get"):
-            sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
-            return f"{sudo}apt-get install -y {package.debian}"
-        return f"install it with your QGIS (it is part of QGIS's own Python): {package.distribution}"
-    numpy = version_of(PACKAGES[0])
-    keep = f' "numpy=={numpy}"' if numpy else ""  # named, so that pip can never replace QGIS's own
-    quoted = f'"{sys.executable}"' if " " in sys.executable else sys.executable
-    return f"{quoted} -m pip install {_requirement(package.distribution)}{keep}"
-
-
-def _requirement(distribution: str) -> str:
-    """The line of requirements.txt, quoted for a shell."""
-    path = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "requirements.txt")
-    try:
-        with open(path, encoding="utf-8") as stream:
-            found = [line.strip() for line in stream if line.strip().startswith(distribution)]
-    except OSError:
-        found = []
-    return f'"{found[0]}"' if found else distribution
+def remedy_for(package: Package) -> str:
+    """What installs a missing package, in words that follow "To install it,": never pip into QGIS's own Python."""
+    if package.download_mb:
+        return INSTALL_REMEDY
+    if shutil.which("apt-get"):
+        sudo = "" if hasattr(os, "geteuid") and os.geteuid() == 0 else "sudo "
+        return f"run '{sudo}apt-get install -y {package.debian}'"
+    return "install QGIS again with its Python modules: it is part of QGIS's own Python"
 
 
 def fresh_answer(code: str, seconds: float = _ASK_SECONDS) -> str:
@@ -174,9 +139,12 @@ def cuda() -> dict[str, Any]:
 def cuda_remedy(built: bool, device: bool) -> str:
     """What makes CUDA usable here; "" where it is."""
     numpy = version_of(PACKAGES[0])
-    keep = f' "numpy=={numpy}"' if numpy else ""
+    keep = f' "numpy=={numpy}"' if numpy else ""  # named, so that pip can never replace QGIS's own
     pip = f'"{sys.executable}" -m pip' if " " in sys.executable else f"{sys.executable} -m pip"
-    install = f"run '{pip} uninstall -y pycolmap' and then '{pip} install \"{CUDA_WHEEL}\"{keep}'"
+    if sys.prefix == sys.base_prefix:  # QGIS's own Python, which is not ours to change
+        install = f"{INSTALL_REMEDY}; this report then says how to exchange pycolmap"
+    else:
+        install = f"run '{pip} uninstall -y pycolmap' and then '{pip} install \"{CUDA_WHEEL}\"{keep}'"
     if device:
         return "" if built else f"the installed pycolmap is made without CUDA: {install}"
     driver = "no CUDA device answers here: check the NVIDIA driver with nvidia-smi"
@@ -210,8 +178,7 @@ def required_pycolmap(use: str, instead: str) -> Any:
         import pycolmap
     except ImportError as error:
         raise MissingPackageError(
-            f"{use} the Python package 'pycolmap', which is not installed ({error}): run 'make setup' in the plugin's "
-            f"folder, or {instead}."
+            f"{use} the Python package 'pycolmap', which is not installed ({error}): {INSTALL_REMEDY}, or {instead}."
         ) from error
     return pycolmap
 
@@ -220,7 +187,7 @@ def survey(folder: str = ".") -> dict[str, Any]:
     """Everything above as one JSON-able object; ``folder`` is where free disk space is asked for."""
     versions = {package.distribution: version_of(package) for package in PACKAGES}
     missing = [
-        {"package": package.distribution, "purpose": package.purpose, "command": install_command(package)}
+        {"package": package.distribution, "purpose": package.purpose, "remedy": remedy_for(package)}
         for package in PACKAGES
         if versions[package.distribution] is None
     ]

@@ -6,6 +6,12 @@ from :class:`RepmError` and from the builtin that fits, so library users may cat
 
 from __future__ import annotations
 
+INSTALL_REMEDY = (
+    "choose Plugins > REPM > 'Install the engine's packages' in QGIS, or run 'Report the environment' "
+    "(repm:environment) with INSTALL=true"
+)
+"""What to do where packages are missing: the same words in every message."""
+
 
 class RepmError(Exception):
     """Root of all expected failures. A traceback of anything else is a bug."""

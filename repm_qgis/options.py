@@ -519,6 +519,23 @@ class SampleDataOptions(Options):
 
 @dataclass(frozen=True)
 class EnvironmentOptions(Options):
-    """Report what is installed here and what is missing."""
+    """Report what is installed here and what is missing, or make or remove the engine's own environment.
 
+    ``install`` makes the environment ``folder`` with the Python that runs the stage, or renews it: from the package
+    index, through ``proxy`` where one is given, or from the folder ``wheels`` alone. ``remove`` removes it. The report
+    is of the Python that runs the stage, so it is not written then.
+    """
+
+    install: bool = switch(False)
+    remove: bool = switch(False)
+    folder: str = ""
+    wheels: str = ""
+    proxy: str = ""
     report: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.install and self.remove:
+            raise OptionError("REMOVE", self.remove, "cannot be chosen together with INSTALL")
+        if self.wheels and not os.path.isdir(self.wheels):
+            raise OptionError("WHEELS", self.wheels, "must be a folder that holds wheels (files that end with .whl)")

@@ -170,7 +170,7 @@ PRODUCTS = (
         Product(stage, "report", title, FILE, UNLESS_SKIPPED, filter=_HTML, help=_REPORT)
         for stage, title in _REPORTS.items()
     ),
-    Product("environment", "report", "Report of the environment", FILE, ALWAYS, filter=_HTML, help=_REPORT),
+    Product("environment", "report", "Report of the environment", FILE, UNLESS_SKIPPED, filter=_HTML, help=_REPORT),
 )
 
 

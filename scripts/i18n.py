@@ -28,6 +28,7 @@ MODULES = {
     "settings.py": "RepmSettings",
     "styles.py": "RepmStyles",
     "model_copy.py": "RepmModelCopy",
+    "install.py": "RepmInstall",
 }
 
 

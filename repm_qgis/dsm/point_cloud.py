@@ -11,7 +11,7 @@ import pyproj
 
 from ..arrays import FloatArray
 from ..containers import own_rest
-from ..errors import MissingPackageError, OptionError
+from ..errors import INSTALL_REMEDY, MissingPackageError, OptionError
 from ..workspace import whole_file
 
 
@@ -20,8 +20,9 @@ def required_laspy(option: str) -> Any:
     try:
         import laspy
     except ImportError as error:
-        message = "Point clouds need the package 'laspy': run 'bash scripts/setup' in the plugin's folder, or leave"
-        raise MissingPackageError(f"{message} {option} empty.") from error
+        raise MissingPackageError(
+            f"Point clouds need the package 'laspy': {INSTALL_REMEDY}, or leave {option} empty."
+        ) from error
     return laspy
 
 

@@ -11,10 +11,11 @@ from osgeo import ogr
 
 from .. import __version__
 from ..arrays import FloatArray, FloatImage
-from ..environment import PACKAGES, version_of
+from ..environment import version_of
 from ..geometry.footprints import footprint
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.raster import opened
+from ..installer.packages import PACKAGES
 from ..products import forms, products_of
 from ..progress import counted
 from ..records import FusionFacts

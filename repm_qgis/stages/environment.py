@@ -1,24 +1,30 @@
-"""Report what is installed for the engine, what is missing, and what this machine has."""
+"""Report what is installed for the engine, what is missing, and what this machine has; or install what is missing."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-from typing import Any, Dict, Optional
+from contextlib import suppress
+from typing import Any, Dict, List, Optional, Tuple
 
 from .. import __version__
-from ..environment import GRIDS, PACKAGES, survey
+from ..environment import GRIDS, survey
+from ..errors import OptionError, WorkspaceError
 from ..evaluation.report import Report
+from ..installer.interpreter import base_program
+from ..installer.packages import PACKAGES
 from ..options import EnvironmentOptions
 from ..progress import Progress
 
 
 def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
-    """Look around, say what is missing, and write the report if one is wanted; gives the findings too."""
+    """Look around, say what is missing, and write the report if one is asked for; gives the findings too."""
+    if options.install or options.remove:
+        return _changed(options, progress)
     progress.step(0.0, "checking packages and devices")
     found = survey(tempfile.gettempdir())
-    for entry in found["missing"]:
-        progress.warn(f"{entry['package']} is missing ({entry['purpose']}). Install it with: {entry['command']}")
+    for names, remedy in _by_remedy(found):
+        progress.warn(f"Not installed: {names}. To install what is missing, {remedy}.")
     if not found["missing"]:
         progress.info(f"{found['interpreter']} has every package that the engine uses.")
     if not found["cuda"]["usable"]:
@@ -29,14 +35,41 @@ def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
     return {**found, "report": options.report}
 
 
+def _changed(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
+    """Make, renew or remove the engine's own environment."""
+    from ..installer import environments
+    from ..installer.install import install, log_of
+
+    if not options.folder:
+        raise OptionError("folder", options.folder, "must be the environment to install into, or to remove")
+    if options.remove:
+        left = environments.remove([options.folder])
+        if left:
+            raise WorkspaceError(f"'{left[0]}' cannot be removed: end what runs in it, then try again.")
+        with suppress(OSError):  # the log, and the folder of environments if this was the last
+            os.unlink(log_of(options.folder))
+            os.rmdir(os.path.dirname(options.folder))
+        progress.info(f"The environment '{options.folder}' is removed.")
+    elif not install(base_program(), options.folder, progress, wheels=options.wheels, proxy=options.proxy):
+        progress.info(f"Nothing is missing in '{options.folder}'.")
+    return {"folder": options.folder}
+
+
+def _by_remedy(found: Dict[str, Any]) -> List[Tuple[str, str]]:
+    """What is missing, "a (for this), b (for that)", with what installs it."""
+    named: Dict[str, List[str]] = {}
+    for entry in found["missing"]:
+        named.setdefault(entry["remedy"], []).append(f"{entry['package']} ({entry['purpose']})")
+    return [(", ".join(names), remedy) for remedy, names in named.items()]
+
+
 def _report(found: Dict[str, Any]) -> Report:
     page = Report("Environment", f"REPM {__version__} on {found['platform']}")
     page.section("Missing")
     if not found["missing"]:
         page.paragraph("Nothing: every package that the engine uses is installed.")
-    for entry in found["missing"]:
-        page.warning(f"{entry['package']} is not installed: needed for {entry['purpose']}.", "run this command.")
-        page.command(entry["command"])
+    for names, remedy in _by_remedy(found):
+        page.warning(f"Not installed: {names}.", f"{remedy}.")
     page.section("Packages")
     page.facts([("Engine interpreter", found["interpreter"]), ("Python", found["python"])])
     purposes = {package.distribution: package.purpose for package in PACKAGES}

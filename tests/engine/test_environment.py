@@ -11,7 +11,9 @@ import sys
 import pytest
 
 from repm_qgis import environment
-from repm_qgis.environment import PACKAGES, Package, install_command, survey, version_of
+from repm_qgis.environment import remedy_for, survey, version_of
+from repm_qgis.errors import INSTALL_REMEDY
+from repm_qgis.installer.packages import PACKAGES, Package
 
 
 @pytest.fixture(scope="module")
@@ -32,21 +34,25 @@ def test_versions_are_those_of_the_packages_themselves(found):
     assert found["interpreter"] == sys.executable
 
 
-def test_what_is_missing_comes_with_the_command_that_installs_it(monkeypatch):
-    import numpy
-
-    gone = Package("surely_no_such_module", "opencv-python-headless", "", "a test")
+def test_what_is_missing_comes_with_what_installs_it(monkeypatch):
+    gone = Package("surely_no_such_module", "opencv-python-headless", "", "a test", 1.0, 1.0)
     system = Package("surely_no_such_module_either", "scipy", "python3-scipy", "a test")
     monkeypatch.setattr(environment, "PACKAGES", (*PACKAGES[:3], gone, system))
     monkeypatch.setattr(environment.shutil, "which", lambda name: "/usr/bin/apt-get" if name == "apt-get" else None)
-    missing = {entry["package"]: entry["command"] for entry in survey()["missing"]}
+    missing = {entry["package"]: entry["remedy"] for entry in survey()["missing"]}
     assert set(missing) == {"opencv-python-headless", "scipy"}
-    pip = missing["opencv-python-headless"]
-    assert pip.startswith(f'{sys.executable} -m pip install "opencv-python-headless>=')
-    assert f'"numpy=={numpy.__version__}"' in pip  # QGIS's own stays
-    assert missing["scipy"].endswith("apt-get install -y python3-scipy")
+    # Debian and others refuse pip in QGIS's own Python: no remedy may name it.
+    assert missing["opencv-python-headless"] == INSTALL_REMEDY and "pip" not in INSTALL_REMEDY
+    assert missing["scipy"].endswith("apt-get install -y python3-scipy'")
     monkeypatch.setattr(environment.shutil, "which", lambda name: None)
-    assert "with your QGIS" in install_command(system)
+    assert "QGIS again with its Python modules" in remedy_for(system)
+
+
+def test_the_remedy_for_cuda_is_no_pip_in_qgis_own_python(monkeypatch):
+    assert "-m pip uninstall -y pycolmap" in environment.cuda_remedy(built=False, device=True)  # in the environment
+    monkeypatch.setattr(sys, "prefix", sys.base_prefix)
+    remedy = environment.cuda_remedy(built=False, device=True)
+    assert INSTALL_REMEDY in remedy and "pip" not in remedy
 
 
 def test_a_module_that_is_not_there_has_no_version():

@@ -10,6 +10,7 @@ import pathlib
 import shutil
 import subprocess
 import sys
+import zipfile
 
 import pytest
 
@@ -174,11 +175,28 @@ def headless(headless_start):
     return run
 
 
+def unpack_plugin(plugins, place):
+    """Put the plugin into a folder of plugins as its zip unpacks it: without .venv, and nothing is executable."""
+    subprocess.run([sys.executable, str(ROOT / "scripts" / "package"), str(place)], check=True, stdout=subprocess.PIPE)
+    with zipfile.ZipFile(next(pathlib.Path(place).glob("*.zip"))) as archive:
+        archive.extractall(plugins)
+
+
+@pytest.fixture
+def unpacked_profile(tmp_path):
+    """A configuration folder for qgis_process, with the unpacked plugin in its profile."""
+    plugins = tmp_path / "config" / "profiles" / "default" / "python" / "plugins"
+    plugins.mkdir(parents=True)
+    unpack_plugin(plugins, tmp_path)
+    return tmp_path / "config"
+
+
 @pytest.fixture
 def desktop_start(tmp_path):
     """Runs a driver of this folder in a new desktop with an empty profile; gives what it found.
 
-    ``settings`` are lines of the profile's QGIS3.ini. REPM_KEEP_PICTURES=FOLDER keeps the screenshots.
+    ``settings`` are lines of the profile's QGIS3.ini; without ``engine`` the plugin is its unpacked zip, which has
+    none. REPM_KEEP_PICTURES=FOLDER keeps the screenshots.
     """
     profile = tmp_path / "profiles" / "profiles" / "default"
     (profile / "python" / "plugins").mkdir(parents=True)
@@ -188,16 +206,19 @@ def desktop_start(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
 
-    def run(driver, plan, seconds=150, settings="[repm]\nfirst_steps_shown=true\n", locale="en"):
+    def run(driver, plan, seconds=150, settings="[repm]\nfirst_steps_shown=true\n", locale="en", engine=True):
         (profile / "QGIS" / "QGIS3.ini").write_text(
             f"[PythonPlugins]\nrepm=true\nprocessing=true\n[locale]\nuserLocale={locale}\noverrideFlag=true\n{settings}"
         )
+        if not engine:
+            (profile / "python" / "plugins" / "repm").unlink()
+            unpack_plugin(profile / "python" / "plugins", tmp_path)
         path = tmp_path / "plan.json"
         path.write_text(json.dumps({**plan, "folder": str(out), "seconds": seconds}))
         environment = {
             name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "QGIS_", "QT_QPA"))
         }
-        environment.update(REPM_DESKTOP_PLAN=str(path), REPM_ENGINE_PYTHON=sys.executable)
+        environment.update(REPM_DESKTOP_PLAN=str(path), REPM_ENGINE_PYTHON=sys.executable if engine else "")
         environment.update(REPM_DESKTOP_DRIVERS=str(ROOT / "tests" / "qgis"), HOME=str(tmp_path))
         environment.setdefault("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
         qgis = ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(tmp_path / "profiles")]

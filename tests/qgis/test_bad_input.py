@@ -241,7 +241,7 @@ def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_p
     )
     said = done.stdout + done.stderr
     assert done.returncode == 1
-    assert "The Python package 'cv2' is not installed" in said and "scripts/setup" in said, said
+    assert "The Python package 'cv2' is not installed" in said and "Install the engine's packages" in said, said
     assert "Traceback" not in said
 
 

@@ -275,7 +275,7 @@ def test_the_interpreter_is_the_setting_then_the_variable_then_the_venv_then_qgi
 def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch):
     monkeypatch.delenv("REPM_ENGINE_PYTHON", raising=False)
     monkeypatch.setattr(engine, "is_program", lambda path: False)
-    with pytest.raises(QgsProcessingException, match="looked for .*python3.*scripts/setup"):
+    with pytest.raises(QgsProcessingException, match="looked for .*python3.*choose QGIS's Python in Settings"):
         engine.find_python()
 
 

@@ -226,8 +226,8 @@ def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start,
 
 
 def test_setup_has_nothing_to_do_a_second_time(tmp_path):
-    if not (ROOT / ".venv" / ".repm-setup").exists():
-        pytest.skip("this checkout was not set up by scripts/setup")
+    if not (ROOT / ".venv" / "repm-environment.json").exists():
+        pytest.skip("this checkout was not set up by its scripts/setup: run 'make setup'")
     subprocess.run([str(ROOT / "scripts" / "setup")], check=True, stdout=subprocess.PIPE)
     start = time.monotonic()
     done = subprocess.run([str(ROOT / "scripts" / "setup")], check=True, stdout=subprocess.PIPE, text=True)
@@ -241,3 +241,42 @@ def test_make_help_lists_the_targets():
     )
     for target in ("help", "setup", "demo", "test", "lint", "package"):
         assert f"make {target} " in done.stdout
+
+
+def test_another_python_first_on_path_does_not_end_qgis(headless, tmp_path):
+    """As with conda, pyenv or a virtual environment: QGIS took its library's folder from this one."""
+    (tmp_path / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}").mkdir(parents=True)
+    (tmp_path / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "os.py").touch()
+    fake = tmp_path / "bin" / "python3"
+    fake.parent.mkdir()
+    fake.write_text(f"#!/bin/sh\ntouch '{tmp_path / 'started'}'\nexit 3\n")
+    fake.chmod(0o755)
+    conda = {"CONDA_PREFIX": str(tmp_path), "PROJ_DATA": str(tmp_path / "share" / "proj"), "PYTHONHOME": str(tmp_path)}
+    folder = tmp_path / "sample"
+    done = headless(
+        "--json",
+        "run",
+        "repm:sampledata",
+        "--",
+        "SIZE=128",
+        f"FOLDER={folder}",
+        PATH=f"{fake.parent}{os.pathsep}{os.environ['PATH']}",
+        VIRTUAL_ENV=str(tmp_path),
+        **conda,
+    )
+    assert done.returncode == 0, said(done)
+    assert os.path.exists(json.loads(done.stdout)["results"]["TRUTH"])
+    assert not (tmp_path / "started").exists()
+
+
+def test_without_qgis_the_headless_script_says_what_to_do(tmp_path):
+    for name in ("bash", "dirname", "readlink"):
+        (tmp_path / name).symlink_to(shutil.which(name))
+    done = subprocess.run(
+        ["bash", str(ROOT / "scripts" / "qgis-headless"), "list"],
+        env={"PATH": str(tmp_path), "HOME": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert done.returncode == 1 and "run 'make setup'" in done.stderr and "REPM_QGIS_PROCESS" in done.stderr

@@ -19,14 +19,22 @@ def test_the_report_holds_versions_and_machine(tmp_path):
     assert f"{result['memory']['total_bytes'] / 2**30:.1f} GiB" in page
 
 
-def test_what_is_missing_is_warned_of_with_its_command(tmp_path, monkeypatch):
+def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
     found = environment.survey()
-    found["missing"] = [{"package": "pycolmap", "purpose": "tie points", "command": "python -m pip install pycolmap"}]
+    found["missing"] = [
+        {"package": "pycolmap", "purpose": "tie points", "remedy": "choose this"},
+        {"package": "scipy", "purpose": "more", "remedy": "run 'that'"},
+        {"package": "laspy", "purpose": "points", "remedy": "choose this"},
+    ]
     monkeypatch.setattr(environment, "survey", lambda folder: found)
     heard, report = Recorder(Silent()), tmp_path / "r.html"
     result = run_stage("environment", {"report": str(report)}, heard)
-    assert heard.warnings == ["pycolmap is missing (tie points). Install it with: python -m pip install pycolmap"]
-    assert "python -m pip install pycolmap" in report.read_text(encoding="utf-8")
+    assert heard.warnings == [
+        "Not installed: pycolmap (tie points), laspy (points). To install what is missing, choose this.",
+        "Not installed: scipy (more). To install what is missing, run 'that'.",
+    ]
+    page = report.read_text(encoding="utf-8")
+    assert "Not installed: pycolmap (tie points), laspy (points)." in page and "choose this." in page
     assert result["missing"] == found["missing"]
 
 
