@@ -19,6 +19,7 @@ import inspect
 import json
 import pathlib
 import sys
+import tempfile
 import types
 from unittest import mock
 
@@ -157,6 +158,9 @@ class Output:
     def name(self):
         return self._name
 
+    def description(self):
+        return self._description
+
 
 class QgsProcessingAlgorithm:
     def __init__(self):
@@ -240,9 +244,19 @@ class _Anything(type(QtWidgets.QWidget)):
 class QgsApplication(QtWidgets.QApplication, metaclass=_Anything):
     _registry = Registry()
 
+    _profile = tempfile.TemporaryDirectory(prefix="repm-qt6-")
+
     @staticmethod
     def platform():
         return "desktop"
+
+    @staticmethod
+    def locale():
+        return "en"
+
+    @classmethod
+    def qgisSettingsDirPath(cls):
+        return cls._profile.name
 
     @classmethod
     def processingRegistry(cls):
@@ -251,6 +265,22 @@ class QgsApplication(QtWidgets.QApplication, metaclass=_Anything):
 
 class QgsProcessingException(Exception):
     pass
+
+
+class QgsDockWidget(QtWidgets.QDockWidget):
+    def setUserVisible(self, visible):
+        self.setVisible(visible)
+
+
+class QgsMapLayerComboBox(QtWidgets.QComboBox):
+    def setFilters(self, filters):
+        pass
+
+    def setAllowEmptyLayer(self, allow):
+        pass
+
+    def currentLayer(self):
+        return None
 
 
 ON_TRUST = set()
@@ -327,8 +357,9 @@ def install():
     for name, module in PYQT.items():
         packages[f"qgis.PyQt.{name}"] = module
         setattr(packages["qgis.PyQt"], name, module)
+    gui = {each.__name__: each for each in (QgsDockWidget, QgsMapLayerComboBox)}
     packages["qgis.core"] = Library("qgis.core", QtCore.QObject, core)
-    packages["qgis.gui"] = Library("qgis.gui", QtWidgets.QWidget, {})
+    packages["qgis.gui"] = Library("qgis.gui", QtWidgets.QWidget, gui)
     packages["qgis.utils"] = Library("qgis.utils", QtCore.QObject, {"iface": None})
     for name in ("qgis", "qgis.PyQt"):
         packages[name].__path__ = []
