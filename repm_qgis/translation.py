@@ -15,8 +15,9 @@ import re
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
-from typing import Iterator, List, Mapping, Optional
+from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
 from .errors import OptionError
 
@@ -24,11 +25,19 @@ SOURCE_LANGUAGE = "en"
 _FOLDER = Path(__file__).resolve().parents[1] / "i18n"
 _FIELD = re.compile(r"\{(\d+)\}")
 _LETTERS = re.compile(r"[^\W\d_]{2}")
-_WORDS = re.compile(r"[^\W\d_]{2}\W+[^\W\d_]{2}")
+_WORDS = re.compile(r"[^\W\d_]{2}[,;:]?\s+[^\W\d_]{2}")
+_MOST_SPLITS, _MOST_TRIES = 12, 4000
 _JOINTS = (". ", "? ", ": ", "; ", ", ")
 """Where a text that no template fits is cut, and its parts are translated by themselves."""
 _FEW_LETTERS = 8
 _CODE = re.compile(r"[a-z]{2,3}([_-][A-Za-z]{2,8})*")
+
+
+class _Found(NamedTuple):
+    """A translation; ``whole`` where no words in it are left as they were."""
+
+    text: str
+    whole: bool
 
 
 class _Template:
@@ -36,40 +45,56 @@ class _Template:
 
     def __init__(self, source: str, target: str) -> None:
         before, after = source[:1] in (" ", ","), source[-1:] == " "
-        self._pieces = ["", *_FIELD.split(source)[::2]] if before else _FIELD.split(source)[::2]
+        self._pieces = [*([""] if before else []), *_FIELD.split(source)[::2], *([""] if after else [])]
         self._numbers = [*([-1] if before else []), *map(int, _FIELD.findall(source)), *([-2] if after else [])]
-        self._pieces += [""] if after else []
         self._target = ("{-1}" if before else "") + target + ("{-2}" if after else "")
         # A path or a name in quotation marks is nobody's sentence.
         around = zip(self._pieces, self._pieces[1:])
         self._kept = [left[-1:] == "'" and right[:1] == "'" for left, right in around]
         self.weight = sum(map(len, self._pieces))
-        self._short = sum(character.isalpha() for piece in self._pieces for character in piece) < _FEW_LETTERS
+        self._is_short = sum(letter.isalpha() for piece in self._pieces for letter in piece) < _FEW_LETTERS
 
-    def translated(self, text: str, translator: Translator) -> Optional[str]:
-        """The translation of a text; None where this is not its template."""
-        found = self._fields(text)
-        if found is None:
-            return None
-        words = [field if kept else translator.find(field) for field, kept in zip(found, self._kept)]
-        if self._short and any(_WORDS.search(field) for field, word in zip(found, words) if word is None):
-            return None  # "{0} to {1}" would fit half of all sentences
-        values = {number: field if word is None else word for number, field, word in zip(self._numbers, found, words)}
-        return re.sub(r"\{(-?\d+)\}", lambda field: values[int(field[1])], self._target)
+    def may_be(self, text: str) -> bool:
+        """Whether a text begins and ends as this does."""
+        first, last = self._pieces[0], self._pieces[-1]
+        return text.startswith(first) and text.endswith(last) and len(text) >= self.weight
 
-    def _fields(self, text: str) -> Optional[List[str]]:
-        """What stands in the fields, each as short as can be; None where the text does not fit. Takes linear time."""
+    def translated(self, text: str, search: _Search) -> Optional[_Found]:
+        """The translation of a text for which this :meth:`may_be` the template; None where it is not."""
         first, *middle, last = self._pieces
-        if not text.startswith(first) or not text.endswith(last) or len(text) < self.weight:
-            return None
-        at, end, found = len(first), len(text) - len(last), []
-        for piece in middle:
-            next_at = text.find(piece, at, end)
-            if next_at < 0:
-                return None
-            found.append(text[at:next_at])
-            at = next_at + len(piece)
-        return [*found, text[at:end]]
+        inside, best = text[len(first) : len(text) - len(last)], None
+        for fields in islice(_splits(inside, middle), _MOST_SPLITS):
+            found = [_Found(field, True) if kept else search.of(field) for field, kept in zip(fields, self._kept)]
+            values = dict(zip(self._numbers, (each.text for each in found)))
+            whole = all(each.whole for each in found)
+            if whole or (best is None and not self._is_short):  # "{0} to {1}" would fit half of all sentences
+                best = _Found(_filled(self._target, values), whole)
+            if whole:
+                break
+        return best
+
+
+def _filled(target: str, values: Mapping[int, str]) -> str:
+    return re.sub(r"\{(-?\d+)\}", lambda field: values[int(field[1])], target)
+
+
+def _splits(text: str, pieces: Sequence[str]) -> Iterator[List[str]]:
+    """The ways to cut a text at the pieces, in their order, the earliest first: what stands between them.
+
+    Where one piece is not found behind another, it is not found behind a later one: the search ends.
+    """
+    if not pieces:
+        yield [text]
+        return
+    at = text.find(pieces[0])
+    while at >= 0:
+        none = True
+        for rest in _splits(text[at + len(pieces[0]) :], pieces[1:]):
+            none = False
+            yield [text[:at], *rest]
+        if none:
+            return
+        at = text.find(pieces[0], at + 1)
 
 
 def _is_addition(source: str) -> bool:
@@ -83,10 +108,10 @@ class Translator:
     def __init__(self, language: str, catalogue: Mapping[str, str]) -> None:
         self.language = language
         known = {source: target for source, target in catalogue.items() if target}
-        self._whole = {source: target for source, target in known.items() if not _FIELD.search(source)}
+        self._exact = {source: target for source, target in known.items() if not _FIELD.search(source)}
         templates = [_Template(*pair) for pair in known.items() if _FIELD.search(pair[0]) or _is_addition(pair[0])]
         self._templates = sorted(templates, key=lambda template: -template.weight)
-        self.find = lru_cache(maxsize=4096)(self._find)
+        self.search = lru_cache(maxsize=4096)(self._search)
 
     @classmethod
     def of(cls, language: str) -> Translator:
@@ -98,35 +123,65 @@ class Translator:
         return _ENGLISH
 
     def translate(self, text: str) -> str:
-        """The text in this language, unchanged where nothing of it is known."""
-        found = self.find(text)
-        return text if found is None else found
+        """The text in this language; what is not known of it stays as it is."""
+        return self.search(text).text
 
-    def _find(self, text: str) -> Optional[str]:
-        """The text in this language; None where no template fits it or a part of it."""
-        if not self._whole or not _LETTERS.search(text):
-            return None
-        if text in self._whole:
-            return self._whole[text]
-        if " " not in text.strip():
-            return None
-        for template in self._templates:
-            found = template.translated(text, self)
-            if found is not None:
-                return found
-        return self._by_parts(text)
+    def _search(self, text: str) -> _Found:
+        return _Search(self._exact, self._templates).of(text) if self._exact else _Found(text, False)
 
-    def _by_parts(self, text: str) -> Optional[str]:
+
+class _Search:
+    """The translation of one text, with those of its parts; gives up after so much work, as texts may be hostile."""
+
+    def __init__(self, exact: Mapping[str, str], templates: Sequence[_Template]) -> None:
+        self._exact, self._templates = exact, templates
+        self._known: Dict[str, _Found] = {}
+        self._left = _MOST_TRIES
+
+    def of(self, text: str) -> _Found:
+        """The best of the ways to translate a text: one that leaves no words, else the first that leaves few."""
+        if text in self._exact or not _LETTERS.search(text):
+            return _Found(self._exact.get(text, text), True)
+        if text not in self._known:
+            self._known[text] = _Found(text, not _WORDS.search(text))  # where its own part leads back to it
+            best = None
+            for found in self._ways(text) if self._left > 0 else ():
+                best = found if best is None or found.whole else best
+                if best.whole:
+                    break
+            self._known[text] = best or self._known[text]
+        return self._known[text]
+
+    def _ways(self, text: str) -> Iterator[_Found]:
+        if " " in text.strip():
+            for template in self._templates:
+                if template.may_be(text) and self._left > 0:
+                    self._left -= 1
+                    found = template.translated(text, self)
+                    if found is not None:
+                        yield found
+        # A phrase that was made a sentence: with a full stop, or with a capital.
+        if text[-1:] == ".":
+            yield from self._changed(text[:-1], lambda word: f"{word}.")
+        if text[:1].isupper() and not text[1:2].isupper():
+            yield from self._changed(text[0].lower() + text[1:], lambda word: word[0].upper() + word[1:])
         for joint in _JOINTS:
-            parts = text.split(joint)
-            if joint == ". ":
-                parts = [f"{part}." for part in parts[:-1]] + parts[-1:]
-            if len(parts) > 1:
-                words = [self.find(part) for part in parts]
-                if any(word is not None for word in words):
-                    joined = [part if word is None else word for part, word in zip(parts, words)]
-                    return (" " if joint == ". " else joint).join(joined)
-        return None
+            yield from self._by_parts(text, joint)
+
+    def _changed(self, other: str, back: Callable[[str], str]) -> Iterator[_Found]:
+        found = self.of(other)
+        if found.text != other:
+            yield _Found(back(found.text), found.whole)
+
+    def _by_parts(self, text: str, joint: str) -> Iterator[_Found]:
+        """The parts of a text translated by themselves."""
+        parts = text.split(joint)
+        if joint == ". ":
+            parts = [f"{part}." for part in parts[:-1]] + parts[-1:]
+        found = [self.of(part) for part in parts] if len(parts) > 1 else []
+        if any(each.text != part for each, part in zip(found, parts)):
+            joined = (" " if joint == ". " else joint).join(each.text for each in found)
+            yield _Found(joined, all(each.whole for each in found))
 
 
 _ENGLISH = Translator(SOURCE_LANGUAGE, {})

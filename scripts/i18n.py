@@ -131,8 +131,8 @@ _CODE_CALLS = set(
 )
 _BUGS = {"ValueError", "TypeError", "AssertionError", "KeyError", "NotImplementedError", "RuntimeError"}
 WORDS = (
-    "area before after begins contradicted control check done maps no none point points unknown yes DSM wrong "
-    "Report Tiles"
+    "area before after begins fusion matching refinement contradicted control check done maps no none point points "
+    "unknown yes DSM wrong Report Tiles"
 ).split()
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16
@@ -275,7 +275,7 @@ def engine_texts() -> list[str]:
     dialogs = {text for texts in source().values() for text in texts}
     for folder in ("repm_qgis", "processing_provider"):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            if path.name != "products.py":  # its texts are the dialogs', and of them pages show the titles only
+            if path != ROOT / "repm_qgis" / "products.py":  # the dialogs have its texts; pages show titles only
                 texts = _read_in(ast.parse(path.read_text(encoding="utf-8")))
                 found += [text for text in texts if folder == "repm_qgis" or text not in dialogs]
     found += [*_read_in_templates(), *titles_of_products()]

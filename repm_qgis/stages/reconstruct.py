@@ -125,8 +125,8 @@ def _log_pairs(scene: Scene, progress: Progress) -> None:
     possible = len(scene.views) * (len(scene.views) - 1) // 2
     if len(scene.pairs) < possible:
         angles = [pair.angle_deg for pair in scene.pairs]
-        count, range_ = f"{len(scene.pairs)} of {counted(possible, 'pair')}", f"{min(angles):.1f} to {max(angles):.1f}"
-        progress.info(f"{count} of images will be matched, at {range_} degrees.")
+        range_ = f"{min(angles):.1f} to {max(angles):.1f} degrees"
+        progress.info(f"{len(scene.pairs)} of {possible} possible pairs of images will be matched, at {range_}.")
 
 
 def _complete(scene: Scene, folder: Path) -> bool:
