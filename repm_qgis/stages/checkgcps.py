@@ -19,6 +19,7 @@ from ..scene import Scene
 from ..sfm.control_places import misplaced, placed_points
 from ..sfm.ground_control import Gcp, read_gcps
 from ..vector import file_and_layer, write_layer
+from .errormap import error_at
 
 _SHORT = {"east": "e", "north": "n", "height": "h"}
 
@@ -114,7 +115,7 @@ def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None
     """The point layer: each column's errors, the image residuals, and what the style shows."""
     places = np.array([gcp.lon_lat_h for gcp in found.gcps])
     crs = scene.crs if scene is not None else utm_crs(*map(float, places[:, :2].mean(axis=0)))
-    fields: Dict[str, type] = {"id": str, "role": str, "wrong": int, "height": float, "views": str}
+    fields: Dict[str, type] = {"id": str, "role": str, "wrong": int, "height": float, "views": str, "camera_px": float}
     for column in ("rpc", "compensated", "scene"):
         fields.update({f"{column}_{_SHORT[name]}": float for name in COMPONENTS})
         fields[f"{column}_px"] = float
@@ -124,7 +125,7 @@ def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None
         for row, (x, y) in enumerate(projected_from_geodetic(crs, places)):
             point = ogr.Geometry(ogr.wkbPoint)
             point.AddPoint_2D(float(x), float(y))
-            yield point, _values(found, row)
+            yield point, _values(found, row, _camera_px(scene, found.gcps[row], (float(x), float(y))))
 
     write_layer(path, crs, ogr.wkbPoint, fields, features())
     write_style("gcps", path, (0.0, _arrow_length(found)))
@@ -142,9 +143,30 @@ def _arrow_length(found: GcpAccuracy) -> float:
     return float(next(factor * power for factor in (1, 2, 5, 10) if factor * power >= typical * 0.999))
 
 
-def _values(found: GcpAccuracy, row: int) -> List[Any]:
+def _camera_px(scene: Optional[Scene], gcp: Gcp, place: Tuple[float, float]) -> Optional[float]:
+    """The largest equivalent error of the images' cameras at a point, px: what the error map has there, over all views.
+
+    None where the point lies in no tile's image. ``place`` is in the scene's CRS.
+    """
+    if scene is None:
+        return None
+    errors = []
+    for tile in scene.tiles:
+        xmin, ymin, xmax, ymax = tile.bounds
+        if not (xmin <= place[0] <= xmax and ymin <= place[1] <= ymax):
+            continue
+        for name in tile.views:
+            view = scene.view(name)
+            error, pixel = error_at(scene, view, tile, np.array([[gcp.lon, gcp.lat]]), gcp.height)
+            if ((pixel > -1) & (pixel < view.size)).all():
+                errors.append(float(np.hypot(*error[0])))
+    return max(errors, default=None)
+
+
+def _values(found: GcpAccuracy, row: int, camera_px: Optional[float]) -> List[Any]:
     gcp: Gcp = found.gcps[row]
-    values: List[Any] = [gcp.id, gcp.role, int(gcp.id in found.wrong), gcp.height, ", ".join(sorted(gcp.pixels))]
+    views = ", ".join(sorted(gcp.pixels))
+    values: List[Any] = [gcp.id, gcp.role, int(gcp.id in found.wrong), gcp.height, views, camera_px]
     for column in ("rpc", "compensated", "scene"):
         values += [*_known(found, column, row), _pixels(found, column, row)]
     shown = _shown(found)

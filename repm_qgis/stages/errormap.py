@@ -91,7 +91,7 @@ def _on_cells(scene: Scene, view: View, tile: Tile, altitude: float, grid: CellG
     """(rows, columns, 2) errors of all cells, interpolated from the nodes; NaN where the image does not see a cell."""
 
     def exact(xy: FloatArray) -> FloatArray:
-        return np.concatenate(_error(scene, view, tile, geodetic_from_projected(scene.crs, xy), altitude), axis=-1)
+        return np.concatenate(error_at(scene, view, tile, geodetic_from_projected(scene.crs, xy), altitude), axis=-1)
 
     columns, rows = (max(2, n // _NODE_STEP + 1) for n in grid.size)
     both = on_lattice(*grid.centres(), exact, (columns, rows))
@@ -100,7 +100,9 @@ def _on_cells(scene: Scene, view: View, tile: Tile, altitude: float, grid: CellG
     return np.where(inside, both[..., :2], np.nan)
 
 
-def _error(scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float) -> Tuple[FloatArray, FloatArray]:
+def error_at(
+    scene: Scene, view: View, tile: Tile, lon_lat: FloatArray, altitude: float
+) -> Tuple[FloatArray, FloatArray]:
     """(..., 2) pinhole minus RPC pixel at ground nodes, the refined camera's where there is one; and the RPC pixel."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
     # The vendor's RPC: pointing corrections, found later, are no fault of the camera.

@@ -102,6 +102,22 @@ def test_known_biases_come_out_and_compensation_takes_them_out(urban, scene, exa
     assert residual == pytest.approx(np.sqrt(np.mean((urban.biases**2).sum(axis=1))), abs=0.02)
 
 
+def test_a_point_has_the_error_that_the_error_map_shows_there(urban, scene, exact, tmp_path, told):
+    result = run_stage("checkgcps", {"gcps": exact, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
+    found, _ = features(result["output"])
+    point = found["P05"]
+    mapped = []
+    for view in Scene.load(scene).views:
+        given = {"scene": scene, "view": view.name, "altitude": point["properties"]["height"], "report": ""}
+        path = run_stage("errormap", {**given, "output": str(tmp_path / f"{view.name}.tif")}, told())["output"]
+        dataset = gdal.Open(path)
+        west, width, _, north, _, height = dataset.GetGeoTransform()
+        x, y = point["geometry"]["coordinates"][:2]
+        mapped.append(dataset.ReadAsArray(int((x - west) / width), int((y - north) / height), 1, 1)[0, 0, 0])
+        dataset = None
+    assert point["properties"]["camera_px"] == pytest.approx(max(mapped), rel=0.05) and max(mapped) > 0
+
+
 def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, told):
     """One control point off by 1 px in all rows of all views: its own error shows in full, others feel a fifth."""
     path = written(tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: p + (0.0, 1.0 if k == 0 else 0.0))
