@@ -58,7 +58,7 @@ class _ViewPanel(QWidget):
     def __init__(self, view: Any, dock: ControlPointsDock) -> None:
         super().__init__()
         self.name = view.name
-        self.image = ImageView(view.image, view.band, self)
+        self.image = ImageView(view.image, view.band, view.size, self)
         self.said, title = QLabel(), QLabel(f"<b>{view.name}</b>")
         skip, remove = QPushButton(self.tr("Not visible")), QPushButton(self.tr("Delete"))
         skip.setToolTip(self.tr("This image does not show the point (key S)."))

@@ -38,10 +38,10 @@ class ImageView(QWidget):
     skipped = pyqtSignal()
     failed = pyqtSignal(str)
 
-    def __init__(self, path: str, band: int, parent: Optional[QWidget] = None) -> None:
+    def __init__(self, path: str, band: int, size: tuple[int, int], parent: Optional[QWidget] = None) -> None:
         super().__init__(parent)
-        self._path, self._band = path, band
-        self._zoom, self._centre = _START, np.zeros(2)
+        self._path, self._band, self._size = path, band, size
+        self._zoom, self._centre, self._whole = 0, (np.array(size) - 1) / 2, True  # until there is a point
         self.predicted: Optional[np.ndarray] = None
         self.measured: Optional[np.ndarray] = None
         self._picture: Optional[QImage] = None
@@ -70,12 +70,13 @@ class ImageView(QWidget):
         self.predicted, self.measured = predicted, measured
         place = measured if measured is not None else predicted
         if move and place is not None:
-            self._centre, self._zoom = np.array(place), _START
+            self._centre, self._zoom, self._whole = np.array(place), _START, False
             self._later.start()
         self.update()
 
     def zoom(self, steps: int, around: Optional[QPointF] = None) -> None:
         """Zoom in (out where ``steps`` is negative), with what is under a place of the screen staying there."""
+        self._whole = False
         place = around or QPointF(self.width() / 2, self.height() / 2)
         before = self.pixel_at(place)
         self._zoom = min(max(self._zoom + steps, 0), len(_SCALES) - 1)
@@ -140,6 +141,9 @@ class ImageView(QWidget):
                 painter.drawLine(place + QPointF(4.0 * x, 4.0 * y), place + QPointF(16.0 * x, 16.0 * y))
 
     def resizeEvent(self, event: Any) -> None:
+        if self._whole:
+            most = min(self.width() / self._size[0], self.height() / self._size[1])
+            self._zoom = max([number for number, scale in enumerate(_SCALES) if scale <= most], default=0)
         self._later.start()
 
     def wheelEvent(self, event: Any) -> None:

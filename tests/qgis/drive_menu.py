@@ -4,9 +4,9 @@ import os
 import sys
 
 from qgis.core import QgsProject, QgsSettings
-from qgis.PyQt.QtCore import QObject, QTimer, QUrl, pyqtSlot
+from qgis.PyQt.QtCore import QObject, Qt, QTimer, QUrl, pyqtSlot
 from qgis.PyQt.QtGui import QDesktopServices
-from qgis.PyQt.QtWidgets import QApplication
+from qgis.PyQt.QtWidgets import QApplication, QPushButton
 from qgis.utils import iface, plugins
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
@@ -49,6 +49,13 @@ def look_at_the_panel():
     panel = window("FirstSteps")
     FOUND["shown"] = panel is not None
     if panel is None:
+        dock = plugins["repm"].menu.measure_control_points()
+        dock.open_images(PLAN["images"])
+        FOUND["dock"] = [dock.windowTitle(), dock.said.text(), dock.table.headerData(1, Qt.Orientation.Horizontal)]
+        FOUND["dock"].append([button.text() for button in dock.panels[0].findChildren(QPushButton)])
+        iface.mainWindow().resize(1380, 880)
+        QApplication.processEvents()
+        picture(dock, "dock.png")
         finish()
     FOUND["second step"] = panel.dsm.isEnabled()
     picture(panel, "first_steps.png")
