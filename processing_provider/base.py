@@ -164,8 +164,9 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             problem = self._input_problem(definition, parameters.get(definition.name()), context)
             if problem:
                 return False, problem
-        from ..repm_qgis.errors import OptionError
+        from ..repm_qgis.errors import RepmError
         from ..repm_qgis.stages import STAGES
+        from ..repm_qgis.stages.early import require_sensible
 
         given = {
             definition.name().lower(): checked_value(self, definition, parameters, context)
@@ -173,8 +174,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if definition.name().lower() not in self.left_to_engine(parameters)
         }
         try:
-            STAGES[self.ID].from_json(self.complete(given))
-        except OptionError as error:
+            require_sensible(STAGES[self.ID].from_json(self.complete(given)))
+        except RepmError as error:
             return False, said(str(error))
         return super().checkParameterValues(parameters, context)
 

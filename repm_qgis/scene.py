@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Annotated, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -416,6 +416,30 @@ def days(path: str) -> List[str]:
     except (SceneError, KeyError, TypeError):
         return []
     return sorted({time.date().isoformat() for time in times if time is not None})
+
+
+class GroundSeen(NamedTuple):
+    """What images show at most together: the finest ground sampling distance and the longest side, m; their place."""
+
+    gsd_m: float
+    side_m: float
+    lon: float
+    lat: float
+
+    @classmethod
+    def of(cls, views: Sequence[View]) -> "GroundSeen":
+        # Two images share no more than the smaller of the two largest shows.
+        sides = sorted((math.hypot(*view.size) * view.gsd_m for view in views), reverse=True)
+        return cls(min(view.gsd_m for view in views), sides[min(1, len(sides) - 1)], *middle_of(views))
+
+
+def ground_of(path: str) -> Optional[GroundSeen]:
+    """What a scene's images show, from its views alone, which is fast; None where the file is no scene."""
+    try:
+        entries = typed(Tuple[Any, ...], _document(path).get("views"))
+        return GroundSeen.of([View.from_mapping(mapping(entry)) for entry in entries])
+    except (SceneError, Misfit, RpcInvalidError, IndexError):
+        return None
 
 
 def reusable(path: str, stage: str, key: str) -> Optional[Scene]:

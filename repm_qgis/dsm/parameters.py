@@ -23,6 +23,7 @@ class OutlierParameters(Parameters):
 
     radius_cells: float = 3.0  # default radius: the disc has 28 neighbours on a whole surface
     radius_m: float = 1.5  # and not less
+    most_cells: float = 30.0  # of a radius: 2800 neighbours; the time grows with their number, and more are refused
     share: float = 0.2  # of the neighbours that half the cells have: the corner of a roof has a quarter
     neighbours: int = 2  # and not less
 

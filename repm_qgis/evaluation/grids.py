@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from ..arrays import Bounds, FloatArray, FloatImage, Size, Window
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs, vertical_operations, vertical_part
+from ..geometry.frames import flat_crs, install_grid, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery import raster
@@ -275,10 +275,10 @@ class HeightWarper:
         group, missing = vertical_operations(source, target, place)
         if not group.transformers:
             grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ has no transformation"
+            remedy = f"{install_grid(missing)}, or transform" if missing else "transform"
             raise ImageError(
                 f"Heights of '{self._source.path}' ({from_name}) cannot be transformed into those of "
-                f"'{self._target.path}' ({to_name}): {grids}. Install it (package proj-data, or "
-                "'projsync --file NAME'), or transform both to one vertical datum first."
+                f"'{self._target.path}' ({to_name}): {grids}: {remedy} both to one vertical datum first."
             )
         if not group.best_available:
             poor = f"less accurately than possible ({group.transformers[0].description}), because a PROJ grid"

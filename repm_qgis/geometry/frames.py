@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, List, Optional, Tuple
+from typing import Annotated, Any, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -151,6 +151,17 @@ def vertical_operations(
         group = TransformerGroup(source, target, always_xy=True, area_of_interest=area, allow_ballpark=False)
     grids = [grid for operation in group.unavailable_operations for grid in operation.grids]
     return group, sorted({grid.short_name for grid in grids if not grid.available})
+
+
+def install_grid(missing: Sequence[str]) -> str:
+    """How to give PROJ one of the grids that it lacks: "put ... into the folder ...".
+
+    PROJ looks into that folder of the user's on every system, needs no administrator for it and no restart. Debian's
+    package proj-data has few grids: EGM2008 is not among them.
+    """
+    name = next((name for name in missing if name.endswith(".tif")), missing[0])
+    folder = pyproj.datadir.get_user_data_dir()  # type: ignore[attr-defined,unused-ignore]
+    return f"put https://cdn.proj.org/{name} into the folder '{folder}'"
 
 
 @lru_cache(maxsize=32)

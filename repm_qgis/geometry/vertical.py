@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Optional, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -12,7 +12,7 @@ from pyproj.crs.crs import CompoundCRS
 
 from ..arrays import FloatArray
 from ..errors import MissingPackageError, OptionError
-from .frames import geodetic_from_projected, vertical_operations
+from .frames import geodetic_from_projected, install_grid, vertical_operations
 
 DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
 """Common names of vertical datums and their PROJ codes; "" is the WGS 84 ellipsoid."""
@@ -76,10 +76,10 @@ class HeightDatum:
             return flat.to_wkt("WKT2_2019")
         return CompoundCRS(f"{flat.name} + {self.name}", [flat, self.code]).to_wkt("WKT2_2019")
 
-    def require(self, lon: float, lat: float) -> None:
+    def require(self, lon: float, lat: float, option: str = "VERTICAL_DATUM") -> None:
         """Check that heights can be converted at a place, before hours of work; raises MissingPackageError."""
         if self.code:
-            self._operation(_bounds(np.array([[lon, lat]])))
+            self._operation(_bounds(np.array([[lon, lat]])), option)
 
     def undulation(self, crs: str, xy: FloatArray) -> FloatArray:
         """(...) metres to take off ellipsoidal heights at (..., 2) positions in a projected CRS; 0 for the ellipsoid.
@@ -97,23 +97,33 @@ class HeightDatum:
             raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the DSM: {remedy}.")
         return -below
 
-    def _operation(self, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
+    def _operation(self, bounds: Tuple[int, int, int, int], option: str = "VERTICAL_DATUM") -> pyproj.Transformer:
         """PROJ's best operation from ellipsoidal heights for a place."""
-        transformer, missing = _best_operation(self.code, bounds)
-        if transformer is None:
-            grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no operation for that"
-            remedy = "Install it (package proj-data, or 'projsync --file NAME'), or set VERTICAL_DATUM to ellipsoid"
-            raise MissingPackageError(f"PROJ cannot convert ellipsoidal heights to {self.name}: {grids}. {remedy}.")
-        return transformer
+        try:
+            return _best_operation(self.code, bounds)
+        except _MissingGridsError as error:
+            remedy = f"{install_grid(error.grids)}, or set" if error.grids else "set"
+            failed = f"PROJ cannot convert heights to or from {self.name}: {error}"
+            raise MissingPackageError(f"{failed}: {remedy} {option} to ellipsoid.") from None
 
 
-@lru_cache(maxsize=16)
-def _best_operation(
-    code: str, bounds: Tuple[int, int, int, int]
-) -> Tuple[Optional[pyproj.Transformer], Tuple[str, ...]]:
-    """From ellipsoidal heights to a vertical CRS, None where it needs missing grids; and these. It takes 50 ms."""
+class _MissingGridsError(LookupError):
+    """PROJ has no operation, or lacks the grids of those that it knows."""
+
+    def __init__(self, grids: Sequence[str]) -> None:
+        super().__init__(
+            f"its grid {' or '.join(grids)} is not installed" if grids else "it knows no operation for that"
+        )
+        self.grids = list(grids)
+
+
+@lru_cache(maxsize=16)  # a grid that is missing may be there the next time: only what was found is kept
+def _best_operation(code: str, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
+    """From ellipsoidal heights to a vertical CRS; raises _MissingGridsError. It takes 50 ms."""
     group, missing = vertical_operations(pyproj.CRS(_ELLIPSOIDAL), with_wgs84(pyproj.CRS(code)), bounds)
-    return (group.transformers[0] if group.transformers else None), tuple(missing)
+    if not group.transformers:
+        raise _MissingGridsError(missing)
+    return group.transformers[0]
 
 
 def _bounds(lon_lat: FloatArray) -> Tuple[int, int, int, int]:

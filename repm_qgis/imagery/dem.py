@@ -60,8 +60,8 @@ def _to_ellipsoid(crs: pyproj.CRS, path: str, x: FloatArray, y: FloatArray) -> F
         reason = "its grid is not installed"
     if not np.isfinite(result).all():
         raise ImageError(
-            f"PROJ cannot convert the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}. Install "
-            "PROJ's vertical grids (the Environment report names them), or give an ellipsoidal DEM."
+            f"PROJ cannot convert the heights of the DEM '{path}' ({crs.name}) to the ellipsoid: {reason}: "
+            "'Report the environment' says where PROJ's grids belong; or give an ellipsoidal DEM."
         )
     return result
 

@@ -16,7 +16,7 @@ from osgeo import ogr
 
 from ..arrays import FloatArray
 from ..errors import InputTableError
-from ..geometry.frames import EnuFrame, vertical_operations
+from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
 from ..untrusted import distrust
@@ -201,9 +201,10 @@ def _ellipsoidal(gcps: List[Gcp], vertical: Optional[pyproj.CRS], path: str) -> 
     name = vertical.name
     if not group.transformers:
         grids = f"its grid {' or '.join(missing)} is not installed" if missing else "it knows no operation for that"
+        remedy = f"{install_grid(missing)}, or give" if missing else "give"
         raise InputTableError(
-            f"PROJ cannot transform the heights of '{path}' from {name} to the ellipsoid: {grids}. Install it (package "
-            "proj-data, or 'projsync --file NAME'), or give ellipsoidal heights."
+            f"PROJ cannot transform the heights of '{path}' from {name} to the ellipsoid: {grids}: {remedy} "
+            "ellipsoidal heights."
         )
     heights = np.asarray(group.transformers[0].transform(*places.T)[2])
     if not np.isfinite(heights).all():

@@ -53,6 +53,9 @@ def run_stage(
     from .collisions import require_distinct
 
     require_distinct(name, checked)
+    from .early import require_sensible
+
+    require_sensible(checked, *([] if parameters is None else [parameters]))
     run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
     with exclusive(name, progress, *_written(name, checked)), _workers_for(name, checked, progress):
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)

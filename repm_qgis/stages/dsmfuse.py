@@ -30,6 +30,7 @@ from ..progress import Part, Progress, counted
 from ..records import FusionFacts, ViewPair
 from ..scene import Scene
 from ..workspace import ensure_folder, fingerprint
+from .early import require_cell
 from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
 
@@ -59,6 +60,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         require_ept_place(options.ept)
     cell = options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m)
     layout = DsmLayout.of(scene, scene.tiles, crs, datum, cell)
+    require_cell(options.resolution, min(layout.grid.shape) * layout.grid.cell, scene.gsd_m, parameters.tiles)
     radius = options.outlier_radius
     if radius is None:
         radius = automatic_radius(layout.grid.cell, scene.gsd_m, parameters.fusion.outliers)

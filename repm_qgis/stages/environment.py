@@ -109,13 +109,18 @@ def _proj(page: Report, found: Optional[Dict[str, Any]]) -> None:
     folders = os.pathsep.join(found["folders"])
     page.facts([("PROJ", found["version"]), ("Data", folders), ("Downloads missing grids", found["network"])])
     page.table(["Grid", "For", "Installed"], [[name, use, found["grids"][name]] for name, use in GRIDS])
-    if not any(found["grids"].values()) and not found["network"]:
-        page.warning(
-            "No geoid grid is installed: DEMs whose heights are above a geoid cannot be brought to the "
-            "ellipsoid exactly.",
-            "install one of these grids into one of the folders above, for example "
-            "with: projsync --file us_nga_egm08_25.tif",
-        )
+    if found["network"]:
+        return
+    from ..geometry.frames import install_grid  # here, as this page is for those who have no pyproj, too
+
+    geoids = {use: install_grid([name]) for name, use in GRIDS[:2]}
+    if not any(found["grids"].values()):
+        text = "No geoid grid is installed: heights above a geoid cannot be brought to the ellipsoid, or back."
+        page.warning(text, f"{geoids[GRIDS[0][1]]}.")
+    page.paragraph(
+        "To install one: " + "; ".join(f"for the {use}, {how}" for use, how in geoids.items()) + ". "
+        "With access to the internet, the environment variable PROJ_NETWORK=ON does the same by itself."
+    )
 
 
 def _gib(size: Optional[int]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -95,6 +96,7 @@ def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progres
     frame = EnuFrame(float(lon), float(lat), 0.0)
     scene = Scene(views, frame, crs, area.ExportToWkt(), altitudes, (), dem=options.dem or "")
     size = options.tile_size or _automatic_size(scene, area, options.error_budget, parameters.tiles, progress)
+    _require_count(scene, area, size, parameters.tiles)
     scene = replace(scene, tiles=_tiles(scene, lay_tiles(area, size * scene.gsd_m), progress))
     progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
@@ -123,6 +125,11 @@ def _area(
         return area
     common = area.Intersection(_extent(options, options.extent, crs))
     if common is None or common.IsEmpty() or common.GetArea() < least:
+        if common is not None and not common.IsEmpty():
+            shares = f"shares only {common.GetArea():.3g} m² with what two images see"
+            raise OptionError(
+                "EXTENT", list(options.extent), f"{shares}: draw at least {math.sqrt(least):.0f} m a side"
+            )
         back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
         wanted, seen = (_range_text(ends) for ends in (options.extent, back.transform_bounds(*bounds_of(area))))
         place = f"EXTENT {wanted} ({options.extent_crs}) lies outside what two images see: {seen}"
@@ -195,6 +202,17 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
         views[view.name] = TileView(window, fitted.camera, fitted.error)
         grids.append(grid)
     return Tile(ground.id, ground.bounds, scene.altitudes, views), grids
+
+
+def _require_count(scene: Scene, area: ogr.Geometry, size: int, parameters: TileParameters) -> None:
+    """Raise OptionError where so small tiles would be too many."""
+    xmin, ymin, xmax, ymax = bounds_of(area)
+    sides = (xmax - xmin) / scene.gsd_m, (ymax - ymin) / scene.gsd_m
+    count = math.ceil(sides[0] / size) * math.ceil(sides[1] / size)
+    if count > parameters.most_tiles:
+        least = 100 * math.ceil(math.sqrt(sides[0] * sides[1] / parameters.most_tiles) / 100)
+        most = f"makes {count} tiles of {sides[0]:.0f} x {sides[1]:.0f} px, and {parameters.most_tiles} are the most"
+        raise OptionError("TILE_SIZE", size, f"{most}: choose {least} px or more, 0 for automatic, or a smaller EXTENT")
 
 
 def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> Tuple[Tile, ...]:

@@ -25,6 +25,10 @@ class TileParameters(Parameters):
     surface_px: int = 48  # cells of the terrain model's surface: finer ones carry roofs, which rays may meet twice
     least_matched: int = 1000  # pixels with a height: below that, nothing was reconstructed
     least_matched_share: float = 0.01  # the same as a share of all pixels
+    finest_cell_gsd: float = 0.25  # a finer cell of the DSM than so many ground sampling distances is refused: 16 cells
+    # for each pixel hold nothing that the matching found
+    least_cells: int = 4  # along each side of a DSM: a coarser cell is refused
+    most_tiles: int = 10_000  # 40,000 px a side in tiles of 400 px: more take days, and their scene half a gigabyte
     cell_gsd: float = 2.0  # side of an automatic cell of the DSM in ground sampling distances
     few_cells_percent: float = 20.0  # a DSM with heights in fewer cells is worth a warning
 

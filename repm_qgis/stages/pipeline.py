@@ -7,10 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Sequence
 
+from osgeo import ogr
+
 from ..disk_space import Need, fusion_needs, heights_need, require_space
 from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
-from ..geometry.vertical import HeightDatum
+from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
 from ..options import PRESETS, PipelineOptions
 from ..parallel import kept_workers
@@ -23,6 +25,7 @@ from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
 from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine
+from .early import require_cell
 from .parameters import ENGINE, EngineParameters
 
 _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
@@ -54,7 +57,8 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
 
     first = stage("epmfit", "Pinhole cameras", epmfit.run, options.fit)
     scene = Scene.load(first["scene"])
-    HeightDatum.of(options.fuse.vertical_datum).require(scene.frame.lon, scene.frame.lat)
+    xmin, ymin, xmax, ymax = bounds_of(ogr.CreateGeometryFromWkt(scene.area))
+    require_cell(options.fuse.resolution, min(xmax - xmin, ymax - ymin), scene.gsd_m, parameters.tiles)
     pairs = reconstruct.pairs_of(scene, options.reconstruct, parameters)
     backend = resolve(options.reconstruct.backend)[0]
     if backend.name == "sgm" and not options.reconstruct.cluster:  # others were not measured
@@ -91,13 +95,12 @@ def _needs(
 
 def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None:
     """What can be refused is refused before hours of matching."""
-    fit, fuse = options.fit, options.fuse
+    fit = options.fit
     require(options.reconstruct.backend)
     for product, path in paths_of("pipeline", options):
         ensure_folder(path if product.form == FOLDER else str(Path(path).parent))
-    if fuse.ept:
-        require_ept_place(fuse.ept)
+    if options.fuse.ept:
+        require_ept_place(options.fuse.ept)
     if options.reconstruct.gcps:
         views, gcps = load_views(fit.images, fit.rpcs), options.reconstruct.gcps
         require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing.places)
-    HeightDatum.of(fuse.vertical_datum)

@@ -121,6 +121,33 @@ def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample
 
 @pytest.mark.parametrize(
     ("values", "words"),
+    (
+        ({"RESOLUTION": 0.01}, ("RESOLUTION is 0.01", "at least 0.1", "ground sampling distance")),
+        ({"RESOLUTION": 900}, ("RESOLUTION is 900", "must be at most", "cells a side")),
+        ({"OUTLIER_RADIUS": 500}, ("OUTLIER_RADIUS is 500", "must be at most", "30 cells of the DSM")),
+        ({"VERTICAL_DATUM": "sea level"}, ("VERTICAL_DATUM is 'sea level'", "EGM96")),
+    ),
+)
+def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp_path, values, words):
+    """Before the run begins, and for a scene that was fitted earlier too."""
+    from repm_qgis.progress import Silent
+    from repm_qgis.stages import run_stage
+
+    registry = QgsApplication.processingRegistry()
+    fit = {"images": sample["images"][:2], "workspace": str(tmp_path / "fit")}
+    inputs = {
+        "pipeline": {"IMAGES": sample["images"][:2], "WORKSPACE": str(tmp_path / "w")},
+        "dsmfuse": {"SCENE": run_stage("epmfit", fit, Silent())["scene"]},
+    }
+    for name, given in inputs.items():
+        given = {**given, "OUTPUT": str(tmp_path / "dsm.tif"), **values}
+        fine, text = registry.algorithmById(f"repm:{name}").create().checkParameterValues(given, context)
+        assert not fine
+        one_sentence(text, *words)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
     [
         ({"EXTENT": "0,1,0,1 [EPSG:4326]"}, ("EXTENT x 0.00000 to 1.00000", "EPSG:4326", "x 1.43", "Draw it there")),
         ({"CRS": "EPSG:4326"}, ("CRS is 'EPSG:4326'", "must be a projected CRS")),

@@ -177,13 +177,13 @@ def check(name, parameters, context):
     return algorithm(name).checkParameterValues(parameters, context)
 
 
-def test_what_colmaps_adjustment_cannot_do_is_refused_before_anything_runs(plugin, context, rasters, tmp_path):
+def test_what_colmaps_adjustment_cannot_do_is_refused_before_anything_runs(plugin, context, sample, tmp_path):
     table = tmp_path / "gcps.csv"
     table.write_text("id,lon,lat,height\n")
     scene = tmp_path / "scene.json"
     scene.write_text("{}")
     for name, given in (
-        ("pipeline", {"IMAGES": rasters, "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
+        ("pipeline", {"IMAGES": sample["images"], "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
         ("reconstruct", {"SCENE": str(scene), "OUTPUT_SCENE": "/w/r.json"}),
     ):
         colmap = {**given, "ADJUSTMENT": "colmap"}

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
+import subprocess
+import sys
+
 import numpy as np
 import pyproj
 import pytest
@@ -11,6 +16,7 @@ from repm_qgis.errors import MissingPackageError, OptionError
 from repm_qgis.geometry.frames import vertical_part
 from repm_qgis.geometry.vertical import HeightDatum, _bounds
 
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 UTM = "EPSG:32631"
 PLACES = np.array([[[500000.0, 4800000.0], [540000.0, 4810000.0]], [[500000.0, 4850000.0], [512345.6, 4799999.9]]])
 
@@ -45,10 +51,56 @@ def test_a_grid_that_is_not_there_is_named():
     if installed(3855):
         pytest.skip("PROJ's EGM2008 grid is installed here")
     datum = HeightDatum.of("EGM2008")
-    with pytest.raises(MissingPackageError, match=r"EGM2008 height.*us_nga_egm08_25\.tif.*not installed.*Install"):
+    with pytest.raises(
+        MissingPackageError, match=r"EGM2008 height.*us_nga_egm08_25\.tif.*not installed: put .*, or set VERTICAL"
+    ):
         datum.undulation(UTM, PLACES)
     with pytest.raises(MissingPackageError, match="us_nga_egm08_25"):
         datum.require(3.0, 43.0)
+
+
+WITH_THE_GRID = """
+import os, shutil, sys
+import numpy as np
+from osgeo import gdal, osr
+from repm_qgis.errors import MissingPackageError
+from repm_qgis.geometry.vertical import HeightDatum
+
+datum, place = HeightDatum.of("EGM2008"), np.array([[500000.0, 4800000.0]])
+try:
+    datum.require(3.0, 43.0)
+    sys.exit("installed")
+except MissingPackageError as error:
+    text = str(error)
+url, folder = text.split("put ")[1].split(" into the folder ")
+folder = folder.split("'")[1]
+assert folder.startswith(os.environ["XDG_DATA_HOME"]) and url.startswith("https://cdn.proj.org/"), text
+os.makedirs(folder)
+path = os.path.join(folder, url.rsplit("/", 1)[1])
+grid = gdal.GetDriverByName("GTiff").Create(path, 37, 19, 1, gdal.GDT_Float32)
+world = osr.SpatialReference()
+world.ImportFromEPSG(4326)
+grid.SetProjection(world.ExportToWkt())
+grid.SetGeoTransform((-185.0, 10.0, 0.0, 95.0, 0.0, -10.0))
+grid.SetMetadataItem("TYPE", "VERTICAL_OFFSET_GEOGRAPHIC_TO_VERTICAL")
+grid.SetMetadataItem("AREA_OR_POINT", "Point")
+band = grid.GetRasterBand(1)
+band.SetDescription("geoid_undulation")
+band.SetUnitType("metre")
+band.WriteArray(np.full((19, 37), 12.5, np.float32))
+band = grid = None
+datum.require(3.0, 43.0)
+print(datum.undulation("EPSG:32631", place))
+"""
+
+
+def test_the_remedy_holds_and_needs_no_restart(tmp_path):
+    """The file that the message names, in the folder that it names: found by the same process, at the next question."""
+    environment = {**os.environ, "XDG_DATA_HOME": str(tmp_path), "PYTHONPATH": str(ROOT), "PROJ_NETWORK": "OFF"}
+    done = subprocess.run([sys.executable, "-c", WITH_THE_GRID], env=environment, capture_output=True, text=True)
+    if done.stderr.strip() == "installed":
+        pytest.skip("PROJ's EGM2008 grid is installed here")
+    assert done.returncode == 0 and done.stdout.strip() == "[12.5]", done.stderr
 
 
 @pytest.mark.parametrize("text", ("geoid", "EPSG:4326", "EPSG:99999999"))

@@ -179,7 +179,14 @@ def test_a_missing_grid_is_named(table):
     if group.transformers:
         assert read_gcps(path, None, "EGM2008")[0].height == pytest.approx(149.1, abs=0.5)
     else:
-        refused(path, None, "gcps.csv", "EGM2008 height", "us_nga_egm08_25.tif", "proj-data", datum="EGM2008")
+        refused(
+            path,
+            None,
+            "gcps.csv",
+            "EGM2008 height",
+            "put https://cdn.proj.org/us_nga_egm08_25.tif into the folder",
+            datum="EGM2008",
+        )
     # A geoid of Slovakia, whose grid no distribution's base package has, and that does not reach Toulouse anyway.
     refused(path, None, "gcps.csv", "EVRF2007", datum="EPSG:5621")
 

@@ -1,0 +1,71 @@
+"""What makes no sense for these images is refused before any work: dialogs ask the same as the engine.
+
+Reads RPCs and scene files, nothing else: it takes milliseconds for each image.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Optional
+
+from ..errors import OptionError
+from ..geometry.vertical import HeightDatum
+from ..options import CheckGcpsOptions, DsmFuseOptions, Options, PipelineOptions, ReconstructOptions
+from ..scene import GroundSeen, ground_of, load_views
+from .parameters import ENGINE, EngineParameters, TileParameters
+
+
+def require_sensible(options: Options, parameters: EngineParameters = ENGINE) -> None:
+    """Raise OptionError for cells that are absurd for the images, MissingPackageError for a geoid without its grid.
+
+    Whatever reading images and RPCs raises is raised, too.
+    """
+    seen = _seen(options)
+    if seen is None:
+        return
+    for part in options.parts():
+        if isinstance(part, DsmFuseOptions):
+            require_cell(part.resolution, seen.side_m, seen.gsd_m, parameters.tiles)
+            cell = part.resolution or parameters.tiles.cell_gsd * seen.gsd_m
+            most = _two_digits(parameters.fusion.outliers.most_cells * cell)
+            if part.outlier_radius and part.outlier_radius > most:
+                reason = f"must be at most {most:g} m, {parameters.fusion.outliers.most_cells:g} cells of the DSM"
+                wide = f"{reason}: neighbours farther away say nothing, and to count them takes hours"
+                raise OptionError("OUTLIER_RADIUS", part.outlier_radius, wide)
+            HeightDatum.of(part.vertical_datum).require(seen.lon, seen.lat)
+        if isinstance(part, (ReconstructOptions, CheckGcpsOptions)) and part.gcps:
+            HeightDatum.of(part.gcp_datum, "GCP_DATUM").require(seen.lon, seen.lat, "GCP_DATUM")
+
+
+def _seen(options: Options) -> Optional[GroundSeen]:
+    """What the images show; None where a stage has none, or a scene that the stage itself will refuse."""
+    if isinstance(options, PipelineOptions):
+        return GroundSeen.of(load_views(options.fit.images, options.fit.rpcs))
+    if isinstance(options, (DsmFuseOptions, ReconstructOptions, CheckGcpsOptions)) and options.scene:
+        return ground_of(options.scene)
+    return None
+
+
+def require_cell(cell_m: float, side_m: float, gsd_m: float, parameters: TileParameters) -> None:
+    """Raise OptionError for cells of a DSM (m, 0: automatic) that are far finer than the images, or coarser than what
+    they show, which is ``side_m`` wide at most."""
+    if not cell_m:
+        return
+    finest = _two_digits(parameters.finest_cell_gsd * gsd_m)
+    if cell_m < finest:
+        raise OptionError(
+            "RESOLUTION",
+            cell_m,
+            f"must be at least {finest:g} m, a quarter of the images' ground sampling distance of {gsd_m:.2g} m: finer "
+            "cells hold nothing more, and take hours; 0 chooses a suitable size",
+        )
+    if cell_m * parameters.least_cells > side_m:
+        coarsest = _two_digits(side_m / parameters.least_cells)
+        most = f"must be at most {coarsest:g} m: the ground is {side_m:.0f} m wide at most"
+        raise OptionError("RESOLUTION", cell_m, f"{most}, and a DSM needs {parameters.least_cells} cells a side")
+
+
+def _two_digits(value: float) -> float:
+    """Rounded down to two significant digits, so that what a message proposes is accepted."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / step + 1e-9) * step:.2g}")
