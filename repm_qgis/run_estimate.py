@@ -32,10 +32,16 @@ class RunEstimate(NamedTuple):
     workers: int
 
     def sentence(self) -> str:
-        """What people read, before the run."""
+        """What the log says of a run that begins."""
         time, size = _duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
         workers = counted(self.workers, "worker")
         return f"This run will take about {time} with {workers}, and {size} of memory; less where it is continued."
+
+    def outlook(self) -> str:
+        """What a page says of a run that may come."""
+        time, size = _duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
+        workers = counted(self.workers, "worker")
+        return f"A DSM of all this ground will take about {time} with {workers}, and {size} of memory."
 
 
 def estimate_run(scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = False, workers: int = 0) -> RunEstimate:
@@ -44,14 +50,21 @@ def estimate_run(scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = Fa
     ``own_surface`` is the terrain model without a DEM; ``workers`` 0 means one a core. Point clouds and meshes come on
     top. The estimate is right within a factor of 2 on a machine as those of the benchmarks that does nothing else.
     """
-    count = max(1, min(workers or cores(), len(scene.tiles) * len(pairs)))
-    work = _PIXEL_S * seen_px(scene, pairs) * (_OWN_SURFACE if own_surface else 1.0)
-    side = max(max(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (tile.bounds for tile in scene.tiles)) / scene.gsd_m
-    side = _RECTIFIED * (side + 2 * STEREO.tile_margin_px)
+    tile_px = max(max(x1 - x0, y1 - y0) for x0, y0, x1, y1 in (tile.bounds for tile in scene.tiles)) / scene.gsd_m
     slope = max(pair.base_to_height for pair in pairs)
-    each = matching_mib(side, side, slope * (scene.altitudes[1] - scene.altitudes[0]) / scene.gsd_m)
+    disparities = slope * (scene.altitudes[1] - scene.altitudes[0]) / scene.gsd_m
+    seen = seen_px(scene, pairs) * (_OWN_SURFACE if own_surface else 1.0)
+    return estimate(seen, tile_px, len(scene.tiles) * len(pairs), workers, disparities)
+
+
+def estimate(pixels: float, tile_px: float, tasks: int, workers: int = 0, disparities: float = 0.0) -> RunEstimate:
+    """The same for so many pixels of ground that pairs see, all pairs together, in so many tasks of a tile's side."""
+    count = max(1, min(workers or cores(), tasks))
+    side = _RECTIFIED * (tile_px + 2 * STEREO.tile_margin_px)
+    work = _PIXEL_S * pixels
     wall = _START_S + work / (count * (_SHARED if count > 1 else 1.0))
-    return RunEstimate(_START_S + work, wall, _ENGINE_MIB + count * each, count)
+    mib = _ENGINE_MIB + count * matching_mib(side, side, disparities)
+    return RunEstimate(_START_S + work, wall, mib, count)
 
 
 def _duration(seconds: float) -> str:

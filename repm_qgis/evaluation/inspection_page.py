@@ -19,12 +19,20 @@ _MOST_PAIRS = 200
 
 
 def inspection_page(
-    places: Sequence[Place], unusable: Mapping[str, str], parameters: PointingParameters = POINTING
+    places: Sequence[Place],
+    unusable: Mapping[str, str],
+    parameters: PointingParameters = POINTING,
+    outlook: str = "",
 ) -> Report:
-    """Where images lie, how pairs overlap, and what to match; ``unusable`` are reasons by the files' paths."""
+    """Where images lie, how pairs overlap, and what to match; ``unusable`` are reasons by the files' paths.
+
+    ``outlook`` is what a run would take, "" where there is nothing to run.
+    """
     count = sum(len(place.images) for place in places)
     page = Report("Images inspected", f"{counted(count, 'image')}, {counted(_pairs(places), 'overlap')}")
     page.paragraph(verdict(places, unusable))
+    if outlook:
+        page.paragraph(outlook)
     for path, reason in unusable.items():
         page.warning(f"'{os.path.basename(path)}' cannot be used: {reason}")
     for number, place in enumerate(places, start=1):

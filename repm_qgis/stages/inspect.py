@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Any, Dict, List, Sequence, Tuple
 
@@ -13,6 +14,7 @@ from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
 from ..options import InspectOptions
 from ..progress import Progress, counted
+from ..run_estimate import estimate
 from ..scene import View, load_view
 from ..sfm.inspection import CARE, YES, Place, inspect_views
 from ..vector import write_layer
@@ -38,13 +40,29 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
         _write_footprints(places, crs, options.footprints)
     if options.overlaps:
         _write_overlaps(places, crs, options.overlaps)
+    outlook = _outlook(places, max(parameters.tiles.sizes_px))
     if options.report:
-        inspection_page(places, unusable, parameters.pointing).write(options.report)
+        inspection_page(places, unusable, parameters.pointing, outlook).write(options.report)
     progress.info(verdict(places, unusable))
+    if outlook:
+        progress.info(outlook)
     progress.step(1.0, "images inspected")
     worth = sum(facts.worth in (YES, CARE) for place in places for facts in place.pairs)
     written = {"footprints": options.footprints, "overlaps": options.overlaps, "report": options.report}
     return {**written, "n_images": len(views), "n_pairs": worth}
+
+
+def _outlook(places: Sequence[Place], tile_px: int) -> str:
+    """About how long a DSM of all the ground takes, and how much memory; "" where there is none to make."""
+    pixels, sides, tasks = 0.0, [0.0], 0
+    for place in places:
+        gsd_m = min(facts.view.gsd_m for facts in place.images)
+        for facts in place.pairs:
+            if facts.chosen:
+                seen = facts.ground.GetArea() / gsd_m**2
+                pixels, tasks = pixels + seen, tasks + math.ceil(seen / tile_px**2)
+                sides.append(min(math.sqrt(seen), tile_px))
+    return estimate(pixels, max(sides), tasks).outlook() if tasks else ""
 
 
 def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Dict[str, str]]:

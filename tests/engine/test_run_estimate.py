@@ -83,6 +83,18 @@ def test_the_estimate_comes_before_the_work(runs):
     assert not any("Refinement" in text or "tie points" in text for text in said[:place])
 
 
+def test_the_inspection_expects_what_the_run_does(demo, runs, told, tmp_path):
+    log, report = told(), tmp_path / "page.html"
+    run_stage("inspect", {"images": demo["images"], "report": str(report)}, log)
+    scene = runs["none"][0]
+    said = r"A DSM of all this ground will take about (\d+) s with .*, and (\d+\.\d) GiB"
+    time, gib = re.search(said, " ".join(log.notes)).groups()
+    run = estimate_run(scene, scene.pairs)
+    assert run.wall_s / 1.5 - 5 < float(time) < 1.5 * run.wall_s + 5
+    assert run.mib / 1.5 < 1024 * float(gib) < 1.5 * run.mib
+    assert "A DSM of all this ground" in report.read_text(encoding="utf-8")
+
+
 def test_more_workers_take_less_time_and_more_memory(runs):
     scene = runs["none"][0]
     one, two = (estimate_run(scene, scene.pairs, workers=count) for count in (1, 2))
