@@ -122,7 +122,7 @@ def _of_call(node: ast.Call) -> Iterator[str]:
     name = _called(node)
     if name == "QVariant" and (not node.args or isinstance(node.args[0], ast.Attribute)):
         yield "QVariant(...): use None or qgis.core.NULL"
-    if name == "QDateTime" and (len(node.args) >= 6 or len(node.args) == 1 and _called(node.args[0]) == "QDate"):
+    if name == "QDateTime" and (len(node.args) >= 8 or len(node.args) == 1 and _called(node.args[0]) == "QDate"):
         yield "QDateTime(...): give it a QDate and a QTime"
     if name == "desktop" and not node.args:
         yield "desktop(): use QWidget.screen()"
