@@ -65,3 +65,25 @@ def test_our_model_becomes_one_of_the_users(plugin, tmp_path, monkeypatch):
     monkeypatch.setattr(ModelerUtils, "modelsFolders", staticmethod(lambda: [str(tmp_path / "file")]))
     with pytest.raises(OSError):
         model_copy.copied(model)
+
+
+def test_a_preset_goes_before_defaults_that_nobody_gave(plugin, context, feedback, sample):
+    from repm_qgis.options import PipelineOptions
+
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline").create()
+    given = {"IMAGES": sample["images"], "PRESET": "fast", "FILL": "all", "WORKSPACE": "w", "OUTPUT": "dsm.tif"}
+    assert algorithm.checkParameterValues(given, context) == (True, "")
+    assert algorithm.prepareAlgorithm(given, context, feedback)
+    made = PipelineOptions.from_json({**algorithm._inputs, "workspace": "w", "output": "dsm.tif"})
+    assert (made.fuse.fill, made.fuse.outlier_radius, made.reconstruct.pairs) == ("all", 0.0, "fewest")
+
+
+def test_the_scene_that_was_written_last_is_remembered(plugin, context, feedback, sample, tmp_path):
+    from repm.processing_provider.last_scene import last_scene
+
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
+    results, fine = algorithm.run({"IMAGES": sample["images"], "WORKSPACE": str(tmp_path / "w")}, context, feedback)
+    assert fine, feedback.heard["error"]
+    assert last_scene() == results["SCENE"] == str(tmp_path / "w" / "scene.json")
+    pathlib.Path(results["SCENE"]).unlink()
+    assert last_scene() == ""
