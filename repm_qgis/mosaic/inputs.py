@@ -13,7 +13,7 @@ from pyproj.exceptions import ProjError
 
 from ..arrays import Bounds, Window
 from ..dsm.products import CONFIDENCE_BANDS
-from ..errors import ImageError
+from ..errors import ImageError, OptionError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, projected_crs_at, utm_crs, vertical_part
@@ -22,6 +22,7 @@ from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
 from ..imagery.raster import opened
 from ..options import MosaicOptions
 from ..progress import Progress
+from .parameters import MOSAIC
 
 _METRES = ("", "m", "metre", "metres", "meter", "meters")
 _ERROR_BAND = CONFIDENCE_BANDS[-1].split(" (")[0]
@@ -84,6 +85,10 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
             found.append(_looked_at(dataset, surface))
     datum = _common_datum([surface.name for surface in surfaces], found, progress)
     crs, cell, corner = _frame(options, found[0].grid)
+    ratio = max(_ratio(each.grid, cell) for each in found)  # by the finest of all
+    if ratio < MOSAIC.finest_cell:
+        finest = f"{1.001 * MOSAIC.finest_cell * cell / ratio:.3g} m, a quarter of the finest DSM's cells"
+        raise OptionError("RESOLUTION", options.resolution, f"must be at least {finest}: finer cells hold nothing more")
     boxes = [_bounds_in(each.grid, crs) for each in found]
     west, north = corner
     whole = enclosing(boxes)

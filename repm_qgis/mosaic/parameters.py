@@ -39,6 +39,7 @@ class MosaicParameters(Parameters):
 
     offsets: OffsetParameters = OffsetParameters()
     seams: SeamParameters = SeamParameters()
+    finest_cell: float = 0.25  # of the finest DSM's: a mosaic of smaller cells is refused
     block_cells: int = 512  # side of a block, at most
     tile_blocks: int = 8  # along the side of a tile of a VRT: 4096 cells
     stack_cells: int = 4_000_000  # of all DSMs of a block with their margins together, about: bounds the memory

@@ -10,9 +10,19 @@ from typing import Optional
 
 from ..errors import OptionError
 from ..geometry.vertical import HeightDatum
-from ..options import CheckGcpsOptions, DsmFuseOptions, Options, PipelineOptions, ReconstructOptions
+from ..memory import free_mib
+from ..options import (
+    CheckGcpsOptions,
+    DsmFuseOptions,
+    Options,
+    PipelineOptions,
+    ReconstructOptions,
+    SampleDataOptions,
+)
 from ..scene import GroundSeen, ground_of, load_views
 from .parameters import ENGINE, EngineParameters, TileParameters
+
+_SAMPLE_BYTES = {"urban": 450.0, "mountains": 180.0}  # memory for each px of a sample image; measured at 1000 px
 
 
 def require_sensible(options: Options, parameters: EngineParameters = ENGINE) -> None:
@@ -20,6 +30,8 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
 
     Whatever reading images and RPCs raises is raised, too.
     """
+    if isinstance(options, SampleDataOptions):
+        _require_memory(options)
     seen = _seen(options)
     if seen is None:
         return
@@ -35,6 +47,15 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
             HeightDatum.of(part.vertical_datum).require(seen.lon, seen.lat)
         if isinstance(part, (ReconstructOptions, CheckGcpsOptions)) and part.gcps:
             HeightDatum.of(part.gcp_datum, "GCP_DATUM").require(seen.lon, seen.lat, "GCP_DATUM")
+
+
+def _require_memory(options: SampleDataOptions) -> None:
+    """Raise OptionError for sample images whose surface does not fit into the free memory."""
+    free, each = free_mib(), _SAMPLE_BYTES[options.kind] / 2**20
+    if free is not None and each * options.size**2 > free:
+        most = max(128, 100 * int(math.sqrt(free / each) / 100))
+        takes = f"takes about {each * options.size**2 / 1024:.1f} GiB of memory, and {free / 1024:.1f} GiB are free"
+        raise OptionError("SIZE", options.size, f"{takes}: choose at most {most} px")
 
 
 def _seen(options: Options) -> Optional[GroundSeen]:

@@ -233,6 +233,7 @@ def bad_inputs(folder, four):
     empty = [write(folder / f"empty_{i}.tif", (i, 0), 60, lambda x, y: np.full(x.shape, np.nan)) for i in range(2)]
     return {
         "one DSM": ({"dsms": four[:1]}, OptionError, "must name at least two DSMs"),
+        "fine": ({"dsms": four, "resolution": 0.05}, OptionError, "RESOLUTION is 0.05: it must be at least 0.25 m, a"),
         "none": ({"dsms": []}, OptionError, "must name at least two DSMs"),
         "twice": ({"dsms": [four[0], four[1], four[0]]}, OptionError, f"DSMS is '{four[0]}': it is named twice"),
         "not there": ({"dsms": [four[0], "gone.tif"]}, ImageError, "'gone.tif'"),
@@ -253,7 +254,7 @@ def bad_inputs(folder, four):
 
 def test_bad_input_is_one_sentence_and_nothing_is_left(four, tmp_path, told):
     cases = bad_inputs(tmp_path, four)
-    assert len(cases) == 16
+    assert len(cases) == 17
     out = tmp_path / "out"
     out.mkdir()
     for label, (options, kind, words) in cases.items():

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from repm_qgis.errors import MissingPackageError, OptionError
-from repm_qgis.options import PipelineOptions
+from repm_qgis.options import PipelineOptions, SampleDataOptions
 from repm_qgis.scene import GroundSeen, Scene, ground_of
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.early import require_cell, require_sensible
@@ -105,6 +105,19 @@ def test_a_radius_of_very_many_cells(job, told, resolution, most):
     """Three million passes over a tile, and counts that no longer fit into 16 bits."""
     with pytest.raises(OptionError, match=f"OUTLIER_RADIUS is 1000.0: it must be at most {most}, 30 cells of the DSM"):
         run_stage("pipeline", job(outlier_radius=1000.0, resolution=resolution), told())
+
+
+@pytest.mark.parametrize("kind", ("urban", "mountains"))
+def test_sample_images_that_do_not_fit_into_memory(told, tmp_path, monkeypatch, kind):
+    """20,000 px of a town take 170 GiB: QGIS would be ended by the system."""
+    monkeypatch.setattr("repm_qgis.stages.early.free_mib", lambda: 8192.0)
+    with pytest.raises(
+        OptionError, match=r"SIZE is 20000: it takes about \d+\.\d GiB of memory, and 8\.0 GiB are free"
+    ) as caught:
+        run_stage("sampledata", {"folder": str(tmp_path / "s"), "kind": kind, "size": 20000}, told())
+    most = int(re.search(r"choose at most (\d+) px", str(caught.value))[1])
+    require_sensible(SampleDataOptions(folder="s", kind=kind, size=most))
+    assert 4000 < most < 7000 and not (tmp_path / "s").exists()
 
 
 def test_it_takes_milliseconds(job):
