@@ -129,7 +129,7 @@ class InstallDialog(QDialog):
         self.wheels.fileChanged.connect(lambda _: self._plan())
         self.proxy = QLineEdit(installation.proxy())
         self.proxy.setEchoMode(QLineEdit.EchoMode.PasswordEchoOnEdit)
-        self.proxy.setPlaceholderText("http://user:password@host:port")
+        self.proxy.setPlaceholderText("http://host:port")
         form = QFormLayout()
         form.addRow(_tr("Proxy (empty: none, or the system's)"), self.proxy)
         form.addRow(_tr("Folder of wheels (without a network)"), self.wheels)

@@ -28,7 +28,6 @@ import os
 import re
 from pathlib import Path
 from typing import List, Optional, Tuple
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -157,7 +156,7 @@ def _entries(style: Style, path: str | os.PathLike[str]) -> List[str]:
         table = ramp_table("viridis", max(highest, 1))
         named = [(value, str(value), "#" + bytes(table[value - 1]).hex()) for value in files]
     return [
-        f'        <paletteEntry value="{value}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
+        f'        <paletteEntry value="{value}" color="{colour}" alpha="255" label="{html.escape(name)}"/>'
         for value, name, colour in named
     ]
 
@@ -168,7 +167,7 @@ def _temporal(kind: str, taken: Optional[Tuple[str, str]]) -> str:
         return ""
     first, last = taken
     if kind == "footprints":  # each has its own time
-        time = quoteattr('to_datetime("taken")', {'"': "&quot;"})
+        time = '"to_datetime(&quot;taken&quot;)"'
         return f'  <temporal enabled="1" mode="4" startExpression={time} endExpression={time}/>\n'
     ends = f"<fixedRange><start>{first}</start><end>{last}</end></fixedRange>"
     return f'  <temporal enabled="1" mode="0" fetchMode="0">{ends}</temporal>\n'

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import os
 from dataclasses import dataclass
 from typing import Iterator, Mapping, Sequence, Tuple
-from xml.sax.saxutils import escape, quoteattr
 
 from ..arrays import Size, Window
 from .raster import NODATA
@@ -33,17 +33,17 @@ def vrt_text(shown: Mosaicked, folder: str) -> str:
 
 def _lines(shown: Mosaicked, folder: str) -> Iterator[str]:
     yield f'<VRTDataset rasterXSize="{shown.size[0]}" rasterYSize="{shown.size[1]}">'
-    yield f'<SRS dataAxisToSRSAxisMapping="1,2">{escape(shown.crs_wkt)}</SRS>'
+    yield f'<SRS dataAxisToSRSAxisMapping="1,2">{html.escape(shown.crs_wkt)}</SRS>'
     yield f"<GeoTransform>{', '.join(repr(float(value)) for value in shown.geotransform)}</GeoTransform>"
     yield "<Metadata>"
     for name, value in shown.metadata.items():
-        yield f"<MDI key={quoteattr(name)}>{escape(str(value))}</MDI>"
+        yield f'<MDI key="{html.escape(name)}">{html.escape(str(value))}</MDI>'
     yield "</Metadata>"
     for band, description in enumerate(shown.descriptions, start=1):
         yield f'<VRTRasterBand dataType="Float32" band="{band}" blockXSize="256" blockYSize="256">'
-        yield f"<Description>{escape(description)}</Description>"
+        yield f"<Description>{html.escape(description)}</Description>"
         if shown.unit:
-            yield f"<UnitType>{escape(shown.unit)}</UnitType>"
+            yield f"<UnitType>{html.escape(shown.unit)}</UnitType>"
         yield f"<NoDataValue>{NODATA}</NoDataValue>"
         yield f"<Overview>{_source(shown.overview, folder, band)}</Overview>"
         for path, (col, row, width, height) in shown.tiles:
@@ -60,4 +60,4 @@ def _lines(shown: Mosaicked, folder: str) -> Iterator[str]:
 
 def _source(path: str, folder: str, band: int) -> str:
     name = os.path.relpath(path, folder).replace(os.sep, "/")
-    return f'<SourceFilename relativeToVRT="1">{escape(name)}</SourceFilename><SourceBand>{band}</SourceBand>'
+    return f'<SourceFilename relativeToVRT="1">{html.escape(name)}</SourceFilename><SourceBand>{band}</SourceBand>'

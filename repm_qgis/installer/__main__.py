@@ -61,7 +61,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--python", default="", help="the Python that QGIS uses (default: the one that runs this)")
     parser.add_argument("--wheels", default="", help="a folder of wheels to install from, without a network")
     parser.add_argument(
-        "--proxy", default="", help="http://user:password@host:port; better in the variable HTTPS_PROXY"
+        "--proxy",
+        default="",
+        help="http://host:port (user:password@ before the host where it asks for them); better in HTTPS_PROXY",
     )
     parser.add_argument(
         "--extra", action="append", default=[], metavar="FILE", help="further requirements of the plugin"

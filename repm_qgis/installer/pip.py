@@ -216,7 +216,8 @@ def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmErr
         name = _without_password(proxy) or "that is set"
         return MissingPackageError(
             f"The proxy {name} does not let the packages through ({_reason(_PROXY, lines)}): correct it, such as "
-            "http://user:password@host:port, or choose a folder of wheels."
+            "http://host:port, with user:password@ before the host where it asks for them, or choose a folder of "
+            "wheels."
         )
     if _CERTIFICATE.search(text):
         return MissingPackageError(
