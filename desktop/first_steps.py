@@ -68,10 +68,10 @@ class FirstSteps(QDialog):
         later = QLabel(self.tr("You find these steps again in the menu Plugins > REPM."))
         later.setEnabled(False)
         self._layout.addWidget(later, 5, 0, 1, 3)
-        self._refresh()
+        self.refresh()
 
     def showEvent(self, event: Any) -> None:
-        self._refresh()
+        self.refresh()
         super().showEvent(event)
 
     def _step(self, number: int, text: str, button_text: str, run: Callable[[], Any]) -> QPushButton:
@@ -84,7 +84,8 @@ class FirstSteps(QDialog):
             self._layout.addWidget(widget, number + 1, column)
         return button
 
-    def _refresh(self) -> None:
+    def refresh(self) -> None:
+        """Enable what can be done now."""
         images = _sample_images()
         self.dsm.setEnabled(bool(images))
         self.dsm.setToolTip("" if images else self.tr("Make the sample images first."))
@@ -100,7 +101,7 @@ class FirstSteps(QDialog):
     def _images_made(self, successful: bool, results: Any) -> None:
         if successful and results.get("FOLDER"):
             QgsSettings().setValue(SAMPLE, results["FOLDER"])
-        self._refresh()
+        self.refresh()
 
     def _make_dsm(self) -> None:
         workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), "sample DSM")

@@ -34,8 +34,11 @@ def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmInstall", text)
 
 
-def offer_once(iface: Any, install: Callable[[], Any]) -> None:
-    """Say in the message bar that packages are missing, or are those of an earlier version: once for each of these."""
+def offer_once(iface: Any, install: Callable[[], Any]) -> Any:
+    """Say in the message bar that packages are missing, or are those of an earlier version: once for each of these.
+
+    Gives the message, None where there is none.
+    """
     state = installation.state()
     said = {
         installation.MISSING: _tr("Python packages that REPM needs are missing."),
@@ -43,13 +46,13 @@ def offer_once(iface: Any, install: Callable[[], Any]) -> None:
     }.get(state)
     known = f"{state} {installation.requirements_hash()}"
     if said is None or QgsSettings().value(OFFERED, "") == known:
-        return
+        return None
     QgsSettings().setValue(OFFERED, known)
     message = iface.messageBar().createMessage("REPM", said)
     button = QPushButton(_tr("Install the packages…"), message)
-    button.clicked.connect(lambda: (iface.messageBar().popWidget(message), install()))
+    button.clicked.connect(lambda: install())
     message.layout().addWidget(button)
-    iface.messageBar().pushWidget(message, Qgis.MessageLevel.Info, 0)
+    return iface.messageBar().pushWidget(message, Qgis.MessageLevel.Info, 0)
 
 
 class _Feedback(QgsProcessingFeedback):
@@ -109,6 +112,8 @@ class _Task(QgsTask):
 class InstallDialog(QDialog):
     """Makes or renews the engine's environment in the profile, or removes it."""
 
+    changed = pyqtSignal()
+
     def __init__(self, iface: Any) -> None:
         super().__init__(iface.mainWindow())
         self._task: Optional[_Task] = None
@@ -136,6 +141,7 @@ class InstallDialog(QDialog):
         self.bar = QProgressBar()
         self.bar.setRange(0, 100)
         self.doing = QLabel()
+        self.doing.setWordWrap(True)
         self.log = QPlainTextEdit()
         self.log.setReadOnly(True)
         self.install = self._button(_tr("Install"), self._install)
@@ -252,6 +258,7 @@ class InstallDialog(QDialog):
         self._plan()
         if error:
             self.bar.setValue(0)
+        self.changed.emit()
         self._say(error or _tr("The packages are installed: every algorithm of REPM can run now."))
 
     def _remove(self) -> None:
@@ -268,6 +275,7 @@ class InstallDialog(QDialog):
             installation.remove(feedback)
         except QgsProcessingException as error:
             self._say(str(error))
+        self.changed.emit()
         self._plan()
 
     def _open_log(self) -> None:

@@ -8,6 +8,7 @@ from qgis.PyQt.QtCore import QCoreApplication, Qt, QTimer
 from qgis.PyQt.QtGui import QIcon
 from qgis.PyQt.QtWidgets import QAction
 
+from ..processing_provider import installation
 from ..processing_provider.base import resource
 from . import model_copy
 from .control_points import ControlPointsDock
@@ -25,6 +26,7 @@ class PluginMenu:
         self._iface, self._actions = iface, []
         self._panel: Optional[FirstSteps] = None
         self._installer: Optional[InstallDialog] = None
+        self._offer: Any = None
         self._toolbox_actions = model_copy.register()
         self._dock: Optional[ControlPointsDock] = None
         self.add(self.tr("First steps"), "repm", self.first_steps)
@@ -38,7 +40,7 @@ class PluginMenu:
     def _begin(self) -> None:
         if self._actions:  # else the plugin was unloaded meanwhile
             show_once(self.first_steps)
-            offer_once(self._iface, self.install)
+            self._offer = offer_once(self._iface, self.install)
 
     def tr(self, text: str) -> str:
         return QCoreApplication.translate("PluginMenu", text)
@@ -88,5 +90,14 @@ class PluginMenu:
         """Show the dialog that installs the engine's packages."""
         if self._installer is None:
             self._installer = InstallDialog(self._iface)
+            self._installer.changed.connect(self._packages_changed)
         self._installer.show()
         self._installer.raise_()
+
+    def _packages_changed(self) -> None:
+        """What the offer and the panel say may hold no longer."""
+        if self._offer is not None and installation.state() == installation.FINE:
+            self._iface.messageBar().popWidget(self._offer)
+            self._offer = None
+        if self._panel is not None:
+            self._panel.refresh()

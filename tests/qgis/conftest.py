@@ -196,7 +196,7 @@ def desktop_start(tmp_path):
     """Runs a driver of this folder in a new desktop with an empty profile; gives what it found.
 
     ``settings`` are lines of the profile's QGIS3.ini; without ``engine`` the plugin is its unpacked zip, which has
-    none. REPM_KEEP_PICTURES=FOLDER keeps the screenshots.
+    none; with None there is no plugin. REPM_KEEP_PICTURES=FOLDER keeps the screenshots.
     """
     profile = tmp_path / "profiles" / "profiles" / "default"
     (profile / "python" / "plugins").mkdir(parents=True)
@@ -207,11 +207,13 @@ def desktop_start(tmp_path):
     out.mkdir()
 
     def run(driver, plan, seconds=150, settings="[repm]\nfirst_steps_shown=true\n", locale="en", engine=True):
+        enabled = "repm=true\n" if engine is not None else ""
         (profile / "QGIS" / "QGIS3.ini").write_text(
-            f"[PythonPlugins]\nrepm=true\nprocessing=true\n[locale]\nuserLocale={locale}\noverrideFlag=true\n{settings}"
+            f"[PythonPlugins]\n{enabled}processing=true\n[locale]\nuserLocale={locale}\noverrideFlag=true\n{settings}"
         )
         if not engine:
             (profile / "python" / "plugins" / "repm").unlink()
+        if engine is False:
             unpack_plugin(profile / "python" / "plugins", tmp_path)
         path = tmp_path / "plan.json"
         path.write_text(json.dumps({**plan, "folder": str(out), "seconds": seconds}))

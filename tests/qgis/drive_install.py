@@ -79,6 +79,7 @@ def watch(dialog, cancel):
         return
     FOUND["longest pause"] = max((b - a for a, b in zip(TICKS, TICKS[1:])), default=0.0)
     FOUND["ended"] = dialog.doing.text()
+    FOUND["offered still"] = any("nstall" in each.text() for each in iface.messageBar().findChildren(QPushButton))
     FOUND["cancel seconds"] = time.monotonic() - FOUND.get("cancelled at", time.monotonic())
     FOUND["log"] = dialog.log.toPlainText()
     FOUND["state then"] = module().state()
