@@ -75,6 +75,7 @@ def look(dialog, success):
                 "crs": layer.crs().authid(),
                 "source": layer.source(),
                 "renderer": type(renderer).__name__,
+                "in_3d": layer.renderer3D().type() if layer.renderer3D() is not None else "",
                 "group": node.parent().name(),
                 "shown": node.isVisible(),
             }
