@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import os
+from contextlib import suppress
 from typing import Any, Mapping
 
 from qgis.core import (
@@ -27,7 +28,7 @@ from ..repm_qgis.products import products_of
 from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
 from .kept import in_workspace, is_lasting
-from .language import said
+from .language import language, said
 from .parameters import tr
 from .values import checked_value, destination, input_options, is_empty, raster_items
 
@@ -111,20 +112,20 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return path if os.path.exists(path) else resource("icons", "repm.svg")
 
     def shortHelpString(self) -> str:
-        try:
-            with open(resource("help", f"{self.ID}.md"), encoding="utf-8") as stream:
+        """The page in QGIS's language where there is one, else the English one."""
+        for place in (resource("help", language()), resource("help")):
+            with suppress(OSError), open(os.path.join(place, f"{self.ID}.md"), encoding="utf-8") as stream:
                 return to_html(stream.read(), resource("help"))
-        except OSError:
-            return self.shortDescription()
+        return self.shortDescription()
 
     def helpUrl(self) -> str:
         from ..repm_qgis.errors import WorkspaceError
 
         entries = [*self.parameterDefinitions(), *self.outputDefinitions()]
         more = {entry.name(): entry.help() for entry in self.parameterDefinitions()}
-        language = QgsApplication.locale() or "en"
+        labels = {each.name(): each.description() for each in entries}
         try:
-            return helppages.page(self.ID, language, {each.name(): each.description() for each in entries}, more)
+            return helppages.page(self.ID, QgsApplication.locale() or "en", labels, more)
         except WorkspaceError:  # a profile where nothing can be written
             return QUrl.fromLocalFile(os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")).toString()
 

@@ -132,10 +132,22 @@ _CODE_CALLS = set(
 _BUGS = {"ValueError", "TypeError", "AssertionError", "KeyError", "NotImplementedError", "RuntimeError"}
 WORDS = (
     "area before after begins fusion matching refinement contradicted control check done maps no none point points "
-    "unknown yes DSM wrong Report Tiles"
+    "unknown yes DSM wrong Report Tiles images parameters "
+    "uncorrected east north height"
 ).split()
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16
+SYSTEM = (
+    "File exists",
+    "Is a directory",
+    "No space left on device",
+    "No such file or directory",
+    "Not a directory",
+    "Permission denied",
+    "Read-only file system",
+    "Too many open files",
+)
+"""What the system says of files, which messages quote. What GDAL and PROJ say stays in their English."""
 
 
 def _forms(node: ast.AST) -> list[list[str | None]]:
@@ -278,7 +290,7 @@ def engine_texts() -> list[str]:
             if path != ROOT / "repm_qgis" / "products.py":  # the dialogs have its texts; pages show titles only
                 texts = _read_in(ast.parse(path.read_text(encoding="utf-8")))
                 found += [text for text in texts if folder == "repm_qgis" or text not in dialogs]
-    found += [*_read_in_templates(), *titles_of_products()]
+    found += [*_read_in_templates(), *titles_of_products(), *SYSTEM]
     left_out = list(stays())
     exact = set(left_out)
     patterns = [re.compile(fnmatch.translate(text)) for text in left_out if "*" in text]

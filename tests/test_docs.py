@@ -51,6 +51,22 @@ def test_pages_use_plain_words(page):
     assert not found, "see docs/glossary.md"
 
 
+def structure(page):
+    """What each line is, and how many bold words it has; the page's code and pictures."""
+    text = page.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    shape = [re.match(r"#*|- |!", line)[0] + "*" * line.count("**") for line in lines]
+    return shape, sorted(re.findall(r"`[^`]+`", text)), re.findall(r"\(([^)\s]+\.png)\)", text)
+
+
+@pytest.mark.parametrize("page", HELP, ids=lambda page: page.stem)
+def test_help_says_the_same_in_every_language(page):
+    languages = {path.stem.split("_", 1)[1] for path in (ROOT / "i18n").glob("repm_*.ts")}
+    assert languages == {folder.name for folder in page.parent.iterdir() if folder.is_dir()}
+    for language in languages:
+        assert structure(page.parent / language / page.name) == structure(page), language
+
+
 def test_every_algorithm_has_its_page_and_its_help():
     names = {path.stem for path in (ROOT / "resources" / "help").glob("*.md")}
     assert len(names) >= 9

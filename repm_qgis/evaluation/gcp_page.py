@@ -37,8 +37,9 @@ def _counts(found: GcpAccuracy) -> str:
     """How many points of each role there are; roles mean nothing where no image was measured."""
     if not any(gcp.pixels for gcp in found.gcps):
         return counted(len(found.gcps), "point")
-    counts = ((sum(gcp.role == role for gcp in found.gcps), role) for role in ("control", "check"))
-    return f"{counted(len(found.gcps), 'point')}: {' and '.join(f'{n} {role}' for n, role in counts if n)}"
+    control, check = (sum(gcp.role == role for gcp in found.gcps) for role in ("control", "check"))
+    roles = [*([f"{control} for control"] if control else []), *([f"{check} for checking"] if check else [])]
+    return f"{counted(len(found.gcps), 'point')}: {' and '.join(roles)}"
 
 
 def _roles(found: GcpAccuracy) -> List[str]:

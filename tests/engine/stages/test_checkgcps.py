@@ -331,7 +331,7 @@ def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, 
     )
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     for words in (
-        "12 points: 6 control and 6 check",
+        "12 points: 6 for control and 6 for checking",
         "no point confirms itself",
         "own few measured pixels",
         "compensated E",

@@ -1,0 +1,160 @@
+"""With German as its reader's language, a run says nothing in English, and makes the same results to the byte."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from repm_qgis.errors import OptionError
+from repm_qgis.stages import run_stage
+from repm_qgis.translation import Translator, written_in
+from tests.english import english_in
+
+ROOT = Path(__file__).resolve().parents[2]
+PRODUCTS = ("output", "confidence", "ortho")
+
+
+class Heard:
+    """A progress that keeps what a reader sees, in German."""
+
+    def __init__(self):
+        self.texts, self.german = [], Translator.of("de")
+
+    def step(self, fraction, text=""):
+        self.info(text)
+
+    def info(self, text):
+        self.texts.append(self.german.translate(text))
+
+    warn = info
+
+    def check_cancelled(self):
+        pass
+
+
+def engine(stage, folder, **job):
+    """The engine's lines for a job, as headless users run it; LANG is German and must not matter."""
+    path = folder / "job.json"
+    path.write_text(json.dumps(job))
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "LANG": "de_DE.UTF-8", "LANGUAGE": "de"}
+    command = [sys.executable, "-m", "repm_qgis", stage, str(path)]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+@pytest.fixture(scope="module")
+def sample(tmp_path_factory):
+    folder, heard = tmp_path_factory.mktemp("sample"), Heard()
+    with written_in("de"):
+        made = run_stage("sampledata", {"folder": str(folder), "size": 400}, heard)
+    assert not english_in(heard.texts)
+    return made
+
+
+def run(sample, folder, **more):
+    paths = {name: str(folder / f"{name}.tif") for name in PRODUCTS}
+    job = {"images": sample["images"], "workspace": str(folder / "work"), **paths, "command": "repm", **more}
+    return engine("pipeline", folder, **job), paths
+
+
+@pytest.fixture(scope="module")
+def german(sample, tmp_path_factory):
+    """The engine's lines of a German run, and its folder."""
+    folder = tmp_path_factory.mktemp("german")
+    return (*run(sample, folder, language="de"), folder)
+
+
+def pieces(page: Path):
+    """The texts that a page shows."""
+    body = re.sub(r"<style.*?</style>|<pre>.*?</pre>", "", page.read_text(encoding="utf-8"), flags=re.S)
+    return [html.unescape(piece).strip() for piece in re.findall(r">([^<>]+)<", body)]
+
+
+def test_a_run_is_logged_in_german(german):
+    lines, _, _ = german
+    assert lines[-1]["type"] == "result", lines[-1]
+    texts = [line["text"] for line in lines[:-1]]
+    assert len(texts) > 20 and any("Verknüpfungspunkte" in text for text in texts)
+    assert not english_in(texts)
+
+
+def test_its_report_and_legends_are_german(german):
+    _, _, folder = german
+    report = folder / "work" / "report.html"
+    assert '<html lang="de">' in report.read_text(encoding="utf-8")
+    assert not english_in(pieces(report)) and len(pieces(report)) > 100
+    styles = list(folder.rglob("*.qml"))
+    labels = {html.unescape(label) for style in styles for label in re.findall(r' label="([^"]*)"', style.read_text())}
+    assert any("bis 0,1 px" in label for label in labels) and not english_in(labels)
+    assert any("<!-- language: de -->" in style.read_text() for style in styles)
+
+
+def test_the_language_changes_no_byte_of_the_results(german, sample, tmp_path):
+    lines, made, _ = german
+    others, paths = run(sample, tmp_path)
+    assert english_in(line.get("text", "") for line in others)  # without a language in the job, whatever LANG says
+    for name in PRODUCTS:
+        assert Path(paths[name]).read_bytes() == Path(made[name]).read_bytes(), name
+    results = [{key: value for key, value in each[-1]["result"].items()} for each in (lines, others)]
+    assert results[0].keys() == results[1].keys()
+    same = [key for key, value in results[0].items() if isinstance(value, (int, float)) and key != "seconds"]
+    assert len(same) > 3 and [results[0][key] for key in same] == [results[1][key] for key in same]
+
+
+def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
+    work = german[2] / "work"
+    scene, refined, matched = (str(work / f"{name}.json") for name in ("scene", "refined", "reconstructed"))
+    dsm, report = german[1]["output"], lambda stage: str(tmp_path / f"{stage}.html")
+    jobs = {
+        "epmfit": {"images": sample["images"], "workspace": str(work)},
+        "errormap": {"scene": scene, "output": str(tmp_path / "error.tif")},
+        "refine": {"scene": scene, "output_scene": refined},
+        "comparedsm": {"dsm": dsm, "reference": sample["truth"], "error": str(tmp_path / "e.tif")},
+        "checkgcps": {"gcps": sample["gcps"], "scene": matched, "dsm": dsm, "output": str(tmp_path / "gcps.gpkg")},
+        "environment": {},
+        "mosaic": {"dsms": [dsm, sample["truth"]], "output": str(tmp_path / "mosaic.tif")},
+        "inspect": {"images": sample["images"]},
+    }
+    for stage, job in jobs.items():
+        heard = Heard()
+        with written_in("de"):
+            run_stage(stage, {**job, "report": report(stage)}, heard)
+        assert not english_in(heard.texts), stage
+        assert not english_in(pieces(Path(report(stage)))), stage
+    heard = Heard()
+    run_stage("exportcameras", {"scene": refined, "folder": str(tmp_path / "export")}, heard)
+    assert not english_in(heard.texts)
+    labels = re.findall(r' label="([^"]*)"', (tmp_path / "gcps.qml").read_text(encoding="utf-8"))
+    assert labels and not english_in(map(html.unescape, labels))
+
+
+@pytest.mark.parametrize(
+    "stage, job",
+    [
+        ("epmfit", {"images": ["a.tif", "b.tif"], "workspace": "w"}),
+        ("epmfit", {"images": ["a.tif"], "workspace": "w"}),
+        ("epmfit", {"images": ["a.tif", "b.tif"], "workspace": "w", "tile_size": 7}),
+        ("epmfit", {"images": "a.tif"}),
+        ("dsmfuse", {"scene": "gone.json", "output": "dsm.tif"}),
+        ("dsmfuse", {"scene": "gone.json", "output": "dsm.tif", "method": "best"}),
+        ("dsmfuse", {"scene": "gone.json", "output": "dsm.tif", "colour": "red"}),
+        ("comparedsm", {"dsm": "gone.tif", "reference": "gone.tif"}),
+        ("nothing", {}),
+    ],
+)
+def test_errors_are_german_and_keep_their_kind(stage, job, tmp_path):
+    (german,), (english,) = engine(stage, tmp_path, **job, language="de"), engine(stage, tmp_path, **job)
+    assert german["kind"] == english["kind"] and english_in([english["text"]])
+    assert not english_in([german["text"]])
+
+
+def test_a_language_must_be_a_code():
+    with pytest.raises(OptionError, match="language"), written_in("Deutsch, bitte"):
+        pass
