@@ -13,6 +13,8 @@ from qgis.PyQt.QtCore import QPointF, QRectF, QSize, Qt, QTimer, pyqtSignal
 from qgis.PyQt.QtGui import QColor, QImage, QPainter, QPen
 from qgis.PyQt.QtWidgets import QSizePolicy, QWidget
 
+from ..processing_provider.language import said
+
 _SCALES = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # screen px for an image px
 _START = _SCALES.index(4.0)
 _STEP_PX, _LARGE_STEP_PX = 0.1, 1.0  # of the arrow keys
@@ -102,7 +104,7 @@ class ImageView(QWidget):
             found = window_picture(self._path, self._band, self._centre, self.scale, size)
         except RepmError as error:
             self._picture = None
-            self.failed.emit(str(error))
+            self.failed.emit(said(str(error)))
             return
         self._picture = self._window = None
         if found is not None:

@@ -6,6 +6,8 @@ from typing import Any
 
 from qgis.PyQt.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 
+from ..processing_provider.language import said
+
 _IMAGES, _OFFSET, _MISS, _CHECK_ONLY = 1, 2, 3, 4
 FIELDS = {0: "id", 5: "height", 6: "lon", 7: "lat"}  # that can be edited, by column
 
@@ -94,7 +96,7 @@ class PointTable(QAbstractTableModel):
         try:
             gcp = self._measuring.edit(self._measuring.points[index.row()].id, **changed)
         except InputTableError as error:
-            self.refused.emit(str(error))
+            self.refused.emit(said(str(error)))
             return False
         self.edited.emit(gcp.id)
         return True

@@ -16,6 +16,7 @@ from ..repm_qgis.installer.install import log_of, planned
 from ..repm_qgis.installer.interpreter import Interpreter, program_in, qgis_python
 from ..repm_qgis.installer.packages import PACKAGES, REQUIREMENTS, requirements_of
 from . import engine, settings
+from .language import said
 
 FINE, MISSING, EARLIER = "fine", "missing", "earlier"
 _STAGE = "environment"
@@ -59,7 +60,7 @@ def plan(wheels: str = "", proxy_address: str = "") -> environments.Plan:
         folder = environments.folder_for(engine.homes()[0], python.program)
         return planned(python, folder, wheels=wheels, proxy=proxy_address)
     except (RepmError, OSError) as error:
-        raise QgsProcessingException(str(error)) from None
+        raise QgsProcessingException(said(str(error))) from None
 
 
 def install(wheels: str, proxy_address: str, feedback: QgsProcessingFeedback) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import os
+from typing import Any
 
 from qgis.core import QgsApplication, QgsProcessingModelAlgorithm, QgsProcessingProvider
 from qgis.PyQt.QtCore import QCoreApplication
@@ -19,7 +20,9 @@ from .epmfit import EpmFit
 from .errormap import ErrorMap
 from .exportcameras import ExportCameras
 from .inspect import Inspect
+from .language import said
 from .mosaic import Mosaic
+from .parameters import tr
 from .pipeline import Pipeline
 from .reconstruct import Reconstruct
 from .refine import Refine
@@ -48,6 +51,15 @@ MODEL = resource("models", "repm_stages.model3")
 class ShippedModel(QgsProcessingModelAlgorithm):
     """The stages as a model, under a name for people: the one in its file is an id for scripts."""
 
+    def read(self) -> bool:
+        """Read the model's file, whose labels and explanations are shown in QGIS's language."""
+        return self.fromFile(MODEL) and self.loadVariant(_in_language(self.toVariant()))
+
+    def createInstance(self) -> ShippedModel:
+        model = ShippedModel()
+        model.read()
+        return model
+
     def displayName(self) -> str:
         return numbered("whole", 2, self.tr("Make a DSM stage by stage (model)"))
 
@@ -68,6 +80,20 @@ class ShippedModel(QgsProcessingModelAlgorithm):
 
     def svgIconPath(self) -> str:
         return resource("icons", "pipeline.svg")
+
+
+def _in_language(value: Any, key: str = "") -> Any:
+    """A model's description with the texts in it that people read in QGIS's language."""
+    if isinstance(value, dict):
+        return {name: _in_language(inner, name) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_in_language(inner, key) for inner in value]
+    if key not in ("description", "component_description", "help", "ALG_DESC", "SHORT_DESCRIPTION") or not isinstance(
+        value, str
+    ):
+        return value
+    words = tr(value)
+    return words if words != value else said(value)
 
 
 class RepmProvider(QgsProcessingProvider):
@@ -107,7 +133,7 @@ class RepmProvider(QgsProcessingProvider):
         if QgsApplication.processingRegistry().providerById(self.id()) is None:
             return  # a model asks the registry for its children's outputs; plugin.py refreshes once we are known
         model = ShippedModel()
-        if model.fromFile(MODEL):
+        if model.read():
             self.addAlgorithm(model)
 
     def defaultVectorFileExtension(self, hasGeometry: bool = True) -> str:  # noqa: N803 - QGIS's name

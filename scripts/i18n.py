@@ -256,7 +256,7 @@ def _read_in(tree: ast.AST) -> list[str]:
 
 
 def _read_in_templates() -> list[str]:
-    """Texts between tags and in quotation marks of the pages' templates, and the labels of legends."""
+    """Texts in quotation marks of the pages' templates, labels of legends, and what models say."""
     sys.path.insert(0, str(ROOT))
     from repm_qgis.products import STYLES
 
@@ -268,6 +268,11 @@ def _read_in_templates() -> list[str]:
             parts = [part for piece in re.split("@[a-z]+@", html.unescape(label)) for part in (None, piece)][1:]
             found += [template(parts)]
     found += [text for style in STYLES for text in (*style.classes, style.title)]
+    for path in sorted((ROOT / "resources" / "models").glob("*.model3")):
+        read = re.findall(
+            r'name="(?:ALG_DESC|SHORT_DESCRIPTION|component_description)" value="([^"]*)"', path.read_text("utf-8")
+        )
+        found += map(html.unescape, read)
     return [text for text in found if re.search("[A-Za-z]{2}", text)]
 
 
@@ -285,7 +290,7 @@ def engine_texts() -> list[str]:
     """
     found: list[str] = []
     dialogs = {text for texts in source().values() for text in texts}
-    for folder in ("repm_qgis", "processing_provider"):
+    for folder in ("repm_qgis", "processing_provider", "desktop"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             if path != ROOT / "repm_qgis" / "products.py":  # the dialogs have its texts; pages show titles only
                 texts = _read_in(ast.parse(path.read_text(encoding="utf-8")))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import json
 import pathlib
 import re
 
 import pytest
-from qgis.core import QgsApplication
+from qgis.core import QgsApplication, QgsProcessingException
+
+from tests.english import english_in
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -38,14 +42,72 @@ def test_without_a_translation_the_source_is_shown(plugin):
     )
 
 
-def test_most_is_translated_and_places_for_values_are_kept(collector):
+def test_everything_is_translated_and_places_for_values_are_kept(collector):
+    """'make i18n' names what is missing; nothing that has gone from the source is left."""
     done = collector.translations(ROOT / "i18n" / "repm_de.ts")
-    texts = [(context, text) for context, found in collector.source().items() for text in found]
-    translated = [key for key in texts if done.get(key)]
-    assert len(translated) > 0.8 * len(texts) > 80, "run 'make i18n' and translate"
-    for context, text in translated:
-        word = done[context, text]
-        assert sorted(re.findall(r"{[^}]*}", word)) == sorted(re.findall(r"{[^}]*}", text)), word
+    pairs = {text: done.get((context, text)) for context, found in collector.source().items() for text in found}
+    engine = collector.engine_catalogue("de")
+    written = json.loads((ROOT / "i18n" / "engine_de.json").read_text(encoding="utf-8"))
+    assert len(pairs) > 200 and len(engine) > 900
+    missing = [text for text, word in [*pairs.items(), *engine.items()] if not word]
+    assert not missing, "run 'make i18n' and translate"
+    assert written == engine, "run 'make i18n'"
+    for text, word in [*pairs.items(), *engine.items()]:
+        assert set(re.findall(r"{[^}]*}", word)) == set(re.findall(r"{[^}]*}", text)), word
+    assert not english_in(written.values())
+
+
+def test_a_new_sentence_of_the_engine_is_noticed(collector):
+    """Whatever its form is: plain, with values, of parts, with a plural, in two ways."""
+    source = """
+def f(progress, count, path):
+    \"\"\"A docstring that nobody sees.\"\"\"
+    progress.info(f"Found {count:.1f} new things in '{path}'.")
+    text = "plain words " + f"and {count} more of them"
+    progress.warn(f"{counted(count, 'brown fox')} {'is' if count == 1 else 'are'} quick")
+    table("file | mean, px", [])
+    raise TypeError("a bug that a developer sees")
+"""
+    found = collector._read_in(ast.parse(source.replace(chr(92), "")))
+    assert "Found {0} new things in '{1}'." in found and "plain words and {0} more of them" in found
+    assert {"1 brown fox", "{0} brown foxs", "{0} is quick", "{0} are quick", "file", "mean, px"} <= set(found)
+    assert not [text for text in found if "docstring" in text or "bug" in text]
+
+
+def test_what_stays_english_has_a_reason(collector):
+    found = json.loads((ROOT / "i18n" / "stays_english.json").read_text(encoding="utf-8"))
+    assert found and all(len(reason.split()) >= 5 and texts for reason, texts in found.items())
+
+
+def algorithms():
+    return [each.create() for each in QgsApplication.processingRegistry().providerById("repm").algorithms()]
+
+
+def test_dialogs_and_help_are_german(german):
+    assert len(algorithms()) >= 13
+    found = {}
+    for algorithm in algorithms():
+        texts = [algorithm.displayName(), algorithm.group(), algorithm.shortDescription()]
+        texts += re.split(r"(?=<[hplu])", algorithm.shortHelpString())
+        for entry in [*algorithm.parameterDefinitions(), *algorithm.outputDefinitions()]:
+            texts.append(entry.description())
+        texts += [entry.help() for entry in algorithm.parameterDefinitions()]
+        found[algorithm.id()] = english_in(texts)
+    assert not any(found.values()), {name: texts for name, texts in found.items() if texts}
+
+
+def test_logs_errors_and_reports_of_both_kinds_of_runs_are_german(german, feedback, tmp_path):
+    from repm.processing_provider import engine
+
+    for run, name in ((engine.run_here, "here"), (engine.run_apart, "apart")):
+        report = tmp_path / f"{name}.html"
+        run("environment", {"report": str(report)}, feedback)
+        assert '<html lang="de">' in report.read_text(encoding="utf-8")
+        with pytest.raises(QgsProcessingException, match="die scene.json wählen") as caught:
+            run("refine", {"scene": str(tmp_path / "gone.json"), "output_scene": str(tmp_path / "o.json")}, feedback)
+        assert not english_in([str(caught.value)])
+    heard = [text for texts in ("info", "warning", "text") for text in feedback.heard[texts]]
+    assert any("prüfe Pakete und Geräte" in text for text in heard) and not english_in(heard)
 
 
 def test_the_compiled_file_is_in_the_package():
