@@ -7,6 +7,7 @@ import importlib.util
 import json
 import pathlib
 import re
+import shutil
 
 import pytest
 from qgis.core import QgsApplication, QgsProcessingException
@@ -114,3 +115,13 @@ def test_the_compiled_file_is_in_the_package():
     assert (ROOT / "i18n" / "repm_de.qm").stat().st_size < 100_000
     package = (ROOT / "scripts" / "package").read_text(encoding="utf-8")
     assert "i18n" not in package.split("LEFT_OUT_SCRIPTS")[0]
+
+
+@pytest.mark.skipif(
+    not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
+)
+def test_windows_are_german(desktop_start):
+    found = desktop_start("drive_german.py", {}, seconds=90, locale="de")["windows"]
+    assert len(found) >= 15 and sum(map(len, found.values())) > 300
+    left = {name: english_in(texts) for name, texts in found.items()}
+    assert not any(left.values()), {name: texts for name, texts in left.items() if texts}
