@@ -30,6 +30,7 @@ _MOST_SPLITS, _MOST_TRIES = 12, 4000
 _JOINTS = (". ", "? ", ": ", "; ", ", ")
 """Where a text that no template fits is cut, and its parts are translated by themselves."""
 _FEW_LETTERS = 8
+_ADDED = (" ", ",", ".", ";", ":")
 _CODE = re.compile(r"[a-z]{2,3}([_-][A-Za-z]{2,8})*")
 
 
@@ -44,7 +45,7 @@ class _Template:
     """A sentence with fields, and its translation."""
 
     def __init__(self, source: str, target: str) -> None:
-        before, after = source[:1] in (" ", ","), source[-1:] == " "
+        before, after = source[:1] in _ADDED, source[-1:] == " "
         self._pieces = [*([""] if before else []), *_FIELD.split(source)[::2], *([""] if after else [])]
         self._numbers = [*([-1] if before else []), *map(int, _FIELD.findall(source)), *([-2] if after else [])]
         self._target = ("{-1}" if before else "") + target + ("{-2}" if after else "")
@@ -64,7 +65,9 @@ class _Template:
         first, *middle, last = self._pieces
         inside, best = text[len(first) : len(text) - len(last)], None
         for fields in islice(_splits(inside, middle), _MOST_SPLITS):
-            found = [_Found(field, True) if kept else search.of(field) for field, kept in zip(fields, self._kept)]
+            found = [
+                _Found(field, "'" not in field) if kept else search.of(field) for field, kept in zip(fields, self._kept)
+            ]
             values = dict(zip(self._numbers, (each.text for each in found)))
             whole = all(each.whole for each in found)
             if whole or (best is None and not self._is_short):  # "{0} to {1}" would fit half of all sentences
@@ -99,7 +102,7 @@ def _splits(text: str, pieces: Sequence[str]) -> Iterator[List[str]]:
 
 def _is_addition(source: str) -> bool:
     """Whether a phrase is added to another one: it begins with a space or a comma, or ends with a space."""
-    return source[:1] in (" ", ",") or source[-1:] == " "
+    return source[:1] in _ADDED or source[-1:] == " "
 
 
 class Translator:

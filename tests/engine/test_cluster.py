@@ -195,7 +195,7 @@ def test_storage_that_is_not_shared_is_a_sentence(cluster, on, tmp_path, monkeyp
         with pytest.raises(ClusterError, match="The worker .* cannot use '/proc/self/cwd/.*No such file") as caught:
             with on(cluster, **changes)[0]:
                 pass
-        assert "put images, workspace and products on storage that all machines have" in str(caught.value)
+        assert "put images, workspace and products on storage that all machines see" in str(caught.value)
     with on(cluster, read=[str(tmp_path / "image.tif")], folders=[str(tmp_path / "out")])[0]:
         assert os.listdir(tmp_path / "out") == []
 
