@@ -51,7 +51,7 @@ def test_expected_failures_are_sentences_and_code_1(tmp_path):
     broken.write_text('{"report": ')
     for arguments, words in (
         (["environment"], "must be a STAGE and a JOB.json"),
-        (["nonsense", job(tmp_path)], "must be one of epmfit"),
+        (["nonsense", job(tmp_path)], "must be one of inspect, epmfit"),
         (["environment", broken], "must be a readable JSON file"),
         (["environment", tmp_path / "gone.json"], "must be a readable JSON file"),
         (["environment", job(tmp_path, colour="red")], "is not an option of this stage"),
