@@ -728,7 +728,7 @@
     </message>
     <message>
         <source>BACKEND is '{name}', which {remedy}; or choose auto.</source>
-        <translation>BACKEND '{name}' geht hier nicht ({remedy}); sonst auto wählen.</translation>
+        <translation>BACKEND „{name}“ {remedy}; sonst auto wählen.</translation>
     </message>
     <message>
         <source>{name} '{path}' is not there: check its path.</source>
@@ -740,7 +740,7 @@
     </message>
     <message>
         <source>The layer '{layer}' of {name} is a raster: choose a vector layer or a table.</source>
-        <translation>Der Layer '{layer}' von {name} ist ein Raster: Wählen Sie einen Vektorlayer oder eine Tabelle.</translation>
+        <translation>Der Layer „{layer}“ in {name} ist ein Raster: einen Vektorlayer oder eine Tabelle wählen.</translation>
     </message>
     <message>
         <source>{name} '{path}' cannot be read as a raster: check that the file is complete.</source>
@@ -917,7 +917,7 @@
     </message>
     <message>
         <source>EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773. Its grid must be installed: the Environment report names what is missing.</source>
-        <translation>EGM96, EGM2008 oder irgendein Höhensystem, das PROJ kennt, etwa EPSG:5773. Sein Gitter muss installiert sein: Der Umgebungsbericht nennt, was fehlt.</translation>
+        <translation>EGM96, EGM2008 oder jedes Höhen-KBS, das PROJ kennt, etwa EPSG:5773. Sein Gitter muss installiert sein: Der Umgebungsbericht nennt, was fehlt.</translation>
     </message>
     <message>
         <source>Heights refer to (empty: the WGS 84 ellipsoid)</source>
@@ -1105,7 +1105,7 @@
     </message>
     <message>
         <source>occlusions: cells that one image hides take the height of the ground behind; all: remaining holes are interpolated too; both are marked in the confidence raster. none: they stay nodata.</source>
-        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter; all: übrige Lücken werden zudem interpoliert; beides ist im Vertrauensraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
+        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter; all: übrige Lücken werden zudem interpoliert; beides ist im Konfidenzraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
         <source>Outlier radius (m, empty: automatic, 0: off)</source>

@@ -100,7 +100,7 @@ class View(Record):
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
-        return "" if 0.5 < turned < 2.0 else "has a pointing that is no small correction"
+        return "" if 0.5 < turned < 2.0 else "has a pointing that is too large for a correction"
 
     @property
     def time(self) -> Optional[datetime]:
@@ -343,7 +343,7 @@ class Scene(Record):
                     tiles.append(with_files(tile, find))
             return cls.from_mapping({**vars(scene), "tiles": tiles})
         except (Misfit, RpcInvalidError, SceneError) as error:
-            raise SceneError(f"The scene '{path}' is damaged ({error}): make it anew with {_FIRST_STAGE}.") from error
+            raise SceneError(f"The scene '{path}' is damaged ({error}): make it again with {_FIRST_STAGE}.") from error
 
 
 def folder_of(scene: Path, kind: str) -> Path:
@@ -392,10 +392,10 @@ def _document(path: str) -> Dict[str, Any]:
     schema = document.get("schema")
     if not isinstance(schema, int) or schema > SCHEMA:
         found = f"has schema {shown(schema)}, this version of the plugin reads up to {SCHEMA}"
-        raise SceneVersionError(f"The scene '{path}' {found}: update the plugin, or make the scene anew.")
+        raise SceneVersionError(f"The scene '{path}' {found}: update the plugin, or make the scene again.")
     if schema < SCHEMA:
         found = f"has schema {schema} of an earlier version of the plugin, this version reads {SCHEMA}"
-        raise SceneError(f"The scene '{path}' {found}: make the scene anew with {_FIRST_STAGE}.")
+        raise SceneError(f"The scene '{path}' {found}: make the scene again with {_FIRST_STAGE}.")
     return document
 
 

@@ -45,7 +45,7 @@ def _pairs(report: Report, scene: Scene) -> None:
         times = duration_text(pair.days), "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.1f}°"
         rows.append([pair.first, pair.second, f"{pair.angle_deg:.1f}°", *figures, *times])
     report.section("Pairs").table(
-        "first | second | convergence | B/H | overlap, % | m of height per px | expected accuracy, m | taken apart | "
+        "first | second | convergence | B/H | overlap, % | m of height per px | expected accuracy, m | time between | "
         "angle between suns",
         rows,
         "The overlap is a share of the smaller footprint, at the middle altitude. The expected accuracy is that of "
@@ -158,8 +158,8 @@ def _absolute(report: Report, ties: PointingFigures) -> None:
         return
     if ties.control_noise_px is not None:
         report.paragraph(
-            f"The control points fit to {ties.control_noise_px:.2f} px in each direction (standard deviation, "
-            "estimated from their own residuals), and have the weight that belongs to it."
+            f"The residuals of the control points are {ties.control_noise_px:.2f} px in each direction (standard "
+            "deviation), which sets their weight against the tie points."
         )
     report.table(
         "points | count | component | MedAE, m | RMSE, m | Max, m",

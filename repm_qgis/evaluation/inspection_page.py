@@ -137,7 +137,7 @@ def _first_area(page: Report, places: Sequence[Place], parameters: PointingParam
         area = place.first_area(parameters)
         if area is not None:
             xmin, ymin, xmax, ymax = np.round(area).astype(int)
-            page.section("A small area to begin with").paragraph(
+            page.section("A small area to start with").paragraph(
                 "Draw it on the map over the overlap of the best pair, or give this as the area (EXTENT):"
             )
             page.command(f"{xmin},{xmax},{ymin},{ymax} [{place.crs}]")

@@ -66,7 +66,7 @@ def of_comparison(metrics: HeightMetrics, bounds: VerdictParameters = VERDICT) -
         )
     if abs(metrics.bias) > max(bounds.most_bias_nmads * metrics.nmad, bounds.most_bias_m):
         found.append(
-            f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than they scatter: check the "
+            f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than their spread: check the "
             "vertical datums and the absolute pointing, or set ALIGN to vertical or 3d."
         )
     return found

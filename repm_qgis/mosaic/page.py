@@ -73,8 +73,8 @@ def _dsms(
     page.section("DSMs").table(
         "number | DSM or scene | added, m | standard deviation, m | fixed | overlaps | group | cells from it, %",
         rows,
-        "Offsets are solved together by least squares over all overlaps. DSMs of different groups do not hang "
-        "together: their heights are not compared with each other. A group without a fixed DSM keeps its mean height.",
+        "Offsets are solved together by least squares over all overlaps. DSMs of different groups do not "
+        "overlap, so their heights are not compared. A group without a fixed DSM keeps its mean height.",
     )
 
 

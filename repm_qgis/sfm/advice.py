@@ -123,8 +123,8 @@ def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
         if other_sun(pair, parameters)
     ]
     text = (
-        f"The sun stood differently over {_listed(named)}: edges of shadows match as if they were ground, and ground "
-        "in shadow does not match; take images of one pass or with similar suns, or leave one image out."
+        f"The sun had different directions over {_listed(named)}: edges of shadows are matched as if they were ground, "
+        "and ground in shadow is not matched; take images of one pass or with similar suns, or leave one image out."
     )
     return [text] if named else []
 

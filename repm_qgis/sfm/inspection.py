@@ -162,7 +162,7 @@ def _worth(
     reasons = []
     if pair.base_to_height < limits.narrow or pair.angle_deg < limits.least_good_deg:
         accuracy = expected_accuracy_m(pair, min(gsd[pair.first], gsd[pair.second]), advice)
-        reasons.append(f"narrow: heights good to some {accuracy:.1f} m only")
+        reasons.append(f"narrow: heights accurate to about {accuracy:.1f} m only")
     elif pair.base_to_height > limits.wide:
         reasons.append("wide: walls and trees will not match")
     if other_sun(pair, advice):

@@ -165,8 +165,8 @@ def _log(figures: PointingFigures, progress: Progress) -> None:
     )
     if figures.control_noise_px is not None:
         progress.info(
-            f"The control points fit to {figures.control_noise_px:.2f} px in each direction, which gives them their "
-            "weight beside the tie points."
+            f"The residuals of the control points are {figures.control_noise_px:.2f} px in each direction, which sets "
+            "their weight against the tie points."
         )
     for identity in figures.rejected_gcps:
         progress.warn(

@@ -227,7 +227,7 @@ def _blocks(
     tasks = block_tasks(layout, parts, folder, parameters)
     largest = max(tasks, key=block_mib)
     over = f"a block of {largest.own.width} cells a side with {counted(len(largest.sources), 'DSM')}"
-    work = Work(over, block_mib(largest), lambda _: "take fewer DSMs that lie over each other, or a larger RESOLUTION")
+    work = Work(over, block_mib(largest), lambda _: "take fewer DSMs that overlap, or a larger RESOLUTION")
     workers = workers_within(options.workers, work, options.memory, progress)
     blocks = run_tasks(make_block, tasks, workers, progress, lambda task: "making the mosaic")
     reused = sum(block.reused for block in blocks)

@@ -171,7 +171,7 @@ def test_a_scene_of_an_older_schema_is_made_again(fitted, tmp_path):
     document["schema"] = SCHEMA - 1
     path = tmp_path / "scene.json"
     path.write_text(json.dumps(document))
-    with pytest.raises(SceneError, match=f"schema {SCHEMA - 1} of an earlier version.*make the scene anew"):
+    with pytest.raises(SceneError, match=f"schema {SCHEMA - 1} of an earlier version.*make the scene again"):
         Scene.load(str(path))
     assert reusable(str(path), "refine", document["history"][-1]["fingerprint"]) is None
 
@@ -291,7 +291,7 @@ def first_view(document):
         ),
         (lambda d: d["views"][0].update(band=-1), "views.0.band is -1"),
         (lambda d: d["views"][0].update(pointing=[[1, 0], [0, 1]]), "views.0.pointing"),
-        (lambda d: d["views"][0].update(pointing=[[0, 0, 0], [0, 0, 0]]), "no small correction"),
+        (lambda d: d["views"][0].update(pointing=[[0, 0, 0], [0, 0, 0]]), "too large for a correction"),
         (lambda d: d["views"][0]["rpc"].update(row_num=[1.0] * 19), "row_num has 19 coefficients"),
         (lambda d: d["views"][1].update(name="img_01"), "distinct names"),
         (lambda d: d.update(altitudes=[300, 200]), "two numbers, the smaller one first, between -22000 and 20000 m"),

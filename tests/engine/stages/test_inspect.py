@@ -52,7 +52,7 @@ def test_layers_and_page(urban, job, told, tmp_path):
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     verdict = "Good: 3 pairs of 3 are worth matching; begin with"
     assert any(verdict in note for note in said.notes)
-    for words in (verdict, "Footprints at", "A small area to begin with", f"[{urban.crs}]", "accuracy, m"):
+    for words in (verdict, "Footprints at", "A small area to start with", f"[{urban.crs}]", "accuracy, m"):
         assert words in page, words
 
 
