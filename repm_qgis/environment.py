@@ -173,13 +173,20 @@ def proj() -> dict[str, Any]:
 
 
 def required_pycolmap(use: str, instead: str) -> Any:
-    """The module pycolmap; raises MissingPackageError, which names the use and what to choose instead, without it."""
+    """The module pycolmap; raises MissingPackageError, which names the use and what to choose instead, without it.
+
+    The same for versions before 4, which have no rigs of one camera: there is no newer one for Python 3.9.
+    """
     try:
         import pycolmap
     except ImportError as error:
         raise MissingPackageError(
             f"{use} the Python package 'pycolmap', which is not installed ({error}): {INSTALL_REMEDY}, or {instead}."
         ) from error
+    version = str(pycolmap.__version__)
+    if version.split(".")[0] in ("0", "1", "2", "3"):
+        found = f"and this Python has {version}, as there is no newer one for Python 3.9"
+        raise MissingPackageError(f"{use} the Python package 'pycolmap' in version 4 or newer, {found}: {instead}.")
     return pycolmap
 
 

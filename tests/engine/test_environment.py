@@ -7,12 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
+import types
 
 import pytest
 
 from repm_qgis import environment
 from repm_qgis.environment import remedy_for, survey, version_of
-from repm_qgis.errors import INSTALL_REMEDY
+from repm_qgis.errors import INSTALL_REMEDY, MissingPackageError
 from repm_qgis.installer.packages import PACKAGES, Package
 
 
@@ -146,3 +147,17 @@ def test_the_survey_imports_none_of_the_heavy_packages():
         cwd=os.path.dirname(os.path.dirname(environment.__file__)),
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_a_pycolmap_that_is_too_old_is_a_sentence(monkeypatch):
+    """Python 3.9 has none newer than 3.13, which lacks what exports and the adjustment call."""
+    monkeypatch.setitem(sys.modules, "pycolmap", types.SimpleNamespace(__version__="3.13.0"))
+    words = (
+        "COLMAP models are written with the Python package 'pycolmap' in version 4 or newer, and this Python has 3.13.0"
+    )
+    with pytest.raises(MissingPackageError, match=words) as caught:
+        environment.required_pycolmap("COLMAP models are written with", "choose another FORMAT")
+    assert str(caught.value).endswith("choose another FORMAT.")
+    newer = types.SimpleNamespace(__version__="4.2.1")
+    monkeypatch.setitem(sys.modules, "pycolmap", newer)
+    assert environment.required_pycolmap("It needs", "choose another") is newer
