@@ -86,7 +86,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         done.save(options.output_scene)
     ties_path = with_copy(done.tie_points, options.tie_points)[-1]
     if ties_path != done.tie_points:
-        write_style("tie_points", copy_layer(done.tie_points, ties_path))
+        copy_layer(done.tie_points, ties_path)
+    write_style("tie_points", ties_path)  # of those that are reused too: their reader may have another language
     reconstruct_report(done).write(report_path)
     progress.step(1.0, "heights reconstructed")
     written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}

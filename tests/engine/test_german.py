@@ -108,6 +108,17 @@ def test_the_language_changes_no_byte_of_the_results(german, sample, tmp_path):
     assert len(same) > 3 and [results[0][key] for key in same] == [results[1][key] for key in same]
 
 
+def test_a_run_that_reuses_all_writes_pages_and_legends_in_the_language_that_is_asked_for(german, sample):
+    _, _, folder = german
+    legends = [folder / "work" / name for name in ("tiles.qml", "reconstructed_tie_points.qml")]
+    before = [legend.read_text(encoding="utf-8") for legend in legends]
+    run(sample, folder)
+    assert all("language: de" not in legend.read_text(encoding="utf-8") for legend in legends)
+    assert '<html lang="en">' in (folder / "work" / "report.html").read_text(encoding="utf-8")
+    run(sample, folder, language="de")
+    assert [legend.read_text(encoding="utf-8") for legend in legends] == before
+
+
 def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
     work = german[2] / "work"
     scene, refined, matched = (str(work / f"{name}.json") for name in ("scene", "refined", "reconstructed"))
