@@ -1,0 +1,49 @@
+"""A shift put into the pointing: what was seen somewhere is seen where the shift has moved it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.arrays import Bounds
+from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
+from repm_qgis.registration.moved_views import added, moved_view
+from repm_qgis.registration.solve import Shift
+
+
+def shift_of(moved, tilt=(0.0, 0.0), centre=(0.0, 0.0)):
+    arrays = (np.array(each, dtype=float) for each in (moved, tilt, centre))
+    return Shift(*arrays, np.eye(5), np.eye(2), 1.0, 1.0, 100, 100, 0.0)
+
+
+@pytest.fixture
+def ground(urban):
+    """The scene's ground, and points in it."""
+    middle = projected_from_geodetic(urban.crs, np.array([[urban.views[0].rpc.lon_off, urban.views[0].rpc.lat_off]]))[0]
+    bounds = Bounds(*(middle - 100.0), *(middle + 100.0))
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(*ends, 50) for ends in zip(bounds[:2], bounds[2:])])
+    return bounds, np.column_stack([points, rng.uniform(*urban.height_range, 50)])
+
+
+@pytest.mark.parametrize(
+    "moved, tilt", (((12.0, -7.0, 5.0), (0, 0)), ((0.0, 0.0, 0.0), (3e-3, -2e-3)), ((30, 30, 20), (0, 0)))
+)
+def test_points_are_seen_where_the_shift_has_moved_them(urban, ground, moved, tilt):
+    bounds, points = ground
+    shift = shift_of(moved, tilt, points[:, :2].mean(axis=0))
+    there = points + added(shift, points[:, :2])
+    for view in urban.views:
+        turned = view.with_pointing(np.array([[1.0001, 0.0, 1.5], [0.0, 0.9999, -2.0]]))
+        changed, error = moved_view(turned, urban.crs, bounds, urban.height_range, shift)
+        before = turned.project(np.column_stack([geodetic_from_projected(urban.crs, points[:, :2]), points[:, 2]]))
+        after = changed.project(np.column_stack([geodetic_from_projected(urban.crs, there[:, :2]), there[:, 2]]))
+        assert np.abs(after - before).max() < 0.01 and error < 0.01
+        back = changed.localise(before, there[:, 2])
+        np.testing.assert_allclose(projected_from_geodetic(urban.crs, back), there[:, :2], atol=0.01)
+    assert (
+        np.abs(
+            after - view.project(np.column_stack([geodetic_from_projected(urban.crs, points[:, :2]), points[:, 2]]))
+        ).max()
+        > 0.4
+    )
