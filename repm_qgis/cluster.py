@@ -14,6 +14,7 @@ import time
 import uuid
 from contextlib import contextmanager, suppress
 from itertools import islice
+from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from distributed import Client, WorkerPlugin, as_completed
@@ -99,12 +100,12 @@ class _Prepared(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
         prepare_process()
 
 
-# What workers are asked must run where REPM or a package is missing: functions within functions travel as their code.
-
-
 def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
     def facts(packages: Sequence[str]) -> Dict[str, Any]:
-        """The versions of packages, what REPM's code is, and how many threads linear algebra has."""
+        """The versions of packages, what REPM's code is, and how many threads linear algebra has.
+
+        It must run where REPM is missing or another one: a function within a function travels as its code.
+        """
         import hashlib
         import importlib
         import os
@@ -128,42 +129,28 @@ def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
     return facts
 
 
-def _seen() -> Callable[[Dict[str, int], Dict[str, str]], List[Tuple[str, str]]]:
-    def seen(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[str, str]]:
-        """What cannot be used, and why: files by their sizes, -1 for unknown, and folders by a file's text in them."""
-        import os
-        import pathlib
-
-        wrong = []
-        for path, size in files.items():
-            if path.startswith("/vsi"):
-                from osgeo import gdal
-
-                status = gdal.VSIStatL(path)
-                found = None if status is None else status.size
-                reason = "GDAL does not find it: its settings, such as those for cloud storage, may not be set there"
-            else:
-                try:
-                    found = os.stat(path).st_size
-                except OSError as error:
-                    found, reason = None, error.strerror or str(error)
-            if found is None:
-                wrong.append((path, reason))
-            elif size not in (-1, found):
-                wrong.append((path, f"it has {found} bytes there, and {size} here"))
-        for path, text in probes.items():
-            try:
-                if pathlib.Path(path).read_text(encoding="ascii") != text:
-                    wrong.append((os.path.dirname(path), "it is another folder there"))
-                    continue
-                answer = pathlib.Path(f"{path}-{os.getpid()}")
-                answer.write_text(text, encoding="ascii")
-                answer.unlink()
-            except OSError as error:
-                wrong.append((os.path.dirname(path), error.strerror or str(error)))
-        return wrong
-
-    return seen
+def _seen(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[str, str]]:
+    """What a worker cannot use, and why: files by their sizes, -1 for folders, and folders by a file's text in them."""
+    wrong = []
+    for path, size in files.items():
+        try:
+            found = _size(path)
+        except OSError as error:
+            wrong.append((path, error.strerror or str(error)))
+            continue
+        if size not in (-1, found):
+            wrong.append((path, f"it has {found} bytes there, and {size} here"))
+    for path, text in probes.items():
+        try:
+            if Path(path).read_text(encoding="ascii") != text:
+                wrong.append((os.path.dirname(path), "it is another folder there"))
+                continue
+            answer = Path(f"{path}-{os.getpid()}")
+            answer.write_text(text, encoding="ascii")
+            answer.unlink()
+        except OSError as error:
+            wrong.append((os.path.dirname(path), error.strerror or str(error)))
+    return wrong
 
 
 def _ask(client: Client, question: Callable[..., Any], *arguments: Any) -> Dict[str, Any]:
@@ -199,20 +186,25 @@ def _same_everywhere(client: Client, address: str) -> Dict[str, Dict[str, Any]]:
     return workers
 
 
-def _size(path: str) -> Optional[int]:
-    """Bytes of a file; -1 for a folder, None where there is nothing, which is for the stage to say."""
-    if path.startswith("/vsi"):
-        status = gdal.VSIStatL(path)
-        return None if status is None else int(status.size)
-    return os.stat(path).st_size if os.path.isfile(path) else -1 if os.path.exists(path) else None
+def _size(path: str) -> int:
+    """Bytes of a file, in cloud storage too, or of a folder's entry; raises OSError where there is nothing."""
+    if not path.startswith("/vsi"):
+        return os.stat(path).st_size
+    status = gdal.VSIStatL(path)
+    if status is None:
+        reason = "GDAL does not find it: its settings, such as those for cloud storage, may not be set there"
+        raise FileNotFoundError(reason)
+    return int(status.size)
 
 
 def _require_shared(
     client: Client, workers: Dict[str, Dict[str, Any]], read: Sequence[str], folders: Sequence[str]
 ) -> None:
     """Raise ClusterError with the first machine and path where a worker does not see what this machine sees."""
-    sizes = {path: _size(path) for path in read}
-    files = {path: size for path, size in sizes.items() if size is not None}
+    files = {}
+    for path in read:
+        with suppress(OSError):  # what is not here either is for the stage to say
+            files[path] = -1 if os.path.isdir(path) else _size(path)
     text, probes = uuid.uuid4().hex, {}
     try:
         for folder in sorted({os.path.abspath(folder) for folder in folders}):
@@ -220,7 +212,7 @@ def _require_shared(
             with open(probe, "w", encoding="ascii") as stream:
                 stream.write(text)
             probes[probe] = text
-        answers = _ask(client, _seen(), files, probes)
+        answers = _ask(client, _seen, files, probes)
     finally:
         for probe in probes:
             with suppress(OSError):

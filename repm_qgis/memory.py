@@ -124,6 +124,7 @@ def workers_within(workers: int, work: Work, budget_mib: int, progress: Progress
 
 _PROCESS_MIB = 125.0  # a worker with its libraries, before it does anything
 _BYTES_PER_PX = 115.0  # of the rectified tile
+_RECTIFIED = 1.2  # side of a rectified tile by that of its ground, where memory is planned
 _BYTES_PER_STRIP_PX = 16.0  # of the second image's strip that only far disparities reach
 
 
@@ -133,6 +134,11 @@ def matching_mib(width: float, height: float, disparities: float) -> float:
     Fitted to measured peaks of 0.2 to 2.1 Mpx; tests/engine/test_memory.py holds it to them within a factor of 1.5.
     """
     return _PROCESS_MIB + (_BYTES_PER_PX * width * height + _BYTES_PER_STRIP_PX * disparities * height) / _MIB
+
+
+def planned_mib(side: float, disparities: float) -> float:
+    """:func:`matching_mib` of a square of ground ``side`` px wide, before its rectification is known."""
+    return matching_mib(_RECTIFIED * side, _RECTIFIED * side, disparities)
 
 
 _PART_CELLS = 536**2  # that are fused at once, with their margin (dsm/fusion.py)

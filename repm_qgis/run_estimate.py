@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple, Sequence
 
 from .disk_space import seen_px
-from .memory import matching_mib
+from .memory import planned_mib
 from .parallel import cores
 from .progress import counted
 from .records import ViewPair
@@ -20,7 +20,6 @@ _PIXEL_S = 2.4e-6  # of a core, for each pixel of ground that a pair sees
 _OWN_SURFACE = 1.33  # where the terrain model refines on a surface that has to be found first
 _SHARED = 0.87  # of what so many workers could do, as they wait for each other
 _ENGINE_MIB = 160.0  # the engine itself, beside its workers
-_RECTIFIED = 1.2  # side of a rectified tile by that of its ground
 
 
 class RunEstimate(NamedTuple):
@@ -60,10 +59,9 @@ def estimate_run(scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = Fa
 def estimate(pixels: float, tile_px: float, tasks: int, workers: int = 0, disparities: float = 0.0) -> RunEstimate:
     """The same for so many pixels of ground that pairs see, all pairs together, in so many tasks of a tile's side."""
     count = max(1, min(workers or cores(), tasks))
-    side = _RECTIFIED * (tile_px + 2 * STEREO.tile_margin_px)
     work = _PIXEL_S * pixels
     wall = _START_S + work / (count * (_SHARED if count > 1 else 1.0))
-    mib = _ENGINE_MIB + count * matching_mib(side, side, disparities)
+    mib = _ENGINE_MIB + count * planned_mib(tile_px + 2 * STEREO.tile_margin_px, disparities)
     return RunEstimate(_START_S + work, wall, mib, count)
 
 

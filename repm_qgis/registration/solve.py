@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, Optional, Tuple
+from typing import Callable, Tuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -30,11 +30,10 @@ _ROWS = 512  # of pairs' distances that are computed at once
 
 @dataclass(frozen=True)
 class Prior:
-    """What the vendor promises of the pointing: standard deviations of a position in one direction, and of a height, m;
+    """What the vendor promises of the pointing: the standard deviation of a position in one direction, m;
     and how far at most a shift is looked for."""
 
     horizontal_m: float
-    vertical_m: float
     most_m: float
 
 
@@ -86,13 +85,15 @@ def solve_shift(
     problem = _Problem(surface, reference, parameters)
     free = np.eye(2)
     solution = problem.solve(start, free, tilted, check)
-    covariance = problem.covariance(solution, free, tilted)
+    correlation = problem.correlation(solution)
+    covariance = problem.covariance(solution, free, tilted, correlation)
     horizontal, directions = np.linalg.eigh(covariance[:2, :2])
     good = horizontal <= (parameters.undetermined * prior.horizontal_m) ** 2
     free = directions[:, good].T
     if not good.all():  # what the relief does not determine stays as it was
         solution = problem.solve(np.array([*(free.T @ (free @ start[:2])), start[2]]), free, tilted, check)
-        covariance = problem.covariance(solution, free, tilted)
+        correlation = problem.correlation(solution)
+        covariance = problem.covariance(solution, free, tilted, correlation)
         covariance[:2, :2] += prior.horizontal_m**2 * (np.eye(2) - free.T @ free)
     residual, weight = solution.residual, solution.weight
     return Shift(
@@ -105,7 +106,7 @@ def solve_shift(
         after=nmad(residual, 0.0),
         used=int((weight > 0).sum()),
         seen=int(solution.seen.sum()),
-        range_m=problem.range_m(solution),
+        range_m=correlation.range_m,
     )
 
 
@@ -193,7 +194,6 @@ class _Problem:
         """Gauss-Newton steps with Tukey's weights; ``free`` (k, 2) are the horizontal directions that may change."""
         p, unknowns = self._parameters, np.array([*start, 0.0, 0.0])
         basis = _basis(free, tilted)
-        noise: Optional[FloatArray] = None
         for iteration in range(p.iterations):
             check()
             residual, design, seen = self._linearised(unknowns)
@@ -252,7 +252,9 @@ class _Problem:
 
     # How well it is determined -------------------------------------------------------------------------------------
 
-    def covariance(self, solution: _Solution, free: FloatArray, tilted: bool) -> FloatArray:
+    def covariance(
+        self, solution: _Solution, free: FloatArray, tilted: bool, correlation: "_Correlation"
+    ) -> FloatArray:
         """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side."""
         basis = _basis(free, tilted)
         use = solution.weight > 0
@@ -263,15 +265,11 @@ class _Problem:
         slope = (1 - u**2) * (1 - 5 * u**2) / solution.noise[use] ** 2
         normal = (instruments * slope[:, None]).T @ (solution.design[use] @ basis)
         scores = weighted * solution.noise[use][:, None]  # of a residual of one standard deviation
-        middle = self._correlated(scores, self._xyz[use, :2], self._correlation(solution))
+        middle = self._correlated(scores, self._xyz[use, :2], correlation)
         inverse = np.linalg.pinv(normal)
         return np.asarray(basis @ inverse @ middle @ inverse.T @ basis.T)
 
-    def range_m(self, solution: _Solution) -> float:
-        """How far the differences are correlated: up to where the correlation is 1 / e."""
-        return self._correlation(solution).range_m
-
-    def _correlation(self, solution: _Solution) -> "_Correlation":
+    def correlation(self, solution: _Solution) -> "_Correlation":
         """The correlation of standardised differences by their distance, fitted to pairs of them."""
         p = self._parameters
         use = np.nonzero(solution.weight > 0)[0]
@@ -352,6 +350,7 @@ class _Correlation:
 
     @property
     def range_m(self) -> float:
+        """Up to where the correlation is 1 / e."""
         at = np.linspace(0.0, 3.0 * float(self.lengths_m[-1]), 3000)
         above = np.nonzero(self.at(at) >= math.exp(-1))[0]
         return float(at[above[-1]]) if len(above) else 0.0

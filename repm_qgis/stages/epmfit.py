@@ -22,7 +22,7 @@ from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
 from ..imagery.raster import raster_identity
-from ..memory import matching_mib
+from ..memory import planned_mib
 from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
@@ -159,8 +159,7 @@ def _fitting(scene: Scene, parameters: TileParameters) -> Sequence[int]:
     if limit is None:
         return sizes
     disparities = (scene.altitudes[1] - scene.altitudes[0]) / scene.gsd_m  # of views with a base as long as the height
-    sides = [parameters.rectified * size for size in sizes]
-    return [size for size, side in zip(sizes, sides) if matching_mib(side, side, disparities) <= limit] or sizes[-1:]
+    return [size for size in sizes if planned_mib(size, disparities) <= limit] or sizes[-1:]
 
 
 def _automatic_size(

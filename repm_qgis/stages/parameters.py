@@ -19,7 +19,6 @@ class TileParameters(Parameters):
     """How the ground is divided, and when a stage has nothing to go on with. All values but the sizes are chosen."""
 
     sizes_px: Tuple[int, ...] = (1300, 1200, 1000, 800)  # automatic ones; larger match no faster and take more memory
-    rectified: float = 1.2  # side of a rectified tile by that of its ground, where memory is planned
     least_overlap_px: int = 64  # side of the smallest area that two images must share
     area_altitudes: int = 5  # of the range, at which the images' footprints are intersected
     surface_px: int = 48  # cells of the terrain model's surface: finer ones carry roofs, which rays may meet twice

@@ -10,6 +10,7 @@ import traceback
 
 from qgis.core import QgsProject
 from qgis.PyQt.QtCore import QTimer
+from qgis.PyQt.QtWidgets import QApplication
 
 with open(os.environ["REPM_DESKTOP_PLAN"], encoding="utf-8") as stream:
     PLAN = json.load(stream)
@@ -38,6 +39,23 @@ def guarded(step):
 
 def picture(widget, name):
     widget.grab().save(os.path.join(PLAN["folder"], name))
+
+
+def window(kind):
+    """The visible window of a class, by its name; None where there is none."""
+    found = [
+        widget for widget in QApplication.topLevelWidgets() if type(widget).__name__ == kind and widget.isVisible()
+    ]
+    return found[0] if found else None
+
+
+def dialog_of(name):
+    """The open dialog of an algorithm."""
+    return next(
+        widget
+        for widget in QApplication.topLevelWidgets()
+        if hasattr(widget, "runButton") and widget.isVisible() and widget.algorithm().name() == name
+    )
 
 
 def of_a_slot(kind, value, trace):

@@ -12,25 +12,10 @@ from qgis.PyQt.QtWidgets import QApplication, QDockWidget, QMessageBox
 from qgis.utils import iface, plugins
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
-from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
+from desktop_steps import FOUND, PLAN, begin, dialog_of, finish, guarded, picture, window  # noqa: E402
 
 FOUND["name"] = "first_hour"
 FOUND["clicks"] = []
-
-
-def window(kind):
-    found = [
-        widget for widget in QApplication.topLevelWidgets() if type(widget).__name__ == kind and widget.isVisible()
-    ]
-    return found[0] if found else None
-
-
-def dialog_of(name):
-    return next(
-        widget
-        for widget in QApplication.topLevelWidgets()
-        if hasattr(widget, "runButton") and widget.isVisible() and widget.algorithm().name() == name
-    )
 
 
 def click(button):

@@ -10,17 +10,10 @@ from qgis.PyQt.QtWidgets import QApplication, QMessageBox, QPushButton
 from qgis.utils import iface, plugins
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
-from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
+from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture, window  # noqa: E402
 
 FOUND["name"] = "install"
 TICKS = []
-
-
-def window(kind):
-    found = [
-        widget for widget in QApplication.topLevelWidgets() if type(widget).__name__ == kind and widget.isVisible()
-    ]
-    return found[0] if found else None
 
 
 def module():

@@ -10,7 +10,7 @@ from qgis.PyQt.QtWidgets import QApplication, QPushButton
 from qgis.utils import iface, plugins
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
-from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
+from desktop_steps import FOUND, PLAN, begin, dialog_of, finish, guarded, picture, window  # noqa: E402
 
 FOUND["name"] = "menu"
 
@@ -25,21 +25,6 @@ class Browser(QObject):
 
 
 BROWSER = Browser()
-
-
-def window(kind):
-    found = [
-        widget for widget in QApplication.topLevelWidgets() if type(widget).__name__ == kind and widget.isVisible()
-    ]
-    return found[0] if found else None
-
-
-def dialog_of(name):
-    return next(
-        widget
-        for widget in QApplication.topLevelWidgets()
-        if hasattr(widget, "runButton") and widget.isVisible() and widget.algorithm().name() == name
-    )
 
 
 @guarded

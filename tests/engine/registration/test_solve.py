@@ -15,7 +15,7 @@ from repm_qgis.registration.solve import Prior, mode, solve_shift
 from repm_qgis.registration.surfaces import Reference, SupportMeans
 
 CELL, SIDE, WEST, NORTH = 5.0, 320, 500_000.0, 4_000_000.0
-PROMISED = Prior(horizontal_m=8.0, vertical_m=8.0, most_m=60.0)
+PROMISED = Prior(horizontal_m=8.0, most_m=60.0)
 
 
 def relief(rng, metres):
