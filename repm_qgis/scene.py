@@ -28,7 +28,7 @@ from .geometry.frames import EnuFrame, projected_crs
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain
 from .geometry.tiles import enclosing
-from .imagery.acquisition import acquired, moment
+from .imagery.acquisition import acquired, moment, sensor_of
 from .options import BACKENDS, MODELS, PRESETS
 from .records import (
     FilePath,
@@ -83,8 +83,8 @@ class View(Record):
 
     ``pointing`` (2, 3) is the affine map from the pixel the vendor's RPC gives to the pixel where the ground point
     is really seen; the identity until relative pointing is known. ``acquired`` is when the image was taken, ISO 8601 in
-    UTC, "" where it is unknown. ``mask`` is a raster of the image's size whose pixels that are neither zero nor nodata
-    are not to be used, "" where there is none.
+    UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
+    raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     """
 
     name: Name
@@ -97,6 +97,7 @@ class View(Record):
     pointing: Annotated[FloatArray, Array((2, 3), most=1e7)] = field(default_factory=lambda: _IDENTITY.copy())
     acquired: str = ""
     mask: FilePath = ""
+    sensor: str = ""
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
@@ -479,7 +480,7 @@ def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[Vi
     with opened_image(path) as dataset:
         rpc = rpc_of(dataset, path, rpc_file)
         width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
-        when = acquired(dataset, path)
+        when, sensor = acquired(dataset, path), sensor_of(dataset, path)
     with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
         mask = os.path.abspath(mask) if os.path.exists(mask) else mask
     if min(width, height) < 64:
@@ -489,7 +490,7 @@ def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[Vi
     while name.lower() in taken:
         name = f"{name}_{len(others) + 1}"
     image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
-    return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask)
+    return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask, sensor=sensor)
 
 
 def middle_of(views: Sequence[View]) -> Tuple[float, float]:

@@ -137,6 +137,10 @@ WORDS = (
 ).split()
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16
+_PASSED_OVER = {
+    ROOT / "repm_qgis" / "products.py",  # the dialogs have its texts; pages show titles only
+    ROOT / "repm_qgis" / "imagery" / "sensors.py",  # names, patterns and citations, the same in every language
+}
 SYSTEM = (
     "File exists",
     "Is a directory",
@@ -292,7 +296,7 @@ def engine_texts() -> list[str]:
     dialogs = {text for texts in source().values() for text in texts}
     for folder in ("repm_qgis", "processing_provider", "desktop"):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            if path != ROOT / "repm_qgis" / "products.py":  # the dialogs have its texts; pages show titles only
+            if path not in _PASSED_OVER:
                 texts = _read_in(ast.parse(path.read_text(encoding="utf-8")))
                 found += [text for text in texts if folder == "repm_qgis" or text not in dialogs]
     found += [*_read_in_templates(), *titles_of_products(), *SYSTEM]

@@ -1,6 +1,6 @@
-"""When an image was taken: from the product's sidecar files, its own metadata, or its name.
+"""When an image was taken, and by which satellite: from the product's sidecar files, its own metadata, or its name.
 
-Best first:
+Best first, for the time:
 
 1. sidecar files: Airbus's ``DIM_*.XML``, Maxar's ``.IMD`` and ``.XML``, Orfeo ToolBox's ``.geom``;
 2. GDAL's readers of vendors' files (``ACQUISITIONDATETIME`` in the domain IMAGERY);
@@ -9,7 +9,8 @@ Best first:
 
 TIFFTAG_DATETIME is not used: TIFF 6.0 defines it as the time when the *file* was made, without a time zone, and a wrong
 time is worse than none: without times, pairs are chosen by geometry only. A time that cannot be read is unknown, never
-an error: only advice and the choice of pairs use it.
+an error: only advice and the choice of pairs use it. The satellite is looked for in the same order, and in metadata
+that crops keep of their product (a NITF's titles, the GML of a JPEG 2000); unknown, it is "".
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ from __future__ import annotations
 import re
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Iterator, List, Optional
+from typing import Callable, Iterator, List, Optional
 
 from osgeo import gdal
 
 from ..errors import RpcError
 from ..rpc.formats import sidecar_text, xml_texts
 from ..rpc.readers import files_in_folder, product_of
+from .sensors import sensor_in
 
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _FIRST_YEAR, _LAST_YEAR = 1972, 2100
@@ -41,6 +43,17 @@ _IN_NAMES = (
 )
 _MAXAR_NAME = re.compile(rf"(\d\d)({'|'.join(_MONTHS)})(\d\d)(\d{{6}})-[A-Z]\d[A-Z]{{2}}", re.ASCII)
 _IMD = re.compile(r"^\s*(firstLineTime|TLCTime)\s*=\s*\"?([^;\"\s]{1,40})", re.MULTILINE)
+_IMD_SENSOR = re.compile(r"^\s*satId\s*=\s*\"?([^;\"\s]{1,40})", re.MULTILINE)
+_GEOM_SENSOR = re.compile(r"^(?:support_data\.sensorID|sensor):[ \t]*(\S[^\r\n]{0,40})", re.MULTILINE)
+_XML_SENSORS = ("SATID", "SatelliteID", "SATELLITE_NAME", "AUX_SATELLITE_NAME")
+_SENSOR_METADATA = (
+    ("SATELLITEID", "IMAGERY"),
+    ("NITF_STDIDC_MISSION", ""),
+    ("NITF_FTITLE", ""),
+    ("NITF_IID2", ""),
+    ("gml.root-instance", ""),
+    ("TIFFTAG_IMAGEDESCRIPTION", ""),
+)
 _GEOM = re.compile(r"^support_data\.(time_range_start|image_date):\s*(\S{1,40})", re.MULTILINE)
 
 
@@ -51,6 +64,17 @@ def acquired(dataset: gdal.Dataset, path: str) -> str:
         if found is not None:
             return found.isoformat(timespec="milliseconds").replace("+00:00", "Z")
     return ""
+
+
+def sensor_of(dataset: gdal.Dataset, path: str) -> str:
+    """Which satellite took an opened image, by its name in ``sensors.SENSORS``; "" where it is unknown."""
+
+    def texts() -> Iterator[str]:
+        yield from _in_sidecars(path, _sensors_in_file)
+        yield from (dataset.GetMetadataItem(key, domain) or "" for key, domain in _SENSOR_METADATA)
+        yield Path(path).name
+
+    return next(filter(None, map(sensor_in, texts())), "")
 
 
 def moment(text: str) -> Optional[datetime]:
@@ -91,7 +115,8 @@ def time_of_name(path: str) -> str:
 
 
 def time_sidecars(path: str) -> List[str]:
-    """Sidecar files that may state when an image was taken, by their names, those of whole products first."""
+    """Sidecar files that may state when an image was taken and by which satellite, by their names, those of whole
+    products first."""
     image = Path(path)
     core, stem = product_of(image), image.stem
     # Names of Pleiades Neo's images have the band after the name that the product's own file has.
@@ -113,11 +138,7 @@ def duration_text(days: Optional[float]) -> str:
 
 def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
     """Texts that may be the time, best first; files are opened only when they are needed."""
-    for file in time_sidecars(path):
-        try:
-            yield from _in_file(file)
-        except RpcError:  # too large, or not a text or XML
-            continue
+    yield from _in_sidecars(path, _times_in_file)
     yield dataset.GetMetadataItem("ACQUISITIONDATETIME", "IMAGERY") or ""
     for key in ("NITF_STDIDC_ACQUISITION_DATE", "NITF_IDATIM"):
         text = dataset.GetMetadataItem(key) or ""
@@ -126,9 +147,27 @@ def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
     yield time_of_name(path)
 
 
-def _in_file(path: str) -> List[str]:
+def _in_sidecars(path: str, texts_of: Callable[[str, str], List[str]]) -> Iterator[str]:
+    """What a function (of a file's path and its text) finds in the sidecar files of an image, one after the other."""
+    for file in time_sidecars(path):
+        try:
+            yield from texts_of(file, sidecar_text(file))
+        except RpcError:  # too large, or not a text or XML
+            continue
+
+
+def _sensors_in_file(path: str, text: str) -> List[str]:
+    """Texts of a product's file that may name the satellite."""
+    if text.lstrip().startswith("<"):
+        found = xml_texts(text, ("MISSION", "MISSION_INDEX", *_XML_SENSORS))
+        whole = [f"{name.strip()} {index.strip()}" for name, index in zip(found["MISSION"], found["MISSION_INDEX"])]
+        return [*whole, *(value for name in _XML_SENSORS for value in found[name])][:64]
+    pattern = _GEOM_SENSOR if path.lower().endswith(".geom") else _IMD_SENSOR
+    return pattern.findall(text)[:64]
+
+
+def _times_in_file(path: str, text: str) -> List[str]:
     """Texts of a product's file that may be the time."""
-    text = sidecar_text(path)
     if text.lstrip().startswith("<"):
         names = ("IMAGING_DATE", "IMAGING_TIME", "START", "TIME", "FIRSTLINETIME", "TLCTIME")
         found = xml_texts(text, names)

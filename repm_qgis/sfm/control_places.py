@@ -18,7 +18,8 @@ from ..progress import counted
 from ..scene import View
 from .control_noise import most_set_aside
 from .ground_control import Gcp
-from .parameters import POINTING, PlaceParameters
+from .parameters import POINTING, PointingParameters
+from .promises import promise_of
 
 _WGS84 = pyproj.Geod(ellps="WGS84")
 _SWAPS: Tuple[Tuple[str, Callable[[Gcp], Gcp]], ...] = (
@@ -44,22 +45,13 @@ class PlacedPoint:
 
 
 def placed_points(
-    gcps: Sequence[Gcp], views: Sequence[View], parameters: PlaceParameters = POINTING.places
+    gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingParameters = POINTING
 ) -> List[PlacedPoint]:
     """Every point that is measured in an image; pointing corrections are not used."""
     return [_placed(gcp, seen, parameters) for gcp in gcps for seen in [_seen(gcp, views)] if seen]
 
 
-def promised_m(view: View, parameters: PlaceParameters = POINTING.places) -> float:
-    """How far on the ground the vendor's RPC may be off, nine times in ten (CE90), metres."""
-    if view.rpc.accuracy_m is not None:
-        return parameters.circle * view.rpc.accuracy_m
-    return max(parameters.promised_m, parameters.promised_px * view.gsd_m)
-
-
-def misplaced(
-    gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PlaceParameters = POINTING.places
-) -> str:
+def misplaced(gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING) -> str:
     """What is wrong with points as a whole, in one sentence; "" where at most as many are far from their pixels as
     the adjustment can name and leave out."""
     placed = placed_points(gcps, views, parameters)
@@ -74,13 +66,13 @@ def misplaced(
         f"{len(far)} of {counted(len(placed), 'point')} of '{path}' lie too far from where the vendors' RPCs put their "
         f"pixels: {_length(distances[len(distances) // 2])} in the median, {_length(worst.distance_m)} at the worst "
         f"('{worst.gcp.id}' in {worst.view}), where at most {limit:.0f} m are believable (the RPCs' promise and "
-        f"{parameters.margin_m:.0f} m), and {outside or 'none'} of them outside the images' footprints: "
+        f"{parameters.places.margin_m:.0f} m), and {outside or 'none'} of them outside the images' footprints: "
         f"{_remedy(gcps, views, parameters)}."
     )
 
 
 def require_places(
-    gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PlaceParameters = POINTING.places
+    gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING
 ) -> None:
     """Raise InputTableError where points as a whole do not belong to the images (:func:`misplaced`)."""
     text = misplaced(gcps, views, path, parameters)
@@ -88,7 +80,7 @@ def require_places(
         raise InputTableError(text)
 
 
-def _remedy(gcps: Sequence[Gcp], views: Sequence[View], parameters: PlaceParameters) -> str:
+def _remedy(gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingParameters) -> str:
     for columns, swapped in _SWAPS:
         placed = placed_points([swapped(gcp) for gcp in gcps], views, parameters)
         if sum(point.is_far for point in placed) <= most_set_aside(len(placed)):
@@ -103,11 +95,11 @@ def _seen(gcp: Gcp, views: Sequence[View]) -> List[View]:
     return [view for view in views if view.name in gcp.pixels]
 
 
-def _placed(gcp: Gcp, views: Sequence[View], parameters: PlaceParameters) -> PlacedPoint:
+def _placed(gcp: Gcp, views: Sequence[View], parameters: PointingParameters) -> PlacedPoint:
     found: Dict[str, Tuple[float, float]] = {}
     inside = False
     for view in views:
-        limit = promised_m(view, parameters) + parameters.margin_m
+        limit = promise_of(view, parameters.promises).horizontal_m + parameters.places.margin_m
         found[view.name] = (_distance(gcp, view), limit)
         reach = limit / view.gsd_m
         pixel = view.rpc.project(gcp.lon_lat_h)

@@ -179,17 +179,19 @@ class ControlParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class PromiseParameters(Parameters):
+    """What vendors promise of the position without ground control, where ``imagery/sensors.py`` has no figure."""
+
+    unknown_m: float = 20.0  # CE90; chosen between the best satellites (4 m) and older ones
+    unknown_px: float = 20.0  # the same in ground sampling distances, if that is more: coarser ones are worse. Chosen
+    ce90: float = 2.146  # by the standard deviation in each direction (normal distribution)
+    le90: float = 1.645  # by the standard deviation of heights (normal distribution)
+
+
+@dataclass(frozen=True)
 class PlaceParameters(Parameters):
-    """How far control points may be from where the vendors' RPCs put their pixels.
+    """How far control points may be from where the vendors' RPCs put their pixels, beyond the vendors' promise."""
 
-    Vendors promise a CE90 (the circle that holds nine of ten points) without ground control: WorldView and GeoEye 5 m,
-    Pleiades 8.5 m, IKONOS 15 m, QuickBird 23 m (data sheets). Older or coarser ones are off by tens of px (ZY-3,
-    Cartosat-1).
-    """
-
-    promised_m: float = 20.0  # CE90 where the RPC has no ERR_BIAS
-    promised_px: float = 20.0  # the same in ground sampling distances, if that is more
-    circle: float = 2.146  # CE90 by the standard deviation in each direction (normal distribution)
     margin_m: float = 50.0  # errors of points from maps; a geoid of 100 m seen at 27 degrees. Chosen
 
 
@@ -239,6 +241,7 @@ class PointingParameters(Parameters):
     alignment: AlignmentParameters = AlignmentParameters()
     adjustment: AdjustmentParameters = AdjustmentParameters()
     control: ControlParameters = ControlParameters()
+    promises: PromiseParameters = PromiseParameters()
     places: PlaceParameters = PlaceParameters()
     colmap: ColmapAdjustmentParameters = ColmapAdjustmentParameters()
     advice: AdviceParameters = AdviceParameters()

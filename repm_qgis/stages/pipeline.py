@@ -103,4 +103,4 @@ def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None
         require_ept_place(options.fuse.ept)
     if options.reconstruct.gcps:
         views, gcps = load_views(fit.images, fit.rpcs), options.reconstruct.gcps
-        require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing.places)
+        require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing)

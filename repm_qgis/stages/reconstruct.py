@@ -53,7 +53,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
-    require_places(gcps, scene.views, options.gcps or "", parameters.pointing.places)
+    require_places(gcps, scene.views, options.gcps or "", parameters.pointing)
     # Control points count by what they say: QGIS writes those of a layer into another temporary file for every run.
     control = [gcp.to_mapping() for gcp in gcps] or None
     chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control

@@ -82,9 +82,10 @@ def test_times_are_kept_where_there_are_any(fitted, tmp_path):
     assert [view.acquired for view in Scene.load(str(tmp_path / "none.json")).views] == [""] * 3
 
 
-def test_times_come_with_the_images(tmp_path, write_image, synthetic_rpc):
+def test_times_and_satellites_come_with_the_images(tmp_path, write_image, synthetic_rpc):
     path = write_image(tmp_path / "PHR1B_P_201709281038045_SEN.tif", rpc=synthetic_rpc())
-    assert load_views([path])[0].acquired == "2017-09-28T10:38:04.500Z"
+    view = load_views([path])[0]
+    assert view.acquired == "2017-09-28T10:38:04.500Z" and view.sensor == "Pleiades 1B"
 
 
 def test_pointing_moves_pixels_and_localise_undoes_it(fitted):

@@ -12,7 +12,7 @@ import pytest
 
 from repm_qgis.errors import InputTableError
 from repm_qgis.scene import Scene, View
-from repm_qgis.sfm.control_places import misplaced, placed_points, promised_m, require_places
+from repm_qgis.sfm.control_places import misplaced, placed_points, require_places
 from repm_qgis.sfm.ground_control import Gcp, read_gcps
 from repm_qgis.stages import run_stage
 
@@ -134,13 +134,12 @@ def test_as_many_may_be_wrong_as_the_others_can_accuse(wide, count, far, stops):
 
 
 @pytest.mark.parametrize(
-    ("accuracy", "gsd", "promise"), ((None, 0.5, 20.0), (None, 2.5, 50.0), (1.0, 0.5, 2.146), (26.68, 2.5, 57.26))
+    ("accuracy", "sensor", "promise"),
+    ((None, "", 20.0), (None, "SPOT 6", 35.0), (26.68, "SPOT 6", 57.26)),
 )
-def test_the_promise_is_the_rpcs_own_where_it_has_one(wide, accuracy, gsd, promise):
+def test_points_are_believed_up_to_the_vendors_promise_and_50_m(wide, accuracy, sensor, promise):
     view, gcps = wide
-    view = replace(view, gsd_m=gsd, rpc=replace(view.rpc, accuracy_m=accuracy))
-    assert promised_m(view) == pytest.approx(promise, abs=0.01)
-    # Just inside and just outside of the promise and 50 m.
+    view = replace(view, sensor=sensor, rpc=replace(view.rpc, accuracy_m=accuracy))
     for metres, stops in ((promise + 49, False), (promise + 51, True)):
         moved = [replace(gcp, lat=gcp.lat + metres / 111_130) for gcp in gcps]
         assert bool(misplaced(moved, [view], "t.csv")) is stops

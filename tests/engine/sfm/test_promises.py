@@ -1,0 +1,88 @@
+"""What vendors promise: of one image by its RPC, its satellite or neither, and of the ground of several."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from repm_qgis.scene import View, load_views
+from repm_qgis.sfm.promises import promise_of, promised
+from repm_qgis.stereo.pairing import convergence
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "sensor", "gsd", "horizontal", "vertical", "source"),
+    (
+        (None, "", 0.5, 20.0, None, "assumed"),
+        (None, "", 2.5, 50.0, None, "assumed"),
+        (None, "some new satellite", 0.5, 20.0, None, "assumed"),
+        (None, "TripleSat", 0.8, 20.0, None, "assumed"),
+        (None, "WorldView-3", 0.3, 3.5, None, "DigitalGlobe"),
+        (None, "Pleiades 1B", 0.5, 8.5, None, "Astrium"),
+        (None, "IKONOS", 1.0, 15.0, 22.0, "IKONOS"),
+        (1.0, "", 0.5, 2.146, None, "ERR_BIAS"),
+        (26.68, "IKONOS", 1.0, 57.26, 22.0, "ERR_BIAS"),
+    ),
+)
+def test_the_rpcs_own_figure_comes_first_then_the_satellites(
+    synthetic_rpc, accuracy, sensor, gsd, horizontal, vertical, source
+):
+    view = View("a", "a.tif", 1, 1000, 1000, replace(synthetic_rpc(), accuracy_m=accuracy), gsd, sensor=sensor)
+    promise = promise_of(view)
+    assert promise.horizontal_m == pytest.approx(horizontal, abs=0.01) and promise.vertical_m == vertical
+    assert source in promise.source
+
+
+def called(views, *sensors):
+    return [replace(view, sensor=sensor) for view, sensor in zip(views, sensors)]
+
+
+def test_heights_follow_from_the_base_where_the_vendor_publishes_none(urban):
+    first, second = urban.views[:2]
+    place = first.rpc.lon_off, first.rpc.lat_off, first.rpc.height_off
+    ratio = convergence(first, second, *place)[1]
+    assert 0.1 < ratio < 0.9
+    found = promised(called((first, second), "Pleiades 1A", "Pleiades 1A"))
+    assert found.horizontal_m == pytest.approx(8.5 / 2.146)
+    assert found.vertical_m == pytest.approx(np.sqrt(2) * found.horizontal_m / ratio, rel=0.02)
+    # One of two vendors is not enough; both are.
+    mixed = promised(called((first, second), "IKONOS", "Pleiades 1A"))
+    assert mixed.horizontal_m == pytest.approx(np.hypot(15.0, 8.5) / np.sqrt(2) / 2.146)
+    assert mixed.vertical_m == pytest.approx(np.sqrt(2) * mixed.horizontal_m / ratio, rel=0.02)
+    assert promised(called((first, second), "IKONOS", "ZY-3")).vertical_m == pytest.approx(22.0 / 1.645)
+
+
+def test_errors_that_are_drawn_as_promised_scatter_as_the_deviations_say(urban):
+    """Two lines of sight, each moved on the ground by independent errors: where they intersect."""
+    views = called(urban.views[:2], "Pleiades 1A", "Pleiades 1A")
+    found, rng = promised(views), np.random.default_rng(3)
+    lon, lat, height = views[0].rpc.lon_off, views[0].rpc.lat_off, views[0].rpc.height_off
+    slopes = []
+    for view in views:
+        pixel = view.project(np.array([lon, lat, height]))
+        ends = view.localise(np.array([pixel, pixel]), np.array([height - 50, height + 50]))
+        metres = np.radians(1) * 6371e3 * np.array([np.cos(np.radians(lat)), 1.0])
+        slopes.append((ends[1] - ends[0])[:2] * metres / 100)
+    base = slopes[0] - slopes[1]
+    moved = rng.normal(0, 8.5 / 2.146, (20000, 2, 2))
+    # Least squares: h minimises |e0 + s0 h - e1 - s1 h|.
+    up = -((moved[:, 0] - moved[:, 1]) @ base) / (base @ base)
+    assert np.std(up) == pytest.approx(found.vertical_m, rel=0.03)
+
+
+def test_a_narrow_pair_and_one_image_have_no_certain_height(urban):
+    one = promised(urban.views[:1])
+    assert one == promised([urban.views[0]] * 2) and one.vertical_m == pytest.approx(
+        np.sqrt(2) * one.horizontal_m / 0.05
+    )
+
+
+def test_real_images(shared_data):
+    wv3 = load_views(sorted(map(str, (shared_data / "jax_068").glob("*_RGB.tif"))))
+    assert {view.sensor for view in wv3} == {"WorldView-3"} and len(wv3) == 19
+    assert promised(wv3).horizontal_m == pytest.approx(3.5 / 2.146) and 1.5 < promised(wv3).vertical_m < 4.0
+    ntf = load_views(sorted(map(str, (shared_data / "rpc" / "other").glob("wv3_*.NTF"))))
+    assert {view.sensor for view in ntf} == {""}  # GDAL wrote these crops without any name
+    assert promise_of(ntf[0]).horizontal_m == pytest.approx(2.146 * np.hypot(0.87, 0.33))
