@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import EmptyResultError, WorkspaceError
+from ..las import laz_backend, required_laspy
 from ..progress import Progress, Silent
 from ..workspace import whole_folder
 from .derived import FinishedDsm
 from .parameters import FUSION, EptParameters
-from .point_cloud import laz_backend, required_laspy
 
 Points = NDArray[Any]
 """Records of the type ``_RECORD``."""

@@ -79,32 +79,56 @@ class HeightDatum:
     def require(self, lon: float, lat: float, option: str = "VERTICAL_DATUM") -> None:
         """Check that heights can be converted at a place, before hours of work; raises MissingPackageError."""
         if self.code:
-            self._operation(_bounds(np.array([[lon, lat]])), option)
+            self._operation(_bounds(np.array([[lon, lat]])), f"set {option} to ellipsoid")
 
-    def undulation(self, crs: str, xy: FloatArray) -> FloatArray:
+    def undulation(self, crs: str, xy: FloatArray, remedy: str = "") -> FloatArray:
         """(...) metres to take off ellipsoidal heights at (..., 2) positions in a projected CRS; 0 for the ellipsoid.
 
-        Raises MissingPackageError with the grid's name where PROJ lacks it: heights never stay unconverted.
+        Raises MissingPackageError with the grid's name where PROJ lacks it: heights never stay unconverted. ``remedy``
+        is what to do other than to install the grid; "" is to choose another VERTICAL_DATUM.
         """
         xy = np.asarray(xy, dtype=np.float64)
         if not self.code:
             return np.zeros(xy.shape[:-1])
         lon_lat = geodetic_from_projected(crs, xy)
         zero = np.zeros(lon_lat.shape[:-1])
-        below = np.asarray(self._operation(_bounds(lon_lat)).transform(lon_lat[..., 0], lon_lat[..., 1], zero)[2])
+        operation = self._operation(_bounds(lon_lat), remedy or "set VERTICAL_DATUM to ellipsoid")
+        below = np.asarray(operation.transform(lon_lat[..., 0], lon_lat[..., 1], zero)[2])
         if not np.isfinite(below).all():
-            remedy = "choose another VERTICAL_DATUM, such as ellipsoid"
-            raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the DSM: {remedy}.")
-        return -below
+            remedy = remedy or "choose another VERTICAL_DATUM, such as ellipsoid"
+            raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the area: {remedy}.")
+        return -below * metres_per_unit(pyproj.CRS(self.code))
 
-    def _operation(self, bounds: Tuple[int, int, int, int], option: str = "VERTICAL_DATUM") -> pyproj.Transformer:
+    def _operation(self, bounds: Tuple[int, int, int, int], remedy: str) -> pyproj.Transformer:
         """PROJ's best operation from ellipsoidal heights for a place."""
         try:
             return _best_operation(self.code, bounds)
         except _MissingGridsError as error:
-            remedy = f"{install_grid(error.grids)}, or set" if error.grids else "set"
-            failed = f"PROJ cannot convert heights to or from {self.name}: {error}"
-            raise MissingPackageError(f"{failed}: {remedy} {option} to ellipsoid.") from None
+            remedy = f"{install_grid(error.grids)}, or {remedy}" if error.grids else remedy
+            raise MissingPackageError(
+                f"PROJ cannot convert heights to or from {self.name}: {error}: {remedy}."
+            ) from None
+
+
+def stated_datum(crs: Optional[pyproj.CRS], tag: str = "") -> Optional[HeightDatum]:
+    """What a file says its heights refer to, by its CRS or its metadata item :data:`TAG`; None where it does not say.
+
+    A vertical part without a name that PROJ knows is a datum too; heights in it cannot be converted.
+    """
+    vertical = next((part for part in crs.sub_crs_list if part.is_vertical), None) if crs is not None else None
+    said = (vertical.name if vertical is not None else tag).lower()
+    if "ellipsoid" in said or (crs is not None and vertical is None and len(crs.axis_info) == 3):
+        return HeightDatum("", ELLIPSOID)
+    try:
+        return HeightDatum.of(vertical.to_wkt("WKT2_2019") if vertical is not None else tag) if said else None
+    except OptionError:
+        return None
+
+
+def metres_per_unit(crs: pyproj.CRS) -> float:
+    """The unit of a CRS's heights, m; 1 where it has none."""
+    parts = [part for part in crs.sub_crs_list or [crs] if part.is_vertical or len(part.axis_info) == 3]
+    return float(parts[0].axis_info[-1].unit_conversion_factor) if parts else 1.0
 
 
 class _MissingGridsError(LookupError):

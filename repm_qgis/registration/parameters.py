@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Tuple
 
 from ..parameters import Parameters
 
@@ -28,6 +29,18 @@ class RegistrationParameters(Parameters):
     reach: float = 0.5  # ... up to this share of the extent's diagonal
     pairs: int = 4_000_000  # of differences that their correlation is estimated from, about
     lattice: int = 400  # cells along the longer side, in which the covariance sums up scores
+    # Supports of lasers: a disc's diameter, or west to east and south to north of a rectangle. ICESat-2's ground tracks
+    # run within 10 degrees of north up to 70 degrees of latitude (inclination 92 degrees), so its segments do too.
+    atl03_disc_m: float = 12.0  # footprint 11 m (Magruder et al. 2020, Earth and Space Science 7)
+    atl06_m: Tuple[float, float] = (12.0, 40.0)  # segments of 40 m (Smith et al. 2019, Remote Sens. Environ. 233)
+    atl08_m: Tuple[float, float] = (12.0, 100.0)  # segments of 100 m (Neuenschwander and Pitts 2019, RSE 221) ...
+    atl08_part_m: Tuple[float, float] = (12.0, 20.0)  # ... and their parts, since release 5
+    gedi_disc_m: float = 25.0  # footprint (Dubayah et al. 2020, Science of Remote Sensing 1)
+    least_confidence: int = 3  # of ATL03 photons: medium (Neumann et al. 2019, Remote Sens. Environ. 233)
+    cloud_points: int = 4  # that a cell of a gridded cloud needs
+    cloud_cells: int = 4_000_000  # of a gridded cloud: larger scenes have larger cells
+    most_heights: int = 10_000_000  # of points and lasers within the scene: more do not fit into memory
+    believable: float = 3.0  # promised standard deviations of height, within which a vertical datum is likely
     undetermined: float = 0.3  # of the promised standard deviation: a direction less certain than that stays as it was
 
 

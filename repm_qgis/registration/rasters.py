@@ -11,33 +11,37 @@ from osgeo import gdal
 
 from ..arrays import Bounds, FloatArray, FloatImage, Window
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs, geodetic_from_projected
+from ..geometry.frames import flat_crs
+from ..geometry.vertical import TAG, metres_per_unit, stated_datum
 from ..imagery.raster import opened, read
-from .surfaces import Reference
+from .found import FoundHeights, no_heights
 
 _STRIP_CELLS = 1 << 24  # of the raster that are read at once
+_FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
+_UNITS = {
+    **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), _FOOT),
+    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us"), _SURVEY_FOOT),
+}
 
 
-def raster_reference(
-    path: str,
-    crs: str,
-    bounds: Bounds,
-    least_m: float,
-    to_ellipsoid: Callable[[pyproj.CRS, FloatArray], FloatArray],
-    check: Callable[[], None] = lambda: None,
-) -> Reference:
+def read_raster(
+    path: str, crs: str, bounds: Bounds, least_m: float, check: Callable[[], None] = lambda: None
+) -> FoundHeights:
     """The heights of a raster within bounds of the scene's projected CRS.
 
     Cells smaller than ``least_m`` are averaged in blocks of whole cells, those without heights left out; a block needs
-    half of its cells. ``to_ellipsoid`` gives the metres to add to the raster's heights, from its CRS and (N, 2)
-    longitudes and latitudes. ``check`` is called between strips, and may raise to stop.
+    half of its cells. Heights in feet become metres. ``check`` is called between strips, and may raise to stop.
 
-    Raises ImageError for a raster without a CRS, OverlapError where it has no heights within the bounds.
+    Raises ImageError for a raster without a CRS or with heights in another unit, OverlapError where it has no heights
+    within the bounds.
     """
     with opened(path) as dataset:
         if not dataset.GetProjection():
             raise ImageError(f"The reference '{path}' has no coordinate reference system: assign it one first.")
         system = pyproj.CRS.from_wkt(dataset.GetProjection())
+        unit = _metres(path, dataset.GetRasterBand(1).GetUnitType(), system)
+        datum = stated_datum(system, dataset.GetMetadataItem(TAG) or "")
         place = dataset.GetGeoTransform()
         forth = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
         back = pyproj.Transformer.from_crs(flat_crs(system), crs, always_xy=True)
@@ -47,21 +51,33 @@ def raster_reference(
         jacobian = _jacobian(place, back, window)
         widths = np.hypot(*jacobian)
         factor = max(1, math.ceil(least_m / float(widths.min()) - 1e-6))
-        heights = _block_means(dataset, window, factor, check)
+        heights = _block_means(dataset, window, factor, check) * unit
     col, row = np.meshgrid(
         *(origin + factor * (np.arange(n) + 0.5) for origin, n in zip(window[:2], heights.shape[::-1]))
     )
     x, y = _moved(back, place[0] + col * place[1] + row * place[2], place[3] + col * place[4] + row * place[5])
-    slopes = _slopes(heights, jacobian * factor)
+    slopes = slopes_of(heights, jacobian * factor)
     known = np.isfinite(heights) & np.isfinite(x) & np.isfinite(y)
     if not known.any():
-        raise OverlapError(f"The reference '{path}' has no heights over the scene: choose one that has.")
-    xy = np.column_stack([x[known], y[known]])
-    up = to_ellipsoid(system, geodetic_from_projected(crs, xy))
-    width = factor * widths
-    return Reference(
-        path, np.column_stack([xy, heights[known] + up]), (float(width[0]), float(width[1])), False, slopes[known]
+        raise no_heights(path)
+    xy, width = np.column_stack([x[known], y[known]]), factor * widths
+    return FoundHeights(
+        name=path,
+        xy=xy,
+        height=heights[known],
+        width_m=(float(width[0]), float(width[1])),
+        slopes=slopes[known],
+        datum=datum,
     )
+
+
+def _metres(path: str, name: str, system: pyproj.CRS) -> float:
+    """The unit of a raster's heights, m, from the name that its band gives, or its CRS."""
+    if not name:
+        return metres_per_unit(system)
+    if name.lower() not in _UNITS:
+        raise ImageError(f"The reference '{path}' has heights in '{name}': convert them to metres first (gdal_calc).")
+    return _UNITS[name.lower()]
 
 
 def _window(
@@ -119,7 +135,7 @@ def _block_means(dataset: gdal.Dataset, window: Window, factor: int, check: Call
     return result
 
 
-def _slopes(heights: FloatArray, jacobian: FloatArray) -> FloatArray:
+def slopes_of(heights: FloatArray, jacobian: FloatArray) -> FloatArray:
     """(rows, columns, 2) slopes to the east and north by central differences; NaN at borders and beside gaps."""
     right, down = np.full(heights.shape, np.nan), np.full(heights.shape, np.nan)
     right[:, 1:-1] = (heights[:, 2:] - heights[:, :-2]) / 2

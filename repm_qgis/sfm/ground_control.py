@@ -5,30 +5,26 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
-from osgeo import ogr
 
 from ..arrays import FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..scene import View
-from ..untrusted import distrust
-from ..vector import file_and_layer, open_vector
+from ..tables import CsvTable, LayerTable, Limits
+from ..vector import file_and_layer
 from ..workspace import write_text
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
 
-_MOST_BYTES = 64 << 20  # larger files are no tables of points
-_MOST_ROWS = 200_000
-_INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
+_LIMITS = Limits(bytes=64 << 20, rows=200_000, what="the list of ground control points")
 
 
 @dataclass(frozen=True)
@@ -68,13 +64,12 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     """
     vertical = vertical_crs(datum, "GCP_DATUM")
     file, layer = file_and_layer(path)
-    _require_size(file)
-    rows = _csv_rows(file) if Path(file).suffix.lower() in (".csv", ".txt") else _layer_rows(file, layer)
+    _LIMITS.require_size(file)
     points: Dict[str, Gcp] = {}
     aliases = [(view.name, Path(view.image).name, Path(view.image).stem) for view in views or ()]
     names = {alias: known[0] for known in aliases for alias in known}
-    for line, row in rows:
-        _require_count(path, line)
+    for line, row in _rows(file, layer):
+        _LIMITS.require_count(path, line)
         place = f"'{path}', row {line}"
         gcp = point_of(place, row)
         at = f"{place}: point '{gcp.id}'"
@@ -130,36 +125,6 @@ def _number(place: str, row: Mapping[str, Any], name: str) -> float:
     return number
 
 
-def _require_size(path: str) -> None:
-    """Raise InputTableError for a pipe or device, and for a file that would have to be read before its rows count."""
-    wrong = distrust(path)
-    if wrong:
-        raise InputTableError(f"'{path}' {wrong}")
-    size = os.path.getsize(path) if os.path.isfile(path) else 0
-    if size > _MOST_BYTES and Path(path).suffix.lower() not in _INDEXED:
-        limit = f"a table or text of points has at most {_MOST_BYTES >> 20} MiB"
-        raise InputTableError(f"'{path}' has {size >> 20} MiB, and {limit}: choose the list of ground control points.")
-
-
-def _require_count(path: str, rows: int) -> None:
-    if rows > _MOST_ROWS:
-        raise InputTableError(
-            f"'{path}' has more than {_MOST_ROWS} rows: choose the list of ground control points, or a part of it."
-        )
-
-
-def _csv_rows(path: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream)
-            fields = [str(name).strip().lower() for name in reader.fieldnames or ()]
-            _check_fields(path, fields)
-            reader.fieldnames = fields
-            yield from enumerate(reader, start=2)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputTableError(f"Cannot read the points of '{path}' ({error}): give a CSV file in UTF-8.") from error
-
-
 def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) -> None:
     needed = [name for name in ("id", "lon", "lat", "height") if not (with_place and name in ("lon", "lat"))]
     missing = [name for name in needed if name not in fields]
@@ -168,25 +133,20 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
         raise InputTableError(f"'{path}' lacks the {fields_missing}; a table of points needs {', '.join(FIELDS)}.")
 
 
-def _layer_rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
-    source = open_vector(path)
-    if source is None or source.GetLayerCount() < 1:
-        raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
-    layer = source.GetLayerByName(name) if name else source.GetLayer(0)
-    if layer is None:
-        raise InputTableError(f"'{path}' has no layer '{name}': choose an existing one.")
-    fields = [layer.GetLayerDefn().GetFieldDefn(i).GetName() for i in range(layer.GetLayerDefn().GetFieldCount())]
-    lower = [name.lower() for name in fields]
-    placed = ogr.GT_Flatten(layer.GetGeomType()) == ogr.wkbPoint
-    _check_fields(path, lower, placed)
-    _require_count(path, layer.GetFeatureCount(0))  # 0: only where the format knows it without counting
-    reference = layer.GetSpatialRef()
-    transform = pyproj.Transformer.from_crs(reference.ExportToWkt(), "EPSG:4326", always_xy=True) if reference else None
-    for line, feature in enumerate(layer, start=1):
-        row = {name: feature.GetField(index) for index, name in enumerate(lower)}
-        geometry = feature.GetGeometryRef()
-        if geometry is not None and placed and ("lon" not in row or "lat" not in row):
-            x, y = geometry.GetX(), geometry.GetY()
+def _rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+    """Rows of a table, with lon and lat from the points of a layer that has no such fields."""
+    if Path(path).suffix.lower() in (".csv", ".txt"):
+        table = CsvTable(path)
+        _check_fields(path, table.fields)
+        yield from table.rows()
+        return
+    layer = LayerTable(path, name)
+    _check_fields(path, layer.fields, layer.placed)
+    _LIMITS.require_count(path, layer.known_count)
+    transform = pyproj.Transformer.from_crs(layer.crs, "EPSG:4326", always_xy=True) if layer.crs else None
+    for line, row, place in layer.rows():
+        if place is not None and ("lon" not in row or "lat" not in row):
+            x, y, _ = place
             row["lon"], row["lat"] = transform.transform(x, y) if transform else (x, y)
         yield line, row
 

@@ -9,7 +9,7 @@ from osgeo import gdal
 
 from repm_qgis.arrays import Bounds
 from repm_qgis.errors import ImageError, OverlapError
-from repm_qgis.registration.rasters import raster_reference
+from repm_qgis.registration.rasters import read_raster
 
 UTM = "EPSG:32631"
 BOUNDS = Bounds(500_000.0, 4_000_000.0, 501_000.0, 4_001_000.0)
@@ -44,16 +44,12 @@ def raster(tmp_path):
     return make
 
 
-def nothing(_, lon_lat):
-    return np.zeros(len(lon_lat))
-
-
 def test_cells_in_degrees_lie_where_they_are(raster):
     """A DEM of one second of arc: places in the scene's CRS, widths in metres, slopes to the true east and north."""
     second = 1 / 3600
     path = raster("EPSG:4326", (2.98, second, 0, 36.16, 0, -second), (140, 100))
-    found = raster_reference(path, UTM, BOUNDS, 0.0, nothing)
-    x, y, z = found.xyz.T
+    found = read_raster(path, UTM, BOUNDS, 0.0)
+    (x, y), z = found.xy.T, found.height
     np.testing.assert_allclose(z, plane(x, y), atol=1e-3)
     assert found.width_m[0] == pytest.approx(25.0, abs=0.3) and found.width_m[1] == pytest.approx(30.8, abs=0.3)
     assert x.min() < BOUNDS.xmin and x.max() > BOUNDS.xmax and x.max() < BOUNDS.xmax + 200
@@ -65,8 +61,8 @@ def test_cells_in_degrees_lie_where_they_are(raster):
 def test_fine_cells_are_averaged_and_gaps_left_out(raster):
     holes = (slice(0, 400), slice(500, 700))
     path = raster(UTM, (499_900.0, 0.5, 0, 4_001_100.0, 0, -0.5), (2400, 2400), -9999.0, holes)
-    found = raster_reference(path, UTM, BOUNDS, 3.0, nothing)
-    x, y, z = found.xyz.T
+    found = read_raster(path, UTM, BOUNDS, 3.0)
+    (x, y), z = found.xy.T, found.height
     assert found.width_m == pytest.approx((3.0, 3.0)) and len(z) < (1010 / 3) ** 2
     np.testing.assert_allclose(z, plane(x, y), atol=0.1)  # beside gaps a mean is that of the cells that are there
     inside = (x < 500_140.0) & (y < 4_000_890.0)
@@ -74,17 +70,49 @@ def test_fine_cells_are_averaged_and_gaps_left_out(raster):
     assert not ((x > 500_152.0) & (x < 500_248.0) & (y > 4_000_902.0)).any()
 
 
-def test_heights_are_brought_to_the_ellipsoid(raster):
+@pytest.mark.parametrize(
+    "crs, tag, datum",
+    (
+        (UTM, "", None),
+        (UTM, "WGS 84 ellipsoid", ("", "WGS 84 ellipsoid")),
+        (UTM, "EGM2008 height", ("EPSG:3855", "EGM2008 height")),
+        (UTM, "nonsense", None),
+        (UTM + "+5773", "", ("EPSG:5773", "EGM96 height")),
+        (UTM + "+5773", "WGS 84 ellipsoid", ("EPSG:5773", "EGM96 height")),
+        ("EPSG:4979", "", ("", "WGS 84 ellipsoid")),
+    ),
+)
+def test_the_file_says_what_its_heights_refer_to(raster, crs, tag, datum):
+    second = 1 / 3600
+    path = raster(crs, (2.98, second, 0, 36.16, 0, -second), (140, 100)) if crs == "EPSG:4979" else None
+    path = path or raster(crs, (499_900.0, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40))
+    dataset = gdal.Open(path, gdal.GA_Update)
+    if tag:
+        dataset.SetMetadataItem("VERTICAL_DATUM", tag)
+    dataset = None
+    found = read_raster(path, UTM, BOUNDS, 0.0).datum
+    assert (found and (found.code, found.name)) == datum
+
+
+@pytest.mark.parametrize("unit, metres", (("m", 1.0), ("ft", 0.3048), ("US survey foot", 1200 / 3937)))
+def test_feet_become_metres(raster, unit, metres):
     path = raster(UTM, (499_900.0, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40))
-    asked = []
+    dataset = gdal.Open(path, gdal.GA_Update)
+    dataset.GetRasterBand(1).SetUnitType(unit)
+    dataset = None
+    found = read_raster(path, UTM, BOUNDS, 0.0)
+    np.testing.assert_allclose(found.height, plane(*found.xy.T) * metres, atol=1e-3)
+    known = np.isfinite(found.slopes).all(axis=1)
+    np.testing.assert_allclose(found.slopes[known], np.tile([0.05, -0.02], (known.sum(), 1)) * metres, atol=1e-5)
 
-    def undulation(crs, lon_lat):
-        asked.append((crs.to_epsg(), lon_lat))
-        return np.full(len(lon_lat), 47.0)
 
-    x, y, z = raster_reference(path, UTM, BOUNDS, 0.0, undulation).xyz.T
-    np.testing.assert_allclose(z, plane(x, y) + 47.0, atol=1e-3)
-    assert asked[0][0] == 32631 and np.abs(asked[0][1] - [3.005, 36.14]).max() < 0.02
+def test_another_unit_is_a_sentence(raster):
+    path = raster(UTM, (499_900.0, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40))
+    dataset = gdal.Open(path, gdal.GA_Update)
+    dataset.GetRasterBand(1).SetUnitType("fathom")
+    dataset = None
+    with pytest.raises(ImageError, match="has heights in 'fathom': convert them to metres first"):
+        read_raster(path, UTM, BOUNDS, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -98,5 +126,5 @@ def test_heights_are_brought_to_the_ellipsoid(raster):
 def test_what_cannot_be_used_is_a_sentence(raster, crs, west, holes, kind, words):
     path = raster(crs, (west, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40), -9999.0, holes)
     with pytest.raises(kind, match=words) as caught:
-        raster_reference(path, UTM, BOUNDS, 0.0, nothing)
+        read_raster(path, UTM, BOUNDS, 0.0)
     assert path in str(caught.value)

@@ -1,0 +1,128 @@
+"""Point clouds (LAS, LAZ) as references: means over cells, as a raster of them would have."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, Optional
+
+import numpy as np
+import pyproj
+
+from ..arrays import Bounds, FloatArray
+from ..errors import ImageError, RepmError
+from ..geometry.cell_grid import CellGrid
+from ..geometry.frames import flat_crs
+from ..geometry.vertical import HeightDatum, metres_per_unit, stated_datum
+from ..las import required_laspy
+from ..untrusted import distrust
+from .found import FoundHeights, Within, no_heights
+from .parameters import REGISTRATION, RegistrationParameters
+from .rasters import slopes_of
+
+_POINTS, _BYTES = 1_000_000, 256 << 20  # that are read at once, at most
+_GROUND, _NOISE = 2, (7, 18)  # classes of LAS 1.4
+
+
+def read_cloud(
+    path: str,
+    crs: str,
+    bounds: Bounds,
+    least_m: float,
+    check: Callable[[], None] = lambda: None,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> FoundHeights:
+    """The heights of a cloud within bounds of the scene's projected CRS, as means over cells of ``least_m``, at least.
+
+    Points of the class ground (2) only, where there are any, else all but noise. The own surface shows roofs and trees
+    where ground does not: the robust weights of the solution leave these out. A mean lies at the mean place of its
+    points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to stop.
+
+    Raises ImageError for a file that cannot be read, or has no CRS or no unit of heights; OverlapError where it has no
+    points within the bounds; MissingPackageError without laspy.
+    """
+    laspy, wrong = required_laspy("REFERENCE"), distrust(path)
+    if wrong:
+        raise ImageError(f"'{path}' {wrong}")
+    width, height = bounds.xmax - bounds.xmin, bounds.ymax - bounds.ymin
+    grid = CellGrid.covering(bounds, max(least_m, math.sqrt(width * height / parameters.cloud_cells)))
+    ground, others = _Sums(grid), _Sums(grid)
+    try:
+        with laspy.open(path) as reader:
+            system = _system(path, reader.header)
+            unit, within = metres_per_unit(system), Within(flat_crs(system), crs, bounds)
+            for points in reader.chunk_iterator(max(1, min(_POINTS, _BYTES // reader.header.point_format.size))):
+                check()
+                _take(points, unit, within, ground, others)
+    except RepmError:
+        raise
+    except (OSError, ValueError, RuntimeError, LookupError, EOFError, laspy.errors.LaspyException) as error:
+        raise _unreadable(path, error) from error
+    if ground.any():
+        others = ground
+    return others.found(path, parameters.cloud_points, stated_datum(system))
+
+
+def _unreadable(path: str, reason: object) -> ImageError:
+    return ImageError(f"Cannot read the point cloud '{path}' ({str(reason)[:300]}): get it again.")
+
+
+def _system(path: str, header: Any) -> pyproj.CRS:
+    """The CRS of a cloud, whose unit of heights is known; raises ImageError otherwise."""
+    try:
+        system: Optional[pyproj.CRS] = header.parse_crs()
+    except (pyproj.exceptions.ProjError, ValueError, KeyError) as error:
+        raise _unreadable(path, error) from error
+    if system is None:
+        raise ImageError(f"The point cloud '{path}' has no coordinate reference system: assign it one first (PDAL).")
+    flat = flat_crs(system)
+    if flat is system and flat.is_projected and abs(flat.axis_info[0].unit_conversion_factor - 1.0) > 1e-9:
+        unknown = f"has places in {flat.axis_info[0].unit_name}, and does not say what its heights are in"
+        raise ImageError(f"The point cloud '{path}' {unknown}: assign it a CRS with a vertical part first (PDAL).")
+    return system
+
+
+def _take(points: Any, unit: float, within: Within, ground: "_Sums", others: "_Sums") -> None:
+    x, y = np.asarray(points.x), np.asarray(points.y)
+    kind = np.asarray(points.classification)
+    use = within.near(x, y) & ~np.isin(kind, _NOISE) & (np.asarray(points.withheld) == 0)
+    xy, inside = within.places(x[use], y[use])
+    xyz = np.column_stack([xy, np.asarray(points.z)[use] * unit])[inside]
+    if not len(xyz):
+        return
+    lowest = kind[use][inside] == _GROUND
+    others.add(xyz)
+    ground.add(xyz[lowest])
+
+
+class _Sums:
+    """Sums of the places and heights of points in the cells of a grid."""
+
+    def __init__(self, grid: CellGrid) -> None:
+        self._grid, cells = grid, grid.shape[0] * grid.shape[1]
+        self._count, self._sums = np.zeros(cells), np.zeros((3, cells))
+
+    def add(self, xyz: FloatArray) -> None:
+        """(N, 3) points within the grid."""
+        grid = self._grid
+        away = xyz[:, :2] - [grid.west, grid.north]
+        col, row = (np.abs(away) / grid.cell).astype(np.int64).T
+        cell = np.minimum(row, grid.shape[0] - 1) * grid.shape[1] + np.minimum(col, grid.shape[1] - 1)
+        self._count += np.bincount(cell, minlength=len(self._count))
+        for sums, values in zip(self._sums, (away[:, 0], away[:, 1], xyz[:, 2])):
+            sums += np.bincount(cell, values, len(sums))
+
+    def any(self) -> bool:
+        """Whether there is any point."""
+        return bool(self._count.any())
+
+    def found(self, path: str, least: int, datum: Optional[HeightDatum]) -> FoundHeights:
+        """Means of the cells with at least so many points; raises OverlapError where there is none."""
+        grid, known = self._grid, self._count >= least
+        if not known.any():
+            raise no_heights(path)
+        x, y, height = self._sums[:, known] / self._count[known]
+        all_heights = np.full(grid.shape, np.nan)
+        all_heights.ravel()[known] = height
+        slopes = slopes_of(all_heights, np.diag([grid.cell, -grid.cell])).reshape(-1, 2)[known]
+        xy = np.column_stack([x + grid.west, y + grid.north])
+        return FoundHeights(path, xy, height, (grid.cell, grid.cell), slopes=slopes, datum=datum)

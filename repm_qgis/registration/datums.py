@@ -1,0 +1,96 @@
+"""What the heights of a reference refer to, where neither the user nor the file says so: found from how they fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Callable, List, Tuple
+
+from ..errors import MissingPackageError, OptionError
+from ..geometry.vertical import HeightDatum
+from .found import FoundHeights
+from .parameters import REGISTRATION, RegistrationParameters
+from .references import in_datum
+from .solve import Shift
+from .surfaces import Reference
+
+_OPTION = "REFERENCE_DATUM"
+_GEOIDS = ("EGM2008", "EGM96")  # of Copernicus GLO-30 and of SRTM; where both may be it, the first is taken
+
+
+@dataclass(frozen=True)
+class DatumChoice:
+    """What the heights are taken to refer to, and the shift with that.
+
+    ``sentence`` tells people why, with numbers. ``certain`` says whether any other datum that may be it would change
+    the heights by less than the vendor's standard deviation.
+    """
+
+    datum: HeightDatum
+    shift: Shift
+    sentence: str
+    certain: bool
+
+
+def likely_datum(
+    found: FoundHeights,
+    crs: str,
+    solved: Callable[[Reference], Shift],
+    promised_up_m: float,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> DatumChoice:
+    """Which of the WGS 84 ellipsoid, EGM2008 and EGM96 the heights of a reference refer to.
+
+    A geoid lies up to 106 m from the ellipsoid, and the own surface is seldom wrong by much more than
+    ``promised_up_m``, the standard deviation of its height that the vendor promises. So with the right datum the
+    surface has to move up or down by a few metres only. ``solved`` finds the shift to a reference; ``crs`` is that of
+    its places.
+
+    The two geoids differ by decimetres to two metres, which no fit can tell: EGM2008 is taken.
+
+    Raises OptionError, with the numbers, where the ellipsoid and a geoid both fit, or none, or where PROJ has no grid
+    of a geoid; and what ``solved`` raises.
+    """
+    limit = parameters.believable * promised_up_m
+    ellipsoid = HeightDatum.of("ellipsoid")
+    shift = solved(in_datum(found, crs, ellipsoid))
+    up = float(shift.moved[2])
+    geoids, missing = _changes_of_heights(found, crs, up)
+    if not geoids:
+        silent = f"must be given, as '{found.name}' does not say what its heights refer to, and no geoid can be tried"
+        raise OptionError(_OPTION, "", f"{silent}. {' '.join(missing)}".rstrip("."))
+    geoid, change = next((each for each in geoids if abs(each[1]) <= limit), geoids[0])
+    numbers = (
+        f"'{found.name}' does not say what its heights refer to; the scene's heights change by {change:+.1f} m if "
+        f"that is the {geoid} geoid, and by {up:+.1f} m if it is the ellipsoid"
+    )
+    if (abs(up) <= limit) == (abs(change) <= limit):
+        which = "both are" if abs(up) <= limit else "neither is"
+        raise OptionError(_OPTION, "", f"must be given, as {numbers}: {which} within {limit:.1f} m")
+    if abs(up) <= limit:
+        text = f"{numbers}: they are taken as heights above the ellipsoid; give REFERENCE_DATUM if that is wrong."
+        return DatumChoice(ellipsoid, shift, text, certain=True)
+    said = [f"{numbers}: they are taken as {geoid} heights; give REFERENCE_DATUM if that is wrong."]
+    said += [
+        f"With {name} the heights would be {other - change:+.1f} m higher." for name, other in geoids if name != geoid
+    ]
+    near = all(abs(other - change) <= promised_up_m for _, other in geoids)
+    datum = HeightDatum.of(geoid)
+    return DatumChoice(
+        datum, solved(in_datum(found, crs, datum)), " ".join(said + missing), certain=near and not missing
+    )
+
+
+def _changes_of_heights(found: FoundHeights, crs: str, up: float) -> Tuple[List[Tuple[str, float]], List[str]]:
+    """How much the own heights change with each geoid, m, and a sentence for each whose grid PROJ lacks.
+
+    ``up`` is the change with the ellipsoid. Undulations are smooth: their mean is what they add to it.
+    """
+    changes, missing = [], []
+    for name in _GEOIDS:
+        try:
+            undulation = HeightDatum.of(name).undulation(crs, found.xy, "give another REFERENCE_DATUM")
+        except MissingPackageError as error:
+            missing.append(str(error))
+        else:
+            changes.append((name, up + float(undulation.mean())))
+    return changes, missing

@@ -1,0 +1,198 @@
+"""Points as references: tables as CSV, those of SlideRule, NSIDC and EarthExplorer too, and layers that OGR opens."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Callable, Iterator, Mapping, Optional, Sequence, Tuple
+
+import numpy as np
+import pyproj
+
+from ..arrays import Bounds, FloatArray
+from ..errors import InputTableError
+from ..geometry.frames import flat_crs
+from ..geometry.vertical import ELLIPSOID, HeightDatum, metres_per_unit, stated_datum
+from ..tables import CsvTable, LayerTable, Limits
+from .found import FoundHeights, FoundPoints, Within
+from .lasers import Laser, flags, lasers
+
+TEXTS = (".csv", ".tsv", ".txt")
+"""Extensions of tables."""
+
+_LIMITS = Limits(bytes=1 << 30, rows=10_000_000, what="the points of the scene's surroundings")
+_ROWS = 100_000  # that are added at once
+_WGS84 = "EPSG:4326"
+
+_DEGREES = (
+    ("lon_lowestmode", "lat_lowestmode"),
+    ("lon_ph", "lat_ph"),
+    ("longitude", "latitude"),
+    ("lon", "lat"),
+    ("long", "lat"),
+    ("lng", "lat"),
+)
+_METRES = (("x", "y"), ("easting", "northing"), ("east", "north"))
+_TEXT = ("geometry", "wkt", "geom")  # "POINT (3.1 42.2)", as GeoPandas writes it
+_POINT = re.compile(r"\s*POINT\s*(?:Z|M|ZM)?\s*\(\s*([-+.\deE]+)\s+([-+.\deE]+)", re.IGNORECASE)
+_EMPTY = ("", "nan", "none", "null", "na")
+_HEIGHTS = ("height", "h", "z", "elevation", "elev", "altitude", "alt")
+_ELLIPSOIDAL = ("ellipsoidal_height", "height_ellipsoid", "h_ellipsoid")
+_LASER_HEIGHTS = {
+    "h_ph": "ATL03",
+    "h_li": "ATL06",
+    "h_mean": "ATL06",  # SlideRule's
+    "h_te_best_fit": "ATL08",
+    "h_te_median": "ATL08",  # SlideRule's
+    "elev_lowestmode": "GEDI L2A",
+    "elevation_lm": "GEDI L2A",  # SlideRule's
+}
+_PHOTONS = ("atl03_cnf", "signal_conf_ph")  # SlideRule's photons have them beside a "height"
+
+
+@dataclass(frozen=True)
+class _Heights:
+    """The field with heights, what they are of, and the fields of quality."""
+
+    field: str
+    laser: Optional[Laser]
+    quality: Tuple[str, ...]
+    datum: Optional[HeightDatum]
+
+    @classmethod
+    def of(cls, fields: Sequence[str]) -> Optional[_Heights]:
+        """By the names of all fields, in lower case; None where there are no heights."""
+        products = {laser.name: laser for laser in lasers()}
+        named = next(((name, product) for name, product in _LASER_HEIGHTS.items() if name in fields), None)
+        plain = next((name for name in (*_ELLIPSOIDAL, *_HEIGHTS) if name in fields), None)
+        if named is None and plain and any(name in fields for name in _PHOTONS):
+            named = (plain, "ATL03")
+        ellipsoid = HeightDatum("", ELLIPSOID)
+        if named is not None:
+            return cls(named[0], products[named[1]], tuple(name for name in flags() if name in fields), ellipsoid)
+        return cls(plain, None, (), ellipsoid if plain in _ELLIPSOIDAL else None) if plain else None
+
+    def of_row(self, place: str, row: Mapping[str, Any]) -> float:
+        """The height of a row, NaN where it is empty or of no good quality."""
+        for name in self.quality:
+            low, high = flags()[name]
+            if not low <= _number(place, row, name) <= high:
+                return math.nan
+        return _number(place, row, self.field)
+
+    def found(self, points: FoundPoints) -> FoundHeights:
+        laser = self.laser
+        return points.found(laser.width_m if laser else (0.0, 0.0), laser is not None and laser.disc, self.datum)
+
+
+def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[], None] = lambda: None) -> FoundHeights:
+    """The points of a CSV file within bounds of the scene's projected CRS, good ones where it says which are.
+
+    Fields for longitude and latitude are in degrees (WGS 84); x and y are too if all are as small as degrees are, and
+    are in the scene's CRS else. The names of heights and quality are those of :data:`_LASER_HEIGHTS` and
+    :func:`~repm_qgis.registration.lasers.flags`; heights of other names, such as z, are in metres above what nobody
+    knows. ``check`` is called between parts, and may raise to stop.
+
+    Raises InputTableError with the file and the row for what cannot be read, OverlapError where no point is within the
+    bounds.
+    """
+    _LIMITS.require_size(path)
+    table = CsvTable(path)
+    heights = _Heights.of(table.fields)
+    degrees = next((pair for pair in _DEGREES if set(pair) <= set(table.fields)), None)
+    metres = next((pair for pair in _METRES if set(pair) <= set(table.fields)), None)
+    text = next((name for name in _TEXT if name in table.fields), None)
+    if heights is None or not (degrees or metres or text):
+        wanted = "longitude, latitude and height, or x, y and z in the scene's CRS"
+        raise InputTableError(f"'{path}' has no fields that say where its points are: name them {wanted}.")
+    named = degrees or metres
+
+    def rows() -> Iterator[_Xyz]:
+        for line, row in table.rows():
+            _LIMITS.require_count(path, line - 1)
+            place = f"'{path}', row {line}"
+            height = heights.of_row(place, row)
+            if math.isfinite(height):
+                x, y = (
+                    (_number(place, row, name) for name in named) if named else _place(place, str(row.get(text or "")))
+                )
+                yield x, y, height
+
+    parts = _parts(rows(), check)
+    part = next(parts)
+    small = metres != named or bool((np.abs(part[:2]) <= [[360], [90]]).all())
+    points = FoundPoints(path, Within(pyproj.CRS(_WGS84 if small else crs), crs, bounds))
+    for each in itertools.chain([part], parts):
+        points.add(*each)
+    return heights.found(points)
+
+
+def read_points_of_layer(
+    path: str, name: str, crs: str, bounds: Bounds, check: Callable[[], None] = lambda: None
+) -> FoundHeights:
+    """The points of a layer ("": the first one) within bounds of the scene's projected CRS, as of a table.
+
+    Places are the points' own. So are heights, where they have some and no field is one of a laser's.
+
+    Raises InputTableError for a layer that cannot be read, has no points or no CRS, OverlapError where no point is
+    within the bounds.
+    """
+    _LIMITS.require_size(path)
+    layer = LayerTable(path, name)
+    if not layer.placed:
+        raise InputTableError(f"The layer of '{path}' does not hold points: choose a layer of points or a raster.")
+    if layer.crs is None:
+        raise InputTableError(f"The layer of '{path}' has no coordinate reference system: assign it one first.")
+    fields = _Heights.of(layer.fields)
+    own = layer.has_height and (fields is None or fields.laser is None)
+    if fields is None and not own:
+        raise InputTableError(f"The points of '{path}' have no heights: give points with Z, or a field 'height'.")
+    unit, datum = metres_per_unit(layer.crs), stated_datum(layer.crs)
+    points = FoundPoints(path, Within(flat_crs(layer.crs), crs, bounds))
+    layer.keep_within(points.within.source_bounds)
+
+    def rows() -> Iterator[_Xyz]:
+        for line, row, point in layer.rows():
+            _LIMITS.require_count(path, line)
+            if point is not None:
+                height = point[2] * unit if own or fields is None else fields.of_row(f"'{path}', row {line}", row)
+                yield point[0], point[1], height
+
+    for part in _parts(rows(), check):
+        points.add(*part)
+    return points.found((0.0, 0.0), False, datum) if own or fields is None else fields.found(points)
+
+
+_Xyz = Tuple[float, float, float]
+
+
+def _parts(rows: Iterator[_Xyz], check: Callable[[], None]) -> Iterator[FloatArray]:
+    """(3, N) x, y and heights of some rows at a time; one part without any where there are none."""
+    while True:
+        check()
+        part = list(itertools.islice(rows, _ROWS))
+        yield np.array(part, dtype=np.float64).reshape(-1, 3).T
+        if len(part) < _ROWS:
+            return
+
+
+def _number(place: str, row: Mapping[str, Any], name: str) -> float:
+    """A field's number, NaN where it is empty."""
+    value = row.get(name)
+    text = "" if value is None else str(value).strip()
+    if text.lower() in _EMPTY:
+        return math.nan
+    try:
+        return float(text)
+    except ValueError:
+        raise InputTableError(f"{place}: the field '{name}' is {text[:80]!r}, which is not a number.") from None
+
+
+def _place(place: str, text: str) -> Tuple[float, float]:
+    found = _POINT.match(text)
+    try:
+        return float(found[1]), float(found[2])  # type: ignore[index]
+    except (TypeError, ValueError):
+        raise InputTableError(f"{place}: its geometry is {text[:80]!r}, not a point: give POINT (lon lat).") from None

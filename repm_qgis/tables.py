@@ -1,0 +1,124 @@
+"""Tables of points that people give, as CSV files or layers that OGR opens: bounded, and with a sentence if wrong."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Tuple
+
+import pyproj
+from osgeo import gdal, ogr
+
+from .arrays import Bounds
+from .errors import InputTableError
+from .untrusted import distrust
+from .vector import open_vector
+
+_INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
+_DELIMITERS = ",;\t"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much a table may hold; ``what`` is what people should choose instead, as in "choose the list of points"."""
+
+    bytes: int
+    rows: int
+    what: str
+
+    def require_size(self, path: str) -> None:
+        """Raise InputTableError for a pipe or device, and for a file that would have to be read before its rows count.
+
+        Layers that know how many rows they have may be larger.
+        """
+        wrong = distrust(path)
+        if wrong:
+            raise InputTableError(f"'{path}' {wrong}")
+        size = os.path.getsize(path) if os.path.isfile(path) else 0
+        if size > self.bytes and Path(path).suffix.lower() not in _INDEXED:
+            limit = f"a table or text of points has at most {self.bytes >> 20} MiB"
+            raise InputTableError(f"'{path}' has {size >> 20} MiB, and {limit}: choose {self.what}.")
+
+    def require_count(self, path: str, rows: int) -> None:
+        """Raise InputTableError for more rows."""
+        if rows > self.rows:
+            raise InputTableError(f"'{path}' has more than {self.rows} rows: choose {self.what}, or a part of it.")
+
+
+class CsvTable:
+    """A CSV file in UTF-8 whose first line names the fields; they are read in lower case."""
+
+    def __init__(self, path: str) -> None:
+        """Raises InputTableError where the file cannot be read."""
+        self._path = path
+        with self._sentences(), open(path, encoding="utf-8-sig", newline="") as stream:
+            head = stream.readline(1 << 16)
+            self._delimiter = max(_DELIMITERS, key=head.count)  # the first of those that are as frequent
+            if self._delimiter not in head:
+                self._delimiter = " "
+            self.fields = [name.strip().lower() for name in next(self._reader(iter([head])), [])]
+
+    def rows(self) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+        """Each row's number in the file, the fields' names being 1, and its texts; None where it is too short."""
+        with self._sentences(), open(self._path, encoding="utf-8-sig", newline="") as stream:
+            reader = self._reader(stream)
+            next(reader, None)
+            for line, values in enumerate((row for row in reader if row), start=2):
+                values += [None] * (len(self.fields) - len(values))
+                yield line, dict(zip(self.fields, values))
+
+    def _reader(self, lines: Iterator[str]) -> Iterator[List[Any]]:
+        return csv.reader(lines, delimiter=self._delimiter, skipinitialspace=True)
+
+    def _sentences(self) -> "_Sentences":
+        return _Sentences(self._path)
+
+
+class _Sentences:
+    """Errors of reading become one sentence."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        if isinstance(error, (OSError, UnicodeDecodeError, csv.Error)):
+            text = f"Cannot read the points of '{self._path}' ({error}): give a CSV file in UTF-8."
+            raise InputTableError(text) from error
+
+
+class LayerTable:
+    """A layer that OGR opens: ``fields`` in lower case, ``placed`` whether it has points, ``crs`` of them."""
+
+    def __init__(self, path: str, name: str = "") -> None:
+        """The layer of a name, or the first one; raises InputTableError where there is none."""
+        self._source: Optional[gdal.Dataset] = open_vector(path)
+        if self._source is None or self._source.GetLayerCount() < 1:
+            raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
+        self._layer = self._source.GetLayerByName(name) if name else self._source.GetLayer(0)
+        if self._layer is None:
+            raise InputTableError(f"'{path}' has no layer '{name}': choose an existing one.")
+        definition = self._layer.GetLayerDefn()
+        self.fields = [definition.GetFieldDefn(i).GetName().lower() for i in range(definition.GetFieldCount())]
+        kind = self._layer.GetGeomType()
+        self.placed, self.has_height = ogr.GT_Flatten(kind) == ogr.wkbPoint, bool(ogr.GT_HasZ(kind))
+        self.known_count = self._layer.GetFeatureCount(0)  # 0: only where the format knows it without counting
+        reference = self._layer.GetSpatialRef()
+        self.crs = pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"])) if reference else None
+
+    def keep_within(self, bounds: Bounds) -> None:
+        """Let :meth:`rows` give only those within bounds in the layer's CRS, where these are finite."""
+        if all(map(math.isfinite, bounds)):
+            self._layer.SetSpatialFilterRect(*bounds)
+
+    def rows(self) -> Iterator[Tuple[int, Dict[str, Any], Optional[Tuple[float, float, float]]]]:
+        """Each feature's number from 1, its fields, and x, y, z of its point (None where it has none)."""
+        for line, feature in enumerate(self._layer, start=1):
+            geometry = feature.GetGeometryRef() if self.placed else None
+            place = None if geometry is None else (geometry.GetX(), geometry.GetY(), geometry.GetZ())
+            yield line, {name: feature.GetField(index) for index, name in enumerate(self.fields)}, place
