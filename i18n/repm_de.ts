@@ -701,6 +701,53 @@
     </message>
 </context>
 <context>
+    <name>Register</name>
+    <message>
+        <source>Register to a reference</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Lays a scene onto heights of known place, and puts the shift into the pointing of its images.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Correction</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>shift: in three dimensions; tilt: a tilt too, where the heights carry one.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Other scenes that overlap</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Reconstructed scenes of the same strip or mosaic: all are placed together, so that no step is left between their DSMs. Each is written beside its own file (..._registered.json).</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>to the east</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>to the north</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>up</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Added {direction} (m)</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Standard deviation {direction} (m)</source>
+        <translation type="unfinished"></translation>
+    </message>
+</context>
+<context>
     <name>RepmAlgorithm</name>
     <message>
         <source>Preparation</source>
@@ -902,6 +949,30 @@
     <message>
         <source>A CSV file or point layer with one row for each point and image: id, lon, lat, height, view (the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). The geometry of a layer can replace lon and lat.</source>
         <translation>Eine CSV-Datei oder ein Punktlayer mit einer Zeile je Punkt und Bild: id, lon, lat, height, view (Dateiname des Bildes), col, row (die Mitte des ersten Pixels ist 0, 0), role (control oder check). Die Geometrie eines Layers kann lon und lat ersetzen.</translation>
+    </message>
+    <message>
+        <source>References</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Heights of known place: a DEM such as Copernicus GLO-30 or SRTM, a lidar DEM or cloud (LAZ), an older DSM, points (CSV, GeoPackage), or ICESat-2 and GEDI (HDF5, CSV). The whole scene is laid onto them.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Heights of the references refer to</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>auto: what each file says, or else the datum that fits, which the log names. Or ellipsoid, EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Ground that has not changed</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Polygons, or a raster that is not zero there: only heights inside count. Empty: all count.</source>
+        <translation type="unfinished"></translation>
     </message>
     <message>
         <source>Dask cluster (empty: this machine)</source>
@@ -1188,6 +1259,22 @@
         <translation>Ein Ordner für eine Höhenkarte je Paar und Kachel, aus denen das DOM entsteht.</translation>
     </message>
     <message>
+        <source>Differences from the reference</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>The reference minus the scene's surface in metres: band 1 before, band 2 after the registration.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Offsets of the scene's parts</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Arrows: the shift that each part of the scene asks for, in metres.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
         <source>DSM</source>
         <translation>DOM</translation>
     </message>
@@ -1310,6 +1397,10 @@
     <message>
         <source>Report of the refinement</source>
         <translation>Bericht über die Verfeinerung</translation>
+    </message>
+    <message>
+        <source>Report of the registration</source>
+        <translation type="unfinished"></translation>
     </message>
     <message>
         <source>Report of the run</source>

@@ -13,7 +13,7 @@ class DsmFuse(RepmAlgorithm):
 
     ID = "dsmfuse"
     GROUP = "surface"
-    STEP = 2
+    STEP = 3
     TAGS = "fusion,gridding,outliers,point cloud,orthophoto,surface model"
     USES_WORKERS = True
 

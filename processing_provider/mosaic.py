@@ -19,7 +19,7 @@ class Mosaic(RepmAlgorithm):
 
     ID = "mosaic"
     GROUP = "surface"
-    STEP = 3
+    STEP = 4
     TAGS = "mosaic,merge,seam,blend,offset,block adjustment,surface model"
     USES_WORKERS = True
 

@@ -15,6 +15,7 @@ from qgis.core import (
     QgsProcessingParameterFile,
     QgsProcessingParameterFileDestination,
     QgsProcessingParameterFolderDestination,
+    QgsProcessingParameterMapLayer,
     QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterNumber,
     QgsProcessingParameterRasterDestination,
@@ -137,6 +138,16 @@ class TiledRaster(QgsProcessingParameterRasterDestination):
         return TiledRaster(self)
 
 
+class Layer(QgsProcessingParameterMapLayer):
+    """A raster or a vector layer that QGIS does not open to check it."""
+
+    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+        return super().checkValueIsAcceptable(input)
+
+    def clone(self) -> Layer:
+        return Layer(self)
+
+
 class Points(QgsProcessingParameterVectorLayer):
     """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and names what is
     wrong in them."""
@@ -200,6 +211,39 @@ def gcps(optional: bool = True) -> QgsProcessingParameterDefinition:
             "(the image's file name), col, row (the first pixel's centre is 0, 0), role (control or check). "
             "The geometry of a layer can replace lon and lat."
         ),
+    )
+
+
+def references(optional: bool = False) -> QgsProcessingParameterDefinition:
+    return helped(
+        Rasters("REFERENCE", tr("References"), QgsProcessing.SourceType.TypeMapLayer, optional=optional),
+        tr(
+            "Heights of known place: a DEM such as Copernicus GLO-30 or SRTM, a lidar DEM or cloud (LAZ), an older "
+            "DSM, points (CSV, GeoPackage), or ICESat-2 and GEDI (HDF5, CSV). The whole scene is laid onto them."
+        ),
+    )
+
+
+def reference_datum() -> QgsProcessingParameterDefinition:
+    return advanced(
+        helped(
+            QgsProcessingParameterString(
+                "REFERENCE_DATUM", tr("Heights of the references refer to"), "auto", optional=True
+            ),
+            tr(
+                "auto: what each file says, or else the datum that fits, which the log names. Or ellipsoid, EGM96, "
+                "EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773."
+            ),
+        )
+    )
+
+
+def stable() -> QgsProcessingParameterDefinition:
+    return advanced(
+        helped(
+            Layer("STABLE", tr("Ground that has not changed"), optional=True),
+            tr("Polygons, or a raster that is not zero there: only heights inside count. Empty: all count."),
+        )
     )
 
 

@@ -26,6 +26,7 @@ from .parameters import tr
 from .pipeline import Pipeline
 from .reconstruct import Reconstruct
 from .refine import Refine
+from .register import Register
 from .sampledata import SampleData
 
 ALGORITHMS = (
@@ -34,6 +35,7 @@ ALGORITHMS = (
     ErrorMap,
     Refine,
     Reconstruct,
+    Register,
     DsmFuse,
     Mosaic,
     Pipeline,

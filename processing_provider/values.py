@@ -115,6 +115,29 @@ def _written(layer: QgsVectorLayer, context: QgsProcessingContext) -> str:
     return path
 
 
+def any_paths(value: object, context: QgsProcessingContext, only_named: bool = False) -> list[str]:
+    """The files of rasters, point layers, tables and clouds; with ``only_named`` no layer is written for that."""
+    paths = []
+    for item in raster_items(value, context):
+        if isinstance(item, QgsMapLayer) and not isinstance(item, QgsVectorLayer):
+            paths.append(layer_path(item))
+        elif only_named:
+            paths.append(item.source() if isinstance(item, QgsMapLayer) else item)
+        else:
+            paths.append(points_path(item, context) or "")
+    return paths
+
+
+def _paths(
+    definition: QgsProcessingParameterDefinition, given: object, context: QgsProcessingContext, only_named: bool = False
+) -> list[str]:
+    """What a parameter of several layers or files names."""
+    kind, kinds = definition.layerType(), QgsProcessing.SourceType
+    if kind == kinds.TypeRaster:
+        return raster_paths(given, context)
+    return any_paths(given, context, only_named) if kind == kinds.TypeMapLayer else file_paths(given, context)
+
+
 def crs_text(crs: QgsCoordinateReferenceSystem) -> Optional[str]:
     """The authority's code where there is one, else WKT 2; None for no CRS."""
     if not crs.isValid():
@@ -148,8 +171,9 @@ def input_options(
     if kind == "extent":
         return _extent(algorithm, name, parameters, context)
     if kind == "multilayer":
-        rasters = definition.layerType() == QgsProcessing.SourceType.TypeRaster
-        value: Any = raster_paths(given, context) if rasters else file_paths(given, context)
+        value: Any = _paths(definition, given, context)
+    elif kind == "layer":
+        value = next(iter(any_paths(given, context)), None)
     elif kind == "raster":
         value = next(iter(raster_paths(given, context)), None)
     elif kind == "vector":
@@ -184,8 +208,7 @@ def checked_value(
     if kind == "boolean":
         return algorithm.parameterAsBool(parameters, name, context)
     if kind == "multilayer":
-        rasters = definition.layerType() == QgsProcessing.SourceType.TypeRaster
-        return raster_paths(given, context) if rasters else file_paths(given, context)
+        return _paths(definition, given, context, only_named=True)
     if kind == "number":
         return None if is_empty(given) else _number(algorithm, definition, parameters, context)
     if kind in ("enum", "string"):

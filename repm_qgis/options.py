@@ -24,6 +24,7 @@ ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
 ALIGNMENTS = ("none", "vertical", "3d")
+SHIFTS = ("shift", "tilt")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
@@ -319,6 +320,42 @@ class ReconstructOptions(Options):
 
 
 @dataclass(frozen=True)
+class RegisterOptions(Options):
+    """Lay reconstructed scenes onto references, and put the shifts into the images' pointing.
+
+    ``reference`` names rasters, points or clouds with heights of known place; ``reference_datum`` what those heights
+    refer to: ``auto`` (what each file says, else the one that fits), ``ellipsoid``, or a vertical CRS. ``model``
+    ``shift`` or ``tilt`` (a shift and a tilt, where the heights carry one). ``stable`` are polygons, or a raster that
+    is not zero, of ground that has not changed; None = all. ``others`` are scenes that overlap ``scene``: all are
+    placed together. ``output_scene`` is for ``scene``; each of the others is written beside its own file.
+    ``differences``: a raster with the reference minus the surface, before and after; ``offsets``: a layer of points
+    with the shift that each part of the scene asks for; ``report``: a page; None = not wanted. ``workers``, ``memory``
+    and ``cluster`` as in ``ReconstructOptions``.
+    """
+
+    scene: str = read()
+    output_scene: str = given()
+    reference: Tuple[str, ...] = read(())
+    reference_datum: str = "auto"
+    model: str = choice("shift", SHIFTS)
+    stable: Optional[str] = read(None)
+    others: Tuple[str, ...] = read(())
+    differences: Optional[str] = None
+    offsets: Optional[str] = None
+    report: Optional[str] = None
+    workers: int = whole(0, 0, 1024)
+    memory: int = whole(0, 0, 1 << 24, "MiB")
+    cluster: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not all(self.reference) or not (self.reference or self.others):
+            raise OptionError("REFERENCE", list(self.reference), "must name a raster, points or a cloud with heights")
+        if not all(self.others) or self.scene in self.others:
+            raise OptionError("OTHERS", list(self.others), "must be other scenes than SCENE")
+
+
+@dataclass(frozen=True)
 class DsmFuseOptions(Options):
     """Fuse height maps into a DSM.
 
@@ -370,13 +407,23 @@ class PipelineOptions(Options):
     refine: RefineOptions
     reconstruct: ReconstructOptions
     fuse: DsmFuseOptions
+    register: Optional[RegisterOptions] = None
     preset: str = choice("none", tuple(PRESETS))
     report: Optional[str] = None
     command: Optional[str] = None
 
     OWN: ClassVar[Tuple[str, ...]] = ("preset", "report", "command")
-    STAGES: ClassVar[Tuple[Type[Options], ...]] = (EpmFitOptions, RefineOptions, ReconstructOptions, DsmFuseOptions)
-    SET_HERE: ClassVar[Tuple[str, ...]] = ("scene", "output_scene", "heights", "kernel", "write_images", "own_surface")
+    STAGES: ClassVar[Tuple[Type[Options], ...]] = (
+        EpmFitOptions,
+        RefineOptions,
+        ReconstructOptions,
+        DsmFuseOptions,
+        RegisterOptions,
+    )
+    SET_HERE: ClassVar[Tuple[str, ...]] = (
+        *("scene", "output_scene", "heights", "kernel", "write_images", "own_surface"),
+        *("others", "differences", "offsets"),
+    )
 
     @classmethod
     def names(cls) -> List[str]:
@@ -393,7 +440,12 @@ class PipelineOptions(Options):
         own = {name: values[name] for name in cls.OWN if name in values}
         values = {**PRESETS.get(str(own.get("preset", "none")), {}), **values}
         folder = Path(str(values.get("workspace", "")))
-        fitted, refined, matched = (str(folder / f"{name}.json") for name in ("scene", "refined", "reconstructed"))
+        names = ("scene", "refined", "reconstructed", "registered")
+        fitted, refined, matched, placed = (str(folder / f"{name}.json") for name in names)
+        register = None
+        if values.get("reference"):
+            ends = {"scene": matched, "output_scene": placed}
+            register = RegisterOptions._of(values, model="shift", report=None, **ends)
         terrain = values.get("model") == "terrain"
         # Without a DEM the surface is that of the coarse level, which needs the pointing: matching refines on it.
         own_surface = terrain and not values.get("dem")
@@ -405,7 +457,8 @@ class PipelineOptions(Options):
             fit=EpmFitOptions._of(values, tile_size=tile_size, report=None),
             refine=RefineOptions._of(values, dem=dem, write_images=False, report=None, **model),
             reconstruct=ReconstructOptions._of(values, scene=refined, output_scene=matched, own_surface=own_surface),
-            fuse=DsmFuseOptions._of(values, scene=matched),
+            fuse=DsmFuseOptions._of(values, scene=placed if register else matched),
+            register=register,
             **own,
         )
 

@@ -49,6 +49,16 @@ STYLES = (
     Style("overlaps"),
     Style("error", "viridis", off=True, template="ramp", unit=" px"),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
+    Style("offsets"),
+    Style("differences", "diverging", template="ramp", unit=" m", band=2, title="After the registration"),
+    Style(
+        "differences_before",
+        "diverging",
+        template="ramp",
+        unit=" m",
+        view_of="differences",
+        title="Before the registration",
+    ),
     Style("ept", "elevation", off=True, unit=" m"),
     Style("ortho", "grey", off=True),
     Style("confidence", "viridis", off=True, template="ramp", unit=" m", band=5),
@@ -105,6 +115,8 @@ _HEIGHTS = "A folder for one height map of each pair and tile, from which the DS
 _DSM = "Heights in metres as a GeoTIFF; where nothing was matched, there is no height."
 _CONFIDENCE = "For each height: its expected error in metres, how many pairs agree, and how it was found."
 _ORTHO = "The images in map geometry, on the cells of the DSM."
+_DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
+_OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."
 _CLOUD = "One point for each matched pixel, for exchange with other programs."
 _MESH = "The surface as triangles, which QGIS and 3D programs show."
 _ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
@@ -125,6 +137,7 @@ _REPORTS = {
     "inspect": "Report of the images",
     "epmfit": "Report of the cameras",
     "refine": "Report of the refinement",
+    "register": "Report of the registration",
     "pipeline": "Report of the run",
     "mosaic": "Report of the mosaic",
     "errormap": "Report of the equivalent error",
@@ -138,10 +151,20 @@ PRODUCTS = (
     Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles", help=_TILES),
     *(
         Product(stage, "output_scene", "Scene after this stage", SCENE, ALWAYS, filter=SCENES, help=_OUTPUT_SCENE)
-        for stage in ("refine", "reconstruct")
+        for stage in ("refine", "reconstruct", "register")
     ),
     Product("reconstruct", "tie_points", "Tie points", POINTS, UNLESS_SKIPPED, "tie_points", help=_TIES),
     Product("reconstruct", "heights", "Height maps (skipped: beside the scene)", FOLDER, help=_HEIGHTS),
+    Product(
+        "register",
+        "differences",
+        "Differences from the reference",
+        RASTER,
+        UNLESS_SKIPPED,
+        "differences",
+        help=_DIFFERENCES,
+    ),
+    Product("register", "offsets", "Offsets of the scene's parts", POINTS, UNLESS_SKIPPED, "offsets", help=_OFFSETS),
     Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm", help=_DSM),
     Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE),
     Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO),

@@ -8,8 +8,21 @@ from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Tuple, Typ
 
 import numpy as np
 
-from .arrays import Altitudes, Bounds
-from .checks import AnyFile, FileName, Misfit, Number, OwnFile, Range, Rectangle, mapping, typed, types_of, within
+from .arrays import Altitudes, Bounds, FloatArray
+from .checks import (
+    AnyFile,
+    Array,
+    FileName,
+    Misfit,
+    Number,
+    OwnFile,
+    Range,
+    Rectangle,
+    mapping,
+    typed,
+    types_of,
+    within,
+)
 
 R = TypeVar("R", bound="Record")
 FilePath = Annotated[str, AnyFile()]
@@ -26,6 +39,9 @@ Metres = Annotated[float, Number(0, 1e9, "m")]
 Heights = Annotated[Altitudes, Range(-22_000, 20_000, "m")]
 """Those of the Earth's surface, -12,000 to 10,000 m, with as much room."""
 Ground = Annotated[Bounds, Rectangle()]
+Offset = Annotated[float, Number(-1e5, 1e5, "m")]
+Pointing = Annotated[FloatArray, Array((2, 3), most=1e7)]
+"""An affine map of pixels, (2, 3)."""
 
 
 class Record:
@@ -102,6 +118,7 @@ class HeightMapRecord(Record):
     ``vertical_parallax_px`` the largest that the pinhole model leaves, ``table_error_m`` the largest error of the
     interpolated triangulation. A map of several views (COLMAP) also states the ``sources`` it was matched with, all
     ``views`` of its frame, the ground ``bounds`` of that frame, and whether these are only a ``part`` of the tile.
+    ``ground`` are the tile's bounds when it was matched, where a registration has moved them since; None where not.
     ``checksum`` is that of the file's values. ``reused``: an earlier, stopped run had finished the file; ``remade``: a
     file of an earlier run was damaged, and has been made again.
     """
@@ -121,6 +138,7 @@ class HeightMapRecord(Record):
     views: Tuple[Name, ...] = ()
     bounds: Optional[Ground] = None
     part: bool = False
+    ground: Optional[Ground] = None
     checksum: str = ""
     reused: bool = False
     remade: bool = False
@@ -185,6 +203,7 @@ class PointingFigures(Record):
     ``before_px`` and ``after_px`` are the ties' median residuals. ``shifts_px`` are the corrections (column, row) at
     the images' centres. ``ties_by_tile`` and ``ties_by_part`` (north-west, north, ...) count ties on the ground.
     ``control_noise_px`` is the control points' standard deviation, None where it cannot be estimated;
+    ``control_information`` (3, 3) is what they know of a shift of the whole (east, north, up), 1 / m²;
     ``height_uncertainty_m`` is two standard deviations of the absolute height, None with ground control.
     """
 
@@ -199,14 +218,115 @@ class PointingFigures(Record):
     gcps: Tuple[GcpFigures, ...] = ()
     rejected_gcps: Tuple[str, ...] = ()
     control_noise_px: Optional[float] = None
+    control_information: Optional[Annotated[FloatArray, Array((3, 3), most=1e12)]] = None
     height_uncertainty_m: Optional[float] = None
     ties_by_tile: Dict[str, Count] = dataclasses.field(default_factory=dict)
     ties_by_part: Dict[str, Count] = dataclasses.field(default_factory=dict)
 
     @property
-    def registered(self) -> bool:
+    def controlled(self) -> bool:
         """Whether ground control points have given the pointing its absolute position."""
         return self.height_uncertainty_m is None
+
+
+@dataclass(frozen=True)
+class GroundShift(Record):
+    """What is added to places on the ground, in a projected CRS: ``moved`` metres east, north and up, and ``tilt`` more
+    height for each metre east and north of ``centre``."""
+
+    moved: Tuple[Offset, Offset, Offset]
+    tilt: Tuple[Annotated[float, Number(-0.1, 0.1)], Annotated[float, Number(-0.1, 0.1)]] = (0.0, 0.0)
+    centre: Tuple[float, float] = (0.0, 0.0)
+
+    def up(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """What is added to heights at places, m."""
+        up: FloatArray = self.moved[2] + (x - self.centre[0]) * self.tilt[0] + (y - self.centre[1]) * self.tilt[1]
+        return up
+
+    def up_at(self, place: Tuple[float, float]) -> float:
+        """The same at one place."""
+        x, y = (np.array([each]) for each in place)
+        return float(self.up(x, y)[0])
+
+    def applied(self, xyz: FloatArray) -> FloatArray:
+        """(N, 3) places and heights, moved."""
+        x, y, z = xyz.T
+        return np.column_stack([x + self.moved[0], y + self.moved[1], z + self.up(x, y)])
+
+    def then(self, later: GroundShift) -> GroundShift:
+        """This shift, and a later one of what it has moved."""
+        east, north, _ = (a + b for a, b in zip(self.moved, later.moved))
+        up = self.moved[2] + later.up_at((self.centre[0] + self.moved[0], self.centre[1] + self.moved[1]))
+        tilt = (self.tilt[0] + later.tilt[0], self.tilt[1] + later.tilt[1])
+        return GroundShift((east, north, up), tilt, self.centre)
+
+    def of_bounds(self, bounds: Bounds, sign: int = 1) -> Bounds:
+        """A rectangle moved east and north; with the sign -1, back."""
+        east, north = sign * self.moved[0], sign * self.moved[1]
+        return Bounds(bounds[0] + east, bounds[1] + north, bounds[2] + east, bounds[3] + north)
+
+
+@dataclass(frozen=True)
+class LocalOffset(Record):
+    """The shift that a part of a scene alone asks for: its place in the scene's CRS, metres east, north and up before
+    the registration, their standard deviations, and how many heights say so."""
+
+    x: float
+    y: float
+    moved: Tuple[Offset, Offset, Offset]
+    deviation: Tuple[Metres, Metres, Metres]
+    count: Count
+
+
+@dataclass(frozen=True)
+class ReferenceFigures(Record):
+    """A reference, and what it alone says of a scene's place.
+
+    ``file`` as the user named it; ``datum`` of its heights, and ``datum_from``: what says so. ``width_m`` of its cells
+    or footprints, 0 for points. ``seen`` heights lie on the scene's surface, ``used`` ones have a weight. ``moved`` (m
+    east, north, up) with ``deviation`` (of a direction that the relief does not determine the vendor's promise), and
+    ``determined`` horizontal directions (unit vectors). ``before_m`` and ``after_m`` are NMADs of the differences,
+    ``bias_m`` their median before; ``range_m`` is how far they are correlated.
+    """
+
+    file: str
+    datum: str
+    datum_from: str
+    width_m: Tuple[Metres, Metres]
+    seen: Count
+    used: Count
+    moved: Tuple[Offset, Offset, Offset]
+    deviation: Tuple[Metres, Metres, Metres]
+    determined: Tuple[Tuple[float, float], ...]
+    before_m: Metres
+    after_m: Metres
+    bias_m: float
+    range_m: Metres
+
+
+@dataclass(frozen=True)
+class RegistrationFigures(Record):
+    """How a scene was laid onto references, and what its height maps need to follow.
+
+    ``shift`` is all that was added to the ground since matching; ``matched`` is the pointing of each view that the
+    height maps were matched with. ``latest`` is what the last registration added, with the standard deviations of its
+    east, north and up; ``determined`` are the horizontal directions that it could tell. ``control``: ground control
+    points had a weight, too. ``promised_m`` is what was to be expected (CE90, LE90). ``pointing_px`` is the largest
+    error of the shift as pointing. ``differences`` is a raster of the references minus the surface, before and after.
+    """
+
+    shift: GroundShift
+    matched: Dict[Name, Pointing]
+    latest: GroundShift
+    deviation: Tuple[Metres, Metres, Metres]
+    determined: Tuple[Tuple[float, float], ...]
+    control: bool
+    promised_m: Tuple[Metres, Metres]
+    pointing_px: Pixels
+    references: Tuple[ReferenceFigures, ...]
+    offsets: Tuple[LocalOffset, ...] = ()
+    differences: OwnFilePath = ""
+    neighbours: Tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from . import __version__
 from .arrays import FloatArray, Size, Window
-from .checks import Array, Choice, Misfit, Number, file_name, mapping, shown, typed, within
+from .checks import Choice, Misfit, Number, file_name, mapping, shown, typed, within
 from .errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.footprints import bounds_of_wkt
@@ -37,8 +37,10 @@ from .records import (
     Heights,
     Name,
     OwnFilePath,
+    Pointing,
     PointingFigures,
     Record,
+    RegistrationFigures,
     StageRecord,
     ViewPair,
     with_files,
@@ -94,7 +96,7 @@ class View(Record):
     height: Side
     rpc: Rpc
     gsd_m: Annotated[float, Number(*_GSD_M, "m")]
-    pointing: Annotated[FloatArray, Array((2, 3), most=1e7)] = field(default_factory=lambda: _IDENTITY.copy())
+    pointing: Pointing = field(default_factory=lambda: _IDENTITY.copy())
     acquired: str = ""
     mask: FilePath = ""
     sensor: str = ""
@@ -188,7 +190,8 @@ class Scene(Record):
     ``area`` is the outline, as WKT in ``crs``, of the ground that at least two views see. ``altitudes`` are metres
     above the ellipsoid. ``dem`` is the terrain model that was given, "" for none. ``refinement`` is the model's name
     ("" before any), ``order`` the polynomial's, ``surface`` the file of the terrain model's coarse surface. Matching
-    adds the ``pairs`` of views, their ``pointing``, the layer of ``tie_points`` and the ``backend``. ``preset`` is the
+    adds the ``pairs`` of views, their ``pointing``, the layer of ``tie_points`` and the ``backend``. A
+    ``registration`` has moved the views' pointing, tiles, area and altitudes since. ``preset`` is the
     one that the last run of the pipeline was given; what it set is in the ``history``, with all other options.
     """
 
@@ -209,6 +212,7 @@ class Scene(Record):
     history: Tuple[StageRecord, ...] = ()
     path: Path = Path("scene.json")
     preset: Annotated[str, Choice(tuple(PRESETS))] = "none"
+    registration: Optional[RegistrationFigures] = None
 
     def contradiction(self) -> str:
         views = {view.name: view for view in self.views}
@@ -225,6 +229,8 @@ class Scene(Record):
         for pair in (*((pair.first, pair.second) for pair in self.pairs), *self._tied):
             if pair[0] == pair[1] or not {*pair} <= set(views):
                 return f"has a pair {pair[0]}, {pair[1]}, which are not two of its views"
+        if self.registration and set(self.registration.matched) != set(views):
+            return "has a registration of other views"
         if self.refinement == "terrain" and not self.surface:
             return "has the refinement 'terrain', and no surface"
         return ""
@@ -288,6 +294,14 @@ class Scene(Record):
     def lean(self) -> "Scene":
         """The scene without tiles and history: what a worker needs of it."""
         return replace(self, tiles=(), pairs=(), pointing=None, history=())
+
+    @property
+    def as_matched(self) -> "Scene":
+        """The scene with the pointing that its height maps were matched with."""
+        if self.registration is None:
+            return self
+        matched = self.registration.matched
+        return replace(self, views=tuple(view.with_pointing(matched[view.name]) for view in self.views))
 
     def with_tiles(self, change: Callable[[Tile], Tile]) -> "Scene":
         """The scene with each tile changed."""

@@ -12,6 +12,7 @@ from osgeo import gdal, ogr, osr
 
 from .arrays import FloatArray
 from .errors import WorkspaceError
+from .records import GroundShift
 from .untrusted import VECTORS, distrust, drivers_for
 from .workspace import not_written, take_name, temporary_folder
 
@@ -63,10 +64,11 @@ def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatA
     return np.array(values, dtype=np.float64).reshape(-1, 2 + len(fields))
 
 
-def copy_layer(source: str, path: str) -> str:
+def copy_layer(source: str, path: str, moved: Optional[GroundShift] = None) -> str:
     """Write the first layer of a file again under another name, in the format of that name's extension.
 
-    Raises WorkspaceError where the source cannot be read or the file cannot be written.
+    ``moved`` is added to its points and to their field ``height``, in the layer's CRS. Raises WorkspaceError where the
+    source cannot be read or the file cannot be written.
     """
     opened = open_vector(source)
     if opened is None or not opened.GetLayerCount():
@@ -75,8 +77,19 @@ def copy_layer(source: str, path: str) -> str:
     definition = layer.GetLayerDefn()
     fields = [definition.GetFieldDefn(index) for index in range(definition.GetFieldCount())]
     kinds = {each.GetName(): next(kind for kind, code in _TYPES.items() if code == each.GetType()) for each in fields}
-    rows = ((each.GetGeometryRef().Clone(), [each.GetField(name) for name in kinds]) for each in layer)
-    write_layer(path, layer.GetSpatialRef().ExportToWkt(), layer.GetGeomType(), kinds, rows)
+
+    def rows() -> Features:
+        for feature in layer:
+            geometry = feature.GetGeometryRef().Clone()
+            values = {name: feature.GetField(name) for name in kinds}
+            if moved is not None:
+                x, y = geometry.GetX(), geometry.GetY()
+                geometry.SetPoint_2D(0, x + moved.moved[0], y + moved.moved[1])
+                if values.get("height") is not None:
+                    values["height"] += moved.up_at((x, y))
+            yield geometry, list(values.values())
+
+    write_layer(path, layer.GetSpatialRef().ExportToWkt(), layer.GetGeomType(), kinds, rows())
     layer = opened = None  # noqa: F841 - in this order, or OGR's objects outlive their file
     return path
 

@@ -74,6 +74,7 @@ class VerdictParameters(Parameters):
     least_compared_percent: float = 50.0  # reference cells with a height of the DSM
     most_bias_m: float = 0.5  # median difference from a reference ...
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
+    least_used_share: float = 0.5  # of a reference's heights that agree with the surface; forests leave a third
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from ..sfm.pair_selection import sun_over
 from . import charts, pictures, verdict
 from .error_study import add_error_study
 from .geometry_section import add_geometry
+from .registration_section import add_registration
 from .report import Report, fixed
 
 _TILES_LAYER = "The TILES layer has them all."
@@ -96,6 +97,8 @@ def pipeline_report(
     _inputs(report, scene)
     _errors(report, scene)
     _reconstruction(report, scene)
+    if scene.registration is not None:
+        add_registration(report, scene.registration)
     _confidence(report, products.get("confidence"))
     made = sorted(products_of("pipeline"), key=lambda product: product.stage != "dsmfuse")
     files = [(each.title, products.get(each.option)) for each in made if each.style or each.stage == "dsmfuse"]

@@ -17,6 +17,8 @@ and later; what an older QGIS does not know (the elevation of 3.26) it passes ov
 | ortho | grey; it has the time of its images | 2..98 % |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
 | tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
+| differences, differences_before | reference - surface, m, as dsm_error | that of the differences before |
+| offsets | arrows of the shift that each part of a scene asks for, labelled with that of the height | given |
 | gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |
 """
 
@@ -42,6 +44,7 @@ from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
 _FROM_ZERO = ("error", "confidence")
+_AROUND_ZERO = ("dsm_error", "differences", "differences_before")
 
 
 def write_style(
@@ -67,8 +70,8 @@ def style_text(
     """The style of a raster or vector file, as the content of a ``.qml``.
 
     ``limits`` set a raster's range, so that maps that belong together have the same colours; a cloud (``ept``) and a
-    ``mesh`` need them (see :func:`height_limits`). For ``gcps`` the second limit is the error in metres that an arrow
-    of 10 mm shows. ``taken`` is when the first and the last image of an ``ortho`` or of
+    ``mesh`` need them (see :func:`height_limits`). For ``gcps`` and ``offsets`` the second limit is the length in
+    metres that an arrow of 10 mm shows. ``taken`` is when the first and the last image of an ``ortho`` or of
     ``footprints`` were taken, ISO 8601.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read.
@@ -80,12 +83,15 @@ def style_text(
     text = (RESOURCES / "styles" / f"{style.template or kind}.qml").read_text(encoding="utf-8")
     if style.ramp:
         values, band = (np.empty(0, np.float32), 1) if limits and kind in ("ept", "mesh") else _shown(style, path)
+        if kind == "differences":  # those before have the same colours
+            values = preview(path, _SAMPLE_PX)[0]
         low, high = limits or _value_range(kind, values)
         text = _filled(text, style, low, high).replace("@band@", str(band))
     elif style.template == "palette":
         text = text.replace("@items@", "\n".join(_entries(style, path))).replace("@band@", str(style.band))
-    if kind == "gcps":
+    if "@arrow@" in text:
         length = limits[1] if limits else 1.0
+        text = text.replace("@arrow@\n", (RESOURCES / "styles" / "arrow.xml").read_text(encoding="utf-8"))
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
     text = text.replace("@elevation@", str(int(kind == "dsm"))).replace("@temporal@", _temporal(kind, taken))
     return _said(text)
@@ -113,7 +119,7 @@ def _shown(style: Style, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]
 
 def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
     low, high = percentile_range(values)
-    if kind == "dsm_error":
+    if kind in _AROUND_ZERO:
         limit = max(abs(low), abs(high))
         return -limit, limit
     return (0.0, high if high > 0 else 1.0) if kind in _FROM_ZERO else (low, high)

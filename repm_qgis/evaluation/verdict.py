@@ -6,9 +6,11 @@ the bound; no finding is a good result.
 
 from __future__ import annotations
 
+import math
+import os
 from typing import List, Optional
 
-from ..records import FusionFacts
+from ..records import FusionFacts, RegistrationFigures
 from ..scene import Scene
 from .metrics import HeightMetrics
 from .parameters import VERDICT, VerdictParameters
@@ -44,6 +46,8 @@ def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictPar
             f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; usual: at most "
             f"{bounds.most_equivalent_px:g} px): see 'Equivalent error'."
         )
+    if scene.registration is not None:
+        found += of_registration(scene.registration, bounds)
     warnings = len(dict.fromkeys(text for entry in scene.history for text in entry.warnings))
     if warnings:
         found.append(f"Warnings of the stages, which stand below: {warnings}.")
@@ -69,4 +73,31 @@ def of_comparison(metrics: HeightMetrics, bounds: VerdictParameters = VERDICT) -
             f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than their spread: check the "
             "vertical datums and the absolute pointing, or set ALIGN to vertical or 3d."
         )
+    return found
+
+
+def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of a registration to references."""
+    found = []
+    if len(figures.determined) < 2:
+        found.append(
+            "The relief does not determine the horizontal position in every direction: a plain tells the height only. "
+            "What is not determined stays as the vendors' RPCs have it: see 'Registration'."
+        )
+    east, north, up = figures.latest.moved
+    sizes = ("horizontally", math.hypot(east, north), figures.promised_m[0], max(figures.deviation[:2]))
+    heights = ("in height", abs(up), figures.promised_m[1], figures.deviation[2])
+    for words, size, promise, deviation in (sizes, heights):
+        if size > promise + 2.0 * deviation:
+            found.append(
+                f"The shift of {size:.1f} m {words} is more than the {promise:.1f} m that are to be expected nine "
+                "times in ten: see 'Registration'."
+            )
+    for each in figures.references:
+        share = each.used / max(each.seen, 1)
+        if share < bounds.least_used_share:
+            found.append(
+                f"Only {100 * share:.0f} % of the heights of '{os.path.basename(each.file)}' agree with the surface "
+                f"(usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'."
+            )
     return found

@@ -40,6 +40,12 @@ class CellGrid:
         south, east = self.north - self.shape[0] * self.cell, self.west + self.shape[1] * self.cell
         return Bounds(self.west, south, east, self.north)
 
+    @property
+    def middle(self) -> Tuple[float, float]:
+        """The middle of all cells."""
+        west, south, east, north = self.bounds
+        return 0.5 * (west + east), 0.5 * (south + north)
+
     def window(self, bounds: Sequence[float], margin: int = 0) -> Window:
         """The cells whose centres lie in bounds, and a margin of cells, cut to the grid."""
         c0 = math.ceil((bounds[0] - self.west) / self.cell - 0.5 - 1e-9) - margin

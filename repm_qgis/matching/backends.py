@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Dict, List, Mapping, NamedTuple, Optional
 
 from ..arrays import Bounds
 from ..errors import DeviceError
+from ..geometry.ground_shifts import shift_in
 from ..imagery.enhancement import Stretch
 from ..options import ReconstructOptions
 from ..progress import Part, Progress
@@ -152,5 +153,11 @@ def match_scene(job: MatchingJob, backends: Sequence[Backend], progress: Progres
 def height_source(
     scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters = MATCHING
 ) -> HeightSource:
-    """A height map by the backend that made it, see :meth:`Backend.height_source`."""
-    return backend_of(record.backend).height_source(scene, bounds, record, crs, parameters)
+    """A height map by the backend that made it, see :meth:`Backend.height_source`; of a scene that was registered since
+    it was matched, where that has moved it."""
+    backend, matched = backend_of(record.backend), record.ground or bounds
+    source = backend.height_source(scene.as_matched, matched, record, crs, parameters)
+    if scene.registration is None:
+        return source
+    middle = 0.5 * (bounds[0] + bounds[2]), 0.5 * (bounds[1] + bounds[3])
+    return replace(source, shift=shift_in(scene.registration.shift, scene.crs, crs, middle))

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, Tuple
+from typing import Callable, Iterator, Tuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -22,6 +22,7 @@ from scipy.optimize import nnls
 from ..arrays import FloatArray, IntArray, Mask
 from ..errors import EmptyResultError
 from ..imagery.sampling import NMAD_FACTOR, nmad
+from ..records import GroundShift, LocalOffset
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
 
@@ -30,10 +31,11 @@ _ROWS = 512  # of pairs' distances that are computed at once
 
 @dataclass(frozen=True)
 class Prior:
-    """What the vendor promises of the pointing: the standard deviation of a position in one direction, m;
-    and how far at most a shift is looked for."""
+    """What the vendor promises of the pointing: the standard deviations of a position in one direction and of a height,
+    m; and how far at most a shift is looked for."""
 
     horizontal_m: float
+    up_m: float
     most_m: float
 
 
@@ -41,29 +43,38 @@ class Prior:
 class Shift:
     """What to add to the own surface's coordinates so that it lies on the reference.
 
-    ``moved`` (3,) metres east, north, up. ``tilt`` (2,) is how much more is added to heights for each metre east and
-    north of ``centre`` (2,), zero where none was asked for or carried. ``covariance`` (5, 5) of both, as far as they
-    are determined. ``determined`` (2, 2): rows are the horizontal directions (unit vectors) that the relief determines
-    well enough; in the others the surface stays as it was. ``before`` and ``after`` are NMADs of the differences, m,
-    ``used`` counts the heights with a weight, ``seen`` all that see the surface; ``range_m`` is how far the
-    differences are correlated.
+    ``ground`` has its tilt around the middle of the surface's cells, zero where none was asked for or carried.
+    ``covariance`` (5, 5) of ``moved`` and ``tilt``, as far as they are determined. ``determined`` (k, 2) are the
+    horizontal directions (unit vectors) that the relief determines well enough; in the others the surface stays as it
+    was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their differences (reference
+    minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and their ``weight``;
+    ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's parts.
     """
 
-    moved: FloatArray
-    tilt: FloatArray
-    centre: FloatArray
+    ground: GroundShift
     covariance: FloatArray
     determined: FloatArray
-    before: float
-    after: float
-    used: int
-    seen: int
+    xy: FloatArray
+    before_m: FloatArray
+    after_m: FloatArray
+    weight: FloatArray
     range_m: float
+    offsets: Tuple[LocalOffset, ...] = ()
+
+    @property
+    def moved(self) -> FloatArray:
+        """(3,) metres east, north and up, in the middle."""
+        return np.array(self.ground.moved)
 
     @property
     def deviations(self) -> FloatArray:
         """(3,) standard deviations of ``moved``, m."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[:3]))
+
+    @property
+    def used(self) -> int:
+        """How many heights have a weight."""
+        return int((self.weight > 0).sum())
 
 
 def solve_shift(
@@ -74,40 +85,43 @@ def solve_shift(
     check: Callable[[], None] = lambda: None,
     parameters: RegistrationParameters = REGISTRATION,
 ) -> Shift:
-    """The shift, and a tilt where wanted; ``check`` is called between steps, and may raise to stop.
+    """The shift, and a tilt where wanted and carried; ``check`` is called between steps, and may raise to stop.
 
     Raises EmptyResultError where too few heights of the reference see the surface.
     """
     xyz = reference.xyz
     start = _search(surface, xyz, prior, check, parameters)
-    value, _, _ = surface.at(xyz[:, 0], xyz[:, 1])
-    before = _known(xyz[:, 2] - value)
     problem = _Problem(surface, reference, parameters)
-    free = np.eye(2)
-    solution = problem.solve(start, free, tilted, check)
-    correlation = problem.correlation(solution)
-    covariance = problem.covariance(solution, free, tilted, correlation)
-    horizontal, directions = np.linalg.eigh(covariance[:2, :2])
+    found = problem.determined(start, np.eye(2), tilted, check)
+    if tilted and not _carried(found[1], surface, prior, parameters):
+        tilted = False
+        found = problem.determined(start, np.eye(2), tilted, check)
+    horizontal, directions = np.linalg.eigh(found[1][:2, :2])
     good = horizontal <= (parameters.undetermined * prior.horizontal_m) ** 2
     free = directions[:, good].T
     if not good.all():  # what the relief does not determine stays as it was
-        solution = problem.solve(np.array([*(free.T @ (free @ start[:2])), start[2]]), free, tilted, check)
-        correlation = problem.correlation(solution)
-        covariance = problem.covariance(solution, free, tilted, correlation)
-        covariance[:2, :2] += prior.horizontal_m**2 * (np.eye(2) - free.T @ free)
-    residual, weight = solution.residual, solution.weight
+        found = problem.determined(np.array([*(free.T @ (free @ start[:2])), start[2]]), free, tilted, check)
+    solution, covariance, correlation = found
+    covariance[:2, :2] += prior.horizontal_m**2 * (np.eye(2) - free.T @ free)
+    east, north, up, *tilt = map(float, solution.unknowns)
+    seen = solution.seen
     return Shift(
-        moved=solution.unknowns[:3],
-        tilt=solution.unknowns[3:],
-        centre=problem.centre,
+        ground=GroundShift((east, north, up), (tilt[0], tilt[1]), (float(problem.centre[0]), float(problem.centre[1]))),
         covariance=covariance,
         determined=free,
-        before=nmad(before),
-        after=nmad(residual, 0.0),
-        used=int((weight > 0).sum()),
-        seen=int(solution.seen.sum()),
+        xy=xyz[seen, :2],
+        before_m=xyz[seen, 2] - surface.at(xyz[seen, 0], xyz[seen, 1])[0],
+        after_m=solution.residual[seen],
+        weight=solution.weight[seen],
         range_m=correlation.range_m,
+        offsets=tuple(problem.local_offsets(solution, free, correlation)),
     )
+
+
+def _carried(covariance: FloatArray, surface: SupportMeans, prior: Prior, parameters: RegistrationParameters) -> bool:
+    """Whether heights at the surface's ends are certain enough with the tilt that was found."""
+    ends = np.sqrt(np.diag(covariance)[3:]) * np.array(surface.extent_m) / 2
+    return bool((ends <= parameters.undetermined * prior.up_m).all())
 
 
 def mode(values: FloatArray, share: float) -> float:
@@ -188,7 +202,7 @@ class _Problem:
     def __init__(self, surface: SupportMeans, reference: Reference, parameters: RegistrationParameters) -> None:
         self._surface, self._xyz, self._parameters = surface, reference.xyz, parameters
         self._slopes = reference.slopes
-        self.centre = self._xyz[:, :2].mean(axis=0)
+        self.centre = np.array(surface.middle)
 
     def solve(self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]) -> _Solution:
         """Gauss-Newton steps with Tukey's weights; ``free`` (k, 2) are the horizontal directions that may change."""
@@ -252,12 +266,41 @@ class _Problem:
 
     # How well it is determined -------------------------------------------------------------------------------------
 
-    def covariance(
-        self, solution: _Solution, free: FloatArray, tilted: bool, correlation: "_Correlation"
-    ) -> FloatArray:
-        """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side."""
+    def determined(
+        self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]
+    ) -> Tuple[_Solution, FloatArray, "_Correlation"]:
+        """The solution with its covariance, and the correlation of its differences."""
+        solution = self.solve(start, free, tilted, check)
+        correlation = self.correlation(solution)
         basis = _basis(free, tilted)
-        use = solution.weight > 0
+        return solution, self.covariance(solution, basis, correlation, solution.weight > 0), correlation
+
+    def local_offsets(
+        self, solution: _Solution, free: FloatArray, correlation: "_Correlation"
+    ) -> Iterator[LocalOffset]:
+        """What parts of the surface alone ask for in the directions that the whole determines: a step from the
+        solution, as far as the part's own heights carry it."""
+        p, basis = self._parameters, _basis(free, False)
+        low, side = self.centre - np.array(self._surface.extent_m) / 2, np.array(self._surface.extent_m)
+        part = np.floor((self._xyz[:, :2] - low) / side * p.local_parts).astype(int)
+        for row, column in np.ndindex(p.local_parts, p.local_parts):
+            use = (part == (column, row)).all(axis=1) & (solution.weight > 0)
+            if use.sum() < p.least_supports:
+                continue
+            weighted = (solution.instruments[use] @ basis * (solution.weight / solution.noise**2)[use][:, None]).T
+            normal = weighted @ solution.design[use] @ basis
+            step = basis @ np.linalg.lstsq(normal, weighted @ solution.residual[use], rcond=None)[0]
+            variance = np.diag(self.covariance(solution, basis, correlation, use))[:3]
+            x, y = map(float, self._xyz[use, :2].mean(axis=0))
+            tilt = solution.unknowns[3:] @ (np.array([x, y]) - self.centre)
+            east, north, up = map(float, solution.unknowns[:3] + step[:3] + (0.0, 0.0, tilt))
+            if max(abs(east - solution.unknowns[0]), abs(north - solution.unknowns[1])) < self._surface.resolution_m:
+                deviation = tuple(float(each) for each in np.sqrt(np.clip(variance, 0.0, None)))
+                yield LocalOffset(x, y, (east, north, up), (deviation[0], deviation[1], deviation[2]), int(use.sum()))
+
+    def covariance(self, solution: _Solution, basis: FloatArray, correlation: "_Correlation", use: Mask) -> FloatArray:
+        """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side, of the heights
+        that are used."""
         instruments = solution.instruments[use] @ basis
         weighted = instruments * (solution.weight / solution.noise**2)[use][:, None]
         # Derivative of Tukey's psi: what a weight of residuals near the limit really counts.

@@ -55,6 +55,17 @@ class SupportMeans:
             self._filled = mean[tuple(nearest)]
         self._spline = ndimage.spline_filter(self._filled, 3)
 
+    @property
+    def middle(self) -> Tuple[float, float]:
+        """The middle of the surface's cells, in its CRS."""
+        return self._grid.middle
+
+    @property
+    def extent_m(self) -> Tuple[float, float]:
+        """How long the surface is from west to east and from south to north."""
+        rows, columns = self._unknown.shape
+        return columns * self._grid.cell, rows * self._grid.cell
+
     def at(self, x: FloatArray, y: FloatArray) -> Tuple[FloatArray, FloatArray, FloatArray]:
         """(N,) means (NaN where unknown), and their slopes to the east and to the north (m per m)."""
         col, row = (x - self._grid.west) / self._grid.cell - 0.5, (self._grid.north - y) / self._grid.cell - 0.5

@@ -19,6 +19,7 @@ from ..scene import Scene, View
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .advice import ties_by_part, ties_by_tile
 from .colmap_adjustment import adjust_colmap
+from .control_information import control_information
 from .ground_control import Gcp, intersect
 from .keypoints import Detector, with_best_detector
 from .parameters import POINTING, PointingParameters
@@ -102,6 +103,7 @@ def point_views(
         gcps=_gcp_figures(gcps, views, adjusted),
         rejected_gcps=tuple(adjusted.rejected) if gcps else (),
         control_noise_px=adjusted.control_noise_px if controlled else None,
+        control_information=_control_information(gcps, views, adjusted) if controlled else None,
         height_uncertainty_m=None if controlled else _height_uncertainty(scene, pairs, before, parameters.usual_px),
         ties_by_tile=ties_by_tile(scene, xy, parameters.advice),
         ties_by_part=ties_by_part(scene, xy, parameters.advice),
@@ -141,6 +143,11 @@ def _gcp_figures(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustmen
     offsets = ((gcp, intersect(gcp, views)) for gcp in gcps)
     seen = [(gcp.id, gcp.role, offset) for gcp, offset in offsets if offset is not None]
     return tuple(GcpFigures(name, role, name in adjusted.rejected, *map(float, offset)) for name, role, offset in seen)
+
+
+def _control_information(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustment) -> Optional[FloatArray]:
+    noise = adjusted.control_noise_px
+    return None if noise is None else control_information(gcps, adjusted.rejected, views, noise)
 
 
 def _height_uncertainty(

@@ -27,6 +27,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "refine": _options.RefineOptions,
     "exportcameras": _options.ExportCamerasOptions,
     "reconstruct": _options.ReconstructOptions,
+    "register": _options.RegisterOptions,
     "dsmfuse": _options.DsmFuseOptions,
     "pipeline": _options.PipelineOptions,
     "mosaic": _options.MosaicOptions,

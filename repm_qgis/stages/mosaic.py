@@ -131,7 +131,7 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
 
     confidences = options.confidences or ("",) * len(options.dsms)
     found = [Surface(path, path, error, fixed(path)) for path, error in zip(options.dsms, confidences)]
-    registered = [_registered(path, progress) for path in options.scenes]  # what cannot be fused is said at once
+    placed = [_placed(path, progress) for path in options.scenes]  # what cannot be fused is said at once
     layout = layout_of(options, found, Silent()) if found and options.scenes else None
     for number, path in enumerate(options.scenes):
         if layout:
@@ -148,17 +148,19 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
             cells.update(workers=options.workers, memory=options.memory)
             part.info(f"Fusing the scene '{path}'.")
             dsmfuse.run(DsmFuseOptions(scene=path, output=dsm, confidence=confidence, **cells), part, parameters)
-        why = fixed(path) or ("ground control points" if registered[number] else "")
+        why = fixed(path) or placed[number]
         found.append(Surface(path, dsm, confidence, why))
         layout = layout or layout_of(options, found, Silent())
     return found
 
 
-def _registered(path: str, progress: Progress) -> bool:
-    """Whether a scene has its position from ground control points; raises SceneError for one that cannot be fused."""
+def _placed(path: str, progress: Progress) -> str:
+    """What has given a scene its absolute position; raises SceneError for one that cannot be fused."""
     progress.check_cancelled()
     scene = dsmfuse.reconstructed(path)
-    return scene.pointing is not None and scene.pointing.registered
+    if scene.registration is not None:
+        return "registered to a reference"
+    return "ground control points" if scene.pointing is not None and scene.pointing.controlled else ""
 
 
 def _crs_text(layout: Layout) -> str:

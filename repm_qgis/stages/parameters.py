@@ -11,6 +11,7 @@ from ..imagery.parameters import StretchParameters
 from ..matching.parameters import MatchingParameters
 from ..mosaic.parameters import MosaicParameters
 from ..parameters import Parameters
+from ..registration.parameters import RegistrationParameters
 from ..sfm.parameters import PointingParameters
 
 
@@ -42,6 +43,7 @@ class EngineParameters(Parameters):
     pointing: PointingParameters = PointingParameters()
     matching: MatchingParameters = MatchingParameters()
     fusion: FusionParameters = FusionParameters()
+    registration: RegistrationParameters = RegistrationParameters()
     mosaic: MosaicParameters = MosaicParameters()
 
     def in_fingerprint(self) -> List[Any]:

@@ -24,11 +24,11 @@ from ..scene import Scene, load_views
 from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
 from ..workspace import ensure_folder, with_copy
-from . import dsmfuse, epmfit, reconstruct, refine
+from . import dsmfuse, epmfit, reconstruct, refine, register
 from .early import require_cell
 from .parameters import ENGINE, EngineParameters
 
-_SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "dsmfuse": 1.0}
+_SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, "dsmfuse": 1.0}
 """How far the whole has come when each stage ends."""
 
 
@@ -67,8 +67,10 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     require_space("this run", _needs(options, scene, matched_pairs(pairs, backend), parameters), progress)
     stage("refine", "Refinement", refine.run, options.refine)
     heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
+    if options.register is not None:
+        stage("register", "Registration", register.run, options.register)
     fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
-    scene_path = options.reconstruct.output_scene
+    scene_path = options.fuse.scene
     scene = Scene.load(scene_path)
     if scene.preset != options.preset:
         scene = replace(scene, preset=options.preset)

@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import Any, Dict, Optional
 
 import numpy as np
+import pyproj
 
 from ..disk_space import images_need, require_space
-from ..dsm.terrain_feedback import lon_lat_bounds, surface_of_heights
+from ..dsm.own_surface import lon_lat_bounds, own_surface
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
 from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
 from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface
-from ..imagery.raster import raster_identity
+from ..imagery.raster import raster_identity, write
 from ..options import RefineOptions
 from ..progress import Progress, Recorder
 from ..scene import Scene, reusable
@@ -58,7 +59,7 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
 def _refine(scene: Scene, options: RefineOptions, parameters: EngineParameters, progress: Progress) -> Scene:
     scene = replace(scene, refinement=options.model, order=options.order)
     if options.model == "terrain":
-        scene = with_surface(scene, _source(scene, options, parameters), parameters, progress)
+        scene = with_surface(scene, _source(scene, options, parameters, progress), parameters, progress)
     return refined_tiles(scene, progress, options.kernel if options.write_images else None)
 
 
@@ -90,13 +91,15 @@ def refined_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None
     return replace(scene, tiles=tuple(tiles))
 
 
-def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters) -> str:
+def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters, progress: Progress) -> str:
     """The raster that the coarse surface comes from: the DEM that is given, else the scene's own heights."""
     if options.dem:
         return options.dem
     if any(tile.heights for tile in scene.tiles):
         cell, path = parameters.tiles.surface_px * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif")
-        return surface_of_heights(scene, cell, path, parameters.fusion)
+        grid, heights = own_surface(scene, cell, 1, 0, progress, parameters=parameters.fusion)
+        wkt = pyproj.CRS.from_user_input(scene.crs).to_wkt()
+        return write(path, [heights], grid.geotransform, wkt, unit="m")
     remedy = "a scene that has heights already ('Reconstruct heights' with another MODEL first)"
     reason = f"needs a surface: give a DEM, or {remedy}; 'Make a DSM' finds the surface by itself"
     raise OptionError("MODEL", options.model, reason)

@@ -15,7 +15,7 @@ from osgeo import gdal
 from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Size, Window
 from ..errors import ImageError, SceneError
 from ..imagery.raster import opened, read, write
-from ..records import HeightMapRecord
+from ..records import GroundShift, HeightMapRecord
 from ..scene import Scene
 from .triangulation import NodeTable, verticals
 
@@ -49,7 +49,7 @@ class HeightSource:
 
     ``x`` and ``y`` take column, row, height to coordinates of a projected CRS. ``part`` are the bounds of the tile and
     of the part of it that the map was made for, where tiles were matched in parts: heights on the rest of the tile are
-    left out, because its other parts have maps of their own.
+    left out, because its other parts have maps of their own. ``shift`` is what was added to the ground since matching.
     """
 
     path: str
@@ -58,12 +58,15 @@ class HeightSource:
     size: Size
     altitudes: Altitudes
     part: Optional[Tuple[Bounds, Bounds]] = None
+    shift: Optional[GroundShift] = None
 
     def within(self, bounds: Optional[Bounds] = None) -> HeightMap:
         """The rectangle of pixels that contains all points in ``bounds``; None takes all.
 
         Raises SceneError where the file is missing or damaged.
         """
+        if bounds is not None and self.shift is not None:
+            bounds = self.shift.of_bounds(bounds, -1)
         col, row, width, height_px = window = Window(0, 0, *self.size) if bounds is None else self._window(bounds)
         if not (width and height_px):
             none = np.empty((0, 0))
@@ -77,6 +80,9 @@ class HeightSource:
         if self.part is not None:
             tile, own = self.part
             height = np.where(_inside(tile, x, y) & ~_inside(own, x, y), np.nan, height)
+        if self.shift is not None:
+            height = height + self.shift.up(x, y)
+            x, y = x + self.shift.moved[0], y + self.shift.moved[1]
         return HeightMap(x, y, height, score, filled, *verticals(self.x, self.y))
 
     def _window(self, bounds: Bounds) -> Window:

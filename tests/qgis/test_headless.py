@@ -30,7 +30,7 @@ def test_the_toolbox_lists_us_and_nobody_elses_plugins(headless):
     assert time.monotonic() - start < 6  # about 1.2 s on an idle machine
     assert done.returncode == 0, said(done)
     providers = json.loads(done.stdout)["providers"]
-    assert len(providers["repm"]["algorithms"]) == 14
+    assert len(providers["repm"]["algorithms"]) == 15
     assert not {"grass7", "saga", "otb"} & set(providers)
 
 

@@ -7,13 +7,8 @@ import pytest
 
 from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
-from repm_qgis.registration.moved_views import added, moved_view
-from repm_qgis.registration.solve import Shift
-
-
-def shift_of(moved, tilt=(0.0, 0.0), centre=(0.0, 0.0)):
-    arrays = (np.array(each, dtype=float) for each in (moved, tilt, centre))
-    return Shift(*arrays, np.eye(5), np.eye(2), 1.0, 1.0, 100, 100, 0.0)
+from repm_qgis.records import GroundShift
+from repm_qgis.registration.moved_scene import moved_view
 
 
 @pytest.fixture
@@ -31,8 +26,8 @@ def ground(urban):
 )
 def test_points_are_seen_where_the_shift_has_moved_them(urban, ground, moved, tilt):
     bounds, points = ground
-    shift = shift_of(moved, tilt, points[:, :2].mean(axis=0))
-    there = points + added(shift, points[:, :2])
+    shift = GroundShift(moved, tilt, tuple(points[:, :2].mean(axis=0)))
+    there = shift.applied(points)
     for view in urban.views:
         turned = view.with_pointing(np.array([[1.0001, 0.0, 1.5], [0.0, 0.9999, -2.0]]))
         changed, error = moved_view(turned, urban.crs, bounds, urban.height_range, shift)

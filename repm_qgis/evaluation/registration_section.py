@@ -1,0 +1,131 @@
+"""How a scene was laid onto references: a section of the run's page, and a page of its own."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import List, Tuple
+
+import numpy as np
+
+from ..imagery.raster import opened, read
+from ..imagery.sampling import nmad
+from ..records import ReferenceFigures, RegistrationFigures
+from ..scene import Scene
+from . import charts, pictures, verdict
+from .report import Report, fixed
+
+_BINS = 61
+
+
+def registration_page(scene: Scene, figures: RegistrationFigures) -> Report:
+    """What the references say of a scene's place, for the analyst."""
+    names = ", ".join(f"'{os.path.basename(each.file)}'" for each in figures.references)
+    page = Report("Registration to a reference", names or "Scenes that overlap")
+    east, north, up = figures.latest.moved
+    page.verdict(
+        f"The scene was moved by {math.hypot(east, north):.2f} m horizontally and {up:+.2f} m in height.",
+        verdict.of_registration(figures),
+    )
+    record = scene.record_of("register")
+    for text in record.warnings if record else ():
+        page.warning(text)
+    add_registration(page, figures)
+    if record:
+        inputs = [(name, str(record.options.get(name) or "")) for name in ("scene", "model", "stable")]
+        page.section("Inputs").facts([(name, value) for name, value in inputs if value])
+    return page
+
+
+def add_registration(page: Report, figures: RegistrationFigures) -> None:
+    """The shift with its uncertainty, each reference, the parts' offsets, and the differences before and after."""
+    page.section("Registration")
+    rows = []
+    promised = (figures.promised_m[0], figures.promised_m[0], figures.promised_m[1])
+    told = [_is_told(figures.determined, axis) for axis in range(2)] + [True]
+    for name, moved, deviation, promise, yes in zip(
+        ("east", "north", "height"), figures.latest.moved, figures.deviation, promised, told
+    ):
+        state = "determined" if yes else "not determined: as the vendors' RPCs have it"
+        rows.append([name, f"{moved:+.3f}", f"{deviation:.3f}", f"{promise:.1f}", state])
+    control = " Ground control points had a weight, too, by their noise." if figures.control else ""
+    page.table(
+        "component | added, m | standard deviation, m | to be expected, m | state",
+        rows,
+        "What was added to the ground, and with that to the pointing of every image, so that every product follows. "
+        "The standard deviations take into account that errors of neighbouring heights are alike. To be expected is "
+        "what nine of ten images keep without a registration (CE90, LE90): the vendors' promise, and for the height "
+        f"how well their RPCs agree.{control}",
+    )
+    if any(figures.latest.tilt):
+        tilt = ", ".join(f"{1000 * each:+.3f}" for each in figures.latest.tilt)
+        page.facts([("Tilt to the east and north", f"{tilt} m for each km")])
+    if figures.references:
+        page.table(
+            "reference | heights above | cells or footprints, m | heights on the surface | with a weight | "
+            "east, m | north, m | height, m | NMAD before, m | NMAD after, m",
+            [_reference_row(each) for each in figures.references],
+            "What each reference alone asks for. Heights without a weight differ by more than the noise: trees and "
+            "roofs above bare ground, water, changes. The NMAD is the spread of the differences.",
+        )
+        for each in figures.references:
+            page.facts([(f"Datum of '{os.path.basename(each.file)}'", f"{each.datum}: {each.datum_from}")])
+    if figures.neighbours:
+        page.facts([("Placed together with", ", ".join(figures.neighbours))])
+    _offsets(page, figures)
+    _differences(page, figures)
+
+
+def _is_told(determined: Tuple[Tuple[float, float], ...], axis: int) -> bool:
+    """Whether a component is determined: its axis lies in the directions that are."""
+    return sum(direction[axis] ** 2 for direction in determined) > 0.99
+
+
+def _reference_row(each: ReferenceFigures) -> List[str]:
+    width = "points" if not max(each.width_m) else f"{each.width_m[0]:.1f} x {each.width_m[1]:.1f}"
+    shifts = [f"{m:+.2f} ± {d:.2f}" for m, d in zip(each.moved, each.deviation)]
+    counts = [str(each.seen), str(each.used)]
+    return [os.path.basename(each.file), each.datum, width, *counts, *shifts, *fixed(each.before_m, each.after_m)]
+
+
+def _offsets(page: Report, figures: RegistrationFigures) -> None:
+    if len(figures.offsets) < 2:
+        return
+    at = np.array([(offset.x, offset.y) for offset in figures.offsets]) * (1, -1)
+    before = np.array([offset.moved[:2] for offset in figures.offsets]) * (1, -1)
+    moved = np.array(figures.latest.moved[:2]) * (1, -1)
+    page.svg(
+        charts.arrows(at, before, "Before the registration", "m"),
+        "The horizontal shift that each part of the scene asks for, north up. Arrows that agree are a wrong pointing, "
+        "which the registration removes.",
+    )
+    page.svg(
+        charts.arrows(at, before - moved, "After the registration", "m"),
+        "What is left of them: arrows that agree over a part of the scene are a distortion that no shift removes.",
+    )
+
+
+def _differences(page: Report, figures: RegistrationFigures) -> None:
+    if not figures.differences or not os.path.exists(figures.differences):
+        return
+    with opened(figures.differences) as dataset:
+        bands = [read(dataset, None, band) for band in (1, 2)]
+    known = [band[np.isfinite(band)] for band in bands]
+    if not all(len(values) for values in known):
+        return
+    limit = max(abs(value) for value in pictures.percentile_range(bands[0]))
+    limit = max(limit, 3.0 * nmad(known[1]), 0.1)
+    edges = np.linspace(-limit, limit, _BINS + 1)
+    middle = (edges[:-1] + edges[1:]) / 2
+    series = {
+        name: (middle, 100.0 * np.histogram(values, edges)[0] / len(values))
+        for name, values in zip(("before", "after"), known)
+    }
+    page.svg(
+        charts.curves(series, "reference minus surface (m)", "heights (%)"), "Differences before and after, in bins."
+    )
+    for name, band in zip(("before", "after"), bands):
+        step = max(1, math.ceil(max(band.shape) / 600))
+        picture = pictures.png_bytes(pictures.colour_map(band[::step, ::step], -limit, limit, "diverging"))
+        page.png(picture, f"The reference minus the surface {name} the registration, north up.")
+    page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))

@@ -1,0 +1,152 @@
+"""Laying the own surface of one scene onto its references, one after the other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Callable, List, Sequence, Tuple
+
+import numpy as np
+
+from ..arrays import Bounds, FloatArray, Floats
+from ..geometry.cell_grid import CellGrid
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..geometry.vertical import HeightDatum
+from ..imagery.sampling import nmad
+from ..records import GroundShift, ReferenceFigures
+from .datums import likely_datum
+from .parameters import REGISTRATION, RegistrationParameters
+from .references import FoundHeights, in_datum
+from .solve import Prior, Shift, solve_shift
+from .surfaces import Reference, SupportMeans
+
+Check = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class OwnSurface:
+    """A scene's surface: (rows, columns) heights of a grid in its CRS, metres above the ellipsoid, NaN = unknown."""
+
+    crs: str
+    grid: CellGrid
+    height: Floats
+
+    def as_reference(self, name: str, crs: str) -> Reference:
+        """Its cells as a reference for a surface in another CRS, with their slopes; grid norths that differ by a few
+        degrees change means over cells of this size by nothing that counts."""
+        down, right = np.full(self.height.shape, np.nan), np.full(self.height.shape, np.nan)
+        right[:, 1:-1] = (self.height[:, 2:] - self.height[:, :-2]) / (2 * self.grid.cell)
+        down[1:-1] = (self.height[2:] - self.height[:-2]) / (2 * self.grid.cell)
+        known = np.isfinite(self.height)
+        x, y = (each[known] for each in np.meshgrid(*self.grid.centres()))
+        xy, slopes = np.column_stack([x, y]), np.column_stack([right[known], -down[known]])
+        if crs != self.crs:
+            xy = projected_from_geodetic(crs, geodetic_from_projected(self.crs, xy))
+        cell = self.grid.cell
+        return Reference(name, np.column_stack([xy, self.height[known]]), (cell, cell), False, slopes)
+
+
+@dataclass(frozen=True)
+class Laid:
+    """A surface on a reference: where the datum of its heights comes from, and the shift."""
+
+    reference: Reference
+    means: SupportMeans
+    datum: HeightDatum
+    datum_from: str
+    shift: Shift
+
+    def figures(self) -> ReferenceFigures:
+        """What a scene keeps of it."""
+        before = self.shift.before_m[np.isfinite(self.shift.before_m)]
+        east, north, up = map(float, self.shift.deviations)
+        return ReferenceFigures(
+            file=self.reference.name,
+            datum=self.datum.name,
+            datum_from=self.datum_from,
+            width_m=self.reference.width_m,
+            seen=len(self.shift.xy),
+            used=self.shift.used,
+            moved=self.shift.ground.moved,
+            deviation=(east, north, up),
+            determined=tuple((float(a), float(b)) for a, b in self.shift.determined),
+            before_m=float(nmad(before)) if len(before) else 0.0,
+            after_m=float(nmad(self.shift.after_m, 0.0)),
+            bias_m=float(np.median(before)) if len(before) else 0.0,
+            range_m=self.shift.range_m,
+        )
+
+    def differences(self, ground: GroundShift) -> Tuple[FloatArray, FloatArray, FloatArray]:
+        """(N, 2) places, and (N,) the reference minus the surface, m, before and after it is moved; NaN = unknown."""
+        x, y, z = self.reference.xyz.T
+        before = z - self.means.at(x, y)[0]
+        east, north = x - ground.moved[0], y - ground.moved[1]
+        after = z - self.means.at(east, north)[0] - ground.up(east, north)
+        seen = np.isfinite(before) | np.isfinite(after)
+        return self.reference.xyz[seen, :2], before[seen], after[seen]
+
+
+def finest_cell(
+    bounds: Bounds, gsd_m: float, cell_gsd: float, parameters: RegistrationParameters = REGISTRATION
+) -> float:
+    """The side of the finest cell of a surface that is worth its work, m."""
+    area = (bounds.xmax - bounds.xmin) * (bounds.ymax - bounds.ymin)
+    return max(cell_gsd * gsd_m, math.sqrt(area / parameters.most_cells))
+
+
+def cell_for(
+    references: Sequence[FoundHeights], finest: float, parameters: RegistrationParameters = REGISTRATION
+) -> float:
+    """The side of the surface's cells that suits references, m."""
+    widths = [min(found.width_m) for found in references]
+    wanted = min(widths, default=parameters.averaged_cells * finest * parameters.cells_across)
+    return max(finest, wanted / parameters.cells_across)
+
+
+def lay(
+    surface: OwnSurface,
+    found: FoundHeights,
+    datum: HeightDatum | None,
+    prior: Prior,
+    tilted: bool,
+    check: Check,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> Laid:
+    """Lay a surface on a reference. ``datum`` is what the user says of its heights, None for what the file says, or
+    else what fits.
+
+    Raises EmptyResultError where too few heights lie on the surface, OptionError where the datum cannot be told.
+    """
+
+    def solved(reference: Reference) -> Shift:
+        means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
+        return solve_shift(means, reference, prior, tilted, check, parameters)
+
+    said = "REFERENCE_DATUM says so"
+    if datum is None and found.datum is not None:
+        datum, said = found.datum, "the file says so"
+    if datum is None:
+        choice = likely_datum(found, surface.crs, solved, prior.up_m)
+        datum, said = choice.datum, choice.sentence
+    reference = in_datum(found, surface.crs, datum)
+    means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
+    return Laid(reference, means, datum, said, solve_shift(means, reference, prior, tilted, check, parameters))
+
+
+def overlaps(surfaces: Sequence[OwnSurface]) -> List[Tuple[int, int]]:
+    """The pairs of surfaces whose cells may share ground."""
+    boxes = []
+    for surface in surfaces:
+        x0, y0, x1, y1 = surface.grid.bounds
+        corners = np.array([[x0, y0], [x0, y1], [x1, y0], [x1, y1]])
+        there = projected_from_geodetic(surfaces[0].crs, geodetic_from_projected(surface.crs, corners))
+        boxes.append((*there.min(axis=0), *there.max(axis=0)))
+    return [
+        (i, j)
+        for i in range(len(boxes))
+        for j in range(i + 1, len(boxes))
+        if boxes[i][0] < boxes[j][2]
+        and boxes[j][0] < boxes[i][2]
+        and boxes[i][1] < boxes[j][3]
+        and boxes[j][1] < boxes[i][3]
+    ]

@@ -1,0 +1,99 @@
+"""Stable ground: where a surface may be compared with a reference, as polygons or as a raster."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyproj
+from osgeo import gdal, ogr, osr
+
+from ..arrays import Mask
+from ..errors import ImageError, InputTableError
+from ..geometry.cell_grid import CellGrid
+from ..imagery.raster import opened
+from ..vector import file_and_layer, open_vector
+
+_MOST_FEATURES = 100_000
+
+
+def stable_cells(path: str, grid: CellGrid, crs: str) -> Mask:
+    """The (rows, columns) cells of a grid in a projected CRS whose middle is stable: in a polygon of a layer, or in a
+    cell of a raster that is neither zero nor nodata.
+
+    Raises InputTableError for a layer, and ImageError for a raster, that cannot be used.
+    """
+    file, layer = file_and_layer(path)
+    source = open_vector(file)
+    if source is not None and source.GetLayerCount():
+        chosen = source.GetLayerByName(layer) if layer else source.GetLayer(0)
+        if chosen is None:
+            raise InputTableError(f"'{file}' has no layer '{layer}': choose one that it has as STABLE.")
+        cells = _in_polygons(path, chosen, grid, crs)
+        chosen = source = None
+    else:
+        source = None
+        cells = _in_raster(file, grid, crs)
+    return cells
+
+
+def _in_polygons(path: str, layer: Any, grid: CellGrid, crs: str) -> Mask:
+    if layer.GetSpatialRef() is None:
+        raise InputTableError(f"The layer '{path}' has no coordinate reference system: assign it one first.")
+    if layer.GetFeatureCount() > _MOST_FEATURES:
+        raise InputTableError(
+            f"'{path}' has {layer.GetFeatureCount()} polygons, and STABLE takes {_MOST_FEATURES}: dissolve them first."
+        )
+    target = osr.SpatialReference()
+    target.SetFromUserInput(crs)
+    for reference in (target, own := layer.GetSpatialRef().Clone()):
+        reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+    transformation = osr.CoordinateTransformation(own, target)
+    memory = ogr.GetDriverByName("Memory").CreateDataSource("stable")
+    copy = memory.CreateLayer("stable", target, ogr.wkbUnknown)
+    count = 0
+    for feature in layer:
+        geometry = feature.GetGeometryRef()
+        if geometry is None or ogr.GT_Flatten(geometry.GetGeometryType()) not in (ogr.wkbPolygon, ogr.wkbMultiPolygon):
+            continue
+        geometry = geometry.Clone()
+        geometry.Transform(transformation)
+        moved = ogr.Feature(copy.GetLayerDefn())
+        moved.SetGeometry(geometry)
+        copy.CreateFeature(moved)
+        count += 1
+    if not count:
+        raise InputTableError(f"The layer '{path}' has no polygons: STABLE takes polygons, or a raster.")
+    mask = _memory_raster(grid, crs)
+    gdal.RasterizeLayer(mask, [1], copy, burn_values=[1])
+    return np.asarray(mask.ReadAsArray() > 0)
+
+
+def _in_raster(path: str, grid: CellGrid, crs: str) -> Mask:
+    with opened(path) as dataset:
+        if not dataset.GetProjection():
+            raise ImageError(f"The raster '{path}' has no coordinate reference system: assign it one first.")
+        west, south, east, north = grid.bounds
+        rows, columns = grid.shape
+        warped = gdal.Warp(
+            "",
+            dataset,
+            format="MEM",
+            dstSRS=pyproj.CRS.from_user_input(crs).to_wkt(),
+            outputBounds=(west, south, east, north),
+            width=columns,
+            height=rows,
+            resampleAlg="near",
+            dstNodata=0,
+            outputType=gdal.GDT_Float32,
+        )
+        values = warped.GetRasterBand(1).ReadAsArray()
+    return np.asarray(np.isfinite(values) & (values != 0))
+
+
+def _memory_raster(grid: CellGrid, crs: str) -> gdal.Dataset:
+    rows, columns = grid.shape
+    dataset = gdal.GetDriverByName("MEM").Create("", columns, rows, 1, gdal.GDT_Byte)
+    dataset.SetGeoTransform(grid.geotransform)
+    dataset.SetProjection(pyproj.CRS.from_user_input(crs).to_wkt())
+    return dataset

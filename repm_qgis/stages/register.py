@@ -1,0 +1,369 @@
+"""Lay reconstructed scenes onto references, and put the shifts into their images' pointing."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+import pyproj
+from osgeo import ogr
+
+from ..arrays import FloatArray
+from ..dsm.own_surface import own_surface
+from ..errors import EmptyResultError, OverlapError
+from ..evaluation.registration_section import registration_page
+from ..evaluation.styles import write_style
+from ..geometry.cell_grid import CellGrid
+from ..geometry.tiles import enclosing
+from ..geometry.vertical import HeightDatum
+from ..imagery.raster import opened, raster_identity, read, write
+from ..options import RegisterOptions
+from ..progress import Part, Progress, Recorder
+from ..records import GroundShift, RegistrationFigures
+from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
+from ..registration.laying import Laid, OwnSurface, cell_for, finest_cell, lay, overlaps
+from ..registration.moved_scene import moved_scene
+from ..registration.references import FoundHeights, read_reference
+from ..registration.solve import Prior, Shift, solve_shift
+from ..registration.stable import stable_cells
+from ..registration.surfaces import SupportMeans
+from ..scene import Scene, folder_of, reusable
+from ..sfm.promises import promised
+from ..vector import copy_layer, file_and_layer, write_layer
+from ..workspace import ensure_folder, file_identity, fingerprint
+from .dsmfuse import reconstructed
+from .parameters import ENGINE, EngineParameters
+
+
+@dataclass(frozen=True)
+class _Work:
+    """One scene (whose path is that of the registered one), its surface, what is known before, and what references
+    say."""
+
+    scene: Scene
+    surface: OwnSurface
+    prior: Prior
+    laid: Tuple[Laid, ...]
+
+
+def run(options: RegisterOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+    """Register; gives the scenes' paths, the shift (m east, north, up) and its standard deviations.
+
+    Raises SceneError for a scene that has no heights, OverlapError for a reference that covers no scene,
+    EmptyResultError for one with too few heights, OptionError for a datum that cannot be told, ImageError,
+    InputTableError.
+    """
+    start = time.monotonic()
+    datum = None
+    if options.reference_datum.strip().lower() != "auto":
+        datum = HeightDatum.of(options.reference_datum, "REFERENCE_DATUM")
+    outputs = [options.output_scene, *map(registered_path, options.others)]
+    scenes = [
+        replace(_matched(path), path=Path(output)) for path, output in zip((options.scene, *options.others), outputs)
+    ]
+    key = _key(options, scenes, parameters)
+    made = [scene for scene in (reusable(path, "register", key) for path in outputs) if scene and _whole(scene)]
+    if len(made) == len(scenes):
+        progress.info(f"Reused the registration in '{options.output_scene}'.")
+    else:
+        notes = Recorder(progress)
+        found = _registered(options, scenes, datum, notes, parameters)
+        facts = round(time.monotonic() - start, 3), notes.warnings, parameters.changes()
+        made = [scene.recorded("register", key, options.to_json(), *facts) for scene in found]
+        for scene, output in zip(made, outputs):
+            scene.save(output)
+    figures = _figures(made[0])
+    _write_products(made[0], figures, options)
+    progress.step(1.0, "registered")
+    east, north, up = figures.latest.moved
+    return {
+        "output_scene": options.output_scene,
+        "other_scenes": outputs[1:],
+        **{name: getattr(options, name) for name in ("differences", "offsets", "report")},
+        **{"east": east, "north": north, "up": up, "determined": len(figures.determined)},
+        **dict(zip(("east_deviation", "north_deviation", "up_deviation"), figures.deviation)),
+        "seconds": round(time.monotonic() - start, 3),
+    }
+
+
+def registered_path(scene: str) -> str:
+    """Where the registered scene of one of OTHERS is written: beside it."""
+    place = Path(scene)
+    return str(place.with_name(f"{place.stem}_registered.json"))
+
+
+def _matched(path: str) -> Scene:
+    """A scene that has heights, with all its tiles; raises SceneError where there are none."""
+    reconstructed(path)
+    return Scene.load(path)
+
+
+def _figures(scene: Scene) -> RegistrationFigures:
+    assert scene.registration is not None  # noqa: S101 - this stage has made it
+    return scene.registration
+
+
+def _whole(scene: Scene) -> bool:
+    """Whether all is there that the registration of a scene has written beside it."""
+    files = _figures(scene).differences, scene.tie_points
+    return all(not file or os.path.exists(file) for file in files)
+
+
+def _key(options: RegisterOptions, scenes: Sequence[Scene], parameters: EngineParameters) -> str:
+    references = [_identity(path) for path in options.reference]
+    stable = _identity(options.stable) if options.stable else None
+    chosen = options.reference_datum, options.model
+    made_from = [scene.fingerprint for scene in scenes]
+    return fingerprint("register", made_from, references, stable, chosen, *parameters.in_fingerprint())
+
+
+def _identity(path: str) -> List[Any]:
+    """What distinguishes a raster, a table or a cloud from a changed one."""
+    file, layer = file_and_layer(path)
+    return [layer, file_identity(file), raster_identity(file)]
+
+
+# Finding the shifts -----------------------------------------------------------------------------------------------
+
+
+def _registered(
+    options: RegisterOptions,
+    scenes: Sequence[Scene],
+    datum: Optional[HeightDatum],
+    progress: Progress,
+    parameters: EngineParameters,
+) -> List[Scene]:
+    works, ends = [], np.linspace(0.0, 0.85, len(scenes) + 1)
+    for scene, low, high in zip(scenes, ends, ends[1:]):
+        works.append(_work(options, scene, datum, Part(progress, float(low), float(high)), parameters))
+    observations, between = [], _between(works, Part(progress, 0.85, 0.95), parameters)
+    for number, work in enumerate(works):
+        observations += [Observation.of_shift(f"'{laid.reference.name}'", laid.shift, number) for laid in work.laid]
+        if work.scene.pointing is not None and work.scene.pointing.control_information is not None:
+            observations.append(Observation.of_control(work.scene.pointing.control_information, number))
+    if not any(work.laid for work in works) and options.reference:
+        names = ", ".join(f"'{path}'" for path in options.reference)
+        raise OverlapError(f"No reference ({names}) covers the scene: choose one that does.")
+    for text in contradictions(observations, parameters.registration):
+        progress.warn(text)
+    observations += [Observation.of_shift("an overlap", shift, i, j) for i, j, shift in between]
+    centres = [work.surface.grid.middle for work in works]
+    placed = place_scenes(centres, [work.prior for work in works], observations)
+    return [
+        _moved(work, one, _neighbours(works, between, number), progress, parameters)
+        for number, (work, one) in enumerate(zip(works, placed))
+    ]
+
+
+def _work(
+    options: RegisterOptions,
+    scene: Scene,
+    datum: Optional[HeightDatum],
+    progress: Progress,
+    parameters: EngineParameters,
+) -> _Work:
+    """A scene's own surface, laid on all references that cover it."""
+    numbers, check = parameters.registration, progress.check_cancelled
+    prior = _prior(scene, parameters)
+    bounds = enclosing([tile.bounds for tile in scene.tiles if tile.heights])
+    finest = finest_cell(bounds, scene.gsd_m, parameters.tiles.cell_gsd, numbers)
+    found: List[FoundHeights] = []
+    for path in options.reference:
+        progress.step(0.0, f"reading {os.path.basename(path)}")
+        try:
+            around = bounds.grown(prior.most_m)
+            found.append(read_reference(path, scene.crs, around, numbers.averaged_cells * finest, check))
+        except OverlapError:
+            if len(options.others) + len(options.reference) < 2:
+                raise
+            progress.info(f"'{path}' does not cover the scene '{scene.path}'.")
+    cell = cell_for(found, finest, numbers)
+    how = options.workers, options.memory, Part(progress, 0.05, 0.8)
+    grid, height = own_surface(scene, cell, *how, "none", parameters.fusion)
+    if options.stable:
+        height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
+    surface = OwnSurface(scene.crs, grid, height)
+    laid = []
+    for number, each in enumerate(found):
+        progress.step(0.8 + 0.2 * number / len(found), f"laying the surface on {os.path.basename(each.name)}")
+        laid.append(lay(surface, each, datum, prior, options.model == "tilt", check, numbers))
+        _log(laid[-1], progress)
+    return _Work(scene, surface, prior, tuple(laid))
+
+
+def _prior(scene: Scene, parameters: EngineParameters) -> Prior:
+    horizontal, up = promised(scene.views, parameters.pointing)
+    ties = scene.pointing
+    if ties is not None and ties.height_uncertainty_m is not None:  # errors that images share do not change heights
+        up = min(up, ties.height_uncertainty_m / 2.0)
+    numbers, circle = parameters.registration, parameters.pointing.promises.ce90
+    return Prior(horizontal, up, max(numbers.search * circle * horizontal, numbers.least_search_m))
+
+
+def _promise(work: _Work, parameters: EngineParameters) -> Tuple[float, float]:
+    """CE90 and LE90 that are to be expected without a registration, m."""
+    numbers = parameters.pointing.promises
+    return numbers.ce90 * work.prior.horizontal_m, numbers.le90 * work.prior.up_m
+
+
+def _between(works: Sequence[_Work], progress: Progress, parameters: EngineParameters) -> List[Tuple[int, int, Shift]]:
+    """What to add to the first of two scenes that overlap, so that it lies on the second, as both are now."""
+    found = []
+    for i, j in overlaps([work.surface for work in works]):
+        first, second = works[i], works[j]
+        reference = second.surface.as_reference(str(second.scene.path), first.scene.crs)
+        means = SupportMeans(first.surface.grid, first.surface.height, reference, parameters.registration.covered)
+        most = max(first.prior.most_m, second.prior.most_m)
+        prior = Prior(math.hypot(first.prior.horizontal_m, second.prior.horizontal_m), first.prior.up_m, most)
+        try:
+            shift = solve_shift(means, reference, prior, False, progress.check_cancelled, parameters.registration)
+        except EmptyResultError:
+            continue
+        found.append((i, j, shift))
+        east, north, up = shift.ground.moved
+        progress.info(
+            f"'{second.scene.path}' lies ({east:+.2f}, {north:+.2f}, {up:+.2f}) m east, north and up of "
+            f"'{first.scene.path}' where they overlap."
+        )
+    return found
+
+
+def _neighbours(works: Sequence[_Work], between: Sequence[Tuple[int, int, Shift]], number: int) -> List[str]:
+    """The scenes that one was placed together with, because they overlap."""
+    others = [j if i == number else i for i, j, _ in between if number in (i, j)]
+    return [str(works[other].scene.path) for other in others]
+
+
+# Putting them into the scenes -------------------------------------------------------------------------------------
+
+
+def _moved(
+    work: _Work, placed: Placed, neighbours: Sequence[str], progress: Progress, parameters: EngineParameters
+) -> Scene:
+    """The registered scene, with the layer and the raster that lie beside it."""
+    scene, before = work.scene, work.scene.registration
+    changed, error = moved_scene(scene, placed.ground)
+    promise = _promise(work, parameters)
+    _say(placed, promise, progress)
+    differences = _write_differences(work, placed.ground)
+    ties = ""
+    if scene.tie_points and os.path.exists(scene.tie_points):
+        ties = copy_layer(scene.tie_points, f"{folder_of(scene.path, 'tie_points')}.gpkg", placed.ground)
+        write_style("tie_points", ties)
+    east, north, up = map(float, placed.deviations)
+    figures = RegistrationFigures(
+        shift=before.shift.then(placed.ground) if before else placed.ground,
+        matched=before.matched if before else {view.name: view.pointing for view in scene.views},
+        latest=placed.ground,
+        deviation=(east, north, up),
+        determined=tuple((float(a), float(b)) for a, b in placed.determined),
+        control=scene.pointing is not None and scene.pointing.control_information is not None,
+        promised_m=promise,
+        pointing_px=error,
+        references=tuple(laid.figures() for laid in work.laid),
+        offsets=work.laid[0].shift.offsets if work.laid else (),
+        differences=differences,
+        neighbours=tuple(neighbours),
+    )
+    return replace(changed, registration=figures, tie_points=ties)
+
+
+def _say(placed: Placed, promise: Tuple[float, float], progress: Progress) -> None:
+    """What was found, and a warning where it is more than the vendor promises."""
+    east, north, up = placed.ground.moved
+    deviations = placed.deviations
+    progress.info(
+        f"The scene was moved by ({east:+.2f}, {north:+.2f}, {up:+.2f}) m to the east, to the north and up; the "
+        f"standard deviations are {deviations[0]:.2f}, {deviations[1]:.2f} and {deviations[2]:.2f} m."
+    )
+    if len(placed.determined) < 2:
+        which = "in no direction" if not len(placed.determined) else f"only towards {_azimuth(placed.determined[0])}"
+        progress.warn(
+            f"The relief determines the horizontal position {which}: in all others the scene stays where the vendors' "
+            "RPCs put it."
+        )
+    ends = ("horizontally", float(np.hypot(east, north)), promise[0], float(max(deviations[:2])))
+    heights = ("in height", abs(up), promise[1], float(deviations[2]))
+    for words, size, promised_m, deviation in (ends, heights):
+        if size > promised_m + 2.0 * deviation:
+            progress.warn(
+                f"The shift of {size:.1f} m {words} is more than the {promised_m:.1f} m that the vendors' promise and "
+                "the agreement of their RPCs let expect (nine times in ten): check the reference's place and its "
+                "vertical datum."
+            )
+
+
+def _azimuth(direction: FloatArray) -> str:
+    """A horizontal direction in degrees from north, 0 to 180: it has no sign."""
+    return f"{math.degrees(math.atan2(direction[0], direction[1])) % 180.0:.0f} degrees from north"
+
+
+def _log(laid: Laid, progress: Progress) -> None:
+    figures = laid.figures()
+    east, north, up = figures.moved
+    progress.info(
+        f"'{figures.file}': heights above the {figures.datum} ({figures.datum_from}); {figures.used} of "
+        f"{figures.seen} heights on the surface have a weight. They ask for ({east:+.2f}, {north:+.2f}, {up:+.2f}) m; "
+        f"their NMAD falls from {figures.before_m:.2f} to {figures.after_m:.2f} m."
+    )
+
+
+# Products ---------------------------------------------------------------------------------------------------------
+
+
+def _write_differences(work: _Work, ground: GroundShift) -> str:
+    """Both differences as a raster beside the scene: cells of the widest support, or so wide that most have a value."""
+    found = [laid.differences(ground) for laid in work.laid]
+    if not found:
+        return ""
+    xy, before, after = (np.concatenate(parts) for parts in zip(*found))
+    moved = work.surface.grid.bounds
+    area = (moved.xmax - moved.xmin) * (moved.ymax - moved.ymin)
+    widths = [max(laid.reference.width_m) for laid in work.laid]
+    cell = max(*widths, work.surface.grid.cell, math.sqrt(area / max(len(xy), 1)))
+    grid = CellGrid.covering(moved, cell)
+    col = np.floor((xy[:, 0] - grid.west) / cell).astype(int)
+    row = np.floor((grid.north - xy[:, 1]) / cell).astype(int)
+    inside = (col >= 0) & (row >= 0) & (row < grid.shape[0]) & (col < grid.shape[1])
+    index = row * grid.shape[1] + col
+    bands = []
+    for values in (before, after):
+        use = inside & np.isfinite(values)
+        count = np.bincount(index[use], minlength=grid.shape[0] * grid.shape[1])
+        total = np.bincount(index[use], values[use], grid.shape[0] * grid.shape[1])
+        mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        bands.append(mean.reshape(grid.shape).astype(np.float32))
+    path = str(ensure_folder(str(folder_of(work.scene.path, "registration"))) / "differences.tif")
+    wkt = pyproj.CRS.from_user_input(work.scene.crs).to_wkt()
+    names = ("reference minus surface before the registration (m)", "and after it (m)")
+    return write(path, bands, grid.geotransform, wkt, unit="m", descriptions=names)
+
+
+def _write_products(scene: Scene, figures: RegistrationFigures, options: RegisterOptions) -> None:
+    """What the user asks for, from what lies beside the scene."""
+    if options.differences and figures.differences:
+        with opened(figures.differences) as dataset:
+            bands = [read(dataset, None, band) for band in (1, 2)]
+            place, crs = dataset.GetGeoTransform(), dataset.GetProjection()
+            names = [dataset.GetRasterBand(band).GetDescription() for band in (1, 2)]
+        write(options.differences, bands, place, crs, unit="m", descriptions=names)
+        write_style("differences", options.differences)
+    if options.offsets:
+        fields = dict.fromkeys(("east", "north", "up", "east_dev", "north_dev", "up_dev"), float)
+        write_layer(options.offsets, scene.crs, ogr.wkbPoint, {"part": int, "heights": int, **fields}, _arrows(figures))
+        longest = max((math.hypot(*offset.moved[:2]) for offset in figures.offsets), default=0.0)
+        write_style("offsets", options.offsets, limits=(0.0, float(f"{longest / 2:.1g}") or 1.0))
+    if options.report:
+        registration_page(scene, figures).write(options.report)
+
+
+def _arrows(figures: RegistrationFigures) -> Any:
+    for number, offset in enumerate(figures.offsets, start=1):
+        point = ogr.Geometry(ogr.wkbPoint)
+        point.AddPoint_2D(offset.x, offset.y)
+        yield point, (number, offset.count, *offset.moved, *offset.deviation)
