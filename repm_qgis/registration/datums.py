@@ -70,10 +70,9 @@ def likely_datum(
         text = f"{numbers}: they are taken as heights above the ellipsoid; give REFERENCE_DATUM if that is wrong."
         return DatumChoice(ellipsoid, shift, text, certain=True)
     said = [f"{numbers}: they are taken as {geoid} heights; give REFERENCE_DATUM if that is wrong."]
-    said += [
-        f"With {name} the heights would be {other - change:+.1f} m higher." for name, other in geoids if name != geoid
-    ]
-    near = all(abs(other - change) <= promised_up_m for _, other in geoids)
+    others = [each for each in geoids if each[0] != geoid]
+    said += [f"With {name} instead, the scene's heights change by {other:+.1f} m." for name, other in others]
+    near = all(abs(other - change) <= promised_up_m for _, other in others)
     datum = HeightDatum.of(geoid)
     return DatumChoice(
         datum, solved(in_datum(found, crs, datum)), " ".join(said + missing), certain=near and not missing

@@ -10,11 +10,13 @@ import sys
 import numpy as np
 import pyproj
 import pytest
+from pyproj.crs.crs import CompoundCRS
 from pyproj.transformer import TransformerGroup
 
 from repm_qgis.errors import MissingPackageError, OptionError
+from repm_qgis.geometry import vertical
 from repm_qgis.geometry.frames import vertical_part
-from repm_qgis.geometry.vertical import HeightDatum, _bounds
+from repm_qgis.geometry.vertical import HeightDatum, _bounds, metres_per_unit, stated_datum
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
 UTM = "EPSG:32631"
@@ -120,3 +122,44 @@ def test_a_vertical_crs_without_a_code_keeps_its_definition():
 def test_bounds_are_whole_degrees_around_all_points():
     assert _bounds(np.array([[[5.2, -3.7], [6.9, 44.0]], [[7.0, 1.0], [-0.5, 2.0]]])) == (-1, -4, 8, 45)
     assert _bounds(np.array([[3.0, 43.0]])) == (3, 43, 4, 44)
+
+
+def test_a_datum_in_feet_takes_metres_off(monkeypatch):
+    """PROJ answers in the datum's own unit."""
+
+    class InFeet:
+        def transform(self, lon, lat, height):
+            return lon, lat, (height + 30.0) / 0.3048
+
+    monkeypatch.setattr(vertical, "_best_operation", lambda *_: InFeet())
+    datum = HeightDatum.of("EPSG:8228")  # NAVD88 height (ft)
+    np.testing.assert_allclose(datum.undulation("EPSG:32618", PLACES), -30.0)
+    with pytest.raises(MissingPackageError, match="does not cover the area: choose another VERTICAL_DATUM"):
+        monkeypatch.setattr(InFeet, "transform", lambda self, lon, lat, height: (lon, lat, height + np.inf))
+        datum.undulation("EPSG:32618", PLACES)
+
+
+@pytest.mark.parametrize(
+    "crs, tag, code, unit",
+    (
+        (UTM, "", None, 1.0),
+        (UTM, "WGS 84 ellipsoid", "", 1.0),
+        (UTM, "EGM96 height", "EPSG:5773", 1.0),
+        (UTM, "above the sea", None, 1.0),
+        ("EPSG:4979", "EGM96 height", "", 1.0),
+        ("EPSG:4326+3855", "WGS 84 ellipsoid", "EPSG:3855", 1.0),
+        ("EPSG:2260+6360", "", "EPSG:6360", 1200 / 3937),
+        (None, "EGM2008 height", "EPSG:3855", None),
+    ),
+)
+def test_what_a_file_says(crs, tag, code, unit):
+    system = crs and pyproj.CRS(crs)
+    found = stated_datum(system, tag)
+    assert (found and found.code) == code
+    assert unit is None or metres_per_unit(system) == pytest.approx(unit, rel=1e-9)
+
+
+def test_a_vertical_part_that_is_the_ellipsoid():
+    """As writers of LAS name it, which PROJ knows no operation for."""
+    part = pyproj.CRS("EPSG:5773").to_wkt().replace("EGM96 height", "WGS 84 Ellipsoid").replace(',ID["EPSG",5773]', "")
+    assert stated_datum(CompoundCRS("points", [UTM, part])).code == ""

@@ -1,0 +1,150 @@
+"""Point clouds as references: ground before all points, means over cells, units, datums, and what cannot be used."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pyproj
+import pytest
+
+from repm_qgis.arrays import Bounds
+from repm_qgis.errors import Cancelled, ImageError, MissingPackageError, OverlapError
+from repm_qgis.registration import clouds
+from repm_qgis.registration.clouds import read_cloud
+from repm_qgis.registration.parameters import REGISTRATION
+
+laspy = pytest.importorskip("laspy", reason="the package laspy is not installed")
+
+UTM = "EPSG:32631"
+BOUNDS = Bounds(500_000.0, 4_000_000.0, 500_100.0, 4_000_060.0)
+
+
+def plane(x, y):
+    """Heights that rise by 0.3 to the east and fall by 0.1 to the north."""
+    return 100.0 + 0.3 * (np.asarray(x) - 500_000.0) - 0.1 * (np.asarray(y) - 4_000_000.0)
+
+
+def points(count=40_000, seed=1, margin=5.0):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(BOUNDS.xmin - margin, BOUNDS.xmax + margin, count)
+    y = rng.uniform(BOUNDS.ymin - margin, BOUNDS.ymax + margin, count)
+    return x, y, plane(x, y)
+
+
+def write(path, x, y, z, kind=2, crs=UTM, withheld=None, place_unit=1.0, height_unit=1.0):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.0001), np.floor([x[0], y[0], 0.0])
+    if crs:
+        header.add_crs(pyproj.CRS.from_user_input(crs))
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = np.asarray(x) / place_unit, np.asarray(y) / place_unit, np.asarray(z) / height_unit
+    cloud.classification = np.broadcast_to(np.asarray(kind, dtype=np.uint8), len(x))
+    if withheld is not None:
+        cloud.withheld = withheld
+    cloud.write(str(path))
+    return str(path)
+
+
+@pytest.mark.parametrize("name", ("cloud.las", "cloud.laz"))
+def test_means_lie_on_the_ground_with_its_slopes(tmp_path, name):
+    path = write(tmp_path / name, *points())
+    found = read_cloud(path, UTM, BOUNDS, 2.0)
+    assert len(found.height) == 50 * 30 and found.width_m == (2.0, 2.0) and not found.disc and found.datum is None
+    np.testing.assert_allclose(found.height, plane(*found.xy.T), atol=1e-3)  # a mean at the mean place of its points
+    known = np.isfinite(found.slopes).all(axis=1)
+    assert known.sum() == 48 * 28
+    np.testing.assert_allclose(found.slopes[known].mean(axis=0), [0.3, -0.1], atol=0.01)
+
+
+def test_ground_only_where_there_is_some(tmp_path):
+    x, y, z = points()
+    tree, noise, wrong = (np.arange(len(x)) % 10 == n for n in range(3))
+    kind = np.where(tree, 5, np.where(noise, 7, 2))
+    z = z + 15.0 * tree + 300.0 * noise - 200.0 * wrong
+    path = write(tmp_path / "cloud.las", x, y, z, kind, withheld=wrong)
+    found = read_cloud(path, UTM, BOUNDS, 2.0)
+    np.testing.assert_allclose(found.height, plane(*found.xy.T), atol=1e-3)
+    unclassified = write(tmp_path / "all.las", x, y, z, np.where(noise, 18, 1), withheld=wrong)
+    above = read_cloud(unclassified, UTM, BOUNDS, 2.0)
+    assert (above.height - plane(*above.xy.T)).mean() == pytest.approx(15.0 / 8, abs=0.1)
+
+
+def test_cells_with_few_points_are_left_out(tmp_path):
+    x, y, z = points(4000)
+    path = write(tmp_path / "cloud.las", x, y, z)
+    assert REGISTRATION.cloud_points == 4
+    found = read_cloud(path, UTM, BOUNDS, 2.0)
+    inside = (x >= BOUNDS.xmin) & (x <= BOUNDS.xmax) & (y >= BOUNDS.ymin) & (y <= BOUNDS.ymax)
+    cells = np.unique(
+        np.floor(x[inside] / 2).astype(int) * 10_000_000 + np.floor(y[inside] / 2).astype(int), return_counts=True
+    )[1]
+    assert len(found.height) == (cells >= 4).sum() < len(cells)
+
+
+def test_large_scenes_have_larger_cells_and_chunks_make_no_difference(tmp_path, monkeypatch):
+    path = write(tmp_path / "cloud.las", *points())
+    whole = read_cloud(path, UTM, BOUNDS, 2.0)
+    monkeypatch.setattr(clouds, "_POINTS", 7000)
+    checks = []
+    parts = read_cloud(path, UTM, BOUNDS, 2.0, lambda: checks.append(1))
+    assert len(checks) == 6
+    np.testing.assert_allclose(parts.height, whole.height, atol=1e-9)
+    np.testing.assert_allclose(parts.xy, whole.xy, atol=1e-6)
+    few = read_cloud(path, UTM, BOUNDS, 0.0, parameters=replace(REGISTRATION, cloud_cells=60))
+    assert few.width_m == (10.0, 10.0) and len(few.height) == 60
+
+    def stop():
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        read_cloud(path, UTM, BOUNDS, 2.0, stop)
+
+
+def test_another_crs_in_feet_with_a_datum(tmp_path):
+    """As the clouds of the United States are: state plane and NAVD88, both in feet."""
+    system = "EPSG:2260+6360"  # NAD83 / New York East (ftUS) + NAVD88 height (ftUS)
+    foot = 1200 / 3937
+    lon, lat = -74.5, 42.0
+    forth = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:2260", always_xy=True)
+    scene = pyproj.Transformer.from_crs("EPSG:2260", "EPSG:32618", always_xy=True)
+    x0, y0 = forth.transform(lon, lat)
+    rng = np.random.default_rng(3)
+    x, y = x0 + rng.uniform(0, 1000, 30_000), y0 + rng.uniform(0, 1000, 30_000)
+    path = write(tmp_path / "feet.las", x, y, np.full(30_000, 500.0), crs=system)
+    at = np.array(scene.transform(x0 + 500, y0 + 500))
+    found = read_cloud(path, "EPSG:32618", Bounds(*(at - 100), *(at + 100)), 5.0)
+    np.testing.assert_allclose(found.height, 500.0 * foot, atol=1e-6)
+    assert found.datum.code == "EPSG:6360" and len(found.height) > 1500
+    silent = write(tmp_path / "silent.las", x, y, np.full(30_000, 500.0), crs="EPSG:2260")
+    with pytest.raises(ImageError, match="places in US survey foot, and does not say what its heights are in: assign"):
+        read_cloud(silent, "EPSG:32618", Bounds(*(at - 100), *(at + 100)), 5.0)
+
+
+@pytest.mark.parametrize(
+    "crs, datum", ((UTM + "+5773", ("EPSG:5773", "EGM96 height")), ("EPSG:32631+3855", ("EPSG:3855", "EGM2008 height")))
+)
+def test_a_vertical_part_is_the_datum(tmp_path, crs, datum):
+    found = read_cloud(write(tmp_path / "cloud.las", *points(4000), crs=crs), UTM, BOUNDS, 5.0)
+    assert (found.datum.code, found.datum.name) == datum
+
+
+def test_what_cannot_be_used_is_a_sentence(tmp_path, monkeypatch):
+    bare = write(tmp_path / "bare.las", *points(100), crs=None)
+    with pytest.raises(ImageError, match=r"bare\.las' has no coordinate reference system: assign it one first"):
+        read_cloud(bare, UTM, BOUNDS, 2.0)
+    path = write(tmp_path / "cloud.laz", *points(4000))
+    with pytest.raises(OverlapError, match="has no heights over the scene"):
+        read_cloud(path, UTM, Bounds(600_000.0, 4_000_000.0, 600_100.0, 4_000_100.0), 2.0)
+    with open(path, "r+b") as stream:
+        stream.truncate(12_000)
+    with pytest.raises(ImageError, match=r"Cannot read the point cloud '.*cloud\.laz' .*: get it again"):
+        read_cloud(path, UTM, BOUNDS, 2.0)
+    (tmp_path / "text.las").write_text("not a cloud")
+    for name in ("text.las", "missing.las"):
+        with pytest.raises(ImageError, match="Cannot read the point cloud"):
+            read_cloud(str(tmp_path / name), UTM, BOUNDS, 2.0)
+    monkeypatch.setitem(sys.modules, "laspy", None)
+    with pytest.raises(MissingPackageError, match="need the package 'laspy'.*or leave REFERENCE empty"):
+        read_cloud(bare, UTM, BOUNDS, 2.0)
