@@ -104,9 +104,13 @@ class HeightDatum:
         try:
             return _best_operation(self.code, bounds)
         except _MissingGridsError as error:
-            remedy = f"{install_grid(error.grids)}, or {remedy}" if error.grids else remedy
+            if not error.grids:
+                raise MissingPackageError(
+                    f"PROJ cannot convert heights to or from {self.name}: it knows no operation for that: {remedy}."
+                ) from None
+            put = install_grid(error.grids)
             raise MissingPackageError(
-                f"PROJ cannot convert heights to or from {self.name}: {error}: {remedy}."
+                f"PROJ cannot convert heights to or from {self.name}: {error}: {put}, or {remedy}."
             ) from None
 
 
@@ -135,9 +139,7 @@ class _MissingGridsError(LookupError):
     """PROJ has no operation, or lacks the grids of those that it knows."""
 
     def __init__(self, grids: Sequence[str]) -> None:
-        super().__init__(
-            f"its grid {' or '.join(grids)} is not installed" if grids else "it knows no operation for that"
-        )
+        super().__init__(f"its grid {' or '.join(grids)} is not installed")
         self.grids = list(grids)
 
 

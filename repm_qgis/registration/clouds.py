@@ -76,8 +76,10 @@ def _system(path: str, header: Any) -> pyproj.CRS:
         raise ImageError(f"The point cloud '{path}' has no coordinate reference system: assign it one first (PDAL).")
     flat = flat_crs(system)
     if flat is system and flat.is_projected and abs(flat.axis_info[0].unit_conversion_factor - 1.0) > 1e-9:
-        unknown = f"has places in {flat.axis_info[0].unit_name}, and does not say what its heights are in"
-        raise ImageError(f"The point cloud '{path}' {unknown}: assign it a CRS with a vertical part first (PDAL).")
+        raise ImageError(
+            f"The point cloud '{path}' has places in {flat.axis_info[0].unit_name}, and does not say what its heights "
+            "are in: assign it a CRS with a vertical part first (PDAL)."
+        )
     return system
 
 

@@ -56,7 +56,7 @@ def likely_datum(
     up = float(shift.moved[2])
     geoids, missing = _changes_of_heights(found, crs, up)
     if not geoids:
-        silent = f"must be given, as '{found.name}' does not say what its heights refer to, and no geoid can be tried"
+        silent = f"must be given, as '{found.name}' does not say what its heights refer to"
         raise OptionError(_OPTION, "", f"{silent}. {' '.join(missing)}".rstrip("."))
     geoid, change = next((each for each in geoids if abs(each[1]) <= limit), geoids[0])
     numbers = (
@@ -64,8 +64,9 @@ def likely_datum(
         f"that is the {geoid} geoid, and by {up:+.1f} m if it is the ellipsoid"
     )
     if (abs(up) <= limit) == (abs(change) <= limit):
-        which = "both are" if abs(up) <= limit else "neither is"
-        raise OptionError(_OPTION, "", f"must be given, as {numbers}: {which} within {limit:.1f} m")
+        if abs(up) <= limit:
+            raise OptionError(_OPTION, "", f"must be given, as {numbers}: both are within {limit:.1f} m")
+        raise OptionError(_OPTION, "", f"must be given, as {numbers}: neither is within {limit:.1f} m")
     if abs(up) <= limit:
         text = f"{numbers}: they are taken as heights above the ellipsoid; give REFERENCE_DATUM if that is wrong."
         return DatumChoice(ellipsoid, shift, text, certain=True)

@@ -80,8 +80,10 @@ class FoundPoints:
         xy, inside = self.within.places(x[near], y[near])
         self._count += int(inside.sum())
         if self._count > REGISTRATION.most_heights:
-            most = f"more than {REGISTRATION.most_heights} heights over the scene"
-            raise InputTableError(f"The reference '{self._path}' has {most}: give fewer of them, or a raster.")
+            raise InputTableError(
+                f"The reference '{self._path}' has more than {REGISTRATION.most_heights} heights over the scene: give "
+                "fewer of them, or a raster."
+            )
         self._parts.append(np.column_stack([xy, height[near]])[inside])
 
     def found(self, width_m: Tuple[float, float], disc: bool, datum: Optional[HeightDatum]) -> FoundHeights:

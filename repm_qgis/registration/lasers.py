@@ -108,8 +108,10 @@ def read_lasers(path: str, crs: str, bounds: Bounds, check: Callable[[], None] =
     known = [(laser, [beam for beam in beams if store.shape(f"{beam}/{laser.height}")]) for laser in lasers()]
     laser, having = next((each for each in known if each[1]), (None, []))
     if laser is None:
-        kinds = "ATL03, ATL06 or ATL08 of ICESat-2, nor L2A of GEDI"
-        raise ImageError(f"'{path}' is neither {kinds}: give one of these, or its heights as a CSV file or a raster.")
+        raise ImageError(
+            f"'{path}' is neither ATL03, ATL06 or ATL08 of ICESat-2, nor L2A of GEDI: give one of these, or its "
+            "heights as a CSV file or a raster."
+        )
     points = FoundPoints(path, Within(pyproj.CRS("EPSG:4326"), crs, bounds))
     for beam in having:
         _add_beam(points, store, f"{beam}/", laser, path, check)
@@ -159,8 +161,10 @@ def _opened(path: str) -> Any:
     try:
         import h5py
     except ImportError:
-        remedy = "give its heights as a CSV file (SlideRule and EarthExplorer make such), or install the package 'h5py'"
-        raise MissingPackageError(f"'{path}' is HDF5, which the GDAL of this QGIS cannot read: {remedy}.") from None
+        raise MissingPackageError(
+            f"'{path}' is HDF5, which the GDAL of this QGIS cannot read: give its heights as a CSV file (SlideRule and "
+            "EarthExplorer make such), or install the package 'h5py'."
+        ) from None
     return _H5pyStore(path, h5py)
 
 

@@ -105,8 +105,10 @@ def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[]
     metres = next((pair for pair in _METRES if set(pair) <= set(table.fields)), None)
     text = next((name for name in _TEXT if name in table.fields), None)
     if heights is None or not (degrees or metres or text):
-        wanted = "longitude, latitude and height, or x, y and z in the scene's CRS"
-        raise InputTableError(f"'{path}' has no fields that say where its points are: name them {wanted}.")
+        raise InputTableError(
+            f"'{path}' has no fields that say where its points are: name them longitude, latitude and height, or x, y "
+            "and z in the scene's CRS."
+        )
     named = degrees or metres
 
     def rows() -> Iterator[_Xyz]:

@@ -20,8 +20,8 @@ _STRIP_CELLS = 1 << 24  # of the raster that are read at once
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
-    **dict.fromkeys(("ft", "foot", "feet", "international foot"), _FOOT),
-    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us"), _SURVEY_FOOT),
+    **dict.fromkeys(("ft", "foot", "feet"), _FOOT),
+    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "foot_us"), _SURVEY_FOOT),
 }
 
 

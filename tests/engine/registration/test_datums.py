@@ -128,7 +128,11 @@ def test_geoids_that_differ_by_much_are_uncertain(geoids, heights):
     (
         ({EGM2008: 49.0, EGM96: 49.0}, 20.0, "both are within 60.0 m"),
         ({EGM2008: 49.0, EGM96: 49.0}, 1.0, "neither is within 3.0 m"),
-        ({}, 2.0, "no geoid can be tried. .*grid_of_3855.tif is not installed: put .*grid_of_5773.tif is not inst"),
+        (
+            {},
+            2.0,
+            "what its heights refer to. .*grid_of_3855.tif is not installed: put .*grid_of_5773.tif is not inst",
+        ),
     ),
 )
 def test_nothing_is_guessed(geoids, heights, levels, promised, words):
