@@ -18,6 +18,7 @@ from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_ge
 from repm_qgis.imagery.raster import created
 from repm_qgis.progress import Silent
 from repm_qgis.rpc.model import Rpc
+from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.render import render_view
 from repm_qgis.simulation.scene import (
@@ -26,7 +27,6 @@ from repm_qgis.simulation.scene import (
     make_surface,
     make_views,
     pointing_errors,
-    rpc_tags,
     surface_bounds,
     write_truth,
 )

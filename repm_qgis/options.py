@@ -275,6 +275,18 @@ class ExportCamerasOptions(Options):
 
 
 @dataclass(frozen=True)
+class ExportRpcOptions(Options):
+    """Write the images' RPCs, with the scene's pointing in them, for other software.
+
+    ``rpc_folder`` gets three files for each image, and replaces an earlier export as a whole.
+    """
+
+    scene: str = read()
+    rpc_folder: str = given()
+    report: Optional[str] = None
+
+
+@dataclass(frozen=True)
 class ReconstructOptions(Options):
     """Tie points, relative pointing and dense matching.
 

@@ -121,6 +121,9 @@ _CLOUD = "One point for each matched pixel, for exchange with other programs."
 _MESH = "The surface as triangles, which QGIS and 3D programs show."
 _ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
 _EXPORTED = "A folder that gets one model for each tile, with its images and cameras."
+_RPCS = (
+    "A folder of its own: for each image a VRT with its pixels and the corrected RPC, and the RPC as two text files."
+)
 _HEIGHT_ERROR = "The DSM minus the reference in metres, cell by cell."
 _CHECKED = "The control points, with how far each of them is from where the RPCs, the scene and the DSM put it."
 _SAMPLES = "A folder for the images, the true surface (a DSM) and the ground control points."
@@ -143,6 +146,7 @@ _REPORTS = {
     "errormap": "Report of the equivalent error",
     "comparedsm": "Report of the comparison",
     "checkgcps": "Report of the control points",
+    "exportrpc": "Report of the corrected RPCs",
 }
 PRODUCTS = (
     Product("inspect", "footprints", "Footprints", POLYGONS, ALWAYS, "footprints", help=_FOOTPRINTS),
@@ -176,6 +180,7 @@ PRODUCTS = (
     Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS, help=_EXPORTED),
+    Product("exportrpc", "rpc_folder", "Folder for the corrected RPCs", BUILT_FOLDER, ALWAYS, help=_RPCS),
     Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error", help=_HEIGHT_ERROR),
     Product(
         "checkgcps",

@@ -71,6 +71,7 @@ class VerdictParameters(Parameters):
     most_residual_px: float = 0.5  # median residual of the tie points after the correction; 0.1 to 0.3 is usual
     most_parallax_px: float = 0.5  # median vertical parallax of one pair then: beyond, its matching finds other rows
     most_equivalent_px: float = 0.3  # RMSE of a tile's cameras after refinement; below, matching is not disturbed
+    most_rpc_px: float = 0.01  # from an exported RPC to the pointed model; corrections of usual size stay below 0.001
     least_compared_percent: float = 50.0  # reference cells with a height of the DSM
     most_bias_m: float = 0.5  # median difference from a reference ...
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too

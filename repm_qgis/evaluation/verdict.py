@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 import os
-from typing import List, Optional
+from typing import List, Mapping, Optional
 
 from ..records import FusionFacts, RegistrationFigures
+from ..rpc.correction import DELIVERED, CorrectedRpc
 from ..scene import Scene
 from .metrics import HeightMetrics
 from .parameters import VERDICT, VerdictParameters
@@ -101,3 +102,19 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
                 f"(usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'."
             )
     return found
+
+
+def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of exported RPCs, by the views' names."""
+    if all(each.method == DELIVERED for each in exported.values()):
+        return [
+            "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct heights' "
+            "first, and export the scene that it writes."
+        ]
+    return [
+        f"The exported RPC of {name} differs from the pointed model by up to {each.max_px:.3f} px (usual: at most "
+        f"{bounds.most_rpc_px:g} px), as the correction is too large for the form of an RPC: check the tie points, or "
+        "set POINTING to shift."
+        for name, each in exported.items()
+        if each.max_px > bounds.most_rpc_px
+    ]

@@ -1,4 +1,4 @@
-"""GDAL's virtual rasters: a text that shows many files as one."""
+"""GDAL's virtual rasters: a text that shows many files as one, or a file with other facts about it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import html
 import os
 from dataclasses import dataclass
 from typing import Iterator, Mapping, Sequence, Tuple
+
+from osgeo import gdal
 
 from ..arrays import Size, Window
 from .raster import NODATA
@@ -58,6 +60,63 @@ def _lines(shown: Mosaicked, folder: str) -> Iterator[str]:
     yield "</VRTDataset>"
 
 
+def image_vrt_text(image: gdal.Dataset, path: str, folder: str, metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """The text of a VRT that lies in ``folder`` and has an image's pixels and mask, but no georeferencing of its own.
+
+    ``image`` is the opened image with that ``path``; ``metadata`` has the items of each domain. Pixels stay in the
+    image's file, which the VRT names from its folder where that is possible.
+    """
+    return "\n".join(_image_lines(image, path, folder, metadata)) + "\n"
+
+
+def _image_lines(
+    image: gdal.Dataset, path: str, folder: str, metadata: Mapping[str, Mapping[str, str]]
+) -> Iterator[str]:
+    name, relative = _name_from(path, folder)
+    size = f'xSize="{image.RasterXSize}" ySize="{image.RasterYSize}"'
+    rectangles = f'<SrcRect xOff="0" yOff="0" {size}/><DstRect xOff="0" yOff="0" {size}/>'
+    yield f'<VRTDataset rasterXSize="{image.RasterXSize}" rasterYSize="{image.RasterYSize}">'
+    for domain, items in metadata.items():
+        yield f'<Metadata domain="{html.escape(domain)}">'
+        for key, value in items.items():
+            yield f'<MDI key="{html.escape(key)}">{html.escape(value)}</MDI>'
+        yield "</Metadata>"
+    for number in range(1, image.RasterCount + 1):
+        band = image.GetRasterBand(number)
+        yield f'<VRTRasterBand dataType="{gdal.GetDataTypeName(band.DataType)}" band="{number}">'
+        yield f"<ColorInterp>{gdal.GetColorInterpretationName(band.GetColorInterpretation())}</ColorInterp>"
+        if band.GetNoDataValue() is not None:
+            yield f"<NoDataValue>{band.GetNoDataValue():.17g}</NoDataValue>"
+        yield f"<SimpleSource>{_named(name, relative, number)}{rectangles}</SimpleSource>"
+        yield "</VRTRasterBand>"
+    flags = image.GetRasterBand(1).GetMaskFlags()
+    if flags & gdal.GMF_PER_DATASET and not flags & gdal.GMF_ALPHA:
+        yield '<MaskBand><VRTRasterBand dataType="Byte">'
+        yield f"<SimpleSource>{_named(name, relative, 'mask,1')}{rectangles}</SimpleSource>"
+        yield "</VRTRasterBand></MaskBand>"
+    yield "</VRTDataset>"
+
+
 def _source(path: str, folder: str, band: int) -> str:
-    name = os.path.relpath(path, folder).replace(os.sep, "/")
-    return f'<SourceFilename relativeToVRT="1">{html.escape(name)}</SourceFilename><SourceBand>{band}</SourceBand>'
+    return _named(os.path.relpath(path, folder).replace(os.sep, "/"), True, band)
+
+
+def _named(name: str, relative: bool, band: int | str) -> str:
+    source = f'<SourceFilename relativeToVRT="{int(relative)}">{html.escape(name)}</SourceFilename>'
+    return f"{source}<SourceBand>{band}</SourceBand>"
+
+
+def _name_from(path: str, folder: str) -> Tuple[str, bool]:
+    """An image's name for a VRT in a folder, and whether it is one from there: files on other drives, and those that
+    are on no disk, have none.
+
+    Links are followed up to the image's folder, as the system follows them when the VRT is read; not that of the image,
+    beside which its mask may lie.
+    """
+    if not os.path.exists(path):
+        return path, False
+    place = os.path.join(os.path.realpath(os.path.dirname(os.path.abspath(path))), os.path.basename(path))
+    try:
+        return os.path.relpath(place, os.path.realpath(folder)).replace(os.sep, "/"), True
+    except ValueError:
+        return place, False

@@ -44,7 +44,7 @@ _REACH = 3.0  # of the ground's normalisers, for the middle half of the pixels; 
 
 # Our member, and GDAL's key for it.
 _GDAL_NAMES = {"row": "LINE", "col": "SAMP", "lat": "LAT", "lon": "LONG", "height": "HEIGHT"}
-GDAL_KEYS = {f"{ours}_{end}": f"{name}_{end.upper()}" for ours, name in _GDAL_NAMES.items() for end in ("off", "scale")}
+GDAL_KEYS = {f"{ours}_{end}": f"{name}_{end.upper()}" for end in ("off", "scale") for ours, name in _GDAL_NAMES.items()}
 for _axis in ("row", "col"):
     GDAL_KEYS.update({f"{_axis}_{part}": f"{_GDAL_NAMES[_axis]}_{part.upper()}_COEFF" for part in ("num", "den")})
 _SCALARS = tuple(key for key in GDAL_KEYS.values() if not key.endswith("COEFF"))
@@ -257,9 +257,9 @@ def _parse_geom(text: str) -> Rpc:
 
 # --- DigitalGlobe's .RPB --------------------------------------------------------------------------------------------
 
-_MAXAR_SCALARS = {key: key.split("_")[0].lower() + ("Offset" if key.endswith("OFF") else "Scale") for key in _SCALARS}
-_MAXAR_ACCURACY = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
-_MAXAR_SERIES = {key: f"{key[:4].lower()}{key[5:8].capitalize()}Coef" for key in _POLYNOMIALS}
+MAXAR_SCALARS = {key: key.split("_")[0].lower() + ("Offset" if key.endswith("OFF") else "Scale") for key in _SCALARS}
+MAXAR_ACCURACY = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
+MAXAR_SERIES = {key: f"{key[:4].lower()}{key[5:8].capitalize()}Coef" for key in _POLYNOMIALS}
 
 
 def _parse_rpb(text: str) -> Rpc:
@@ -271,14 +271,14 @@ def _parse_rpb(text: str) -> Rpc:
     if "BEGIN_GROUP" in tail or "BEGIN_GROUP" in body:
         raise RpcInvalidError("it has more than one group.")
     body = body.partition("\n")[2]
-    members = {theirs: ours for ours, theirs in {**_MAXAR_SCALARS, **_MAXAR_ACCURACY, **_MAXAR_SERIES}.items()}
+    members = {theirs: ours for ours, theirs in {**MAXAR_SCALARS, **MAXAR_ACCURACY, **MAXAR_SERIES}.items()}
     texts: Texts = {}
     for statement in body.split(";"):
         key, equals, value = statement.partition("=")
         ours = members.get(key.strip())
         if not equals or ours is None:
             continue
-        _add(texts, ours, _without_brackets(value.strip(), ours) if ours in _MAXAR_SERIES else value.strip())
+        _add(texts, ours, _without_brackets(value.strip(), ours) if ours in MAXAR_SERIES else value.strip())
     return rpc_from_texts(texts)
 
 
@@ -377,10 +377,10 @@ def _parse_dimap(text: str) -> Rpc:
 def _parse_maxar(text: str) -> Rpc:
     """The block RPB of a WorldView or GeoEye XML: LINEOFFSET ..., and lists of twenty numbers."""
     image = _only(_elements(_only(_anywhere(_tree(text), "RPB"), "RPB"), "IMAGE"), "RPB/IMAGE")
-    scalars = {ours: theirs.upper() for ours, theirs in _MAXAR_SCALARS.items()}
+    scalars = {ours: theirs.upper() for ours, theirs in MAXAR_SCALARS.items()}
     texts = {ours: _leaf(_only(_elements(image, theirs), theirs)) for ours, theirs in scalars.items()}
-    texts.update({k: _leaf(node) for k, name in _MAXAR_ACCURACY.items() for node in _elements(image, name.upper())})
-    for ours, theirs in _MAXAR_SERIES.items():
+    texts.update({k: _leaf(node) for k, name in MAXAR_ACCURACY.items() for node in _elements(image, name.upper())})
+    for ours, theirs in MAXAR_SERIES.items():
         block = _only(_elements(image, theirs.upper() + "List"), theirs.upper() + "List")
         texts[ours] = " ".join(_leaf(item) or "nothing" for item in _elements(block, theirs.upper()))
     return rpc_from_texts(texts)

@@ -107,10 +107,7 @@ class Rpc(Record):
         terms = np.empty((20, min(_CHUNK, max(flat.shape[0], 1))))
         for start in range(0, flat.shape[0], _CHUNK):
             part = flat[start : start + _CHUNK]
-            lon = self._wrapped(part[:, 0]) / self.lon_scale
-            lat = (part[:, 1] - self.lat_off) / self.lat_scale
-            height = (part[:, 2] - self.height_off) / self.height_scale
-            values = coefficients @ monomials(lon, lat, height, terms[:, : part.shape[0]])
+            values = coefficients @ monomials(*self.normalised(part), terms[:, : part.shape[0]])
             with np.errstate(divide="ignore", invalid="ignore"):
                 result[start : start + _CHUNK, 0] = values[0] / values[1] * self.col_scale + self.col_off
                 result[start : start + _CHUNK, 1] = values[2] / values[3] * self.row_scale + self.row_off
@@ -167,6 +164,12 @@ class Rpc(Record):
             inverse[:, 0, 0], inverse[:, 1, 1] = jacobian[:, 1, 1] / determinant, jacobian[:, 0, 0] / determinant
             inverse[:, 0, 1], inverse[:, 1, 0] = -jacobian[:, 0, 1] / determinant, -jacobian[:, 1, 0] / determinant
         return inverse
+
+    def normalised(self, lon_lat_h: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The (N,) normalised longitudes, latitudes and heights of (N, 3) ground points."""
+        lon = self._wrapped(lon_lat_h[:, 0]) / self.lon_scale
+        lat = (lon_lat_h[:, 1] - self.lat_off) / self.lat_scale
+        return lon, lat, (lon_lat_h[:, 2] - self.height_off) / self.height_scale
 
     def _wrapped(self, lon: FloatArray) -> FloatArray:
         """Longitude relative to the RPC's centre, across the date line too."""

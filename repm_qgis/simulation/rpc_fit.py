@@ -13,6 +13,7 @@ import numpy as np
 
 from ..arrays import Altitudes, FloatArray, Size
 from ..errors import RpcInvalidError
+from ..rpc.grid import virtual_grid
 from ..rpc.model import Rpc, monomials
 from .parameters import SIMULATION, RpcFitParameters
 
@@ -26,24 +27,6 @@ class RpcFit:
     rpc: Rpc
     max_px: float
     rms_px: float
-
-
-def virtual_grid(
-    size: Size, heights: Altitudes, nodes: Tuple[int, int, int], inset: float = 0.0
-) -> Tuple[FloatArray, FloatArray]:
-    """Pixels (N, 2) and heights (N,) of a regular grid of columns, rows, heights over image and height range.
-
-    ``inset`` moves the grid's ends inwards by that share of a grid step, so that grids do not share nodes.
-    """
-
-    def axis(low: float, high: float, count: int) -> FloatArray:
-        step = inset * (high - low) / max(count - 1, 1)
-        return np.linspace(low + step, high - step, count)
-
-    ends = ((-0.5, size[0] - 0.5), (-0.5, size[1] - 0.5), heights)
-    axes = (axis(low, high, count) for (low, high), count in zip(ends, nodes))
-    col, row, height = np.meshgrid(*axes, indexing="ij")
-    return np.stack([col.ravel(), row.ravel()], axis=1), height.ravel()
 
 
 def fit_rpc(

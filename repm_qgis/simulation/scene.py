@@ -24,6 +24,7 @@ from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import created
 from ..progress import Part, Progress
 from ..rpc.model import Rpc
+from ..rpc.writers import rpc_tags
 from ..sfm.ground_control import Gcp, write_gcps
 from ..workspace import ensure_folder, write_text
 from .gcps import choose_gcps, common_square
@@ -118,18 +119,6 @@ def make_surface(
     progress.step(0.7, "sunlight")
     wall_m = math.inf if spec.kind == "mountains" else parameters.town.wall_m
     return ground.finish(spec.crs, spec.sun, wall_m, parameters.light)
-
-
-def rpc_tags(rpc: Rpc) -> Dict[str, str]:
-    """GDAL's RPC metadata of an RPC; GDAL's offsets count from the first pixel's centre, as ours do."""
-    tags = {}
-    for ours, theirs in (("row", "LINE"), ("col", "SAMP"), ("lat", "LAT"), ("lon", "LONG"), ("height", "HEIGHT")):
-        tags[f"{theirs}_OFF"] = repr(float(getattr(rpc, f"{ours}_off")))
-        tags[f"{theirs}_SCALE"] = repr(float(getattr(rpc, f"{ours}_scale")))
-    for ours, theirs in (("row", "LINE"), ("col", "SAMP")):
-        for part in ("num", "den"):
-            tags[f"{theirs}_{part.upper()}_COEFF"] = " ".join(map(repr, getattr(rpc, f"{ours}_{part}")))
-    return tags
 
 
 def write_image(

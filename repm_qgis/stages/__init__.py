@@ -26,6 +26,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "errormap": _options.ErrorMapOptions,
     "refine": _options.RefineOptions,
     "exportcameras": _options.ExportCamerasOptions,
+    "exportrpc": _options.ExportRpcOptions,
     "reconstruct": _options.ReconstructOptions,
     "register": _options.RegisterOptions,
     "dsmfuse": _options.DsmFuseOptions,

@@ -13,8 +13,8 @@ from repm_qgis.errors import Cancelled
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file
+from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene, View, load_views
-from repm_qgis.simulation.scene import rpc_tags
 from repm_qgis.stages import run_stage
 
 

@@ -22,7 +22,7 @@ from osgeo import gdal
 from repm_qgis.errors import RpcInvalidError
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file
-from repm_qgis.simulation.scene import rpc_tags
+from repm_qgis.rpc.writers import rpc_tags
 from tests.engine.rpc.mutations import MUTATIONS, example
 from tests.engine.rpc.naive_reader import naive, says
 from tests.engine.rpc.writers import WRITERS

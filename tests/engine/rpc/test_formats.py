@@ -16,8 +16,8 @@ from repm_qgis.options import EpmFitOptions, PipelineOptions
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.formats import _signed_areas, checked
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of, rpc_sidecars
+from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import load_views
-from repm_qgis.simulation.scene import rpc_tags
 from repm_qgis.stages.epmfit import _key
 from tests.engine.rpc import writers
 from tests.engine.rpc.writers import WRITERS, dimap_v2, dimap_v3, geom, key_value, rpb, rpcm_json, whu_tlc

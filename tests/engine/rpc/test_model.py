@@ -12,7 +12,7 @@ from osgeo import gdal
 from repm_qgis.errors import RpcInvalidError
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of
-from repm_qgis.simulation.scene import rpc_tags
+from repm_qgis.rpc.writers import rpc_tags
 
 CONVENTION = 0.5  # GDAL's pixel corners are whole numbers, our pixel centres are
 

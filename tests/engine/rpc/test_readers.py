@@ -14,7 +14,7 @@ from repm_qgis.imagery.raster import opened
 from repm_qgis.rpc import readers
 from repm_qgis.rpc.formats import rpc_from_texts
 from repm_qgis.rpc.readers import files_in_folder, read_rpc_file, rpc_of
-from repm_qgis.simulation.scene import rpc_tags
+from repm_qgis.rpc.writers import rpc_tags
 from tests.engine.rpc.writers import key_value
 
 

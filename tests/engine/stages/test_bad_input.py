@@ -25,7 +25,7 @@ from repm_qgis.errors import (
     SceneVersionError,
     WorkspaceError,
 )
-from repm_qgis.simulation.scene import rpc_tags
+from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.stages import run_stage
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -9,8 +9,8 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
+from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene
-from repm_qgis.simulation.scene import rpc_tags
 from repm_qgis.stages import run_stage
 
 

@@ -1,0 +1,116 @@
+"""Write the corrected RPCs of a scene's images in the forms that GDAL, QGIS, OTB, CARS, S2P and ASP read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Dict, List
+
+import numpy as np
+
+from .. import __version__
+from ..errors import RpcInvalidError, WorkspaceError
+from ..evaluation.rpc_page import ExportedRpc, rpc_page
+from ..evaluation.verdict import of_rpcs
+from ..geometry.frames import EnuFrame
+from ..imagery.raster import opened
+from ..imagery.vrt import image_vrt_text
+from ..options import ExportRpcOptions
+from ..progress import Progress, counted
+from ..rpc.correction import corrected
+from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
+from ..scene import Scene, View
+from ..workspace import whole_folder, write_text
+
+_LIST = "rpcs.json"
+
+
+def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
+    """Export the RPCs; gives the folder, the VRTs as ``images``, and the largest distance from the pointed model, px.
+
+    Raises SceneError, ImageError, RpcInvalidError, WorkspaceError.
+    """
+    scene = Scene.load(options.scene)
+    scene.require_images()
+    _require_place(Path(options.rpc_folder))
+    exported = [_exported(scene, view) for view in scene.views]
+    for text in of_rpcs({each.view.name: each.corrected for each in exported}):
+        progress.warn(text)
+    with whole_folder(options.rpc_folder) as folder:
+        for index, each in enumerate(exported):
+            progress.check_cancelled()
+            progress.step(index / len(exported), each.view.name)
+            _write(each, folder, options.rpc_folder)
+        document = {"format": "repm-rpcs", "engine": __version__, "images": [_record(each) for each in exported]}
+        write_text(str(folder / _LIST), json.dumps(document, indent=1, allow_nan=False))
+    if options.report:
+        rpc_page(exported, options.scene).write(options.report)
+    worst = max(each.corrected.max_px for each in exported)
+    images = [str(Path(options.rpc_folder) / each.files[0]) for each in exported]
+    progress.info(f"RPCs of {counted(len(images), 'image')} in '{options.rpc_folder}'; at most {worst:.1e} px off.")
+    progress.step(1.0, "RPCs exported")
+    return {"rpc_folder": options.rpc_folder, "images": images, "max_error": worst, "report": options.report}
+
+
+def _exported(scene: Scene, view: View) -> ExportedRpc:
+    try:
+        made = corrected(view.rpc, view.pointing, view.size, scene.altitudes)
+    except RpcInvalidError as error:
+        raise RpcInvalidError(
+            f"The RPC of '{view.image}' cannot be exported: {error} Make the scene again with the image's own RPC."
+        ) from error
+    middle, height = np.array([(view.width - 1) / 2, (view.height - 1) / 2]), sum(scene.altitudes) / 2
+    before, after = view.rpc.localise(middle, height), view.localise(middle, height)
+    moved = np.full(2, np.nan)
+    if np.isfinite(before).all() and np.isfinite(after).all():
+        moved = EnuFrame(*map(float, before)).from_geodetic(after)[:2]
+    shift = view.pointing @ np.append(middle, 1.0) - middle
+    return ExportedRpc(view, made, shift, moved)
+
+
+def _write(exported: ExportedRpc, folder: Path, place: str) -> None:
+    """One image's three files into a folder that will have the path ``place``."""
+    view, rpc = exported.view, exported.corrected.rpc
+    metadata = {"RPC": rpc_tags(rpc)}
+    if view.acquired:
+        metadata["IMAGERY"] = {"ACQUISITIONDATETIME": view.acquired}  # GDAL's name for it
+    with opened(view.image) as image:
+        # From the folder beside the final one, where it is written, other files have the same relative names.
+        vrt = image_vrt_text(image, view.image, place, metadata)
+    for name, text in zip(exported.files, (vrt, rpb_text(rpc), rpc_txt(rpc))):
+        write_text(str(folder / name), text)
+
+
+def _record(exported: ExportedRpc) -> Dict[str, Any]:
+    made = exported.corrected
+    return {
+        "view": exported.view.name,
+        "original": exported.view.image,
+        "files": list(exported.files),
+        "method": made.method,
+        "max_px": made.max_px,
+        "rms_px": made.rms_px,
+        "shift_px": exported.shift_px.tolist(),
+        "moved_m": exported.moved_m.tolist() if np.isfinite(exported.moved_m).all() else None,
+    }
+
+
+def _require_place(folder: Path) -> None:
+    """Raise WorkspaceError where something else than an earlier export would go with the folder."""
+    others = [folder.name] if folder.is_file() else []
+    if folder.is_dir():
+        known = {_LIST, *(name + end for name in _listed(folder / _LIST) for end in ("", ".aux.xml", ".ovr"))}
+        others = sorted({path.name for path in folder.iterdir()} - known)
+    if others:
+        reason = f"holds '{others[0]}', which does not belong to an export of RPCs and would be lost"
+        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for RPC_FOLDER.")
+
+
+def _listed(path: Path) -> List[str]:
+    """The files that an earlier export wrote, as its list says; empty where there is none that can be read."""
+    try:
+        with open(path, encoding="utf-8") as stream:
+            document = json.load(stream)
+        return [str(name) for image in document["images"] for name in image["files"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
