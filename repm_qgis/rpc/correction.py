@@ -54,13 +54,15 @@ def corrected(
     """
     low, high = rpc.height_range
     heights = min(low, altitudes[0]), max(high, altitudes[1])
+    ground = _seen(rpc, *virtual_grid(size, heights, parameters.check_nodes, parameters.check_inset))
+    if len(ground) < _TERMS:
+        raise RpcInvalidError("it sees almost none of the image's pixels on the ground.")
     linear, shift = pointing[:, :2], pointing[:, 2]
     if np.array_equal(linear, np.eye(2)):
         made, method = rpc.shifted(*-shift), SHIFTED if shift.any() else DELIVERED
     else:
         made = _with_numerators(rpc, pointing, _fit_ground(rpc, size, heights, parameters))
         method = EXACT if rpc.row_den == rpc.col_den else FITTED
-    ground = _seen(rpc, *virtual_grid(size, heights, parameters.check_nodes, parameters.check_inset))
     error = np.linalg.norm(made.project(ground) - _pointed(rpc, pointing, ground), axis=1)
     return CorrectedRpc(made, method, float(error.max()), float(np.sqrt(np.mean(error**2))))
 
@@ -88,8 +90,6 @@ def _seen(rpc: Rpc, pixels: FloatArray, heights: FloatArray) -> FloatArray:
     """The (N, 3) ground points of those pixels that have one."""
     ground = rpc.localise(pixels, heights)
     known: FloatArray = ground[np.isfinite(ground).all(axis=1)]
-    if len(known) < _TERMS:
-        raise RpcInvalidError("it sees almost none of the image's pixels on the ground.")
     return known
 
 
