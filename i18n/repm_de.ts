@@ -434,6 +434,29 @@
     </message>
 </context>
 <context>
+    <name>ExportRpc</name>
+    <message>
+        <source>Export corrected RPCs</source>
+        <translation>Korrigierte RPC exportieren</translation>
+    </message>
+    <message>
+        <source>The RPC of each image with its pointing correction, as GDAL, OTB, CARS, S2P and ASP read it.</source>
+        <translation>Der RPC jedes Bildes mit seiner Korrektur der Ausrichtung, wie GDAL, OTB, CARS, S2P und ASP ihn lesen.</translation>
+    </message>
+    <message>
+        <source>Reconstructed scene</source>
+        <translation>Rekonstruierte Szene</translation>
+    </message>
+    <message>
+        <source>Images with corrected RPCs</source>
+        <translation>Bilder mit korrigierten RPC</translation>
+    </message>
+    <message>
+        <source>Largest difference from the pointed model (px)</source>
+        <translation>Größte Abweichung vom ausgerichteten Modell (px)</translation>
+    </message>
+</context>
+<context>
     <name>FirstSteps</name>
     <message>
         <source>REPM: first steps</source>
@@ -1359,6 +1382,14 @@
         <translation>Ein Ordner, der für jede Kachel ein Modell mit ihren Bildern und Kameras erhält.</translation>
     </message>
     <message>
+        <source>Folder for the corrected RPCs</source>
+        <translation>Ordner für die korrigierten RPC</translation>
+    </message>
+    <message>
+        <source>A folder of its own: for each image a VRT with its pixels and the corrected RPC, and the RPC as two text files.</source>
+        <translation>Ein eigener Ordner: für jedes Bild ein VRT mit seinen Pixeln und dem korrigierten RPC, und der RPC als zwei Textdateien.</translation>
+    </message>
+    <message>
         <source>Height error</source>
         <translation>Höhenfehler</translation>
     </message>
@@ -1421,6 +1452,10 @@
     <message>
         <source>Report of the control points</source>
         <translation>Bericht über die Passpunkte</translation>
+    </message>
+    <message>
+        <source>Report of the corrected RPCs</source>
+        <translation>Bericht zu den korrigierten RPC</translation>
     </message>
     <message>
         <source>Report of the environment</source>

@@ -19,6 +19,7 @@ from .environment import Environment
 from .epmfit import EpmFit
 from .errormap import ErrorMap
 from .exportcameras import ExportCameras
+from .exportrpc import ExportRpc
 from .inspect import Inspect
 from .language import said
 from .mosaic import Mosaic
@@ -44,6 +45,7 @@ ALGORITHMS = (
     SampleData,
     Environment,
     ExportCameras,
+    ExportRpc,
 )
 
 

@@ -47,7 +47,8 @@ def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
         rpc_page(exported, options.scene).write(options.report)
     worst = max(each.corrected.max_px for each in exported)
     images = [str(Path(options.rpc_folder) / each.files[0]) for each in exported]
-    progress.info(f"RPCs of {counted(len(images), 'image')} in '{options.rpc_folder}'; at most {worst:.1e} px off.")
+    off = f"at most {worst:.1e} px from the pointed model"
+    progress.info(f"{counted(len(images), 'image')}: RPCs in '{options.rpc_folder}', {off}.")
     progress.step(1.0, "RPCs exported")
     return {"rpc_folder": options.rpc_folder, "images": images, "max_error": worst, "report": options.report}
 

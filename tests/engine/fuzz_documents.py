@@ -32,8 +32,8 @@ VALUES = (
     "x" * 5000, "\ud800", "<VRTDataset/>", [], [[]], {}, [None], [1, 2], [1, 2, 3, 4], [2, 1], ["a", 1], {"a": 1},
     {"": None}, [[[[1]]]], [[1, 0, 0], [0, 1, 0]],
 )  # fmt: skip
-LIGHT = ("epmfit", "errormap", "checkgcps", "comparedsm", "environment")
-SCENE_STAGES = (*["errormap"] * 5, "dsmfuse", "refine", "exportcameras", "checkgcps")
+LIGHT = ("epmfit", "errormap", "exportrpc", "checkgcps", "comparedsm", "environment")
+SCENE_STAGES = (*["errormap"] * 5, "dsmfuse", "refine", "exportcameras", "exportrpc", "checkgcps")
 
 
 class Hang(Exception):
@@ -178,6 +178,7 @@ def _scene(place, document, chance):
         "dsmfuse": {"output": str(out / "dsm.tif"), "view_heights": str(out / "views"), "workers": 1},
         "refine": {"output_scene": str(out / "refined.json")},
         "exportcameras": {"folder": str(out / "cameras")},
+        "exportrpc": {"rpc_folder": str(out / "rpcs"), "report": str(out / "rpcs.html")},
         "checkgcps": {"gcps": str(place / "images" / "gcps.csv")},
     }
 
@@ -195,6 +196,7 @@ def _job(place, pipeline, made, chance):
     options = {
         "epmfit": {name: pipeline[name] for name in ("images", "workspace", "tile_size")},
         "errormap": {"scene": scene, "output": f"{out}/error.tif", "view": "img_01", "altitude": 200.0},
+        "exportrpc": {"scene": scene, "rpc_folder": f"{out}/rpcs"},
         "checkgcps": {"scene": scene, "gcps": made["gcps"], "dsm": pipeline["output"], "gcp_datum": ""},
         "comparedsm": {"dsm": pipeline["output"], "reference": made["truth"], "thresholds": [1.0], "others": []},
         "environment": {"report": f"{out}/environment.html"},

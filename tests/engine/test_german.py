@@ -129,6 +129,7 @@ def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
         "refine": {"scene": scene, "output_scene": refined},
         "comparedsm": {"dsm": dsm, "reference": sample["truth"], "error": str(tmp_path / "e.tif")},
         "checkgcps": {"gcps": sample["gcps"], "scene": matched, "dsm": dsm, "output": str(tmp_path / "gcps.gpkg")},
+        "exportrpc": {"scene": matched, "rpc_folder": str(tmp_path / "rpcs")},
         "environment": {},
         "mosaic": {"dsms": [dsm, sample["truth"]], "output": str(tmp_path / "mosaic.tif")},
         "inspect": {"images": sample["images"]},

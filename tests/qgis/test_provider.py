@@ -19,6 +19,7 @@ PARAMETERS = {
     "errormap": "SCENE VIEW ALTITUDE OUTPUT REPORT",
     "refine": "SCENE MODEL DEM ORDER KERNEL OUTPUT_SCENE REPORT",
     "exportcameras": "SCENE FORMAT TILE CENTRE BITS KERNEL FOLDER",
+    "exportrpc": "SCENE RPC_FOLDER REPORT",
     "reconstruct": "SCENE BACKEND GCPS GCP_DATUM PAIRS POINTING ADJUSTMENT GEOMETRIC COLMAP_FUSION WINDOW_RADIUS "
     "GPU_MEMORY CLUSTER OUTPUT_SCENE TIE_POINTS HEIGHTS",
     "dsmfuse": "SCENE RESOLUTION CRS VERTICAL_DATUM METHOD FILL OUTLIER_RADIUS MESH_VERTICES CLUSTER OUTPUT CONFIDENCE "
@@ -39,6 +40,7 @@ OUTPUTS = {
     "errormap": "OUTPUT REPORT RMSE MAX_ERROR",
     "refine": "OUTPUT_SCENE REPORT RMSE MAX_ERROR",
     "exportcameras": "FOLDER IMAGES",
+    "exportrpc": "RPC_FOLDER REPORT IMAGES MAX_ERROR",
     "reconstruct": "OUTPUT_SCENE TIE_POINTS HEIGHTS REPORT N_TIE_POINTS",
     "dsmfuse": "OUTPUT CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VALID_PERCENT",
     "mosaic": "OUTPUT SOURCES REPORT VALID_PERCENT SEAM",
@@ -117,6 +119,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "errormap",
         "refine",
         "exportcameras",
+        "exportrpc",
     )
     work += ("reconstruct", "dsmfuse", "mosaic", "comparedsm", "checkgcps")
     assert [name for name in shown if name in work] == list(work)

@@ -88,6 +88,7 @@ def test_the_worst_names_change_nothing(named, urban, urban_run, told):
             "others": [made["confidence"]],
             "error": name("difference.tif"),
         },
+        "exportrpc": {"scene": made["scene"], "rpc_folder": name("rpcs")},
         "checkgcps": {
             "scene": made["scene"],
             "dsm": made["output"],
@@ -102,7 +103,7 @@ def test_the_worst_names_change_nothing(named, urban, urban_run, told):
 
     folder = Path(name("")).parent
     pages = sorted(folder.glob("*.html"))
-    assert len(pages) == 4
+    assert len(pages) == 5
     for page in pages:
         assert "-a&b" in "".join(checked(page.read_text(encoding="utf-8")).text), page
     layers = sorted(folder.glob("*.gpkg"))
