@@ -15,6 +15,7 @@ from ..imagery.acquisition import duration_text
 from ..progress import counted
 from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
+from ..sfm.advice import absolute_height
 from ..sfm.pair_selection import shared_part
 from ..sfm.parameters import POINTING
 from ..vector import read_points
@@ -32,7 +33,7 @@ def add_geometry(report: Report, scene: Scene) -> None:
     if scene.pointing is not None:
         _ties(report, scene, scene.pointing)
         _pointing(report, scene.pointing)
-        _absolute(report, scene.pointing)
+        _absolute(report, scene, scene.pointing)
 
 
 def _pairs(report: Report, scene: Scene) -> None:
@@ -139,16 +140,17 @@ def _pointing(report: Report, ties: PointingFigures) -> None:
     )
 
 
-def _absolute(report: Report, ties: PointingFigures) -> None:
+def _absolute(report: Report, scene: Scene, ties: PointingFigures) -> None:
     """Ground control, or how uncertain the heights are without it."""
     report.section("Absolute position")
     if ties.height_uncertainty_m is not None:
         report.paragraph(
             "Without control points the corrections sum to zero, so the position and height of the whole stay as the "
-            "vendors' RPCs have them. The vertical parallax shows how well these agree. From it, the absolute height "
-            f"is uncertain by {ties.height_uncertainty_m:.1f} m (two standard deviations; relative heights are not "
-            "affected). Ground control points (GCPS), or an alignment with a reference, remove this error."
+            "vendors' RPCs have them. Ground control points (GCPS), or an alignment with a reference, remove their "
+            "error."
         )
+    for text in absolute_height(scene.views, ties):
+        report.paragraph(text)
     points, rejected = ties.gcps, ties.rejected_gcps
     if rejected:
         points_text = f"{counted(len(rejected), 'control point')} contradicted all others and took no part in"

@@ -91,14 +91,15 @@ def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) 
             taken = f"{view.time:%Y-%m-%d %H:%M}" if view.time else "unknown"
             stood = "{:.0f}°, {:.0f}°".format(*sun) if sun else "unknown"
             of = [f"place {number}"] * (len(places) > 1)
-            rows.append([", ".join([view.name, *of]), f"{view.width} x {view.height}", *looks, taken, stood])
-    rows += [[os.path.basename(path), "cannot be used", *[None] * 3, "–", "–"] for path in unusable]
+            when = view.sensor or "unknown", taken, stood
+            rows.append([", ".join([view.name, *of]), f"{view.width} x {view.height}", *looks, *when])
+    rows += [[os.path.basename(path), "cannot be used", *[None] * 3, *"–––"] for path in unusable]
     page.section("Images").table(
-        "image | size, px | GSD, m | incidence, ° | azimuth, ° | taken (UTC) | sun's azimuth, elevation",
+        "image | size, px | GSD, m | incidence, ° | azimuth, ° | satellite | taken (UTC) | sun's azimuth, elevation",
         rows,
         "The incidence angle lies between the line of sight and the vertical on the ground; the off-nadir angle at the "
-        "satellite is somewhat smaller. The azimuth is the direction to the satellite. The sun's direction is computed "
-        "from the time in the product's files or name.",
+        "satellite is somewhat smaller. The azimuth is the direction to the satellite. Satellite and time are from "
+        "the product's files or name; the sun's direction is computed from the time.",
         where="The layer has them all.",
     )
 

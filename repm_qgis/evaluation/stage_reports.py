@@ -155,11 +155,13 @@ def _inputs(report: Report, scene: Scene) -> None:
     rows = []
     for v in scene.views:
         heights = "{:.0f} to {:.0f}".format(*v.rpc.height_range)
-        rows.append([v.name, v.image, f"{v.width} x {v.height}", f"{v.gsd_m:.3f}", heights, *_taken(scene, v)])
+        size, satellite = f"{v.width} x {v.height}", v.sensor or "unknown"
+        rows.append([v.name, v.image, size, f"{v.gsd_m:.3f}", heights, satellite, *_taken(scene, v)])
     report.section("Images").table(
-        "view | file | size, px | GSD, m | RPC heights, m | taken (UTC) | sun's azimuth, elevation",
+        "view | file | size, px | GSD, m | RPC heights, m | satellite | taken (UTC) | sun's azimuth, elevation",
         rows,
-        "The time is from the product's files or name; the sun's direction is computed from it for the scene's middle.",
+        "Satellite and time are from the product's files or name; the sun's direction is computed for the "
+        "scene's middle.",
     )
     middle = sum(scene.altitudes) / 2
     outlines = {v.name: projected_from_geodetic(scene.crs, footprint(v.localise, v.size, middle)) for v in scene.views}

@@ -3,7 +3,8 @@
 ``ce90_m`` is the radius of the circle on the ground that holds nine of ten points, ``le90_m`` the same for heights of
 the vendor's stereo pairs, both as published and without the terrain's part. None: nothing published was found; the
 satellite is recognised, and the figure for unknown ones is taken. An RMSE of positions (the root of the sum over both
-directions) is converted with 2.146 / sqrt(2), one of heights with 1.645 (normal distribution).
+directions) is converted with 2.146 / sqrt(2), one of heights with 1.645 (normal distribution). Messages quote the
+sources in the middle of a sentence.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ SENSORS: Tuple[Sensor, ...] = (
         r"WV03|WORLDVIEW[-_ ]?0?3(?!\d)",
         3.5,
         None,
-        "DigitalGlobe (Barazzetti et al. 2016, ISPRS Archives XLI-B1)",
+        "DigitalGlobe, in Barazzetti 2016, ISPRS Archives XLI-B1",
     ),
     _sensor("WorldView-4", r"WV04|WORLDVIEW[-_ ]?0?4(?!\d)", 4.0, None, "DigitalGlobe, WorldView-4, 2016"),
     _sensor("GeoEye-1", r"GE01|GEOEYE[-_ ]?0?1(?!\d)", 5.0, None, _GUIDE),
@@ -55,7 +56,7 @@ SENSORS: Tuple[Sensor, ...] = (
     _sensor(
         "IKONOS", r"IK01|IKONOS", 15.0, 22.0, "IKONOS Imagery Products Guide 1.5, 2006; Space Imaging, IKONOS Accuracy"
     ),
-    _sensor("Pleiades Neo", r"PNEO|PL.IADES[-_ ]?NEO", 5.0, None, "Airbus (International Charter, Pleiades Neo)"),
+    _sensor("Pleiades Neo", r"PNEO|PL.IADES[-_ ]?NEO", 5.0, None, "Airbus, in International Charter, Pleiades Neo"),
     _sensor("Pleiades 1A", r"PHR[-_ ]?1A|PL.IADES[-_ ]?1A", 8.5, None, _PLEIADES),
     _sensor("Pleiades 1B", r"PHR[-_ ]?1B|PL.IADES[-_ ]?1B", 8.5, None, _PLEIADES),
     # Specified: an RMSE of 50 m.
@@ -64,7 +65,7 @@ SENSORS: Tuple[Sensor, ...] = (
         r"SPOT[-_ ]?5(?!\d)",
         75.9,
         None,
-        "CNES (Bouillon & Gigord 2004, ISPRS Archives XXXV-B1)",
+        "CNES, in Bouillon & Gigord 2004, ISPRS Archives XXXV-B1",
     ),
     _sensor("SPOT 6", r"SPOT[-_ ]?6(?!\d)", 35.0, None, _SPOT),
     _sensor("SPOT 7", r"SPOT[-_ ]?7(?!\d)", 35.0, None, _SPOT),
@@ -72,7 +73,7 @@ SENSORS: Tuple[Sensor, ...] = (
     _sensor("KOMPSAT-3A", r"KOMPSAT[-_ ]?3A|K3A_\d{8}"),
     _sensor("KOMPSAT-3", r"KOMPSAT[-_ ]?3(?!\d)|K3_\d{8}", 70.0, None, _KOMPSAT),
     # Measured in ten regions: RMSE of 10 m and 5 m.
-    _sensor("ZY-3", r"ZY-?3|ZI ?YUAN[-_ ]?3", 15.2, 8.2, "Wang et al. 2014, IEEE GRSL 11(6)"),
+    _sensor("ZY-3", r"ZY-?3|ZI ?YUAN[-_ ]?3", 15.2, 8.2, "Wang 2014, IEEE GRSL 11(6)"),
     # Said at the first images: 5 m horizontally; measured: an RMSE of 2.15 m in height.
     _sensor(
         "GF-7",

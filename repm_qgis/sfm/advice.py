@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Sequence
+import math
+from typing import Dict, Iterable, List, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -12,10 +13,11 @@ from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import duration_text
 from ..progress import counted
 from ..records import PointingFigures, ViewPair
-from ..scene import Scene
+from ..scene import Scene, View
 from .graph import components
 from .pair_selection import days_off_season, sun_over
-from .parameters import POINTING, AdviceParameters, PointingParameters
+from .parameters import POINTING, AdviceParameters, PointingParameters, PromiseParameters
+from .promises import promise_of, promised
 
 _MOST_NAMED = 6
 _PARTS = (("north-west", "north", "north-east"), ("west", "middle", "east"), ("south-west", "south", "south-east"))
@@ -58,14 +60,64 @@ def advice(
     texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, parameters)]
     texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, limits)
     texts += _dates(pairs, limits) + _thin(scene, figures, limits)
-    uncertain = figures.height_uncertainty_m or 0.0
-    if uncertain > max(limits.uncertain_m, limits.uncertain_gsd * scene.gsd_m):
-        texts.append(
-            f"The vendors' RPCs disagree so much that the absolute height is uncertain by about {uncertain:.1f} m: "
-            "give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a reference', "
-            "ALIGN=3d)."
-        )
+    texts += _beyond_promise(scene, figures, parameters)
     return texts
+
+
+def absolute_height(
+    views: Sequence[View], figures: PointingFigures, parameters: PointingParameters = POINTING
+) -> List[str]:
+    """How uncertain the absolute height is, from what, and what the vendors promise; nothing with ground control."""
+    if figures.height_uncertainty_m is None:
+        return []
+    seen = [pair.before_px for pair in figures.pairs if pair.count]
+    apart = float(np.sqrt(np.mean(np.square(seen)))) if seen else 0.0
+    promises = parameters.promises
+    height = f"LE90 {promises.le90 * promised(views, parameters).vertical_m:.1f} m"
+    listed = _promises(views, promises)
+    if all(promise_of(view, promises).vertical_m is not None for view in views):
+        promise = f"The RPCs' errors are at most {listed} and {height}."
+    else:
+        promise = f"The RPCs' errors are at most {listed}, from which at most {height} follows for the widest B/H."
+    uncertain = (
+        f"The absolute height is uncertain by {figures.height_uncertainty_m:.1f} m (two standard deviations): from how "
+        f"much the RPCs disagree with each other ({apart:.1f} px across the parallax), and the {parameters.usual_px:g} "
+        "px that are usual; relative heights are not affected."
+    )
+    return [uncertain, promise]
+
+
+def _promises(views: Iterable[View], parameters: PromiseParameters) -> str:
+    """The views' CE90 by its source, the largest where RPCs have their own."""
+    most: Dict[str, float] = {}
+    for promise in (promise_of(view, parameters) for view in views):
+        most[promise.source] = max(most.get(promise.source, 0.0), promise.horizontal_m)
+    return "; ".join(f"CE90 {metres:.1f} m ({source})" for source, metres in most.items())
+
+
+def _beyond_promise(scene: Scene, figures: PointingFigures, parameters: PointingParameters) -> List[str]:
+    """Pairs whose RPCs disagree by more than their vendors promise, where no ground control corrects them."""
+    named: Dict[str, Tuple[View, View]] = {}
+    for pair in figures.pairs:
+        first, second = map(scene.view, pair.pair)
+        most = math.hypot(*(promise_of(view, parameters.promises).horizontal_m for view in (first, second)))
+        metres = abs(pair.before_px) * scene.gsd_m
+        if pair.count and metres > most:
+            apart = (
+                f"{abs(pair.before_px):.1f} px, {metres:.1f} m on the ground, where at most {most:.1f} m are expected"
+            )
+            named[f"{first.name} and {second.name} ({apart})"] = first, second
+    if not named or figures.height_uncertainty_m is None:
+        return []
+    promises = _promises((view for views in named.values() for view in views), parameters.promises)
+    common = set.intersection(*({view.name for view in views} for views in named.values()))
+    culprit = f" ({min(common)} is in all of these pairs)" if len(common) == 1 else ""
+    return [
+        f"The RPCs disagree by more than their vendors promise, which is {promises}: {_listed(list(named), '; ')}; the "
+        f"absolute height is uncertain by {figures.height_uncertainty_m:.1f} m; check that each RPC belongs to its "
+        f"image{culprit}, give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
+        "reference', ALIGN=3d)."
+    ]
 
 
 def _geometry(pair: ViewPair, gsd_m: float, parameters: PointingParameters) -> List[str]:

@@ -225,8 +225,6 @@ class AdviceParameters(Parameters):
     cells: int = 5  # along a side of the scene: ties of a tile are counted in at least such a cell around it
     small_overlap: float = 0.3  # of the smaller of two images: less of it is a strip along a border
     first_side_m: float = 1000.0  # of the small area that is proposed for a first trial
-    uncertain_m: float = 5.0  # two standard deviations of the absolute height
-    uncertain_gsd: float = 10.0  # the same in ground sampling distances
 
 
 @dataclass(frozen=True)

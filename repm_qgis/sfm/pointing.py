@@ -17,7 +17,7 @@ from ..progress import Part, Progress
 from ..records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..scene import Scene, View
 from .adjustment import Adjustment, Track, adjust, tracks_from
-from .advice import ties_by_part, ties_by_tile
+from .advice import absolute_height, ties_by_part, ties_by_tile
 from .colmap_adjustment import adjust_colmap
 from .control_information import control_information
 from .ground_control import Gcp, intersect
@@ -108,7 +108,7 @@ def point_views(
         ties_by_tile=ties_by_tile(scene, xy, parameters.advice),
         ties_by_part=ties_by_part(scene, xy, parameters.advice),
     )
-    _log(figures, progress)
+    _log(scene.views, figures, parameters, progress)
     return Pointing(views, tracks, adjusted, xy, figures)
 
 
@@ -164,7 +164,7 @@ def _height_uncertainty(
     return float(2.0 * deviation * scene.gsd_m / max(pair.base_to_height for pair in pairs))
 
 
-def _log(figures: PointingFigures, progress: Progress) -> None:
+def _log(views: Sequence[View], figures: PointingFigures, parameters: PointingParameters, progress: Progress) -> None:
     shifts = ", ".join(f"{name} ({c:+.2f}, {r:+.2f})" for name, (c, r) in figures.shifts_px.items())
     progress.info(
         f"{figures.count} tie points; pointing corrected by {shifts} px ({figures.model}: {figures.reason}); their "
@@ -180,8 +180,5 @@ def _log(figures: PointingFigures, progress: Progress) -> None:
             f"The control point {identity} contradicts all others and was left out: check its coordinates, its "
             "vertical datum, and its pixels."
         )
-    if figures.height_uncertainty_m is not None:
-        progress.info(
-            "Without ground control points the absolute height is as uncertain as the vendors' RPCs: by "
-            f"{figures.height_uncertainty_m:.1f} m (two standard deviations); relative heights are not affected."
-        )
+    for text in absolute_height(views, figures, parameters):
+        progress.info(text)

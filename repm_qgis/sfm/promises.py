@@ -39,7 +39,7 @@ def promise_of(view: View, parameters: PromiseParameters = POINTING.promises) ->
     if view.rpc.accuracy_m is not None:
         return Promise(parameters.ce90 * view.rpc.accuracy_m, vertical, "the RPC's ERR_BIAS and ERR_RAND")
     if sensor and sensor.ce90_m is not None:
-        return Promise(sensor.ce90_m, vertical, sensor.source)
+        return Promise(sensor.ce90_m, vertical, f"{sensor.name}: {sensor.source}")
     unknown = max(parameters.unknown_m, parameters.unknown_px * view.gsd_m)
     return Promise(unknown, vertical, "assumed, because no promise of its vendor is known")
 

@@ -76,8 +76,9 @@ def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
 def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs, options.masks)
     taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
+    satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
     sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
-    progress.info("; ".join(map("".join, zip(sizes, taken))))
+    progress.info("; ".join(map("".join, zip(sizes, satellites, taken))))
     crs = _crs(options, views)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)

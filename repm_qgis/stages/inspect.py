@@ -83,7 +83,7 @@ def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Di
 
 
 def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
-    texts = dict.fromkeys(("view", "file", "taken"), str)
+    texts = dict.fromkeys(("view", "file", "satellite", "taken"), str)
     numbers = ("gsd", "incidence", "azimuth", "sun_azimuth", "sun_elevation", "altitude")
     fields: Dict[str, type] = {**texts, "width": int, "height": int, **dict.fromkeys(numbers, float)}
 
@@ -93,7 +93,7 @@ def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
                 view, sun = facts.view, facts.sun or (None, None)
                 taken = f"{view.time:%Y-%m-%d %H:%M:%S}" if view.time else None
                 looks = view.gsd_m, facts.incidence_deg, facts.azimuth_deg
-                values = [view.name, view.image, taken, *view.size, *looks, *sun, place.altitude]
+                values = [view.name, view.image, view.sensor or None, taken, *view.size, *looks, *sun, place.altitude]
                 yield reprojected(geometry_of(facts.outline), place.crs, crs), values
 
     write_layer(path, crs, ogr.wkbPolygon, fields, features())

@@ -59,6 +59,7 @@ def test_every_pair_and_view_is_told_with_its_figures(scene):
         assert f">{tile}</td>" in page and f">{count}</td>" in page
     assert ties.reason in html.unescape(page)
     assert f"uncertain by {ties.height_uncertainty_m:.1f} m" in page
+    assert "at most CE90 20.0 m (assumed, because no promise of its vendor is known)" in page
 
 
 def test_times_and_suns_are_told_where_they_are_known(scene):
@@ -79,12 +80,12 @@ def test_ties_are_told_by_compass(scene):
 
 
 def test_the_images_table_tells_when_and_under_which_sun(scene):
-    first = replace(scene.views[0], acquired="2012-06-21T12:00:00.000Z")
+    first = replace(scene.views[0], acquired="2012-06-21T12:00:00.000Z", sensor="Pleiades 1A")
     scene = replace(scene, views=(first, *scene.views[1:]))
     page = fit_report(scene).html()
     azimuth, elevation = sun_position(scene.views[0].time, scene.frame.lon, scene.frame.lat)
     assert "2012-06-21 12:00:00</td>" in page and f"{azimuth:.1f}°, {elevation:.1f}°</td>" in page
-    assert page.count("unknown</td>") == 4
+    assert page.count("unknown</td>") == 6 and ">Pleiades 1A</td>" in page
 
 
 def test_control_points_are_told_and_rejected_ones_named(scene):

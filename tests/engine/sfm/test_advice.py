@@ -11,9 +11,9 @@ from osgeo import ogr
 
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.records import PointingFigures, ViewPair
+from repm_qgis.records import PairFigures, PointingFigures, ViewPair
 from repm_qgis.scene import Scene, Tile
-from repm_qgis.sfm.advice import advice, ties_by_part
+from repm_qgis.sfm.advice import absolute_height, advice, ties_by_part
 from repm_qgis.sfm.pair_selection import choose_pairs
 
 PAIR = ViewPair("img_01", "img_02", 20.0, 0.35, 4, days=0.0001, sun_deg=0.1, shadow=0.01)
@@ -155,3 +155,54 @@ def test_advice_of_real_pairs_under_two_suns(scene):
     text = only([said for said in advice(scene, pairs, NO_TIES) if "sun" in said])
     assert "img_01 and img_03 (183 days, 47 degrees" in text and "img_02 and img_03" in text
     assert "img_01 and img_02 (" not in text
+
+
+def disagreeing(scene, first_px, third_px, sensor="Pleiades 1A", uncertain=40.0):
+    """The scene's views of one satellite, and figures of three pairs whose RPCs disagree so much."""
+    scene = replace(scene, views=tuple(replace(view, sensor=sensor) for view in scene.views))
+    names = ("img_01", "img_02"), ("img_02", "img_03"), ("img_01", "img_03")
+    apart = first_px, 0.5, third_px
+    pairs = tuple(PairFigures(pair, 99, 90, px, 0.1, 0.1) for pair, px in zip(names, apart))
+    return scene, replace(NO_TIES, pairs=pairs, height_uncertainty_m=uncertain)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "ce90_m"), (("Pleiades 1A", 8.5), ("WorldView-3", 3.5), ("SPOT 6", 35.0), ("", 20.0))
+)
+def test_rpcs_may_disagree_as_the_vendors_promise(scene, sensor, ce90_m):
+    """The promises of both images count, and only pairs beyond them are named."""
+    limit_m = np.sqrt(2) * ce90_m
+    limit_px = limit_m / scene.gsd_m
+    fine, figures = disagreeing(scene, limit_px * 0.99, -limit_px * 0.99, sensor)
+    assert advice(fine, all_three(PAIR), figures) == []
+    wrong, figures = disagreeing(scene, limit_px * 1.02, -0.5, sensor)
+    text = only(advice(wrong, all_three(PAIR), figures))
+    for words in (
+        f"img_01 and img_02 ({limit_px * 1.02:.1f} px, {limit_m * 1.02:.1f} m on the ground",
+        f"where at most {limit_m:.1f} m are expected",
+        f"CE90 {ce90_m:.1f} m ({sensor or 'assumed'}",
+        "uncertain by 40.0 m",
+        "each RPC belongs to its image, give ground control points (GCPS)",
+        "ALIGN=3d",
+    ):
+        assert words in text, text
+    assert "img_03" not in text
+
+
+def test_the_image_that_contradicts_all_others_is_named(scene):
+    wrong, figures = disagreeing(scene, -60.0, 58.0)
+    assert "(img_01 is in all of these pairs)" in only(advice(wrong, all_three(PAIR), figures))
+    # With ground control, or where a pair has no ties, there is nothing to say.
+    assert advice(wrong, all_three(PAIR), replace(figures, height_uncertainty_m=None)) == []
+    bare = replace(figures, pairs=tuple(replace(pair, count=0) for pair in figures.pairs))
+    assert advice(wrong, all_three(PAIR), bare) == []
+
+
+def test_the_height_is_said_to_be_uncertain_with_its_source(scene):
+    seen, figures = disagreeing(scene, 1.0, -1.5, uncertain=5.7)
+    measured, promise = absolute_height(seen.views, figures)
+    assert "uncertain by 5.7 m (two standard deviations)" in measured and "(1.1 px across the parallax)" in measured
+    assert "at most CE90 8.5 m (Pleiades 1A: Astrium," in promise and "LE90" in promise and "follows" in promise
+    published = absolute_height(disagreeing(scene, 1.0, 1.0, "IKONOS")[0].views, figures)[1]
+    assert "LE90 22.0 m" in published and "follows" not in published
+    assert absolute_height(seen.views, replace(figures, height_uncertainty_m=None)) == []

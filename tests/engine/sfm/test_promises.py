@@ -7,8 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.scene import View, load_views
+from repm_qgis.imagery.enhancement import view_stretch
+from repm_qgis.scene import Scene, View, load_views
+from repm_qgis.sfm.advice import advice
+from repm_qgis.sfm.pair_selection import choose_pairs
+from repm_qgis.sfm.pointing import point_views
 from repm_qgis.sfm.promises import promise_of, promised
+from repm_qgis.stages import run_stage
 from repm_qgis.stereo.pairing import convergence
 
 
@@ -86,3 +91,48 @@ def test_real_images(shared_data):
     ntf = load_views(sorted(map(str, (shared_data / "rpc" / "other").glob("wv3_*.NTF"))))
     assert {view.sensor for view in ntf} == {""}  # GDAL wrote these crops without any name
     assert promise_of(ntf[0]).horizontal_m == pytest.approx(2.146 * np.hypot(0.87, 0.33))
+
+
+def warnings_of_rpcs(folder, told, images, altitudes, wrong_px=0.0):
+    """What the pointing of real images warns of their RPCs; the second RPC is wrong by so many columns."""
+    options = {"images": list(map(str, images)), "altitude_min": altitudes[0], "altitude_max": altitudes[1]}
+    fitted = run_stage("epmfit", {**options, "workspace": str(folder)}, told())["scene"]
+    scene = replace(Scene.load(fitted), refinement="polynomial")
+    first, second, *others = scene.views
+    moved = replace(second, rpc=second.rpc.shifted(-wrong_px, 0.0))
+    scene = replace(scene, views=(first, moved, *others))
+    pairs, said = choose_pairs(scene), told()
+    stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
+    figures = point_views(scene, pairs, stretches, "auto", [], said).figures
+    assert any(f"uncertain by {figures.height_uncertainty_m:.1f} m" in text for text in said.notes)
+    assert any("CE90" in text for text in said.notes)
+    return scene, [text for text in advice(scene, pairs, figures) if "RPC" in text]
+
+
+REAL = (
+    ("pleiades_pair", "img_0[12].tif", (2200.0, 2450.0)),
+    ("pleiades_triplet", "img_0[123].tif", (100.0, 250.0)),
+    ("truth_urban", "img_0[12].tif", (0.0, 140.0)),
+    ("jax_068", "JAX_068_00[235]_RGB.tif", (-30.0, 60.0)),
+)
+
+
+@pytest.mark.parametrize(("folder", "names", "altitudes"), REAL)
+def test_ordinary_real_images_are_not_warned_of(shared_data, tmp_path, told, folder, names, altitudes):
+    images = sorted((shared_data / folder).glob(names))
+    assert len(images) >= 2 and warnings_of_rpcs(tmp_path, told, images, altitudes)[1] == []
+
+
+@pytest.mark.parametrize(("folder", "names", "altitudes"), REAL)
+def test_an_rpc_that_is_wrong_by_60_px_is(shared_data, tmp_path, told, folder, names, altitudes):
+    images = sorted((shared_data / folder).glob(names))
+    scene, texts = warnings_of_rpcs(tmp_path, told, images, altitudes, 60.0)
+    assert len(texts) == 1 and scene.views[1].name in texts[0] and "CE90" in texts[0]
+    assert len(images) == 2 or f"({scene.views[1].name} is in all of these pairs)" in texts[0]
+
+
+def test_a_real_image_whose_rpc_is_off_by_ten_metres_is_found(shared_data, tmp_path, told):
+    """JAX_068_016 contradicts all other images of the place, and its vendor promises 3.5 m."""
+    images = [shared_data / "jax_068" / f"JAX_068_0{number}_RGB.tif" for number in (15, 16, 20)]
+    _, texts = warnings_of_rpcs(tmp_path, told, images, (-30.0, 60.0))
+    assert len(texts) == 1 and "(JAX_068_016_RGB is in all of these pairs)" in texts[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
 from osgeo import ogr
@@ -103,6 +104,8 @@ def test_images_of_two_places_go_into_one_layer(urban, shared_data, job, told):
     footprints, place = rows(result["footprints"])
     assert place == "4326" and len({round(row["shape"].Centroid().GetX()) for row in footprints}) == 2
     assert len(rows(result["overlaps"])[0]) == 2 and any("The images show 2 places" in note for note in said.notes)
+    assert [row["satellite"] for row in footprints].count("Pleiades 1B") == 2
+    assert ">Pleiades 1B</td>" in Path(result["report"]).read_text(encoding="utf-8")
 
 
 def test_images_that_show_different_ground(urban, shared_data, job, told):
