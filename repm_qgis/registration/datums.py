@@ -54,7 +54,7 @@ def likely_datum(
     ellipsoid = HeightDatum.of("ellipsoid")
     shift = solved(in_datum(found, crs, ellipsoid))
     up = float(shift.moved[2])
-    geoids, missing = _changes_of_heights(found, crs, up)
+    geoids, missing = _changes_of_heights(shift, crs)
     if not geoids:
         silent = f"must be given, as '{found.name}' does not say what its heights refer to"
         raise OptionError(_OPTION, "", f"{silent}. {' '.join(missing)}".rstrip("."))
@@ -80,17 +80,19 @@ def likely_datum(
     )
 
 
-def _changes_of_heights(found: FoundHeights, crs: str, up: float) -> Tuple[List[Tuple[str, float]], List[str]]:
+def _changes_of_heights(shift: Shift, crs: str) -> Tuple[List[Tuple[str, float]], List[str]]:
     """How much the own heights change with each geoid, m, and a sentence for each whose grid PROJ lacks.
 
-    ``up`` is the change with the ellipsoid. Undulations are smooth: their mean is what they add to it.
+    ``shift`` is that with the ellipsoid. Undulations are smooth: their mean, over the heights that have a weight, is
+    what they add to it.
     """
     changes, missing = [], []
+    used = shift.xy[shift.weight > 0]
     for name in _GEOIDS:
         try:
-            undulation = HeightDatum.of(name).undulation(crs, found.xy, "give another REFERENCE_DATUM")
+            undulation = HeightDatum.of(name).undulation(crs, used, "give another REFERENCE_DATUM")
         except MissingPackageError as error:
             missing.append(str(error))
         else:
-            changes.append((name, up + float(undulation.mean())))
+            changes.append((name, float(shift.moved[2] + undulation.mean())))
     return changes, missing
