@@ -88,8 +88,11 @@ class Panel(ParametersPanel):
     def _take_up_last_scene(self) -> None:
         optional = QgsProcessingParameterDefinition.Flag.FlagOptional
         definition = self.algorithm().parameterDefinition("SCENE")
-        if definition is not None and not definition.flags() & optional and last_scene():
-            self._set("SCENE", last_scene())
+        if definition is None or definition.flags() & optional:
+            return
+        scene = last_scene(self.algorithm().name())
+        if scene:
+            self._set("SCENE", scene)
 
     def _together(self, names: Sequence[str]) -> QWidget:
         """Move parameters that follow each other into a widget, to show and hide them together.

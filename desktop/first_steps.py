@@ -30,7 +30,7 @@ def _sample_images() -> list[str]:
 
 
 class FirstSteps(QDialog):
-    """Three steps, each with one button; the second one waits for the images of the first."""
+    """The steps, each with one button: the DSM waits for the images; packages are a step where they are missing."""
 
     def __init__(self, iface: Any, install: Callable[[], Any]) -> None:
         super().__init__(iface.mainWindow())
@@ -39,7 +39,7 @@ class FirstSteps(QDialog):
         self._layout = QGridLayout(self)
         self._layout.setColumnStretch(1, 1)
         self._layout.setVerticalSpacing(14)
-        intro = QLabel(self.tr("From satellite images to a surface model on the map, in three steps:"))
+        intro = QLabel(self.tr("From satellite images to a surface model on the map, step by step:"))
         self._layout.addWidget(intro, 0, 0, 1, 3)
         self.install = self._step(
             0,

@@ -463,8 +463,8 @@
         <translation>REPM: erste Schritte</translation>
     </message>
     <message>
-        <source>From satellite images to a surface model on the map, in three steps:</source>
-        <translation>Von Satellitenbildern zu einem Oberflächenmodell auf der Karte, in drei Schritten:</translation>
+        <source>From satellite images to a surface model on the map, step by step:</source>
+        <translation>Von Satellitenbildern zu einem Oberflächenmodell auf der Karte, Schritt für Schritt:</translation>
     </message>
     <message>
         <source>&lt;b&gt;First, install the engine's packages.&lt;/b&gt;&lt;br&gt;QGIS does not ship them.</source>

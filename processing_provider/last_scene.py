@@ -1,4 +1,4 @@
-"""The scene that was written last: what a stage's dialog takes up."""
+"""The scenes that were written last, of which a stage's dialog takes up the newest one that it can work on."""
 
 from __future__ import annotations
 
@@ -6,14 +6,22 @@ import os
 
 from qgis.core import QgsSettings
 
-_KEY = "repm/last_scene"
+from ..repm_qgis.scene import serves
+
+_KEY = "repm/last_scenes"  # paths, newest first, one a line
+_MOST = 12
 
 
-def last_scene() -> str:
-    """Its path; "" where there is none any more."""
-    path = str(QgsSettings().value(_KEY, "") or "")
-    return path if os.path.exists(path) else ""
+def last_scene(stage: str) -> str:
+    """The path of the newest scene that is there and that a stage can take; "" where there is none."""
+    return next((path for path in _known() if os.path.exists(path) and serves(path, stage)), "")
 
 
 def remember(path: str) -> None:
-    QgsSettings().setValue(_KEY, path)
+    """Put a scene before all others."""
+    others = [known for known in _known() if known != path]
+    QgsSettings().setValue(_KEY, "\n".join([path, *others][:_MOST]))
+
+
+def _known() -> list[str]:
+    return str(QgsSettings().value(_KEY, "") or "").splitlines()

@@ -183,7 +183,7 @@ def input_options(
     elif kind == "number":
         whole = definition.dataType() == QgsProcessingParameterNumber.Type.Integer
         read = algorithm.parameterAsInt if whole else algorithm.parameterAsDouble
-        value = None if is_empty(given) else read(parameters, name, context)
+        value = definition.defaultValue() if is_empty(given) else read(parameters, name, context)
     elif kind == "boolean":
         value = algorithm.parameterAsBool(parameters, name, context)
     elif kind == "enum":
@@ -210,7 +210,8 @@ def checked_value(
     if kind == "multilayer":
         return _paths(definition, given, context, only_named=True)
     if kind == "number":
-        return None if is_empty(given) else _number(algorithm, definition, parameters, context)
+        # A model passes None on for a number that its command leaves out.
+        return definition.defaultValue() if is_empty(given) else _number(algorithm, definition, parameters, context)
     if kind in ("enum", "string"):
         return given if isinstance(given, str) else algorithm.parameterAsString(parameters, name, context)
     if kind in ("extent", "crs"):

@@ -258,6 +258,20 @@ def do_task(work: bytes) -> Any:
         return function(task)
 
 
+def require_main() -> None:
+    """Raise EmptyResultError in a worker that is still importing the script which started it: a run there would wait
+    for the run of that script, which waits for the worker."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # no public name; multiprocessing's own check
+        raise _unguarded()
+
+
+def _unguarded() -> RepmError:
+    return EmptyResultError(
+        "A worker process could not begin: if a script of your own started this run, let it do so below "
+        "'if __name__ == \"__main__\":', because workers import the script."
+    )
+
+
 def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmError:
     """What is said of a worker that ended without an answer, by the exit codes of all."""
     if certain:
@@ -268,6 +282,8 @@ def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmErro
     if getattr(signal, "SIGKILL", None) in signals:
         text = f"A worker process was killed (SIGKILL) {when}, most likely because memory ran out: {MEMORY_REMEDY}."
         return OutOfMemoryError(text)
+    if 1 in codes:  # Python's own end, while it imported the script that started it
+        return _unguarded()
     crash = signals - {signal.SIGTERM}  # which ended those that had not died
     name = f" ({', '.join(sorted(signal.Signals(number).name for number in crash))})" if crash else ""
     return EmptyResultError(

@@ -433,6 +433,19 @@ def days(path: str) -> List[str]:
     return sorted({time.date().isoformat() for time in times if time is not None})
 
 
+def serves(path: str, stage: str) -> bool:
+    """Whether a stage can take a scene, and has not written it itself; False for a file that is no scene."""
+    try:
+        document = _document(path)
+        if document["history"][-1]["stage"] == stage:
+            return False
+        if stage == "dsmfuse":
+            return any(tile["heights"] for tile in document["tiles"])
+        return stage != "exportcameras" or bool(document["refinement"])
+    except (SceneError, KeyError, TypeError, IndexError):
+        return False
+
+
 class GroundSeen(NamedTuple):
     """What images show at most together: the finest ground sampling distance and the longest side, m; their place."""
 

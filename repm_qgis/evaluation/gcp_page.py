@@ -9,7 +9,7 @@ import numpy as np
 from ..geometry.frames import EnuFrame
 from ..options import CheckGcpsOptions
 from ..progress import counted
-from . import charts
+from . import charts, verdict
 from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from .report import Report, fixed
 
@@ -20,6 +20,7 @@ _SHORT = {"rpc": "RPC", "compensated": "compensated", "scene": "scene", "dsm": "
 def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
     """What the points say about the images' geometry and about the DSM, for the analyst."""
     page = Report("Accuracy at ground control points", _counts(found))
+    page.verdict(_good(found), verdict.of_points(found))
     for text in found.warnings:
         page.warning(text)
     _heights(page, found)
@@ -31,6 +32,17 @@ def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
     inputs = {"Points": options.gcps, "Their heights": heights, "Scene": options.scene, "DSM": options.dsm}
     page.section("Inputs").facts([(name, value) for name, value in inputs.items() if value])
     return page
+
+
+def _good(found: GcpAccuracy) -> str:
+    """The figure that says most of the result: the DSM's, else that of the best geometry of the images."""
+    for column in ("dsm", "scene", "compensated", "rpc"):
+        figures = found.summary(column, "height") if column in found.errors else None
+        if figures is not None and figures.count and column == "dsm":
+            return f"Half of the DSM's heights are within {figures.me:.3f} m of the points'."
+        if figures is not None and figures.count:
+            return f"Half of the heights that the images give are within {figures.me:.3f} m of the points'."
+    return ""  # every point is in one image alone, and has no height from it
 
 
 def _counts(found: GcpAccuracy) -> str:

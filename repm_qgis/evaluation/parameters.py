@@ -73,7 +73,8 @@ class VerdictParameters(Parameters):
     most_equivalent_px: float = 0.3  # RMSE of a tile's cameras after refinement; below, matching is not disturbed
     most_rpc_px: float = 0.01  # from an exported RPC to the pointed model; corrections of usual size stay below 0.001
     least_compared_percent: float = 50.0  # reference cells with a height of the DSM
-    most_bias_m: float = 0.5  # median difference from a reference ...
+    least_points: int = 4  # ground control points: with fewer, none can be called wrong
+    most_bias_m: float = 0.5  # median difference from a reference, or of two DSMs of a mosaic ...
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
     least_used_share: float = 0.5  # of a reference's heights that agree with the surface; forests leave a third
 

@@ -34,6 +34,8 @@ _PATH_OPTIONS = frozenset(forms())  # options that name files and folders to wri
 def fit_report(scene: Scene) -> Report:
     """Equivalent errors of the fitted cameras, measured and predicted."""
     report = Report("Equivalent pinhole cameras", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
+    good = f"The cameras differ from the RPCs by at most {verdict.fitted_error_px(scene):.2g} px (RMSE of a tile)."
+    report.verdict(good, verdict.of_fit(scene))
     _warnings(report, scene)
     _inputs(report, scene)
     report.section("Equivalent error")
@@ -59,6 +61,9 @@ def fit_report(scene: Scene) -> Report:
 def refine_report(scene: Scene) -> Report:
     """Equivalent errors before and after refinement."""
     report = Report("Refined images", f"model: {scene.refinement}")
+    worst = verdict.largest_error_px(scene) or 0.0
+    good = f"The cameras differ from the RPCs by at most {worst:.2g} px (RMSE of a tile)."
+    report.verdict(good, verdict.of_refinement(scene))
     _warnings(report, scene)
     _errors(report, scene)
     add_error_study(report, scene)
@@ -77,6 +82,8 @@ def reconstruct_report(scene: Scene) -> Report:
 def errormap_report(scene: Scene, view: View, path: str, rmse: float, max_error: float, altitude: float) -> Report:
     """An error map's picture and figures (px; the altitude in m above the ellipsoid)."""
     report = Report("Equivalent error on the ground", f"{view.name} at {altitude:.0f} m above the ellipsoid")
+    good = f"The cameras of this view differ from the RPC by {rmse:.2g} px (RMSE), which does not disturb matching."
+    report.verdict(good, verdict.of_error_map(rmse, bool(scene.refinement)))
     refinement = scene.refinement or "none yet: the images as they are"
     report.facts([("Refinement", refinement), ("RMSE", f"{rmse:.3g} px"), ("Max", f"{max_error:.3g} px")])
     values, _ = pictures.preview(path, 900)

@@ -28,6 +28,7 @@ class Drawing(str):
 @lru_cache(maxsize=1)
 def _environment() -> Environment:
     try:  # here, so that what shows no report works without the package
+        import jinja2
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     except ImportError as error:
         raise MissingPackageError(
@@ -37,7 +38,9 @@ def _environment() -> Environment:
     loader = FileSystemLoader(str(RESOURCES / "templates"))
     found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     found.filters["fixed"] = lambda value, decimals: f"{value:.{decimals}f}"
-    found.filters["said"] = said
+    # A filter without the context is applied to constants once: these would stay in the language of the first page.
+    in_context = getattr(jinja2, "pass_context" if hasattr(jinja2, "pass_context") else "contextfilter")  # before 3.0
+    found.filters["said"] = in_context(lambda context, value: said(value))
     return found
 
 

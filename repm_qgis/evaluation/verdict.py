@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import math
 import os
-from typing import List, Mapping, Optional
+from typing import List, Mapping, NamedTuple, Optional, Sequence
 
+import numpy as np
+
+from ..imagery.sampling import nmad
 from ..records import FusionFacts, RegistrationFigures
 from ..rpc.correction import DELIVERED, CorrectedRpc
 from ..scene import Scene
+from .gcp_accuracy import GcpAccuracy
 from .metrics import HeightMetrics
-from .parameters import VERDICT, VerdictParameters
+from .parameters import GCPS, VERDICT, VerdictParameters
 
 
 def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictParameters = VERDICT) -> List[str]:
@@ -41,24 +45,129 @@ def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictPar
         found.append(
             f"Control points contradict the others ({', '.join(ties.rejected_gcps)}): see 'Absolute position'."
         )
-    worst = largest_error_px(scene)
-    if worst is not None and worst > bounds.most_equivalent_px:
-        found.append(
-            f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; usual: at most "
-            f"{bounds.most_equivalent_px:g} px): see 'Equivalent error'."
-        )
+    found += _cameras(scene, bounds)
     if scene.registration is not None:
         found += of_registration(scene.registration, bounds)
-    warnings = len(dict.fromkeys(text for entry in scene.history for text in entry.warnings))
-    if warnings:
-        found.append(f"Warnings of the stages, which stand below: {warnings}.")
-    return found
+    return found + _warnings(scene)
+
+
+def of_refinement(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of a refined scene's cameras."""
+    return _cameras(scene, bounds) + _warnings(scene)
+
+
+def of_fit(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of cameras that are fitted, and whose images are not refined yet."""
+    found, worst = [], fitted_error_px(scene)
+    if worst > bounds.most_equivalent_px:
+        found.append(
+            f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; matching needs at most "
+            f"{bounds.most_equivalent_px:g} px): refine the images, or choose a smaller TILE_SIZE."
+        )
+    return found + _warnings(scene)
+
+
+def _cameras(scene: Scene, bounds: VerdictParameters) -> List[str]:
+    worst = largest_error_px(scene)
+    if worst is None or worst <= bounds.most_equivalent_px:
+        return []
+    return [
+        f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; usual: at most "
+        f"{bounds.most_equivalent_px:g} px): see 'Equivalent error'."
+    ]
+
+
+def _warnings(scene: Scene) -> List[str]:
+    count = len(dict.fromkeys(text for entry in scene.history for text in entry.warnings))
+    return [f"Warnings of the stages, which stand below: {count}."] if count else []
+
+
+def fitted_error_px(scene: Scene) -> float:
+    """The largest RMSE of a view's camera in a tile before refinement, px."""
+    return max(view.error.rmse for tile in scene.tiles for view in tile.views.values())
 
 
 def largest_error_px(scene: Scene) -> Optional[float]:
     """The largest RMSE of a view's camera in a tile after refinement, px; None before."""
     errors = [view.refined.error.rmse for tile in scene.tiles for view in tile.views.values() if view.refined]
     return max(errors, default=None)
+
+
+def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of one view's equivalent error at an altitude, px."""
+    if rmse <= bounds.most_equivalent_px:
+        return []
+    most = bounds.most_equivalent_px
+    if refined:
+        return [
+            f"The refined cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most "
+            f"{most:g} px): choose a smaller TILE_SIZE, or another MODEL."
+        ]
+    return [
+        f"The cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most {most:g} px): "
+        "refine the images."
+    ]
+
+
+def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of a check against ground control points."""
+    said = []
+    if found.wrong:
+        said.append(f"Control points contradict the others ({', '.join(found.wrong)}): see 'Points'.")
+    count = int(found.rows().sum())
+    if count < bounds.least_points:
+        said.append(
+            f"Points that can be used: {count} (with fewer than {bounds.least_points}, a wrong one is not found)."
+        )
+    column = next((name for name in ("scene", "compensated") if name in found.residuals), "")
+    if column:
+        usable = [each for each, yes in zip(found.residuals[column], found.rows()) if yes]
+        size = [float(np.hypot(*pixel)) for residual in usable for pixel in residual.values()]
+        middle = float(np.median(size)) if size else 0.0
+        if middle > GCPS.wrong_px:
+            said.append(
+                f"The median residual of the points in the images is {middle:.2f} px (usual: at most "
+                f"{GCPS.wrong_px:g} px): see 'In the images', and give the points to 'Reconstruct heights' as GCPS."
+            )
+    up = found.errors["dsm"][found.rows(), 2] if "dsm" in found.errors else np.empty(0)
+    up = up[np.isfinite(up)]
+    if up.size and abs(np.median(up)) > max(bounds.most_bias_nmads * nmad(up), bounds.most_bias_m):
+        said.append(
+            f"The DSM's heights differ from the points' by {np.median(up):+.2f} m as a whole, which is much more than "
+            "their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position."
+        )
+    if found.warnings:
+        said.append(f"Warnings, which stand below: {len(found.warnings)}.")
+    return said
+
+
+class Difference(NamedTuple):
+    """Two DSMs of a mosaic by their numbers: the median and the NMAD of their differences after the offsets, m."""
+
+    first: int
+    second: int
+    median: float
+    nmad: float
+
+
+def of_mosaic(
+    differences: Sequence[Difference], warnings: Sequence[str], bounds: VerdictParameters = VERDICT
+) -> List[str]:
+    """The findings of a mosaic, from all overlaps of its DSMs."""
+    said = []
+    wide = [
+        each for each in differences if abs(each.median) > max(bounds.most_bias_nmads * each.nmad, bounds.most_bias_m)
+    ]
+    if wide:
+        worst = max(wide, key=lambda each: abs(each.median))
+        said.append(
+            f"Overlaps whose DSMs still differ after the offsets: {len(wide)} of {len(differences)}, at most "
+            f"{abs(worst.median):.2f} m (DSMs {worst.first} and {worst.second}): see 'Overlaps', and check the "
+            "vertical datums."
+        )
+    if warnings:
+        said.append(f"Warnings, which stand below: {len(warnings)}.")
+    return said
 
 
 def of_comparison(metrics: HeightMetrics, bounds: VerdictParameters = VERDICT) -> List[str]:

@@ -6,7 +6,7 @@ from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
-from ..evaluation import charts, pictures
+from ..evaluation import charts, pictures, verdict
 from ..evaluation.report import Report, fixed
 from ..options import MosaicOptions
 from ..progress import counted
@@ -27,6 +27,12 @@ def mosaic_page(
 ) -> Report:
     """What a mosaic was made of; ``cells`` counts those of each DSM by its number, ``seam`` is the median step, m."""
     page = Report("Mosaic of DSMs", f"{options.output}, of {counted(len(layout.dsms), 'DSM')}")
+    left = [
+        verdict.Difference(each.first + 1, each.second + 1, each.after(offsets.added), each.nmad) for each in overlaps
+    ]
+    spread = float(np.sqrt(np.mean([each.median**2 for each in left])))
+    good = f"After the offsets, the median differences of the DSMs are {spread:.3f} m (root mean square)."
+    page.verdict(good, verdict.of_mosaic(left, warnings))
     for text in warnings:
         page.warning(text)
     _surface(page, options, layout, cells, seam)

@@ -49,6 +49,9 @@ def run_stage(
     fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, OutOfMemoryError, and whatever
     RepmError the stage raises.
     """
+    from ..parallel import require_main
+
+    require_main()
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -15,7 +16,9 @@ import pytest
 from repm_qgis import parallel
 from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, OutOfMemoryError
 from repm_qgis.parallel import cores, kept_workers, run_tasks
+from repm_qgis.progress import Silent
 from repm_qgis.shortage import said_in_a_sentence
+from repm_qgis.stages import run_stage
 
 ROOT = Path(__file__).resolve().parents[2]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
@@ -113,6 +116,26 @@ def test_a_worker_that_dies_is_said(work, told):
         with pytest.raises(error, match=words) as caught:
             run_tasks(partial(work.deadly, number=number), list(range(8)), 2, told(), str)
         assert "MEMORY" in str(caught.value) and "TILE_SIZE" in str(caught.value)
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path, monkeypatch):
+    """Workers import the script that started them, which then starts workers itself."""
+    code = tmp_path / "unguarded.py"
+    code.write_text(
+        "from repm_qgis.parallel import run_tasks\nfrom repm_qgis.progress import Silent\n"
+        "run_tasks(abs, list(range(8)), 2, Silent(), str)\n",
+        encoding="utf-8",
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, str(code)], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    last = done.stderr.splitlines()[-1]
+    assert "A worker process could not begin" in last and "'if __name__ == \"__main__\":'" in last, done.stderr
+    # A stage would first wait for the folders that the script's own run keeps for itself, and never end.
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(EmptyResultError, match="could not begin: if a script of your own"):
+        run_stage("environment", {}, Silent())
 
 
 def test_where_the_system_says_that_it_killed_for_memory_so_do_we(work, told, monkeypatch):

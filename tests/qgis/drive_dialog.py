@@ -80,7 +80,11 @@ def look():
     FOUND["views"], FOUND["view"] = offered(panel, "VIEW")
     panel.setParameters({"SCENE": "gone.json"})
     FOUND["no views"], _ = offered(panel, "VIEW")
-    FOUND["tiles"], _ = offered(opened("exportcameras").mainWidget(), "TILE")
+    panel = opened("exportcameras").mainWidget()
+    taken = panel.wrappers["SCENE"].parameterValue()
+    FOUND["not refined"] = taken if isinstance(taken, str) else ""  # QGIS has a NULL of its own
+    panel.setParameters({"SCENE": FOUND["scene"]})
+    FOUND["tiles"], _ = offered(panel, "TILE")
     finish()
 
 

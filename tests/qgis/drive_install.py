@@ -72,7 +72,6 @@ def watch(dialog, cancel):
         return
     FOUND["longest pause"] = max((b - a for a, b in zip(TICKS, TICKS[1:])), default=0.0)
     FOUND["ended"] = dialog.doing.text()
-    FOUND["offered still"] = any("nstall" in each.text() for each in iface.messageBar().findChildren(QPushButton))
     FOUND["cancel seconds"] = time.monotonic() - FOUND.get("cancelled at", time.monotonic())
     FOUND["log"] = dialog.log.toPlainText()
     FOUND["state then"] = module().state()
@@ -86,6 +85,8 @@ def watch(dialog, cancel):
 
 @guarded
 def remove(dialog):
+    # Here and not at once: Qt deletes what was taken off the message bar when it comes back to its event loop.
+    FOUND["offered still"] = any("nstall" in each.text() for each in iface.messageBar().findChildren(QPushButton))
     QTimer.singleShot(500, lambda: QApplication.activeModalWidget().button(QMessageBox.StandardButton.Yes).click())
     dialog.remove.click()
     FOUND["left"] = module().folders()

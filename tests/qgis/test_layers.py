@@ -46,6 +46,10 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
     assert algorithm._scene_name({"workspace": "/work/giza", "images": images}) == "giza"
     temporary = QgsProcessingUtils.tempFolder() + "/abc/WORKSPACE"
     assert algorithm._scene_name({"workspace": temporary, "images": images}) == "IMG_1"
+    inspect = QgsApplication.processingRegistry().algorithmById("repm:inspect").create()
+    several = ["/data/order 7/IMG_1/a.tif", "/data/order 7/IMG_2/b.tif"]
+    names = {"order 7": several, "data": images, "IMG_1": images[:1]}
+    assert {name: inspect._scene_name({"images": given}) for name, given in names.items()} == dict(zip(names, names))
     fuse = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
     assert fuse._scene_name({"scene": "/work/giza/scene.json"}) == "giza"
     assert fuse._scene_name({"scene": temporary + "/scene.json"}) == ""

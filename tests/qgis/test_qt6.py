@@ -20,6 +20,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 import qt6_rules  # noqa: E402
 
+from repm_qgis.installer.pip import wheel_with_pip  # noqa: E402
+
 FILES = [
     ROOT / "__init__.py",
     ROOT / "plugin.py",
@@ -94,7 +96,9 @@ def pyqt6():
         base.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=base) as part:
             words = [sys.executable, "-m", "pip", "install", "--quiet", "--target", f"{part}/pyqt6", PYQT6]
-            done = subprocess.run(words, capture_output=True, text=True)
+            # The installer makes environments without pip, as it needs none there after it: Python carries a wheel.
+            with_pip = {**os.environ, "PYTHONPATH": wheel_with_pip(sys.executable, "")}
+            done = subprocess.run(words, env=with_pip, capture_output=True, text=True)
             if done.returncode:
                 said = (done.stderr.strip().splitlines() or ["pip is not here"])[-1]
                 pytest.skip(f"PyQt6 cannot be had, so nothing was tried on Qt 6: {said}")

@@ -84,6 +84,30 @@ def test_the_scene_that_was_written_last_is_remembered(plugin, context, feedback
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
     results, fine = algorithm.run({"IMAGES": sample["images"], "WORKSPACE": str(tmp_path / "w")}, context, feedback)
     assert fine, feedback.heard["error"]
-    assert last_scene() == results["SCENE"] == str(tmp_path / "w" / "scene.json")
-    pathlib.Path(results["SCENE"]).unlink()
-    assert last_scene() == ""
+    fitted = results["SCENE"]
+    assert last_scene("refine") == fitted == str(tmp_path / "w" / "scene.json")
+    assert last_scene("dsmfuse") == last_scene("exportcameras") == ""  # they could not begin with it
+
+
+def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(plugin, town, tmp_path):
+    from repm.processing_provider.last_scene import last_scene, remember
+
+    from repm_qgis.progress import Silent
+    from repm_qgis.stages import run_stage
+
+    fitted = run_stage("epmfit", {"images": town["images"], "workspace": str(tmp_path)}, Silent())["scene"]
+    refined, reconstructed = (str(tmp_path / f"{name}.json") for name in ("refined", "reconstructed"))
+    run_stage("refine", {"scene": fitted, "output_scene": refined}, Silent())
+    run_stage("reconstruct", {"scene": refined, "output_scene": reconstructed}, Silent())
+    for path in (reconstructed, refined, fitted):  # the first stage ran once more after all others
+        remember(path)
+    wanted = {"errormap": fitted, "refine": fitted, "exportcameras": refined, "reconstruct": fitted}
+    assert {stage: last_scene(stage) for stage in wanted} == wanted
+    assert last_scene("dsmfuse") == reconstructed
+    for path in (fitted, refined, reconstructed):  # each after the one before it
+        remember(path)
+    wanted = {"errormap": reconstructed, "refine": reconstructed, "exportcameras": reconstructed}
+    assert {stage: last_scene(stage) for stage in wanted} == wanted
+    assert (last_scene("reconstruct"), last_scene("dsmfuse")) == (refined, reconstructed)
+    pathlib.Path(reconstructed).write_text("{", encoding="utf-8")
+    assert (last_scene("errormap"), last_scene("dsmfuse")) == (refined, "")

@@ -310,3 +310,11 @@ def test_the_command_is_quoted_for_the_shell_of_the_system(plugin, monkeypatch):
     options["images"] = [r"D:\data\a b.tif"]
     quoted = r'qgis_process run repm:x -- "IMAGES=D:\data\a b.tif" OUTPUT=dsm.tif'
     assert values.command_line("repm:x", options) == quoted
+
+
+def test_a_number_that_is_left_out_has_its_default(plugin, context, feedback, rasters):
+    """A model passes None on for what its command does not name."""
+    given = {"SCENE": "scene.json", "RESOLUTION": None, "OUTLIER_RADIUS": None, "OUTPUT": "dsm.tif"}
+    found = options("dsmfuse", given, context, feedback)
+    assert found["resolution"] == 0 and found["outlier_radius"] is None  # automatic, and no default
+    assert algorithm("sampledata").checkParameterValues({"SIZE": None, "FOLDER": "f"}, context) == (True, "")

@@ -9,11 +9,17 @@ import pytest
 
 from repm_qgis.dsm.products import overlap_m2
 from repm_qgis.evaluation import verdict
+from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
+from repm_qgis.evaluation.gcp_page import gcp_page
 from repm_qgis.evaluation.metrics import height_metrics
 from repm_qgis.evaluation.parameters import VERDICT
-from repm_qgis.evaluation.stage_reports import pipeline_report
+from repm_qgis.evaluation.report import Report
+from repm_qgis.evaluation.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
+from repm_qgis.options import CheckGcpsOptions
 from repm_qgis.records import FusionFacts
 from repm_qgis.scene import Scene
+from repm_qgis.sfm.ground_control import Gcp
+from repm_qgis.translation import written_in
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +86,81 @@ def test_the_share_of_heights_is_that_of_the_ground_which_two_images_see(urban_r
     assert facts.cells == max(round(seen / facts.resolution**2), facts.valid)
     # The images of the town are 400 px of 0.5 m, and see nearly the same ground.
     assert 0.8 * 200**2 < seen < 1.02 * 200**2
+
+
+def tops(pages):
+    """What each page shows above its first section."""
+    return {name: page.html().split("<h2")[0] for name, page in pages.items()}
+
+
+def test_the_pages_of_cameras_begin_with_a_verdict(made, urban_run, tmp_path):
+    scene, _ = made
+    raster = urban_run.result["output"]  # its picture is all that the page takes of it
+    worst = verdict.fitted_error_px(scene)
+    pages = {
+        "fit": fit_report(scene),
+        "refinement": refine_report(scene),
+        "map": errormap_report(scene, scene.views[0], raster, 0.01, 0.02, 200.0),
+    }
+    for name, top in tops(pages).items():
+        assert "<strong>Good.</strong>" in top and "from the RPC" in top, name
+    assert verdict.of_fit(scene) == verdict.of_refinement(scene) == []
+    (finding,) = verdict.of_fit(scene, replace(VERDICT, most_equivalent_px=worst / 2))
+    assert "refine the images, or choose a smaller TILE_SIZE" in finding
+    (finding,) = verdict.of_refinement(scene, replace(VERDICT, most_equivalent_px=1e-9))
+    assert "see 'Equivalent error'" in finding
+    assert verdict.of_error_map(0.3, False) == verdict.of_error_map(0.3, True) == []
+    (finding,) = verdict.of_error_map(0.31, False)
+    assert "by 0.31 px" in finding and "refine the images" in finding
+    assert "another MODEL" in verdict.of_error_map(1, True)[0]
+    bad = errormap_report(scene, scene.views[0], raster, 0.5, 0.9, 200.0)
+    assert "<strong>Look at:</strong>" in tops({"map": bad})["map"]
+
+
+def test_the_words_of_the_page_are_in_the_language_of_each():
+    for language, words in (
+        ("en", ("Good.", "Look at:")),
+        ("de", ("Gut.", "Zu prüfen:")),
+        ("en", ("Good.", "Look at:")),
+    ):
+        with written_in(language):
+            pages = Report("x").verdict("y", []).html(), Report("x").verdict("y", ["z"]).html()
+        assert all(f"<strong>{word}</strong>" in page for word, page in zip(words, pages)), language
+
+
+def points(count, up, residual=0.3):
+    """Points whose DSM is wrong by ``up``, and which miss the images by ``residual`` px."""
+    pixels = [{"a": np.array([residual, 0.0])} for _ in range(count)]
+    gcps = [Gcp(f"P{k}", 1.0 + k / 1e4, 43.0, 100.0, "check", {"a": np.zeros(2)}) for k in range(count)]
+    errors = np.full((count, 3), np.nan)
+    errors[:, 2] = np.resize(np.asarray(up, dtype=float), count)
+    return GcpAccuracy(gcps, {"dsm": errors}, {"rpc": pixels, "scene": pixels})
+
+
+def test_a_check_of_points_is_judged():
+    good = points(6, [0.2, -0.1, 0.05])
+    assert verdict.of_points(good) == []
+    top = tops({"": gcp_page(good, CheckGcpsOptions(gcps="p.csv", dsm="dsm.tif"))})[""]
+    assert "<strong>Good.</strong>" in top and "Half of the DSM&#39;s heights are within 0.100 m" in top
+    cases = {
+        "differ from the points' by +3.10 m as a whole": points(6, [3.1, 3.0, 3.2]),
+        "Points that can be used: 3 (with fewer than 4": points(3, [0.1]),
+        "in the images is 2.00 px (usual: at most 1.5 px)": points(6, [0.1], 2.0),
+        "contradict the others (P0)": replace(good, wrong=("P0",)),
+        "Warnings, which stand below: 1.": replace(good, warnings=["x"]),
+    }
+    for text, found in cases.items():
+        (finding,) = verdict.of_points(found)
+        assert text in finding
+    # What the vendors' pointing misses by is no finding: it is what the points are for.
+    vendors = replace(points(6, [0.1], 9.0), residuals={"rpc": points(6, [0.1], 9.0).residuals["rpc"]})
+    assert verdict.of_points(vendors) == []
+
+
+def test_a_mosaic_is_judged_by_what_the_offsets_leave():
+    fine = [verdict.Difference(1, 2, 0.4, 0.1), verdict.Difference(2, 3, -0.9, 0.5)]
+    assert verdict.of_mosaic(fine, []) == []
+    wide = verdict.Difference(1, 3, -1.2, 0.5)
+    (finding,) = verdict.of_mosaic([*fine, wide], [])
+    assert "1 of 3, at most 1.20 m (DSMs 1 and 3)" in finding
+    assert verdict.of_mosaic(fine, ["a", "b"]) == ["Warnings, which stand below: 2."]

@@ -125,6 +125,8 @@ def test_products_say_where_heights_come_from(made, four):
         heights
     ).sum() == 20 * 25  # two holes that no other DSM sees
     page = open(result["report"], encoding="utf-8").read()
+    top = page[: page.index("<img")]
+    assert "<strong>Good.</strong> After the offsets, the median differences" in " ".join(top.split())
     assert page.count("data:image/png") == 2 and all(path in page for path in four) and "+2.499" in page
     json.dumps(result, allow_nan=False)
 
