@@ -32,7 +32,7 @@ class Pipeline(RepmAlgorithm):
         return [
             parameters.images(),
             parameters.extent(),
-            parameters.dem(),
+            parameters.advanced(parameters.dem()),
             parameters.gcps(),
             parameters.references(optional=True),
             parameters.resolution(),

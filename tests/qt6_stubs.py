@@ -73,6 +73,7 @@ PARAMETERS = {
     ),
     "FileDestination": ("fileDestination", [("fileFilter", str, ""), _DEFAULT, _OPTIONAL, _CREATED]),
     "FolderDestination": ("folderDestination", [_DEFAULT, _OPTIONAL, _CREATED]),
+    "MapLayer": ("layer", [_DEFAULT, _OPTIONAL, ("types", list, [])]),
     "MultipleLayers": ("multilayer", [("layerType", SourceType, SourceType.TypeVector), _DEFAULT, _OPTIONAL]),
     "Number": (
         "number",

@@ -42,7 +42,7 @@ class RegistrationParameters(Parameters):
     most_heights: int = 10_000_000  # of points and lasers within the scene: more do not fit into memory
     believable: float = 3.0  # promised standard deviations of height, within which a vertical datum is likely
     local_parts: int = 4  # along each side of the surface, whose offsets are shown
-    most_cells: int = 16_000_000  # of the own surface: 64 MB, which tell a shift to millimetres
+    most_cells: int = 6_000_000  # of the own surface: half a gigabyte, and more tell no more than millimetres
     cells_across: float = 6.0  # of the own surface in a support of the reference, if the images are fine enough
     averaged_cells: float = 3.0  # of the own surface that cells of a finer reference are averaged to: it sees no finer
     search: float = 3.0  # a shift is looked for up to so many CE90 that the vendor promises ...

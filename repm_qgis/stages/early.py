@@ -9,7 +9,7 @@ import math
 from typing import Optional
 
 from ..errors import OptionError
-from ..geometry.vertical import HeightDatum
+from ..geometry.vertical import HeightDatum, stated_datum
 from ..memory import free_mib
 from ..options import (
     CheckGcpsOptions,
@@ -17,6 +17,7 @@ from ..options import (
     Options,
     PipelineOptions,
     ReconstructOptions,
+    RegisterOptions,
     SampleDataOptions,
 )
 from ..scene import GroundSeen, ground_of, load_views
@@ -47,6 +48,10 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
             HeightDatum.of(part.vertical_datum).require(seen.lon, seen.lat)
         if isinstance(part, (ReconstructOptions, CheckGcpsOptions)) and part.gcps:
             HeightDatum.of(part.gcp_datum, "GCP_DATUM").require(seen.lon, seen.lat, "GCP_DATUM")
+        if isinstance(part, RegisterOptions):
+            stated = stated_datum(part.reference_datum, "REFERENCE_DATUM")
+            if stated is not None:
+                stated.require(seen.lon, seen.lat, "REFERENCE_DATUM")
 
 
 def _require_memory(options: SampleDataOptions) -> None:
@@ -62,7 +67,7 @@ def _seen(options: Options) -> Optional[GroundSeen]:
     """What the images show; None where a stage has none, or a scene that the stage itself will refuse."""
     if isinstance(options, PipelineOptions):
         return GroundSeen.of(load_views(options.fit.images, options.fit.rpcs))
-    if isinstance(options, (DsmFuseOptions, ReconstructOptions, CheckGcpsOptions)) and options.scene:
+    if isinstance(options, (DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions)) and options.scene:
         return ground_of(options.scene)
     return None
 

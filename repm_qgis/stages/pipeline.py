@@ -59,6 +59,8 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     scene = Scene.load(first["scene"])
     xmin, ymin, xmax, ymax = bounds_of(ogr.CreateGeometryFromWkt(scene.area))
     require_cell(options.fuse.resolution, min(xmax - xmin, ymax - ymin), scene.gsd_m, parameters.tiles)
+    if options.register is not None:
+        register.require_references(options.register, scene, progress, parameters)
     pairs = reconstruct.pairs_of(scene, options.reconstruct, parameters)
     backend = resolve(options.reconstruct.backend)[0]
     if backend.name == "sgm" and not options.reconstruct.cluster:  # others were not measured

@@ -20,7 +20,7 @@ from ..evaluation.registration_section import registration_page
 from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid
 from ..geometry.tiles import enclosing
-from ..geometry.vertical import HeightDatum
+from ..geometry.vertical import HeightDatum, stated_datum
 from ..imagery.raster import opened, raster_identity, read, write
 from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
@@ -59,9 +59,7 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     InputTableError.
     """
     start = time.monotonic()
-    datum = None
-    if options.reference_datum.strip().lower() != "auto":
-        datum = HeightDatum.of(options.reference_datum, "REFERENCE_DATUM")
+    datum = stated_datum(options.reference_datum, "REFERENCE_DATUM")
     outputs = [options.output_scene, *map(registered_path, options.others)]
     scenes = [
         replace(_matched(path), path=Path(output)) for path, output in zip((options.scene, *options.others), outputs)
@@ -89,6 +87,16 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
         **dict(zip(("east_deviation", "north_deviation", "up_deviation"), figures.deviation)),
         "seconds": round(time.monotonic() - start, 3),
     }
+
+
+def require_references(
+    options: RegisterOptions, scene: Scene, progress: Progress, parameters: EngineParameters = ENGINE
+) -> None:
+    """Raise what reading the references over a scene raises, before anything is matched."""
+    bounds, numbers = enclosing([tile.bounds for tile in scene.tiles]), parameters.registration
+    cell = numbers.averaged_cells * finest_cell(bounds, scene.gsd_m, parameters.tiles.cell_gsd, numbers)
+    for path in options.reference:
+        read_reference(path, scene.crs, bounds.grown(_prior(scene, parameters).most_m), cell, progress.check_cancelled)
 
 
 def registered_path(scene: str) -> str:

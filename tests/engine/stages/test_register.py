@@ -245,6 +245,12 @@ def test_what_does_not_fit_is_a_sentence(mountains_run, matched, reference, tmp_
     assert not (tmp_path / "r.json").exists()
 
 
+def test_a_reference_elsewhere_is_told_before_anything_is_matched(mountains, reference, tmp_path, pipeline):
+    with pytest.raises(OverlapError, match="elsewhere.tif"):
+        pipeline(mountains, tmp_path, reference=[reference("elsewhere.tif", (1e5, 0, 0))], workers=1)
+    assert not (tmp_path / "ws" / "reconstructed.json").exists()
+
+
 def test_the_pipeline_registers_before_it_fuses(mountains, reference, tmp_path, pipeline):
     none = dict.fromkeys(("confidence", "ortho", "cloud", "ept", "mesh"))
     path = reference("pipeline.tif")
@@ -253,3 +259,48 @@ def test_the_pipeline_registers_before_it_fuses(mountains, reference, tmp_path, 
     assert abs(score_files(run.result["output"], path).metrics.bias) < 0.06
     page = Path(run.result["report"]).read_text(encoding="utf-8")
     assert "Registration" in page and "pipeline.tif" in page
+
+
+@pytest.fixture(scope="module")
+def apart(matched, reference, tmp_path_factory, told):
+    """The scene twice, at two places that are 5.4 m from each other."""
+    folder, scenes = tmp_path_factory.mktemp("apart"), []
+    for number, moved in enumerate(((3.0, 0.0, 1.0), (0.0, 3.0, -2.0))):
+        path = reference(f"apart_{number}.tif", moved)
+        scene = str(folder / f"scene_{number}.json")
+        run_stage("register", {"scene": matched, "reference": [path], "output_scene": scene, **ELLIPSOID}, told())
+        scenes.append(scene)
+    return scenes
+
+
+def place_of(scene):
+    return np.array(Scene.load(scene).registration.shift.moved)
+
+
+def test_scenes_that_overlap_meet_in_the_middle_without_a_reference(apart, tmp_path, told):
+    first, second = apart
+    before = [place_of(scene) for scene in apart]
+    said = told()
+    made = run_stage("register", {"scene": first, "others": [second], "output_scene": str(tmp_path / "r.json")}, said)
+    after = [place_of(path) for path in (made["output_scene"], *made["other_scenes"])]
+    assert np.abs(before[0] - before[1]).max() > 2.0 and after[0] == pytest.approx(after[1], abs=0.05)
+    assert np.mean(after, axis=0) == pytest.approx(np.mean(before, axis=0), abs=0.02)
+    assert any("where they overlap" in text for text in said.notes)
+    heights = []
+    for number, scene in enumerate((made["output_scene"], *made["other_scenes"])):
+        dsm = fuse(scene, tmp_path / str(number), told)["output"]
+        heights.append(gdal.Warp("", dsm, format="MEM", outputBounds=Scene.load(scene).tiles[0].bounds, xRes=1, yRes=1))
+    one, other = (np.where((z := each.ReadAsArray()) < -1000, np.nan, z) for each in heights)
+    rows, columns = (min(sizes) for sizes in zip(one.shape, other.shape))
+    assert abs(np.nanmedian(one[:rows, :columns] - other[:rows, :columns])) < 0.05
+
+
+def test_one_scene_on_a_reference_takes_its_neighbours_along(apart, reference, tmp_path, told):
+    """A reference tells the place of all: the overlap hands it on."""
+    first, second = apart
+    options = {"scene": first, "others": [second], "reference": [reference("both.tif")], **ELLIPSOID}
+    made = run_stage("register", {**options, "output_scene": str(tmp_path / "r.json")}, told())
+    single = {"scene": first, "reference": [reference("both.tif")], **ELLIPSOID}
+    alone = run_stage("register", {**single, "output_scene": str(tmp_path / "s.json")}, told())
+    for path in (made["output_scene"], *made["other_scenes"]):
+        assert place_of(path) == pytest.approx(place_of(alone["output_scene"]), abs=0.05)
