@@ -135,7 +135,7 @@ def metres_per_unit(crs: pyproj.CRS) -> float:
     return float(parts[0].axis_info[-1].unit_conversion_factor) if parts else 1.0
 
 
-def stated_datum(text: str, option: str) -> Optional[HeightDatum]:
+def named_datum(text: str, option: str) -> Optional[HeightDatum]:
     """The datum that a user names; None for ``auto``. Raises OptionError where PROJ knows no such vertical CRS."""
     return None if text.strip().lower() == "auto" else HeightDatum.of(text, option)
 

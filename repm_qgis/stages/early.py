@@ -9,7 +9,7 @@ import math
 from typing import Optional
 
 from ..errors import OptionError
-from ..geometry.vertical import HeightDatum, stated_datum
+from ..geometry.vertical import HeightDatum, named_datum
 from ..memory import free_mib
 from ..options import (
     CheckGcpsOptions,
@@ -49,7 +49,7 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
         if isinstance(part, (ReconstructOptions, CheckGcpsOptions)) and part.gcps:
             HeightDatum.of(part.gcp_datum, "GCP_DATUM").require(seen.lon, seen.lat, "GCP_DATUM")
         if isinstance(part, RegisterOptions):
-            stated = stated_datum(part.reference_datum, "REFERENCE_DATUM")
+            stated = named_datum(part.reference_datum, "REFERENCE_DATUM")
             if stated is not None:
                 stated.require(seen.lon, seen.lat, "REFERENCE_DATUM")
 

@@ -20,7 +20,7 @@ from ..evaluation.registration_section import registration_page
 from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid
 from ..geometry.tiles import enclosing
-from ..geometry.vertical import HeightDatum, stated_datum
+from ..geometry.vertical import HeightDatum, named_datum
 from ..imagery.raster import opened, raster_identity, read, write
 from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
@@ -59,7 +59,7 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     InputTableError.
     """
     start = time.monotonic()
-    datum = stated_datum(options.reference_datum, "REFERENCE_DATUM")
+    datum = named_datum(options.reference_datum, "REFERENCE_DATUM")
     outputs = [options.output_scene, *map(registered_path, options.others)]
     scenes = [
         replace(_matched(path), path=Path(output)) for path, output in zip((options.scene, *options.others), outputs)
