@@ -186,11 +186,11 @@ def require_replaceable(path: str) -> None:
     refuse the new file its name at the end of the work.
     """
     target = real_target(path)
-    if target.is_file():
-        try:
+    try:
+        if target.is_file():  # raises for names that are too long
             _replace(target, target)
-        except OSError as error:
-            raise cannot_write(path, error) from error
+    except OSError as error:
+        raise cannot_write(path, error) from error
 
 
 _naming_ended = threading.Event()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Sequence, Tuple
 
@@ -33,20 +34,24 @@ class ExportedRpc:
         return f"{name}.vrt", f"{name}.RPB", f"{name}_RPC.TXT"
 
 
+def within_px(exported: Sequence[ExportedRpc]) -> float:
+    """The largest distance from the pointed model, rounded up to 0.0001 px: what is said of it is true."""
+    worst = max(each.corrected.max_px for each in exported)
+    return max(math.ceil(worst * 1e4), 1) / 1e4
+
+
 def rpc_page(exported: Sequence[ExportedRpc], scene: str) -> Report:
     """How each RPC was corrected, how far it is from the pointed model, and where the image moves on the ground."""
     page = Report("Corrected RPCs", counted(len(exported), "image"))
-    worst = max(each.corrected.max_px for each in exported)
     page.verdict(
-        f"Every exported RPC is within {worst:.2g} px of the pointed model.",
+        f"Every exported RPC is within {within_px(exported):.4f} px of the pointed model.",
         verdict.of_rpcs({each.view.name: each.corrected for each in exported}),
     )
     rows = []
     for each in exported:
         made = each.corrected
-        errors = f"{made.max_px:.1e}", f"{made.rms_px:.1e}"
-        moved = [*fixed(*each.shift_px, sign="+"), *fixed(*each.moved_m, sign="+")]
-        rows.append([each.view.name, made.method, *errors, *moved])
+        errors = fixed(made.max_px, made.rms_px, decimals=5)
+        rows.append([each.view.name, made.method, *errors, *fixed(*each.shift_px, *each.moved_m, sign="+")])
     page.section("Corrections").table(
         "image | method | largest difference, px | RMS, px | column shift, px | row shift, px | east, m | north, m",
         rows,

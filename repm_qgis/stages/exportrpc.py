@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..errors import RpcInvalidError, WorkspaceError
-from ..evaluation.rpc_page import ExportedRpc, rpc_page
+from ..evaluation.rpc_page import ExportedRpc, rpc_page, within_px
 from ..evaluation.verdict import of_rpcs
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
@@ -47,7 +47,7 @@ def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
         rpc_page(exported, options.scene).write(options.report)
     worst = max(each.corrected.max_px for each in exported)
     images = [str(Path(options.rpc_folder) / each.files[0]) for each in exported]
-    off = f"at most {worst:.1e} px from the pointed model"
+    off = f"at most {within_px(exported):.4f} px from the pointed model"
     progress.info(f"{counted(len(images), 'image')}: RPCs in '{options.rpc_folder}', {off}.")
     progress.step(1.0, "RPCs exported")
     return {"rpc_folder": options.rpc_folder, "images": images, "max_error": worst, "report": options.report}

@@ -165,7 +165,8 @@ def test_the_list_and_the_report_say_how_and_how_well(turned, tmp_path, told):
         )
         assert record["max_px"] <= made["max_error"]
     page = " ".join(checked((tmp_path / "r.html").read_text(encoding="utf-8")).text)
-    assert "Every exported RPC is within" in page and "affine, numerators fitted" in page and "img_02.vrt" in page
+    assert "Every exported RPC is within 0.0001 px" in page
+    assert "affine, numerators fitted" in page and "img_02.vrt" in page
     assert not said.warnings and "3 images" in said.notes[-1]
 
 
@@ -258,6 +259,8 @@ def test_a_cancel_or_an_error_leaves_nothing_new(pointed, tmp_path, told, monkey
 def test_what_is_wrong_is_said_before_anything_is_written(urban, pointed, tmp_path, told):
     with pytest.raises(OptionError, match="would be lost"):
         export(pointed, urban.folder, told)  # the images' own folder
+    with pytest.raises(WorkspaceError, match="Cannot write 'xxx.*: choose another place"):
+        export(pointed, "x" * 5000, told)
     scene = Scene.load(str(pointed))
     views = (replace(scene.views[0], image=str(tmp_path / "gone.tif")), *scene.views[1:])
     lost = replace(scene, views=views).save(str(tmp_path / "lost.json"))
