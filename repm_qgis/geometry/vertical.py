@@ -55,6 +55,11 @@ class HeightDatum:
     code: str
     name: str
 
+    @property
+    def unit_m(self) -> float:
+        """The unit of heights in it, m."""
+        return (metres_per_unit(pyproj.CRS(self.code)) or 1.0) if self.code else 1.0
+
     @classmethod
     def of(cls, text: Optional[str], option: str = "VERTICAL_DATUM") -> HeightDatum:
         """Raises OptionError where PROJ knows no vertical CRS of that name."""
@@ -97,7 +102,7 @@ class HeightDatum:
         if not np.isfinite(below).all():
             remedy = remedy or "choose another VERTICAL_DATUM, such as ellipsoid"
             raise MissingPackageError(f"PROJ's grid for {self.name} does not cover the area: {remedy}.")
-        return -below * metres_per_unit(pyproj.CRS(self.code))
+        return -below * self.unit_m
 
     def _operation(self, bounds: Tuple[int, int, int, int], remedy: str) -> pyproj.Transformer:
         """PROJ's best operation from ellipsoidal heights for a place."""
@@ -129,10 +134,10 @@ def stated_datum(crs: Optional[pyproj.CRS], tag: str = "") -> Optional[HeightDat
         return None
 
 
-def metres_per_unit(crs: pyproj.CRS) -> float:
-    """The unit of a CRS's heights, m; 1 where it has none."""
+def metres_per_unit(crs: pyproj.CRS) -> Optional[float]:
+    """The unit of a CRS's heights, m; None where it has no heights."""
     parts = [part for part in crs.sub_crs_list or [crs] if part.is_vertical or len(part.axis_info) == 3]
-    return float(parts[0].axis_info[-1].unit_conversion_factor) if parts else 1.0
+    return float(parts[0].axis_info[-1].unit_conversion_factor) if parts else None
 
 
 def named_datum(text: str, option: str) -> Optional[HeightDatum]:

@@ -12,10 +12,10 @@ from ..arrays import Bounds, FloatArray
 from ..errors import ImageError, RepmError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs
-from ..geometry.vertical import HeightDatum, metres_per_unit, stated_datum
+from ..geometry.vertical import metres_per_unit, stated_datum
 from ..las import required_laspy
 from ..untrusted import distrust
-from .found import FoundHeights, Within, no_heights
+from .found import FoundHeights, Within, no_heights, places_unit
 from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import slopes_of
 
@@ -37,7 +37,7 @@ def read_cloud(
     where ground does not: the robust weights of the solution leave these out. A mean lies at the mean place of its
     points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to stop.
 
-    Raises ImageError for a file that cannot be read, or has no CRS or no unit of heights; OverlapError where it has no
+    Raises ImageError for a file that cannot be read, or has no CRS; OverlapError where it has no
     points within the bounds; MissingPackageError without laspy.
     """
     laspy, wrong = required_laspy("REFERENCE"), distrust(path)
@@ -49,7 +49,7 @@ def read_cloud(
     try:
         with laspy.open(path) as reader:
             system = _system(path, reader.header)
-            unit, within = metres_per_unit(system), Within(flat_crs(system), crs, bounds)
+            unit, within = metres_per_unit(system) or 1.0, Within(flat_crs(system), crs, bounds)
             for points in reader.chunk_iterator(max(1, min(_POINTS, _BYTES // reader.header.point_format.size))):
                 check()
                 _take(points, unit, within, ground, others)
@@ -59,7 +59,7 @@ def read_cloud(
         raise _unreadable(path, error) from error
     if ground.any():
         others = ground
-    return others.found(path, parameters.cloud_points, stated_datum(system))
+    return others.found(path, parameters.cloud_points, system)
 
 
 def _unreadable(path: str, reason: object) -> ImageError:
@@ -67,19 +67,13 @@ def _unreadable(path: str, reason: object) -> ImageError:
 
 
 def _system(path: str, header: Any) -> pyproj.CRS:
-    """The CRS of a cloud, whose unit of heights is known; raises ImageError otherwise."""
+    """The CRS of a cloud; raises ImageError where it has none."""
     try:
         system: Optional[pyproj.CRS] = header.parse_crs()
     except (pyproj.exceptions.ProjError, ValueError, KeyError) as error:
         raise _unreadable(path, error) from error
     if system is None:
         raise ImageError(f"The point cloud '{path}' has no coordinate reference system: assign it one first (PDAL).")
-    flat = flat_crs(system)
-    if flat is system and flat.is_projected and abs(flat.axis_info[0].unit_conversion_factor - 1.0) > 1e-9:
-        raise ImageError(
-            f"The point cloud '{path}' has places in {flat.axis_info[0].unit_name}, and does not say what its heights "
-            "are in: assign it a CRS with a vertical part first (PDAL)."
-        )
     return system
 
 
@@ -117,7 +111,7 @@ class _Sums:
         """Whether there is any point."""
         return bool(self._count.any())
 
-    def found(self, path: str, least: int, datum: Optional[HeightDatum]) -> FoundHeights:
+    def found(self, path: str, least: int, system: pyproj.CRS) -> FoundHeights:
         """Means of the cells with at least so many points; raises OverlapError where there is none."""
         grid, known = self._grid, self._count >= least
         if not known.any():
@@ -127,4 +121,5 @@ class _Sums:
         all_heights.ravel()[known] = height
         slopes = slopes_of(all_heights, np.diag([grid.cell, -grid.cell])).reshape(-1, 2)[known]
         xy = np.column_stack([x + grid.west, y + grid.north])
-        return FoundHeights(path, xy, height, (grid.cell, grid.cell), slopes=slopes, datum=datum)
+        width, said = (grid.cell, grid.cell), (stated_datum(system), places_unit(system))
+        return FoundHeights(path, xy, height, width, False, slopes, *said)

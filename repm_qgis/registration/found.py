@@ -10,7 +10,7 @@ import pyproj
 
 from ..arrays import Bounds, FloatArray, Mask
 from ..errors import InputTableError, OverlapError
-from ..geometry.vertical import HeightDatum
+from ..geometry.vertical import HeightDatum, metres_per_unit
 from .parameters import REGISTRATION
 
 _HEIGHTS = (-12_000.0, 10_000.0)  # m; what lies beyond is a sign for "none", such as 3.4e38
@@ -21,7 +21,8 @@ class FoundHeights:
     """(N, 2) ``xy`` in the scene's projected CRS and (N,) ``height`` in metres above what the file has them above.
 
     ``datum`` is what the file itself says that this is, None where it does not say. ``name``, ``width_m``, ``disc``
-    and ``slopes`` are those of :class:`~repm_qgis.registration.surfaces.Reference`.
+    and ``slopes`` are those of :class:`~repm_qgis.registration.surfaces.Reference`. Where the file does not say the
+    unit of its heights, they and the slopes are as it has them, and ``places_in`` names the unit of its places.
     """
 
     name: str
@@ -31,6 +32,15 @@ class FoundHeights:
     disc: bool = False
     slopes: Optional[FloatArray] = None
     datum: Optional[HeightDatum] = None
+    places_in: Optional[str] = None
+
+
+def places_unit(system: pyproj.CRS) -> Optional[str]:
+    """The unit of a file's places, where its CRS does not say that of its heights: what ``places_in`` is."""
+    if metres_per_unit(system):
+        return None
+    axis = system.axis_info[0]
+    return "metre" if system.is_projected and axis.unit_conversion_factor == 1.0 else str(axis.unit_name)
 
 
 class Within:
@@ -86,9 +96,15 @@ class FoundPoints:
             )
         self._parts.append(np.column_stack([xy, height[near]])[inside])
 
-    def found(self, width_m: Tuple[float, float], disc: bool, datum: Optional[HeightDatum]) -> FoundHeights:
+    def found(
+        self,
+        width_m: Tuple[float, float] = (0.0, 0.0),
+        disc: bool = False,
+        datum: Optional[HeightDatum] = None,
+        places_in: Optional[str] = None,
+    ) -> FoundHeights:
         """All of them; raises OverlapError where there are none."""
         if not self._count:
             raise no_heights(self._path)
         xyz = np.concatenate(self._parts)
-        return FoundHeights(self._path, xyz[:, :2], xyz[:, 2], width_m, disc, datum=datum)
+        return FoundHeights(self._path, xyz[:, :2], xyz[:, 2], width_m, disc, None, datum, places_in)

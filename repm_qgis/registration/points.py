@@ -16,7 +16,7 @@ from ..errors import InputTableError
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import ELLIPSOID, HeightDatum, metres_per_unit, stated_datum
 from ..tables import CsvTable, LayerTable, Limits
-from .found import FoundHeights, FoundPoints, Within
+from .found import FoundHeights, FoundPoints, Within, places_unit
 from .lasers import Laser, flags, lasers
 
 TEXTS = (".csv", ".tsv", ".txt")
@@ -54,11 +54,11 @@ _PHOTONS = ("atl03_cnf", "signal_conf_ph")  # SlideRule's photons have them besi
 
 @dataclass(frozen=True)
 class _Heights:
-    """The field with heights, what they are of, and the fields of quality."""
+    """The field with heights, what they are of, and the fields of quality with the least and the greatest value."""
 
     field: str
     laser: Optional[Laser]
-    quality: Tuple[str, ...]
+    quality: Tuple[Tuple[str, float, float], ...]
     datum: Optional[HeightDatum]
 
     @classmethod
@@ -71,20 +71,22 @@ class _Heights:
             named = (plain, "ATL03")
         ellipsoid = HeightDatum("", ELLIPSOID)
         if named is not None:
-            return cls(named[0], products[named[1]], tuple(name for name in flags() if name in fields), ellipsoid)
+            quality = tuple((name, low, high) for name, (low, high) in flags().items() if name in fields)
+            return cls(named[0], products[named[1]], quality, ellipsoid)
         return cls(plain, None, (), ellipsoid if plain in _ELLIPSOIDAL else None) if plain else None
 
     def of_row(self, place: str, row: Mapping[str, Any]) -> float:
         """The height of a row, NaN where it is empty or of no good quality."""
-        for name in self.quality:
-            low, high = flags()[name]
+        for name, low, high in self.quality:
             if not low <= _number(place, row, name) <= high:
                 return math.nan
         return _number(place, row, self.field)
 
-    def found(self, points: FoundPoints) -> FoundHeights:
-        laser = self.laser
-        return points.found(laser.width_m if laser else (0.0, 0.0), laser is not None and laser.disc, self.datum)
+    def found(self, points: FoundPoints, system: pyproj.CRS) -> FoundHeights:
+        """``system`` is the CRS of their places."""
+        if self.laser is None:
+            return points.found(datum=self.datum, places_in=places_unit(flat_crs(system)))
+        return points.found(self.laser.width_m, self.laser.disc, self.datum)
 
 
 def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[], None] = lambda: None) -> FoundHeights:
@@ -92,8 +94,8 @@ def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[]
 
     Fields for longitude and latitude are in degrees (WGS 84); x and y are too if all are as small as degrees are, and
     are in the scene's CRS else. The names of heights and quality are those of :data:`_LASER_HEIGHTS` and
-    :func:`~repm_qgis.registration.lasers.flags`; heights of other names, such as z, are in metres above what nobody
-    knows. ``check`` is called between parts, and may raise to stop.
+    :func:`~repm_qgis.registration.lasers.flags`; heights of other names, such as z, are above what nobody knows.
+    ``check`` is called between parts, and may raise to stop.
 
     Raises InputTableError with the file and the row for what cannot be read, OverlapError where no point is within the
     bounds.
@@ -125,10 +127,11 @@ def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[]
     parts = _parts(rows(), check)
     part = next(parts)
     small = metres != named or bool((np.abs(part[:2]) <= [[360], [90]]).all())
-    points = FoundPoints(path, Within(pyproj.CRS(_WGS84 if small else crs), crs, bounds))
+    system = pyproj.CRS(_WGS84 if small else crs)
+    points = FoundPoints(path, Within(system, crs, bounds))
     for each in itertools.chain([part], parts):
         points.add(*each)
-    return heights.found(points)
+    return heights.found(points, system)
 
 
 def read_points_of_layer(
@@ -151,7 +154,7 @@ def read_points_of_layer(
     own = layer.has_height and (fields is None or fields.laser is None)
     if fields is None and not own:
         raise InputTableError(f"The points of '{path}' have no heights: give points with Z, or a field 'height'.")
-    unit, datum = metres_per_unit(layer.crs), stated_datum(layer.crs)
+    unit, datum = metres_per_unit(layer.crs) or 1.0, stated_datum(layer.crs)
     points = FoundPoints(path, Within(flat_crs(layer.crs), crs, bounds))
     layer.keep_within(points.within.source_bounds)
 
@@ -164,7 +167,9 @@ def read_points_of_layer(
 
     for part in _parts(rows(), check):
         points.add(*part)
-    return points.found((0.0, 0.0), False, datum) if own or fields is None else fields.found(points)
+    if own or fields is None:
+        return points.found(datum=datum, places_in=places_unit(layer.crs))
+    return fields.found(points, layer.crs)
 
 
 _Xyz = Tuple[float, float, float]

@@ -14,7 +14,7 @@ from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG, metres_per_unit, stated_datum
 from ..imagery.raster import opened, read
-from .found import FoundHeights, no_heights
+from .found import FoundHeights, no_heights, places_unit
 
 _STRIP_CELLS = 1 << 24  # of the raster that are read at once
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
@@ -31,7 +31,8 @@ def read_raster(
     """The heights of a raster within bounds of the scene's projected CRS.
 
     Cells smaller than ``least_m`` are averaged in blocks of whole cells, those without heights left out; a block needs
-    half of its cells. Heights in feet become metres. ``check`` is called between strips, and may raise to stop.
+    half of its cells. Heights that are said to be in feet become metres. ``check`` is called between strips,
+    and may raise to stop.
 
     Raises ImageError for a raster without a CRS or with heights in another unit, OverlapError where it has no heights
     within the bounds.
@@ -40,7 +41,8 @@ def read_raster(
         if not dataset.GetProjection():
             raise ImageError(f"The reference '{path}' has no coordinate reference system: assign it one first.")
         system = pyproj.CRS.from_wkt(dataset.GetProjection())
-        unit = _metres(path, dataset.GetRasterBand(1).GetUnitType(), system)
+        name = dataset.GetRasterBand(1).GetUnitType()
+        unit, places_in = _metres(path, name, system), None if name else places_unit(system)
         datum = stated_datum(system, dataset.GetMetadataItem(TAG) or "")
         place = dataset.GetGeoTransform()
         forth = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
@@ -68,13 +70,14 @@ def read_raster(
         width_m=(float(width[0]), float(width[1])),
         slopes=slopes[known],
         datum=datum,
+        places_in=places_in,
     )
 
 
 def _metres(path: str, name: str, system: pyproj.CRS) -> float:
     """The unit of a raster's heights, m, from the name that its band gives, or its CRS."""
     if not name:
-        return metres_per_unit(system)
+        return metres_per_unit(system) or 1.0
     if name.lower() not in _UNITS:
         raise ImageError(f"The reference '{path}' has heights in '{name}': convert them to metres first (gdal_calc).")
     return _UNITS[name.lower()]

@@ -50,11 +50,15 @@ def read_reference(
 def in_datum(found: FoundHeights, crs: str, datum: HeightDatum) -> Reference:
     """The heights brought from a datum to the WGS 84 ellipsoid; ``crs`` is the CRS of their places.
 
+    Where the file does not say what they are in, they are in the datum's unit.
+
     Raises MissingPackageError with the grid's name where PROJ lacks it.
     """
     remedy = "give a reference whose heights are above the ellipsoid"
-    height = found.height + datum.undulation(crs, found.xy, remedy)
-    return Reference(found.name, np.column_stack([found.xy, height]), found.width_m, found.disc, found.slopes)
+    unit = 1.0 if found.places_in is None else datum.unit_m
+    height = found.height * unit + datum.undulation(crs, found.xy, remedy)
+    slopes = None if found.slopes is None else found.slopes * unit
+    return Reference(found.name, np.column_stack([found.xy, height]), found.width_m, found.disc, slopes)
 
 
 def _has_layers(path: str) -> bool:

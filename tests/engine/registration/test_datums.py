@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -171,6 +173,25 @@ def test_a_grid_that_is_missing_for_a_given_datum_is_a_sentence(geoids, heights)
     found, _, _ = heights("ellipsoid")
     with pytest.raises(MissingPackageError, match="or give a reference whose heights are above the ellipsoid"):
         in_datum(found, UTM, HeightDatum.of("EGM2008"))
+
+
+def test_heights_that_may_be_in_feet_are_asked_for(geoids, heights):
+    geoids({EGM2008: 49.0, EGM96: 49.7})
+    found, solved, calls = heights("ellipsoid")
+    doubtful = replace(found, places_in="US survey foot")
+    with pytest.raises(OptionError, match="must be given, such as EPSG:6360 .* has places in US survey foot, and does"):
+        likely_datum(doubtful, UTM, solved, 2.0)
+    assert not calls
+
+
+@pytest.mark.parametrize("places_in, unit", ((None, 1.0), ("metre", 1200 / 3937), ("US survey foot", 1200 / 3937)))
+def test_heights_of_no_unit_are_in_that_of_the_datum(geoids, places_in, unit):
+    geoids({"EPSG:6360": 0.0})
+    found = FoundHeights("a", np.array([[500_000.0, 4_000_000.0]]), np.array([100.0]), (1.0, 1.0), places_in=places_in)
+    found = replace(found, slopes=np.array([[1.0, 2.0]]))
+    reference = in_datum(found, UTM, HeightDatum.of("EPSG:6360"))
+    assert reference.xyz[0, 2] == pytest.approx(100.0 * unit, abs=1e-6)
+    np.testing.assert_allclose(reference.slopes, [[unit, 2 * unit]])
 
 
 def test_a_reference_keeps_what_its_heights_are(geoids):

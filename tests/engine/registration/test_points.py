@@ -53,7 +53,7 @@ def test_degrees_of_every_name_are_wgs84(table, names, mark):
     found = table(degrees(names=names, mark=mark), "points.txt")
     np.testing.assert_allclose(found.xy, XY, atol=1e-3)
     assert found.height.tolist() == HEIGHTS and found.width_m == (0.0, 0.0) and not found.disc
-    assert found.datum is None and found.slopes is None
+    assert found.datum is None and found.slopes is None and found.places_in == "degree"
 
 
 def test_x_and_y_are_in_the_scenes_crs(table):
@@ -78,7 +78,7 @@ def test_x_and_y_are_in_the_scenes_crs(table):
 def test_the_field_of_heights_says_what_they_are(table, fields, width, disc, datum):
     found = table(degrees(fields[2], names=fields[:2], more=(("dem_h", 1.0),)))
     assert found.height.tolist() == HEIGHTS and found.width_m == width and found.disc is disc
-    assert (found.datum and found.datum.code) == datum
+    assert (found.datum and found.datum.code) == datum and found.places_in == (None if width[0] else "degree")
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_the_layers_crs_says_places_unit_and_datum(tmp_path):
     feet = layer(tmp_path / "feet.gpkg", crs="EPSG:32631+6360")
     found = read_points_of_layer(feet, "", UTM, BOUNDS)
     np.testing.assert_allclose(found.height, np.array(HEIGHTS) * 1200 / 3937)
-    assert found.datum.code == "EPSG:6360"
+    assert found.datum.code == "EPSG:6360" and found.places_in is None
 
 
 def test_fields_of_lasers_count_more_than_points_heights(tmp_path):

@@ -106,6 +106,38 @@ def test_feet_become_metres(raster, unit, metres):
     np.testing.assert_allclose(found.slopes[known], np.tile([0.05, -0.02], (known.sum(), 1)) * metres, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    "crs, unit, places_in",
+    (
+        (UTM, "", "metre"),
+        (UTM, "m", None),
+        ("EPSG:4326", "", "degree"),
+        ("EPSG:4979", "", None),
+        (UTM + "+5773", "", None),
+        ("EPSG:2260", "", "US survey foot"),
+        ("EPSG:2260", "ft", None),
+        ("EPSG:2260+6360", "", None),
+    ),
+)
+def test_whether_the_unit_of_heights_is_known(tmp_path, crs, unit, places_in):
+    """Where it is not, what the places are in says how doubtful it is."""
+    system = pyproj.CRS(crs)
+    flat = system.sub_crs_list[0] if system.is_compound else system
+    zone = "EPSG:32618" if "2260" in crs else UTM
+    lon, lat = (-74.5, 42.0) if "2260" in crs else (3.005, 36.14)
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", flat, always_xy=True).transform(lon, lat)
+    step = 1e-4 if flat.is_geographic else 30.0
+    path = str(tmp_path / "reference.tif")
+    dataset = gdal.GetDriverByName("GTiff").Create(path, 100, 100, 1, gdal.GDT_Float32)
+    dataset.SetGeoTransform((x - 50 * step, step, 0, y + 50 * step, 0, -step))
+    dataset.SetProjection(system.to_wkt())
+    dataset.GetRasterBand(1).SetUnitType(unit)
+    dataset = None
+    middle = np.array(pyproj.Transformer.from_crs("EPSG:4326", zone, always_xy=True).transform(lon, lat))
+    found = read_raster(path, zone, Bounds(*(middle - 100), *(middle + 100)), 0.0)
+    assert found.places_in == places_in
+
+
 def test_another_unit_is_a_sentence(raster):
     path = raster(UTM, (499_900.0, 30.0, 0, 4_001_100.0, 0, -30.0), (40, 40))
     dataset = gdal.Open(path, gdal.GA_Update)
