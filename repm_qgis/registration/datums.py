@@ -51,9 +51,12 @@ def likely_datum(
     of a geoid; and what ``solved`` raises.
     """
     if found.places_in not in (None, "metre", "degree"):
-        silent = f"'{found.name}' has places in {found.places_in}, and does not say what its heights are in"
-        remedy = "such as EPSG:6360 (NAVD88 in feet) or EPSG:5703 (in metres)"
-        raise OptionError(_OPTION, "", f"must be given, {remedy}, as {silent}")
+        raise OptionError(
+            _OPTION,
+            "",
+            f"must be given, such as EPSG:6360 (NAVD88 in feet) or EPSG:5703 (in metres), as '{found.name}' has places "
+            f"in {found.places_in}, and does not say what its heights are in",
+        )
     limit = parameters.believable * promised_up_m
     ellipsoid = HeightDatum.of("ellipsoid")
     shift = solved(in_datum(found, crs, ellipsoid))
