@@ -16,6 +16,7 @@ from . import charts, pictures, verdict
 from .report import Report, fixed
 
 _BINS = 61
+_PICTURE_PX = 480  # along the longer side
 
 
 def registration_page(scene: Scene, figures: RegistrationFigures) -> Report:
@@ -125,7 +126,8 @@ def _differences(page: Report, figures: RegistrationFigures) -> None:
         charts.curves(series, "reference minus surface (m)", "heights (%)"), "Differences before and after, in bins."
     )
     for name, band in zip(("before", "after"), bands):
-        step = max(1, math.ceil(max(band.shape) / 600))
-        picture = pictures.png_bytes(pictures.colour_map(band[::step, ::step], -limit, limit, "diverging"))
+        step, times = max(1, math.ceil(max(band.shape) / _PICTURE_PX)), max(1, _PICTURE_PX // max(band.shape))
+        shown = np.kron(band[::step, ::step], np.ones((times, times), dtype=np.float32))
+        picture = pictures.png_bytes(pictures.colour_map(shown, -limit, limit, "diverging"))
         page.png(picture, f"The reference minus the surface {name} the registration, north up.")
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))

@@ -348,7 +348,7 @@ def _write_differences(work: _Work, ground: GroundShift) -> str:
         bands.append(mean.reshape(grid.shape).astype(np.float32))
     path = str(ensure_folder(str(folder_of(work.scene.path, "registration"))) / "differences.tif")
     wkt = pyproj.CRS.from_user_input(work.scene.crs).to_wkt()
-    names = ("reference minus surface before the registration (m)", "and after it (m)")
+    names = [f"reference minus surface {when} the registration (m)" for when in ("before", "after")]
     return write(path, bands, grid.geotransform, wkt, unit="m", descriptions=names)
 
 

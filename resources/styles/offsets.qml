@@ -41,7 +41,7 @@
   </renderer-v2>
   <labeling type="simple">
     <settings calloutType="simple">
-      <text-style fieldName="CASE WHEN &quot;up&quot; &gt;= 0 THEN '+' ELSE '' END || format_number(&quot;up&quot;, 2) || ' m'"" isExpression="1" fontWeight="50" fontSize="9" fontSizeUnit="Point" textColor="29,39,51,255" textOpacity="1" namedStyle="Regular" multilineHeight="1" blendMode="0">
+      <text-style fieldName="CASE WHEN &quot;up&quot; &gt;= 0 THEN '+' ELSE '' END || format_number(&quot;up&quot;, 2) || ' m'" isExpression="1" fontWeight="50" fontSize="9" fontSizeUnit="Point" textColor="29,39,51,255" textOpacity="1" namedStyle="Regular" multilineHeight="1" blendMode="0">
         <text-buffer bufferDraw="1" bufferSize="0.8" bufferSizeUnits="MM" bufferColor="255,255,255,255" bufferOpacity="0.9" bufferNoFill="1" bufferJoinStyle="128" bufferBlendMode="0"/>
       </text-style>
       <text-format multilineAlign="0" wrapChar="" formatNumbers="0" decimals="3" plussign="0"/>

@@ -87,3 +87,24 @@ def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
     assert (layer["name"], layer["valid"]) == ("Equivalent error old town", True)
     assert layer["renderer"] == "QgsSingleBandPseudoColorRenderer"
     assert layer["crs"] == "EPSG:32631"
+
+
+def test_a_registration_in_the_desktop_shows_what_it_did(desktop, town, tmp_path):
+    from repm_qgis.progress import Silent
+    from repm_qgis.scene import Scene
+    from repm_qgis.stages import run_stage
+
+    workspace = tmp_path / "old town"
+    options = {"images": town["images"], "workspace": str(workspace), "output": str(tmp_path / "dsm.tif")}
+    scene = run_stage("pipeline", {**options, "resolution": 1.0, "workers": 1}, Silent())["scene"]
+    values = {"SCENE": scene, "REFERENCE": [town["truth"]], "REFERENCE_DATUM": "ellipsoid"}
+    found = desktop("Register to a reference", {**values, "OUTPUT_SCENE": str(workspace / "registered.json")})
+    assert (found["chosen"], found["success"]) == ("repm:register", True)
+    assert [(layer["name"].replace(" old town", ""), layer["renderer"]) for layer in found["layers"]] == [
+        ("Offsets of the scene's parts", "QgsRuleBasedRenderer"),
+        ("Differences from the reference", "QgsSingleBandPseudoColorRenderer"),
+    ]
+    assert {layer["group"] for layer in found["layers"]} == {"old town"} and all(
+        layer["valid"] for layer in found["layers"]
+    )
+    assert Scene.load(str(workspace / "registered.json")).registration.references[0].file == town["truth"]
