@@ -13,7 +13,10 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.errors import Cancelled, OptionError, SceneError, WorkspaceError
+from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
 from repm_qgis.imagery.raster import opened, read
+from repm_qgis.records import GroundShift
+from repm_qgis.registration.moved_scene import moved_scene
 from repm_qgis.scene import Scene, load_views
 from repm_qgis.stages import run_stage
 from tests.engine.pages import checked
@@ -272,3 +275,17 @@ def test_what_is_wrong_is_said_before_anything_is_written(urban, pointed, tmp_pa
         export(path, tmp_path / "out", told)
     assert scene.views[0].image in str(error.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_that_was_laid_onto_a_reference_takes_its_rpcs_along(pointed, tmp_path, told):
+    scene = Scene.load(str(pointed))
+    metres = np.array([12.0, -9.0, 6.0])
+    centre = tuple(float(value) for value in np.mean(np.reshape(scene.tiles[0].bounds, (2, 2)), axis=0))
+    moved, left_px = moved_scene(scene, GroundShift(moved=tuple(metres), tilt=(0.0, 0.0), centre=centre))
+    made = export(moved.save(str(tmp_path / "moved.json")), tmp_path / "out", told)
+    for view, vrt in zip(scene.views, made["images"]):
+        ground = ground_of(view, scene.altitudes)
+        xyz = np.column_stack([projected_from_geodetic(scene.crs, ground), ground[:, 2]]) + metres
+        there = np.column_stack([geodetic_from_projected(scene.crs, xyz[:, :2]), xyz[:, 2]])
+        error = np.abs(by_gdal(vrt, there) - view.project(ground)).max()
+        assert error < 0.01 and error < left_px + 1e-3
