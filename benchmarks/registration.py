@@ -11,6 +11,7 @@ import numpy as np
 from osgeo import gdal
 from scipy import ndimage
 
+from benchmarks.corrected_rpcs import corrected_rpcs
 from benchmarks.runner import alone, few, is_quick, pipeline, stage
 from benchmarks.scenes import CACHE, SHARED, Scene, absent, quick_size, real, simulated, zy3
 from benchmarks.tables import Section, table
@@ -271,5 +272,5 @@ def cost() -> List[str]:
     ]
 
 
-PARTS = {"simulated": simulated_scenes, "town": town, "s2p": against_s2p, "cost": cost}
+PARTS = {"simulated": simulated_scenes, "town": town, "s2p": against_s2p, "rpcs": corrected_rpcs, "cost": cost}
 SECTIONS = [Section("registration", "Registration to a reference", "make bench-registration", PARTS)]

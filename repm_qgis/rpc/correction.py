@@ -3,8 +3,8 @@
 A shift of the image goes into the offsets, and nothing is lost. An affine map mixes column and row, which are quotients
 with denominators of their own: it goes into the numerators, by linear least squares over a virtual grid, and is exact
 where both denominators are equal. Denominators and normalisers stay the vendor's, so that the model behaves beyond the
-image as it did. To fit all eighty coefficients gives no more digits at corrections of usual size
-(docs/algorithms/exportrpc.md).
+image as it did. To fit all eighty coefficients gains nothing that counts at corrections of usual size
+(docs/algorithms/exportrpc.md has the figures).
 
 References: Fraser and Hanley, "Bias compensation in rational functions for Ikonos satellite imagery", Photogrammetric
 Engineering & Remote Sensing 69 (1), 2003; Tao and Hu, 67 (12), 2001, for the virtual grid.
