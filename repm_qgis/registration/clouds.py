@@ -20,6 +20,7 @@ from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import slopes_of
 
 _POINTS, _BYTES = 1_000_000, 256 << 20  # that are read at once, at most
+_MARGIN_M = 1.0  # that a cloud may lie beyond what it says
 _GROUND, _NOISE = 2, (7, 18)  # classes of LAS 1.4
 
 
@@ -43,13 +44,14 @@ def read_cloud(
     laspy, wrong = required_laspy("REFERENCE"), distrust(path)
     if wrong:
         raise ImageError(f"'{path}' {wrong}")
-    width, height = bounds.xmax - bounds.xmin, bounds.ymax - bounds.ymin
-    grid = CellGrid.covering(bounds, max(least_m, math.sqrt(width * height / parameters.cloud_cells)))
-    ground, others = _Sums(grid), _Sums(grid)
     try:
         with laspy.open(path) as reader:
             system = _system(path, reader.header)
-            unit, within = metres_per_unit(system) or 1.0, Within(flat_crs(system), crs, bounds)
+            common = _common(path, flat_crs(system), reader.header, crs, bounds)
+            unit, within = metres_per_unit(system) or 1.0, Within(flat_crs(system), crs, common)
+            area = (common.xmax - common.xmin) * (common.ymax - common.ymin)
+            grid = CellGrid.covering(common, max(least_m, math.sqrt(area / parameters.cloud_cells)))
+            ground, others = _Sums(grid), _Sums(grid)
             for points in reader.chunk_iterator(max(1, min(_POINTS, _BYTES // reader.header.point_format.size))):
                 check()
                 _take(points, unit, within, ground, others)
@@ -75,6 +77,17 @@ def _system(path: str, header: Any) -> pyproj.CRS:
     if system is None:
         raise ImageError(f"The point cloud '{path}' has no coordinate reference system: assign it one first (PDAL).")
     return system
+
+
+def _common(path: str, system: pyproj.CRS, header: Any, crs: str, bounds: Bounds) -> Bounds:
+    """Bounds of the scene, cut to what the cloud says it covers: cells need not be larger for what lies around it."""
+    forth = pyproj.Transformer.from_crs(system, crs, always_xy=True)
+    west, south, east, north = forth.transform_bounds(*header.mins[:2], *header.maxs[:2])
+    low = max(west - _MARGIN_M, bounds.xmin), max(south - _MARGIN_M, bounds.ymin)
+    high = min(east + _MARGIN_M, bounds.xmax), min(north + _MARGIN_M, bounds.ymax)
+    if not (low[0] < high[0] and low[1] < high[1]):
+        raise no_heights(path)
+    return Bounds(*low, *high)
 
 
 def _take(points: Any, unit: float, within: Within, ground: "_Sums", others: "_Sums") -> None:

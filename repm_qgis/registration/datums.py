@@ -53,7 +53,7 @@ def likely_datum(
     if found.places_in not in (None, "metre", "degree"):
         raise OptionError(
             _OPTION,
-            "",
+            "auto",
             f"must be given, such as EPSG:6360 (NAVD88 in feet) or EPSG:5703 (in metres), as '{found.name}' has places "
             f"in {found.places_in}, and does not say what its heights are in",
         )
@@ -64,7 +64,7 @@ def likely_datum(
     geoids, missing = _changes_of_heights(shift, crs)
     if not geoids:
         silent = f"must be given, as '{found.name}' does not say what its heights refer to"
-        raise OptionError(_OPTION, "", f"{silent}. {' '.join(missing)}".rstrip("."))
+        raise OptionError(_OPTION, "auto", f"{silent}. {' '.join(missing)}".rstrip("."))
     geoid, change = next((each for each in geoids if abs(each[1]) <= limit), geoids[0])
     numbers = (
         f"'{found.name}' does not say what its heights refer to; the scene's heights change by {change:+.1f} m if "
@@ -72,8 +72,8 @@ def likely_datum(
     )
     if (abs(up) <= limit) == (abs(change) <= limit):
         if abs(up) <= limit:
-            raise OptionError(_OPTION, "", f"must be given, as {numbers}: both are within {limit:.1f} m")
-        raise OptionError(_OPTION, "", f"must be given, as {numbers}: neither is within {limit:.1f} m")
+            raise OptionError(_OPTION, "auto", f"must be given, as {numbers}: both are within {limit:.1f} m")
+        raise OptionError(_OPTION, "auto", f"must be given, as {numbers}: neither is within {limit:.1f} m")
     if abs(up) <= limit:
         text = f"{numbers}: they are taken as heights above the ellipsoid; give REFERENCE_DATUM if that is wrong."
         return DatumChoice(ellipsoid, shift, text, certain=True)

@@ -102,6 +102,14 @@ def test_large_scenes_have_larger_cells_and_chunks_make_no_difference(tmp_path, 
         read_cloud(path, UTM, BOUNDS, 2.0, stop)
 
 
+def test_cells_are_those_of_the_cloud_in_a_large_scene(tmp_path):
+    path = write(tmp_path / "cloud.las", *points())
+    few = replace(REGISTRATION, cloud_cells=2000)  # of 2 m: the cloud has 1925 of them, the scene 40000
+    found = read_cloud(path, UTM, BOUNDS.grown(150.0), 0.0, parameters=few)
+    assert found.width_m[0] == pytest.approx(2.0, abs=0.1) and len(found.height) > 1800
+    np.testing.assert_allclose(found.height, plane(*found.xy.T), atol=1e-3)
+
+
 def test_another_crs_in_feet_with_a_datum(tmp_path):
     """As the clouds of the United States are: state plane and NAVD88, both in feet."""
     system = "EPSG:2260+6360"  # NAD83 / New York East (ftUS) + NAVD88 height (ftUS)
