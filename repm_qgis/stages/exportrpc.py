@@ -74,7 +74,8 @@ def _write(exported: ExportedRpc, folder: Path, place: str) -> None:
     view, rpc = exported.view, exported.corrected.rpc
     metadata = {"RPC": rpc_tags(rpc)}
     if view.acquired:
-        metadata["IMAGERY"] = {"ACQUISITIONDATETIME": view.acquired}  # GDAL's name for it
+        # As GDAL's readers of vendors' files write it.
+        metadata["IMAGERY"] = {"ACQUISITIONDATETIME": view.acquired.replace("T", " ").rstrip("Z")}
     with opened(view.image) as image:
         # From the folder beside the final one, where it is written, other files have the same relative names.
         vrt = image_vrt_text(image, view.image, place, metadata)
