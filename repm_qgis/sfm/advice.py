@@ -76,9 +76,12 @@ def absolute_height(
     height = f"LE90 {promises.le90 * promised(views, parameters).vertical_m:.1f} m"
     listed = _promises(views, promises)
     if all(promise_of(view, promises).vertical_m is not None for view in views):
-        promise = f"The RPCs' errors are at most {listed} and {height}."
+        promise = f"The vendors promise that the RPCs' errors are at most {listed} and {height}."
     else:
-        promise = f"The RPCs' errors are at most {listed}, from which at most {height} follows for the widest B/H."
+        promise = (
+            f"The vendors promise that the RPCs' errors are at most {listed}; with the widest B/H that is at most "
+            f"{height}, if the images' errors have nothing in common."
+        )
     uncertain = (
         f"The absolute height is uncertain by {figures.height_uncertainty_m:.1f} m (two standard deviations): from how "
         f"much the RPCs disagree with each other ({apart:.1f} px across the parallax), and the {parameters.usual_px:g} "

@@ -202,7 +202,9 @@ def test_the_height_is_said_to_be_uncertain_with_its_source(scene):
     seen, figures = disagreeing(scene, 1.0, -1.5, uncertain=5.7)
     measured, promise = absolute_height(seen.views, figures)
     assert "uncertain by 5.7 m (two standard deviations)" in measured and "(1.1 px across the parallax)" in measured
-    assert "at most CE90 8.5 m (Pleiades 1A: Astrium," in promise and "LE90" in promise and "follows" in promise
+    assert (
+        "at most CE90 8.5 m (Pleiades 1A: Astrium," in promise and "LE90" in promise and "nothing in common" in promise
+    )
     published = absolute_height(disagreeing(scene, 1.0, 1.0, "IKONOS")[0].views, figures)[1]
-    assert "LE90 22.0 m" in published and "follows" not in published
+    assert "LE90 22.0 m" in published and "in common" not in published
     assert absolute_height(seen.views, replace(figures, height_uncertainty_m=None)) == []

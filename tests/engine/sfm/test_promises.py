@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.scene import Scene, View, load_views
 from repm_qgis.sfm.advice import advice
 from repm_qgis.sfm.pair_selection import choose_pairs
+from repm_qgis.sfm.parameters import POINTING
 from repm_qgis.sfm.pointing import point_views
 from repm_qgis.sfm.promises import promise_of, promised
 from repm_qgis.stages import run_stage
@@ -82,6 +84,15 @@ def test_a_narrow_pair_and_one_image_have_no_certain_height(urban):
     assert one == promised([urban.views[0]] * 2) and one.vertical_m == pytest.approx(
         np.sqrt(2) * one.horizontal_m / 0.05
     )
+
+
+def test_a_pair_that_is_too_wide_to_be_matched_does_not_make_heights_certain(urban):
+    found = [promised(pair) for pair in combinations(urban.views, 2)]
+    ratios = sorted(np.sqrt(2) * each.horizontal_m / each.vertical_m for each in found)
+    assert ratios[1] < ratios[2] * 0.99
+    narrow = promised(urban.views, replace(POINTING, pairs=replace(POINTING.pairs, wide=ratios[2] * 0.995)))
+    assert narrow.vertical_m == pytest.approx(np.sqrt(2) * narrow.horizontal_m / ratios[1], rel=0.02)
+    assert narrow.vertical_m > promised(urban.views).vertical_m
 
 
 def test_real_images(shared_data):
