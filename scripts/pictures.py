@@ -1,6 +1,9 @@
 #!/usr/bin/env python3
 """Make docs/pictures again ('make pictures'): nothing there is drawn by hand.
 
+'scripts/pictures.py FOLDER NAME' makes NAME_1.png and so on of a recording of the first hour, which lies in FOLDER
+('scripts/qgis-matrix --first-hour').
+
 Takes the demo's results ('make demo' makes them first), the report as Chromium shows it, screenshots of the desktop
 tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair and the report of a real
 triplet. Pictures that cannot be made here are named and stay as they are.
@@ -29,7 +32,11 @@ SHOWN = {
     "inspect_map.png": "inspect.png",
     "control_points_window.png": "control_points.png",
     "menu_first_steps.png": "first_steps.png",
+    "install_dialog.png": "install.png",
 }
+# Of the first hour, in the order of docs/guide.md; the screen has an edge around QGIS's window.
+RECORDED = ("1_panel", "3_running", "5_dsm", "6_map")
+WINDOW, SMALL = (1280, 860), (960, 645)
 MAX_BYTES = 390_000
 sys.path.insert(0, ROOT)
 
@@ -38,10 +45,10 @@ def say(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
-def keep(path: str, name: str) -> None:
-    """Put a picture into docs/pictures, with 256 colours where it would be too large otherwise."""
+def keep(path: str, name: str, most: int = MAX_BYTES) -> None:
+    """Put a picture into docs/pictures, with 256 colours where it would have too many bytes otherwise."""
     target = os.path.join(FOLDER, name)
-    if os.path.getsize(path) > MAX_BYTES:
+    if os.path.getsize(path) > most:
         source = gdal.Open(path)
         bands = [source.GetRasterBand(i) for i in (1, 2, 3)]
         colours = gdal.ColorTable()
@@ -144,6 +151,7 @@ def desktop(folder: str) -> None:
             "-q",
             f"--basetemp={folder}/work",
             "tests/qgis/test_desktop.py",
+            "tests/qgis/test_install.py",
             "tests/qgis/test_menu.py",
             "tests/qgis/test_control_points.py",
         ],
@@ -160,8 +168,22 @@ def desktop(folder: str) -> None:
         keep(os.path.join(folder, source), name)
 
 
+def first_hour(recording: str, name: str) -> None:
+    """The pictures of a recording, small."""
+    with tempfile.TemporaryDirectory() as folder:
+        for number, step in enumerate(RECORDED, start=1):
+            small = os.path.join(folder, f"{number}.png")
+            cut = {"srcWin": [0, 0, *WINDOW], "width": SMALL[0], "height": SMALL[1], "resampleAlg": "cubic"}
+            gdal.Translate(small, os.path.join(recording, f"first_hour_{step}.png"), bandList=[1, 2, 3], **cut)
+            keep(small, f"{name}_{number}.png", 0)
+
+
 def main() -> int:
+    gdal.UseExceptions()
     os.makedirs(FOLDER, exist_ok=True)
+    if len(sys.argv) == 3:
+        first_hour(*sys.argv[1:])
+        return 0
     with tempfile.TemporaryDirectory() as folder:
         shaded(os.path.join(DEMO, "dsm.tif"), "demo_dsm.png", 640, folder)
         report(DEMO, "report.png", 1500, folder)

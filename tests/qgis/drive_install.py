@@ -46,11 +46,11 @@ def install():
         dialog.packages.topLevelItem(row).text(0) for row in range(dialog.packages.topLevelItemCount())
     ]
     FOUND["proxy"] = dialog.proxy.text()
+    QApplication.processEvents()
+    picture(dialog, "dialog.png")
     if PLAN.get("wheels"):
         dialog.wheels.setFilePath(PLAN["wheels"])
     FOUND["where then"] = dialog.where.text()
-    QApplication.processEvents()
-    picture(dialog, "dialog.png")
     dialog.install.click()
     FOUND["enabled while running"] = [dialog.install.isEnabled(), dialog.cancel.isEnabled()]
     # QGIS stays alive: its event loop runs every 50 ms.
