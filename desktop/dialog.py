@@ -5,15 +5,16 @@ The widgets stay QGIS's: the graphical modeler and the batch dialog need them as
 
 from __future__ import annotations
 
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 from processing.gui.AlgorithmDialog import AlgorithmDialog
 from processing.gui.ParametersPanel import ParametersPanel
-from qgis.core import QgsProcessingAlgorithm, QgsProcessingParameterDefinition
+from qgis.core import QgsProcessing, QgsProcessingAlgorithm, QgsProcessingParameterDefinition, QgsVectorLayer
 from qgis.PyQt.QtCore import QCoreApplication, QPoint
 from qgis.PyQt.QtWidgets import QLineEdit, QMenu, QStyle, QVBoxLayout, QWidget
 
 from ..processing_provider.last_scene import last_scene
+from ..processing_provider.values import is_empty
 from ..repm_qgis.options import PRESETS
 
 _OF_COLMAP = ("GEOMETRIC", "COLMAP_FUSION", "WINDOW_RADIUS", "GPU_MEMORY")
@@ -41,6 +42,20 @@ class Panel(ParametersPanel):
             self._follow("BACKEND", lambda: colmap.setVisible(self._value("BACKEND") == "colmap"))
         self._preset = "none"
         self._follow("PRESET", self._fill_in)
+
+    def setParameters(self, parameters: Mapping[str, Any]) -> None:
+        """QGIS opens each file of a list as a layer, and drops those that are none, such as scenes and RPCs."""
+        super().setParameters({name: self._kept(name, value) for name, value in parameters.items()})
+
+    def _kept(self, name: str, value: Any) -> Any:
+        """A list of files as layers without a provider, which keep their source whatever it is."""
+        definition = self.algorithm().parameterDefinition(name)
+        if definition is None or definition.type() != "multilayer" or is_empty(value):
+            return value
+        if definition.layerType() != QgsProcessing.SourceType.TypeFile:
+            return value
+        files = value if isinstance(value, (list, tuple)) else [value]
+        return [QgsVectorLayer(file, "", "none") if isinstance(file, str) else file for file in files]
 
     def _value(self, name: str) -> Any:
         return self.wrappers[name].parameterValue()

@@ -76,6 +76,34 @@ def test_the_first_stage_in_the_desktop(desktop, sample, tmp_path):
     assert layer["renderer"] == "QgsGraduatedSymbolRenderer"
 
 
+def test_a_mosaic_of_scenes_in_the_desktop(desktop, town, tmp_path):
+    """Two halves of the town, as reconstructed scenes; the mosaic is a VRT."""
+    from osgeo import gdal
+
+    from repm_qgis.progress import Silent
+    from repm_qgis.stages import run_stage
+
+    truth = gdal.Info(town["truth"], format="json")
+    (west, south), (east, north) = (truth["cornerCoordinates"][name] for name in ("lowerLeft", "upperRight"))
+    middle, crs = (west + east) / 2, gdal.Open(town["truth"]).GetSpatialRef()
+    scenes = []
+    for name, ends in (("west", (west, middle + 30)), ("east", (middle - 30, east))):
+        folder = tmp_path / name
+        area = {"extent": [ends[0], south, ends[1], north], "extent_crs": f"EPSG:{crs.GetAuthorityCode(None)}"}
+        job = {"images": town["images"], "workspace": str(folder), "output": str(folder / "dsm.tif"), "resolution": 1.0}
+        scenes.append(run_stage("pipeline", {**job, **area}, Silent())["scene"])
+    vrt = tmp_path / "mosaic.vrt"
+    found = desktop("Make a mosaic", {"SCENES": scenes, "OUTPUT": str(vrt), "REPORT": str(tmp_path / "mosaic.html")})
+    assert (found["chosen"], found["success"]) == ("repm:mosaic", True)
+    layers = {layer["source"]: layer for layer in found["layers"]}
+    assert layers[str(vrt)]["renderer"] == "QgsSingleBandPseudoColorRenderer"
+    assert all(layer["valid"] and layer["shown"] for layer in found["layers"])
+    heights = gdal.Open(str(vrt)).ReadAsArray()
+    assert heights.shape[1] > 150 and (heights > -1000).mean() > 0.5  # both halves, in one raster
+    page = (tmp_path / "mosaic.html").read_text(encoding="utf-8")
+    assert all(scene in page for scene in scenes)
+
+
 def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
     from repm_qgis.progress import Silent
     from repm_qgis.stages import run_stage
