@@ -5,20 +5,24 @@ from __future__ import annotations
 import functools
 import tempfile
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
+import pyproj
 from osgeo import gdal
 from scipy import ndimage
 
 from benchmarks.corrected_rpcs import corrected_rpcs
 from benchmarks.runner import alone, few, is_quick, pipeline, stage
 from benchmarks.scenes import CACHE, SHARED, Scene, absent, quick_size, real, simulated, zy3
+from benchmarks.scoring import difference
 from benchmarks.tables import Section, table
 from repm_qgis.dsm.own_surface import own_surface
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.cell_grid import CellGrid
+from repm_qgis.geometry.tiles import enclosing
 from repm_qgis.geometry.vertical import HeightDatum
+from repm_qgis.imagery.raster import write
 from repm_qgis.progress import Silent
 from repm_qgis.registration.found import FoundHeights
 from repm_qgis.registration.laying import OwnSurface, cell_for, finest_cell, lay
@@ -272,5 +276,88 @@ def cost() -> List[str]:
     ]
 
 
-PARTS = {"simulated": simulated_scenes, "town": town, "s2p": against_s2p, "rpcs": corrected_rpcs, "cost": cost}
+def strips() -> List[str]:
+    """Four scenes that overlap, each with another wrong place, registered together."""
+    case = case_of("hills")
+    images = [str(view.image) for view in case.scene.views]
+    x0, y0, x1, y1 = case.scene.tiles[0].bounds if len(case.scene.tiles) == 1 else enclosing(_boxes(case.scene))
+    middle, half = (0.5 * (x0 + x1), 0.5 * (y0 + y1)), 0.07
+    width, height = x1 - x0, y1 - y0
+    rng, rows = np.random.default_rng(1), []
+    with tempfile.TemporaryDirectory() as folder:
+        scenes = []
+        for number, (right, up) in enumerate(np.ndindex(2, 2)):
+            west, east = (middle[0] - half * width, x1) if right else (x0, middle[0] + half * width)
+            south, north = (middle[1] - half * height, y1) if up else (y0, middle[1] + half * height)
+            where = {"extent": [west, south, east, north], "extent_crs": case.scene.crs}
+            made = pipeline(images, f"{folder}/{number}", resolution=case.place[1], **where)
+            place = rng.uniform(-1.0, 1.0, 3) * (8.0, 8.0, 8.0)
+            wrong = _moved_truth(case, place, f"{folder}/wrong_{number}.tif")
+            scenes.append(f"{folder}/{number}/w/wrong.json")
+            _register(made["scene"], wrong, scenes[-1])
+        coarse = f"{folder}/dem.tif"
+        _noisy_dem(case, coarse)
+        for label, more in (
+            ("as delivered", None),
+            ("each alone, on a DEM of 30 m", {"reference": [coarse]}),
+            ("together", {"others": scenes[1:]}),
+            ("together, on a DEM of 30 m", {"reference": [coarse], "others": scenes[1:]}),
+        ):
+            paths = list(scenes)
+            if more is not None and "others" in more:
+                made = stage("register", scene=scenes[0], output_scene=f"{folder}/first.json", **_DATUM, **more)
+                paths = [made["output_scene"], *made["other_scenes"]]
+            elif more is not None:
+                outputs = [f"{folder}/alone_{number}.json" for number in range(len(scenes))]
+                paths = [
+                    stage("register", scene=scene, output_scene=output, **_DATUM, **more)["output_scene"]
+                    for scene, output in zip(scenes, outputs)
+                ]
+            dsms = [f"{folder}/{label.replace(' ', '_')}_{number}.tif" for number in range(len(paths))]
+            for path, dsm in zip(paths, dsms):
+                stage("dsmfuse", scene=path, output=dsm, resolution=case.place[1])
+            seams = [difference(a, b, case.place[1]) for i, a in enumerate(dsms) for b in dsms[i + 1 :]]
+            apart = np.concatenate([seam[np.isfinite(seam)] for seam in seams])
+            rows.append([label, float(np.median(np.abs(apart))), float(np.abs([np.nanmedian(s) for s in seams]).max())])
+    return [
+        "**6. Four scenes that overlap** by 14 % of the hills' width, each put to another place within 8 m. Difference "
+        "of their DSMs where two overlap. Bar: 0.3 m median.",
+        table("scenes | median of absolute differences, m | largest median of two scenes, m", rows),
+    ]
+
+
+_DATUM = {"reference_datum": "ellipsoid"}
+
+
+def _boxes(scene: SceneFile) -> List[Any]:
+    return [tile.bounds for tile in scene.tiles]
+
+
+def _moved_truth(case: Case, moved: np.ndarray, path: str) -> str:
+    """The true surface, elsewhere."""
+    place = list(case.place)
+    place[0], place[3] = place[0] + moved[0], place[3] + moved[1]
+    return _written(case, case.truth + moved[2], place, path)
+
+
+def _noisy_dem(case: Case, path: str) -> str:
+    rng, cells = np.random.default_rng(2), round(30.0 / case.place[1])
+    _, height = case.means(cells)
+    place = [case.place[0], case.place[1] * cells, 0.0, case.place[3], 0.0, case.place[5] * cells]
+    return _written(case, height + _correlated(rng, height.shape, 1.5, 1.5), place, path)
+
+
+def _written(case: Case, heights: np.ndarray, place: Sequence[float], path: str) -> str:
+    wkt = pyproj.CRS.from_user_input(case.scene.crs).to_wkt()
+    return write(path, [heights.astype(np.float32)], place, wkt, unit="m")
+
+
+PARTS = {
+    "simulated": simulated_scenes,
+    "town": town,
+    "s2p": against_s2p,
+    "rpcs": corrected_rpcs,
+    "cost": cost,
+    "strips": strips,
+}
 SECTIONS = [Section("registration", "Registration to a reference", "make bench-registration", PARTS)]

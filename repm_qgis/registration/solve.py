@@ -273,7 +273,8 @@ class _Problem:
         solution = self.solve(start, free, tilted, check)
         correlation = self.correlation(solution)
         basis = _basis(free, tilted)
-        return solution, self.covariance(solution, basis, correlation, solution.weight > 0), correlation
+        covariance = self.covariance(solution, basis, correlation, solution.weight > 0, self._parameters.lattice)
+        return solution, covariance, correlation
 
     def local_offsets(
         self, solution: _Solution, free: FloatArray, correlation: "_Correlation"
@@ -290,7 +291,7 @@ class _Problem:
             weighted = (solution.instruments[use] @ basis * (solution.weight / solution.noise**2)[use][:, None]).T
             normal = weighted @ solution.design[use] @ basis
             step = basis @ np.linalg.lstsq(normal, weighted @ solution.residual[use], rcond=None)[0]
-            variance = np.diag(self.covariance(solution, basis, correlation, use))[:3]
+            variance = np.diag(self.covariance(solution, basis, correlation, use, p.lattice // p.local_parts))[:3]
             x, y = map(float, self._xyz[use, :2].mean(axis=0))
             tilt = solution.unknowns[3:] @ (np.array([x, y]) - self.centre)
             east, north, up = map(float, solution.unknowns[:3] + step[:3] + (0.0, 0.0, tilt))
@@ -298,9 +299,11 @@ class _Problem:
                 deviation = tuple(float(each) for each in np.sqrt(np.clip(variance, 0.0, None)))
                 yield LocalOffset(x, y, (east, north, up), (deviation[0], deviation[1], deviation[2]), int(use.sum()))
 
-    def covariance(self, solution: _Solution, basis: FloatArray, correlation: "_Correlation", use: Mask) -> FloatArray:
+    def covariance(
+        self, solution: _Solution, basis: FloatArray, correlation: "_Correlation", use: Mask, lattice: int
+    ) -> FloatArray:
         """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side, of the heights
-        that are used."""
+        that are used, summed up in a lattice of so many cells along a side."""
         instruments = solution.instruments[use] @ basis
         weighted = instruments * (solution.weight / solution.noise**2)[use][:, None]
         # Derivative of Tukey's psi: what a weight of residuals near the limit really counts.
@@ -308,7 +311,7 @@ class _Problem:
         slope = (1 - u**2) * (1 - 5 * u**2) / solution.noise[use] ** 2
         normal = (instruments * slope[:, None]).T @ (solution.design[use] @ basis)
         scores = weighted * solution.noise[use][:, None]  # of a residual of one standard deviation
-        middle = self._correlated(scores, self._xyz[use, :2], correlation)
+        middle = self._correlated(scores, self._xyz[use, :2], correlation, lattice)
         inverse = np.linalg.pinv(normal)
         return np.asarray(basis @ inverse @ middle @ inverse.T @ basis.T)
 
@@ -334,14 +337,16 @@ class _Problem:
         lags = ((edges[:-1] + edges[1:]) / 2)[good]
         return _Correlation.fitted(lags, total[good] / count[good] / float(np.mean(r**2) or 1.0), count[good])
 
-    def _correlated(self, scores: FloatArray, place: FloatArray, correlation: "_Correlation") -> FloatArray:
+    def _correlated(
+        self, scores: FloatArray, place: FloatArray, correlation: "_Correlation", lattice: int
+    ) -> FloatArray:
         """(k, k) sum over all pairs of scores, s_i s_j' ρ(distance).
 
         Scores are summed in the cells of a lattice, and the pairs of cells by Fourier transforms. All within a cell
         count as being in one place, which makes the sum rather too large.
         """
         low, side = place.min(axis=0), float(np.ptp(place, axis=0).max())
-        cell = max(side / self._parameters.lattice, 1e-6)
+        cell = max(side / lattice, 1e-6)
         column, row = np.floor((place - low) / cell).astype(int).T
         shape = int(row.max()) + 1, int(column.max()) + 1
         index, padded = row * shape[1] + column, (2 * shape[0], 2 * shape[1])
