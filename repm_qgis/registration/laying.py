@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, List, Sequence, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.vertical import HeightDatum
 from ..imagery.sampling import nmad
 from ..records import GroundShift, ReferenceFigures
-from .datums import likely_datum
+from .datums import DatumChoice, likely_datum
 from .parameters import REGISTRATION, RegistrationParameters
 from .references import FoundHeights, in_datum
 from .solve import Prior, Shift, solve_shift
@@ -55,6 +55,7 @@ class Laid:
     datum: HeightDatum
     datum_from: str
     shift: Shift
+    choice: Optional[DatumChoice] = None  # where neither the user nor the file says what the datum is
 
     def figures(self) -> ReferenceFigures:
         """What a scene keeps of it."""
@@ -122,7 +123,7 @@ def lay(
         means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
         return solve_shift(means, reference, prior, tilted, check, parameters)
 
-    said = "REFERENCE_DATUM says so"
+    said, choice = "REFERENCE_DATUM says so", None
     if datum is None and found.datum is not None:
         datum, said = found.datum, "the file says so"
     if datum is None:
@@ -130,7 +131,8 @@ def lay(
         datum, said = choice.datum, choice.sentence
     reference = in_datum(found, surface.crs, datum)
     means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
-    return Laid(reference, means, datum, said, solve_shift(means, reference, prior, tilted, check, parameters))
+    shift = choice.shift if choice else solve_shift(means, reference, prior, tilted, check, parameters)
+    return Laid(reference, means, datum, said, shift, choice)
 
 
 def overlaps(surfaces: Sequence[OwnSurface]) -> List[Tuple[int, int]]:

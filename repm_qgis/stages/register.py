@@ -314,8 +314,11 @@ def _azimuth(direction: FloatArray) -> str:
 def _log(laid: Laid, progress: Progress) -> None:
     figures = laid.figures()
     east, north, up = figures.moved
+    if laid.choice:
+        (progress.info if laid.choice.certain else progress.warn)(laid.choice.sentence)
+    said = "" if laid.choice else f" ({figures.datum_from})"
     progress.info(
-        f"'{figures.file}': heights above the {figures.datum} ({figures.datum_from}); {figures.used} of "
+        f"'{figures.file}': heights above the {figures.datum}{said}; {figures.used} of "
         f"{figures.seen} heights on the surface have a weight. They ask for ({east:+.2f}, {north:+.2f}, {up:+.2f}) m; "
         f"their NMAD falls from {figures.before_m:.2f} to {figures.after_m:.2f} m."
     )

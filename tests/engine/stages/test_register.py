@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OptionError, OverlapError, SceneError
+from repm_qgis.errors import MissingPackageError, OptionError, OverlapError, SceneError
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -219,6 +220,25 @@ def test_ground_control_points_count_by_their_noise(matched, reference, tmp_path
         options = {"scene": path, "reference": [reference("gcp.tif")], "workers": 1, **ELLIPSOID}
         found[name] = run_stage("register", {**options, "output_scene": str(tmp_path / f"{name}_r.json")}, told())
     assert abs(found["good"]["up"]) < 0.5 and found["poor"]["up"] > 5.0
+
+
+def test_a_datum_that_nobody_states_is_found(mountains, registered, matched, reference, tmp_path, told):
+    """Heights above EGM96 in a file without a word on that: the geoid fits, the ellipsoid does not."""
+    try:
+        datum = HeightDatum.of("EGM96")
+        below = datum.undulation(mountains.crs, np.array(mountains.bounds[:2]))
+    except MissingPackageError as error:
+        pytest.skip(f"PROJ's EGM96 grid is not installed: {error}")
+    path, said = reference("geoid.tif", (*MOVED[:2], 2.0 - float(below))), told()
+    dataset = gdal.Open(path, gdal.GA_Update)
+    dataset.SetMetadata({})
+    dataset = None
+    options = {"scene": matched, "reference": [path], "output_scene": str(tmp_path / "r.json"), "workers": 1}
+    made = run_stage("register", options, said)
+    as_known = [registered[0][name] for name in ("east", "north", "up")] - MOVED + [*MOVED[:2], 2.0]
+    assert [made[name] for name in ("east", "north", "up")] == pytest.approx(as_known, abs=0.1)
+    text = next(text for text in said.notes + said.warnings if "does not say what its heights refer to" in text)
+    assert (text in said.warnings) == ("is not installed" in text)  # then another geoid stands in for EGM2008
 
 
 @pytest.mark.parametrize(
