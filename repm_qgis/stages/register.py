@@ -15,7 +15,7 @@ from osgeo import ogr
 
 from ..arrays import FloatArray
 from ..dsm.own_surface import own_surface
-from ..errors import EmptyResultError, OverlapError
+from ..errors import EmptyResultError, OverlapError, SceneError
 from ..evaluation.registration_section import registration_page
 from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid
@@ -112,7 +112,8 @@ def _matched(path: str) -> Scene:
 
 
 def _figures(scene: Scene) -> RegistrationFigures:
-    assert scene.registration is not None  # noqa: S101 - this stage has made it
+    if scene.registration is None:
+        raise SceneError(f"The scene '{scene.path}' has no registration: register it again.")
     return scene.registration
 
 
