@@ -96,7 +96,8 @@ class LayerTable:
     """A layer that OGR opens: ``fields`` in lower case, ``placed`` whether it has points, ``crs`` of them."""
 
     def __init__(self, path: str, name: str = "") -> None:
-        """The layer of a name, or the first one; raises InputTableError where there is none."""
+        """The layer of a name, or the first one; raises InputTableError where there is none that can be read."""
+        self._path = path
         self._source: Optional[gdal.Dataset] = open_vector(path)
         if self._source is None or self._source.GetLayerCount() < 1:
             raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
@@ -109,7 +110,12 @@ class LayerTable:
         self.placed, self.has_height = ogr.GT_Flatten(kind) == ogr.wkbPoint, bool(ogr.GT_HasZ(kind))
         self.known_count = self._layer.GetFeatureCount(0)  # 0: only where the format knows it without counting
         reference = self._layer.GetSpatialRef()
-        self.crs = pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"])) if reference else None
+        self.crs: Optional[pyproj.CRS] = None
+        if reference is not None:
+            try:
+                self.crs = pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"]))
+            except (RuntimeError, pyproj.exceptions.CRSError) as error:
+                raise self._damaged(error) from error
 
     def keep_within(self, bounds: Bounds) -> None:
         """Let :meth:`rows` give only those within bounds in the layer's CRS, where these are finite."""
@@ -117,8 +123,29 @@ class LayerTable:
             self._layer.SetSpatialFilterRect(*bounds)
 
     def rows(self) -> Iterator[Tuple[int, Dict[str, Any], Optional[Tuple[float, float, float]]]]:
-        """Each feature's number from 1, its fields, and x, y, z of its point (None where it has none)."""
-        for line, feature in enumerate(self._layer, start=1):
+        """Each feature's number from 1, its fields, and x, y, z of its point (None where it has none).
+
+        Raises InputTableError where the layer ends with an error.
+        """
+        self._layer.ResetReading()
+        for line, feature in enumerate(iter(self._next, None), start=1):
             geometry = feature.GetGeometryRef() if self.placed else None
             place = None if geometry is None else (geometry.GetX(), geometry.GetY(), geometry.GetZ())
             yield line, {name: feature.GetField(index) for index, name in enumerate(self.fields)}, place
+
+    def _next(self) -> Optional[ogr.Feature]:
+        """The next feature; None at the end, which for OGR is also where it can read no further."""
+        gdal.PushErrorHandler("CPLQuietErrorHandler")
+        gdal.ErrorReset()
+        try:
+            feature = self._layer.GetNextFeature()
+        except RuntimeError as error:
+            raise self._damaged(error) from error
+        finally:
+            gdal.PopErrorHandler()
+        if feature is None and gdal.GetLastErrorType() >= gdal.CE_Failure:
+            raise self._damaged(gdal.GetLastErrorMsg())
+        return feature
+
+    def _damaged(self, reason: object) -> InputTableError:
+        return InputTableError(f"Cannot read the points of '{self._path}' ({str(reason)[:300]}): get the file again.")

@@ -182,11 +182,11 @@ class _GdalStore:
         )
         if self._dataset is None:
             raise _unreadable(path, gdal.GetLastErrorMsg())
-        self._root = self._dataset.GetRootGroup()
+        self._root = self._tried(self._dataset.GetRootGroup)
 
     def groups(self) -> List[str]:
         """The names of the groups at the top."""
-        return list(self._root.GetGroupNames() or ())
+        return list(self._tried(self._root.GetGroupNames) or ())
 
     def shape(self, name: str) -> Optional[Tuple[int, ...]]:
         """How many values an array has along each of its axes; None where it is not there or empty."""
@@ -206,6 +206,9 @@ class _GdalStore:
         return np.frombuffer(held, dtype=np.float64).reshape(shape)
 
     def _array(self, name: str) -> Any:
+        return self._tried(lambda: self._sought(name))
+
+    def _sought(self, name: str) -> Any:
         group, parts = self._root, name.split("/")
         for part in parts[:-1]:
             group = group.OpenGroup(part) if part in (group.GetGroupNames() or ()) else None
@@ -232,15 +235,21 @@ class _H5pyStore:
             raise _unreadable(path, error) from error
 
     def groups(self) -> List[str]:
-        return list(self._file)
+        try:
+            return list(self._file)
+        except (OSError, RuntimeError) as error:
+            raise _unreadable(self._path, error) from error
 
     def shape(self, name: str) -> Optional[Tuple[int, ...]]:
-        array = self._file.get(name)
+        try:
+            array = self._file.get(name)
+        except (OSError, RuntimeError, KeyError) as error:
+            raise _unreadable(self._path, error) from error
         found = array.shape if isinstance(array, self._h5py.Dataset) else ()
         return found if found and min(found) > 0 else None
 
     def read(self, name: str, begin: int, count: int) -> FloatArray:
         try:
             return np.asarray(self._file[name][begin : begin + count], dtype=np.float64)
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
             raise _unreadable(self._path, error) from error

@@ -232,3 +232,14 @@ def test_layers_that_cannot_be_used(tmp_path):
         read_points_of_layer(shape, "", UTM, BOUNDS)
     with pytest.raises(InputTableError, match="has no layer 'b': choose an existing one"):
         read_points_of_layer(lines, "b", UTM, BOUNDS)
+
+
+def test_a_layer_that_is_cut_short_is_a_sentence_and_not_fewer_points(tmp_path):
+    count = 2000
+    many = np.column_stack([np.linspace(500_100, 501_900, count), np.linspace(4_000_100, 4_001_900, count)])
+    path = layer(tmp_path / "points.fgb", places=many, heights=np.arange(count), values=((),) * count)
+    assert len(read_points_of_layer(path, "", UTM, BOUNDS).height) == count
+    with open(path, "r+b") as stream:
+        stream.truncate(150_000)
+    with pytest.raises(InputTableError, match=r"Cannot read the points of '.*points\.fgb' .*: get the file again"):
+        read_points_of_layer(path, "", UTM, BOUNDS)
