@@ -52,10 +52,13 @@ class Panel(ParametersPanel):
         definition = self.algorithm().parameterDefinition(name)
         if definition is None or definition.type() != "multilayer" or is_empty(value):
             return value
-        if definition.layerType() != QgsProcessing.SourceType.TypeFile:
-            return value
+        any_file = definition.layerType() == QgsProcessing.SourceType.TypeFile
+
+        def is_dropped(file: Any) -> bool:
+            return isinstance(file, str) and (any_file or file.lower().endswith(".json"))  # scenes among rasters
+
         files = value if isinstance(value, (list, tuple)) else [value]
-        return [QgsVectorLayer(file, "", "none") if isinstance(file, str) else file for file in files]
+        return [QgsVectorLayer(file, "", "none") if is_dropped(file) else file for file in files]
 
     def _value(self, name: str) -> Any:
         return self.wrappers[name].parameterValue()

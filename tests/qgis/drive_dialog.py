@@ -34,6 +34,12 @@ def offered(panel, name):
     return texts, panel.wrappers[name].parameterValue()
 
 
+def listed(panel, name):
+    """The files of a list in its widget, once it was given those of the plan."""
+    panel.setParameters({name: PLAN["lists"][name]})
+    return list(panel.wrappers[name].parameterValue() or [])
+
+
 def shown(panel):
     QApplication.processEvents()
     return [name for name in COLMAP if panel.wrappers[name].wrappedWidget().isVisible()]
@@ -74,6 +80,11 @@ def look():
     panel.setParameters({"PRESET": "mountains", "MODEL": "homography"})  # from the history
     FOUND["history"] = [panel.wrappers[name].parameterValue() for name in ("MODEL", "FILL")]
     picture(dialog, "preset.png")
+    FOUND["lists"] = {"RPCS": listed(panel, "RPCS")}
+    dialog.close()
+
+    dialog = opened("mosaic")
+    FOUND["lists"].update({name: listed(dialog.mainWidget(), name) for name in ("SCENES", "FIXED")})
     dialog.close()
 
     panel = opened("errormap").mainWidget()

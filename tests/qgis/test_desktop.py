@@ -136,3 +136,24 @@ def test_a_registration_in_the_desktop_shows_what_it_did(desktop, town, tmp_path
         layer["valid"] for layer in found["layers"]
     )
     assert Scene.load(str(workspace / "registered.json")).registration.references[0].file == town["truth"]
+
+
+def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
+    from qgis.core import Qgis
+
+    if Qgis.QGIS_VERSION_INT < 32600:
+        pytest.skip(f"QGIS {Qgis.QGIS_VERSION}: the elevation profile tool is there from 3.26 on")
+    from osgeo import gdal
+
+    from repm_qgis.evaluation.styles import write_style
+
+    dsm = str(tmp_path / "dsm.tif")
+    shutil.copyfile(town["truth"], dsm)
+    write_style("dsm", dsm)
+    found = desktop_start("drive_profile.py", {"dsm": dsm}, seconds=60)
+    assert found["elevation"] and found["offered"] == ["DSM"]
+    heights = gdal.Open(dsm).ReadAsArray()
+    low, high = heights[heights > -1000].min(), heights.max()
+    # The tool leaves a margin around the line that it has drawn; without heights it shows 0 to 100 m.
+    margin = 0.2 * (high - low)
+    assert low - margin <= found["heights"][0] < found["heights"][1] <= high + margin

@@ -20,6 +20,8 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(tmp_path / "work")}, Silent())
     names = sorted({name for preset in PRESETS.values() for name in preset})
     plan = {"presets": [*PRESETS, "none"], "names": [name.upper() for name in names]}
+    missing = [str(tmp_path / name) for name in ("a.rpb", "b.xml")]
+    plan["lists"] = {"RPCS": missing, "SCENES": [fitted["scene"]], "FIXED": [fitted["scene"], sample["truth"]]}
     settings = f"[repm]\nfirst_steps_shown=true\nlast_scenes={fitted['scene']}\n"
     found = desktop_start("drive_dialog.py", plan, seconds=60, settings=settings)
     assert found["scene"] == fitted["scene"]
@@ -35,5 +37,7 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     assert found["history"] == ["homography", "all"]  # what a run was given goes before its preset
     assert (found["views"], found["view"]) == (["img_01", "img_02", "img_03"], "img_02")
     assert found["no views"] == ["Choose a scene first"]
+    # What QGIS cannot open as a layer stays in its list, as where a run is taken up from the history.
+    assert found["lists"] == plan["lists"]
     assert not found["not refined"]  # what this stage could not begin with is not taken up
     assert len(found["tiles"]) >= 1 and found["tiles"] != found["no views"]
