@@ -727,47 +727,47 @@
     <name>Register</name>
     <message>
         <source>Register to a reference</source>
-        <translation type="unfinished"></translation>
+        <translation>Auf eine Referenz einpassen</translation>
     </message>
     <message>
-        <source>Lays a scene onto heights of known place, and puts the shift into the pointing of its images.</source>
-        <translation type="unfinished"></translation>
+        <source>Moves a scene onto a DEM, lidar or other known heights by correcting the pointing of its images.</source>
+        <translation>Verschiebt eine Szene auf ein Höhenmodell, Lidar oder andere bekannte Höhen, indem die Ausrichtung ihrer Bilder korrigiert wird.</translation>
     </message>
     <message>
         <source>Correction</source>
-        <translation type="unfinished"></translation>
+        <translation>Korrektur</translation>
     </message>
     <message>
-        <source>shift: in three dimensions; tilt: a tilt too, where the heights carry one.</source>
-        <translation type="unfinished"></translation>
+        <source>shift: a shift in three dimensions; tilt: also a tilt, where the heights determine one.</source>
+        <translation>shift: eine Verschiebung in drei Dimensionen; tilt: auch eine Neigung, wo die Höhen sie bestimmen.</translation>
     </message>
     <message>
         <source>Other scenes that overlap</source>
-        <translation type="unfinished"></translation>
+        <translation>Weitere Szenen, die sich überlappen</translation>
     </message>
     <message>
         <source>Reconstructed scenes of the same strip or mosaic: all are placed together, so that no step is left between their DSMs. Each is written beside its own file (..._registered.json).</source>
-        <translation type="unfinished"></translation>
+        <translation>Rekonstruierte Szenen desselben Streifens oder Mosaiks: Alle werden gemeinsam eingepasst, sodass keine Stufe zwischen ihren DOM bleibt. Jede wird neben ihre eigene Datei geschrieben (..._registered.json).</translation>
     </message>
     <message>
         <source>to the east</source>
-        <translation type="unfinished"></translation>
+        <translation>nach Osten</translation>
     </message>
     <message>
         <source>to the north</source>
-        <translation type="unfinished"></translation>
+        <translation>nach Norden</translation>
     </message>
     <message>
         <source>up</source>
-        <translation type="unfinished"></translation>
+        <translation>nach oben</translation>
     </message>
     <message>
         <source>Added {direction} (m)</source>
-        <translation type="unfinished"></translation>
+        <translation>Verschiebung {direction} (m)</translation>
     </message>
     <message>
         <source>Standard deviation {direction} (m)</source>
-        <translation type="unfinished"></translation>
+        <translation>Standardabweichung {direction} (m)</translation>
     </message>
 </context>
 <context>
@@ -975,27 +975,27 @@
     </message>
     <message>
         <source>References</source>
-        <translation type="unfinished"></translation>
+        <translation>Referenzen</translation>
     </message>
     <message>
-        <source>Heights of known place: a DEM such as Copernicus GLO-30 or SRTM, a lidar DEM or cloud (LAZ), an older DSM, points (CSV, GeoPackage), or ICESat-2 and GEDI (HDF5, CSV). The whole scene is laid onto them.</source>
-        <translation type="unfinished"></translation>
+        <source>Known heights: a DEM such as Copernicus GLO-30 or SRTM, a lidar DEM or cloud (LAZ), an older DSM, points (CSV, GeoPackage), or ICESat-2 and GEDI (HDF5, CSV). The whole scene is moved onto them.</source>
+        <translation>Bekannte Höhen: ein DEM wie Copernicus GLO-30 oder SRTM, ein DEM oder eine Punktwolke aus Lidar (LAZ), ein älteres DOM, Punkte (CSV, GeoPackage) oder ICESat-2 und GEDI (HDF5, CSV). Die ganze Szene wird auf sie verschoben.</translation>
     </message>
     <message>
         <source>Heights of the references refer to</source>
-        <translation type="unfinished"></translation>
+        <translation>Höhen der Referenzen beziehen sich auf</translation>
     </message>
     <message>
-        <source>auto: what each file says, or else the datum that fits, which the log names. Or ellipsoid, EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773.</source>
-        <translation type="unfinished"></translation>
+        <source>auto: what each file says, or else the datum that fits; the log names it. Or give ellipsoid, EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773.</source>
+        <translation>auto: was jede Datei angibt, sonst der Höhenbezug, der passt; das Protokoll nennt ihn. Oder ellipsoid, EGM96, EGM2008 oder jedes Höhen-KBS angeben, das PROJ kennt, etwa EPSG:5773.</translation>
     </message>
     <message>
         <source>Ground that has not changed</source>
-        <translation type="unfinished"></translation>
+        <translation>Gelände, das sich nicht verändert hat</translation>
     </message>
     <message>
-        <source>Polygons, or a raster that is not zero there: only heights inside count. Empty: all count.</source>
-        <translation type="unfinished"></translation>
+        <source>Polygons, or a raster that is not zero on such ground: only heights there count. Empty: all heights count.</source>
+        <translation>Polygone oder ein Raster, das auf solchem Gelände nicht null ist: Nur Höhen dort zählen. Leer: Alle Höhen zählen.</translation>
     </message>
     <message>
         <source>Dask cluster (empty: this machine)</source>
@@ -1283,19 +1283,19 @@
     </message>
     <message>
         <source>Differences from the reference</source>
-        <translation type="unfinished"></translation>
+        <translation>Differenzen zur Referenz</translation>
     </message>
     <message>
         <source>The reference minus the scene's surface in metres: band 1 before, band 2 after the registration.</source>
-        <translation type="unfinished"></translation>
+        <translation>Die Referenz minus die Oberfläche der Szene in Metern: Kanal 1 vor, Kanal 2 nach der Einpassung.</translation>
     </message>
     <message>
         <source>Offsets of the scene's parts</source>
-        <translation type="unfinished"></translation>
+        <translation>Versätze der Teile der Szene</translation>
     </message>
     <message>
         <source>Arrows: the shift that each part of the scene asks for, in metres.</source>
-        <translation type="unfinished"></translation>
+        <translation>Pfeile: die Verschiebung, die jeder Teil der Szene verlangt, in Metern.</translation>
     </message>
     <message>
         <source>DSM</source>
@@ -1431,7 +1431,7 @@
     </message>
     <message>
         <source>Report of the registration</source>
-        <translation type="unfinished"></translation>
+        <translation>Bericht der Einpassung</translation>
     </message>
     <message>
         <source>Report of the run</source>

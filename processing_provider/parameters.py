@@ -218,8 +218,8 @@ def references(optional: bool = False) -> QgsProcessingParameterDefinition:
     return helped(
         Rasters("REFERENCE", tr("References"), QgsProcessing.SourceType.TypeMapLayer, optional=optional),
         tr(
-            "Heights of known place: a DEM such as Copernicus GLO-30 or SRTM, a lidar DEM or cloud (LAZ), an older "
-            "DSM, points (CSV, GeoPackage), or ICESat-2 and GEDI (HDF5, CSV). The whole scene is laid onto them."
+            "Known heights: a DEM such as Copernicus GLO-30 or SRTM, a lidar DEM or cloud (LAZ), an older DSM, points "
+            "(CSV, GeoPackage), or ICESat-2 and GEDI (HDF5, CSV). The whole scene is moved onto them."
         ),
     )
 
@@ -231,7 +231,7 @@ def reference_datum() -> QgsProcessingParameterDefinition:
                 "REFERENCE_DATUM", tr("Heights of the references refer to"), "auto", optional=True
             ),
             tr(
-                "auto: what each file says, or else the datum that fits, which the log names. Or ellipsoid, EGM96, "
+                "auto: what each file says, or else the datum that fits; the log names it. Or give ellipsoid, EGM96, "
                 "EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773."
             ),
         )
@@ -242,7 +242,10 @@ def stable() -> QgsProcessingParameterDefinition:
     return advanced(
         helped(
             Layer("STABLE", tr("Ground that has not changed"), optional=True),
-            tr("Polygons, or a raster that is not zero there: only heights inside count. Empty: all count."),
+            tr(
+                "Polygons, or a raster that is not zero on such ground: only heights there count. Empty: all heights "
+                "count."
+            ),
         )
     )
 

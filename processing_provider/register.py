@@ -29,7 +29,9 @@ class Register(RepmAlgorithm):
         return self.tr("Register to a reference")
 
     def shortDescription(self) -> str:
-        return self.tr("Lays a scene onto heights of known place, and puts the shift into the pointing of its images.")
+        return self.tr(
+            "Moves a scene onto a DEM, lidar or other known heights by correcting the pointing of its images."
+        )
 
     def parameters(self) -> list:
         return [
@@ -40,7 +42,7 @@ class Register(RepmAlgorithm):
                 RegisterOptions,
                 "model",
                 self.tr("Correction"),
-                self.tr("shift: in three dimensions; tilt: a tilt too, where the heights carry one."),
+                self.tr("shift: a shift in three dimensions; tilt: also a tilt, where the heights determine one."),
             ),
             parameters.stable(),
             parameters.advanced(

@@ -133,7 +133,8 @@ _BUGS = {"ValueError", "TypeError", "AssertionError", "KeyError", "NotImplemente
 WORDS = (
     "area before after begins fusion matching refinement contradicted control check done maps no none point points "
     "unknown yes DSM wrong Report Tiles images parameters "
-    "uncorrected corrected east west north south height north-west north-east south-west south-east middle CRS"
+    "uncorrected corrected horizontally determined east west north south height north-west north-east south-west "
+    "south-east middle CRS"
 ).split()
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16

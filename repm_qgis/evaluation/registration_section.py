@@ -49,25 +49,25 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
     ):
         state = "determined" if yes else "not determined: as the vendors' RPCs have it"
         rows.append([name, f"{moved:+.3f}", f"{deviation:.3f}", f"{promise:.1f}", state])
-    control = " Ground control points had a weight, too, by their noise." if figures.control else ""
+    control = " The scene's ground control points count too, by their noise." if figures.control else ""
     page.table(
         "component | added, m | standard deviation, m | to be expected, m | state",
         rows,
-        "What was added to the ground, and with that to the pointing of every image, so that every product follows. "
-        "The standard deviations take into account that errors of neighbouring heights are alike. To be expected is "
-        "what nine of ten images keep without a registration (CE90, LE90): the vendors' promise, and for the height "
-        f"how well their RPCs agree.{control}",
+        "The shift of the scene's ground. It is in the pointing of every image, so that every product follows. The "
+        "standard deviations take into account that errors of neighbouring heights are alike. Without a registration, "
+        "nine of ten scenes are off by no more than what is to be expected (CE90, LE90): it comes from the vendors' "
+        f"promise and, for the height, from how well their RPCs agree.{control}",
     )
     if any(figures.latest.tilt):
         tilt = ", ".join(f"{1000 * each:+.3f}" for each in figures.latest.tilt)
-        page.facts([("Tilt to the east and north", f"{tilt} m for each km")])
+        page.facts([("Tilt to the east and north", f"{tilt} m per km")])
     if figures.references:
         page.table(
-            "reference | heights above | cells or footprints, m | heights on the surface | with a weight | "
+            "reference | heights above | cells or footprints, m | heights on the surface | heights used | "
             "east, m | north, m | height, m | NMAD before, m | NMAD after, m",
             [_reference_row(each) for each in figures.references],
-            "What each reference alone asks for. Heights without a weight differ by more than the noise: trees and "
-            "roofs above bare ground, water, changes. The NMAD is the spread of the differences.",
+            "The shift that each reference alone asks for. Heights that are not used differ by more than the noise: "
+            "trees and roofs above bare ground, water, changes. The NMAD is the spread of the differences.",
         )
         for each in figures.references:
             page.facts([(f"Datum of '{os.path.basename(each.file)}'", f"{each.datum}: {each.datum_from}")])
@@ -97,12 +97,13 @@ def _offsets(page: Report, figures: RegistrationFigures) -> None:
     moved = np.array(figures.latest.moved[:2]) * (1, -1)
     page.svg(
         charts.arrows(at, before, "Before the registration", "m"),
-        "The horizontal shift that each part of the scene asks for, north up. Arrows that agree are a wrong pointing, "
+        "The horizontal shift that each part of the scene asks for, north up. Arrows that agree show a wrong pointing, "
         "which the registration removes.",
     )
     page.svg(
         charts.arrows(at, before - moved, "After the registration", "m"),
-        "What is left of them: arrows that agree over a part of the scene are a distortion that no shift removes.",
+        "What is left of them. Arrows that agree over only a part of the scene show a distortion, which no shift "
+        "removes.",
     )
 
 
@@ -123,11 +124,16 @@ def _differences(page: Report, figures: RegistrationFigures) -> None:
         for name, values in zip(("before", "after"), known)
     }
     page.svg(
-        charts.curves(series, "reference minus surface (m)", "heights (%)"), "Differences before and after, in bins."
+        charts.curves(series, "reference minus surface (m)", "heights (%)"),
+        "Distribution of the differences before and after the registration.",
     )
-    for name, band in zip(("before", "after"), bands):
+    captions = (
+        "The reference minus the surface before the registration, north up.",
+        "The reference minus the surface after the registration, north up.",
+    )
+    for caption, band in zip(captions, bands):
         step, times = max(1, math.ceil(max(band.shape) / _PICTURE_PX)), max(1, _PICTURE_PX // max(band.shape))
         shown = np.kron(band[::step, ::step], np.ones((times, times), dtype=np.float32))
         picture = pictures.png_bytes(pictures.colour_map(shown, -limit, limit, "diverging"))
-        page.png(picture, f"The reference minus the surface {name} the registration, north up.")
+        page.png(picture, caption)
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))

@@ -200,8 +200,8 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
     for words, size, promise, deviation in (sizes, heights):
         if size > promise + 2.0 * deviation:
             found.append(
-                f"The shift of {size:.1f} m {words} is more than the {promise:.1f} m that are to be expected nine "
-                "times in ten: see 'Registration'."
+                f"The shift of {size:.1f} m {words} is more than the {promise:.1f} m within which nine of ten scenes "
+                "lie: see 'Registration'."
             )
     for each in figures.references:
         share = each.used / max(each.seen, 1)

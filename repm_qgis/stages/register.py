@@ -291,19 +291,24 @@ def _say(placed: Placed, promise: Tuple[float, float], progress: Progress) -> No
         f"standard deviations are {deviations[0]:.2f}, {deviations[1]:.2f} and {deviations[2]:.2f} m."
     )
     if len(placed.determined) < 2:
-        which = "in no direction" if not len(placed.determined) else f"only towards {_azimuth(placed.determined[0])}"
-        progress.warn(
-            f"The relief determines the horizontal position {which}: in all others the scene stays where the vendors' "
-            "RPCs put it."
-        )
+        if len(placed.determined):
+            progress.warn(
+                f"The relief determines the horizontal position only along {_azimuth(placed.determined[0])}: across "
+                "it, the scene stays where the vendors' RPCs put it."
+            )
+        else:
+            progress.warn(
+                "The relief does not determine the horizontal position: horizontally, the scene stays where the "
+                "vendors' RPCs put it."
+            )
     ends = ("horizontally", float(np.hypot(east, north)), promise[0], float(max(deviations[:2])))
     heights = ("in height", abs(up), promise[1], float(deviations[2]))
     for words, size, promised_m, deviation in (ends, heights):
         if size > promised_m + 2.0 * deviation:
             progress.warn(
-                f"The shift of {size:.1f} m {words} is more than the {promised_m:.1f} m that the vendors' promise and "
-                "the agreement of their RPCs let expect (nine times in ten): check the reference's place and its "
-                "vertical datum."
+                f"The shift of {size:.1f} m {words} is more than the {promised_m:.1f} m within which nine of ten "
+                "scenes lie, by what the vendors promise and how well their RPCs agree: check that the reference is in "
+                "its right place and vertical datum."
             )
 
 
@@ -317,11 +322,11 @@ def _log(laid: Laid, progress: Progress) -> None:
     east, north, up = figures.moved
     if laid.choice:
         (progress.info if laid.choice.certain else progress.warn)(laid.choice.sentence)
-    said = "" if laid.choice else f" ({figures.datum_from})"
     progress.info(
-        f"'{figures.file}': heights above the {figures.datum}{said}; {figures.used} of "
-        f"{figures.seen} heights on the surface have a weight. They ask for ({east:+.2f}, {north:+.2f}, {up:+.2f}) m; "
-        f"their NMAD falls from {figures.before_m:.2f} to {figures.after_m:.2f} m."
+        f"'{figures.file}': heights above the {figures.datum}{'' if laid.choice else f' ({figures.datum_from})'}; "
+        f"{figures.used} of {figures.seen} heights on the scene's surface are used. They ask for a shift of "
+        f"({east:+.2f}, {north:+.2f}, {up:+.2f}) m to the east, to the north and up; the NMAD of the differences goes "
+        f"from {figures.before_m:.2f} to {figures.after_m:.2f} m."
     )
 
 

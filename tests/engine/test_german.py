@@ -11,8 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from osgeo import gdal
 
 from repm_qgis.errors import OptionError
+from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.translation import Translator, written_in
 from tests.english import english_in
@@ -147,9 +149,67 @@ def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
     assert labels and not english_in(map(html.unescape, labels))
 
 
+def moved_truth(sample, path, metres, stated=True):
+    """The true surface at another place and height; it may say what its heights refer to."""
+    source = gdal.Open(sample["truth"])
+    x, width, _, y, _, height = source.GetGeoTransform()
+    made = gdal.Translate(str(path), source, noData="nan")
+    made.SetGeoTransform((x + metres[0], width, 0, y + metres[1], 0, height))
+    made.GetRasterBand(1).WriteArray(source.ReadAsArray() + metres[2])
+    if not stated:
+        made.SetMetadataItem("VERTICAL_DATUM", None)
+    return str(path)
+
+
+def test_a_registration_and_what_follows_it_are_german(german, sample, tmp_path):
+    """With references that contradict each other and a shift beyond all promises: as much is said as can be."""
+    matched = str(german[2] / "work" / "reconstructed.json")
+    files = {"output_scene": "registered.json", "differences": "differences.tif", "offsets": "o.gpkg"}
+    report, other = tmp_path / "register.html", tmp_path / "other.json"
+    Scene.load(matched).save(str(other))
+    job = {
+        "scene": matched,
+        "others": [str(other)],
+        "reference": [
+            moved_truth(sample, tmp_path / "a.tif", (9, -6, 4), stated=False),
+            moved_truth(sample, tmp_path / "b.tif", (0, 0, 9)),
+        ],
+        "report": str(report),
+        **{name: str(tmp_path / file) for name, file in files.items()},
+    }
+    heard = Heard()
+    with written_in("de"):
+        run_stage("register", job, heard)
+    for said in (
+        "nennt keinen Höhenbezug",
+        "laut Datei",
+        "widersprechen einander",
+        "Die Verschiebung um",
+        "überlappen",
+    ):
+        assert any(said in text for text in heard.texts), (said, heard.texts)
+    texts = pieces(report)
+    assert "bestimmt" in texts and "Messflecke" in " ".join(texts)
+    styles = [(tmp_path / name).read_text(encoding="utf-8") for name in ("differences.qml", "o.qml")]
+    labels = [html.unescape(label) for style in styles for label in re.findall(r' label="([^"]*)"', style)]
+    assert any("Verschiebung in der Lage" in label for label in labels)
+    exported = Heard()
+    with written_in("de"):
+        run_stage("exportrpc", {"scene": job["output_scene"], "rpc_folder": str(tmp_path / "rpcs")}, exported)
+        again = {**job, "report": str(tmp_path / "again.html")}
+        run_stage("register", again, exported)
+    assert any("wiederverwendet" in text for text in exported.texts)
+    for found in (heard.texts, texts, labels, exported.texts, pieces(tmp_path / "again.html")):
+        assert not english_in(found)
+
+
 @pytest.mark.parametrize(
     "stage, job",
     [
+        ("register", {"scene": "gone.json", "reference": ["gone.tif"], "output_scene": "r.json"}),
+        ("register", {"scene": "gone.json", "reference": [], "output_scene": "r.json"}),
+        ("register", {"scene": "gone.json", "reference": ["a.tif"], "others": ["gone.json"], "output_scene": "r.json"}),
+        ("exportrpc", {"scene": "gone.json", "rpc_folder": "rpcs"}),
         ("epmfit", {"images": ["a.tif", "b.tif"], "workspace": "w"}),
         ("epmfit", {"images": ["a.tif"], "workspace": "w"}),
         ("epmfit", {"images": ["a.tif", "b.tif"], "workspace": "w", "tile_size": 7}),
