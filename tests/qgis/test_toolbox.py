@@ -6,7 +6,14 @@ import gc
 import pathlib
 
 import pytest
-from qgis.core import QgsApplication, QgsLayerTreeGroup, QgsProcessingContext, QgsProject, QgsVectorLayer
+from qgis.core import (
+    QgsApplication,
+    QgsLayerTreeGroup,
+    QgsProcessingContext,
+    QgsProject,
+    QgsSettings,
+    QgsVectorLayer,
+)
 
 
 def test_sample_images_come_as_a_group(plugin, feedback, tmp_path):
@@ -78,7 +85,13 @@ def test_a_preset_goes_before_defaults_that_nobody_gave(plugin, context, feedbac
     assert (made.fuse.fill, made.fuse.outlier_radius, made.reconstruct.pairs) == ("all", 0.0, "fewest")
 
 
-def test_the_scene_that_was_written_last_is_remembered(plugin, context, feedback, sample, tmp_path):
+@pytest.fixture
+def no_scenes(plugin):
+    """A profile that remembers no scene: those of other tests are there still."""
+    QgsSettings().remove("repm/last_scenes")
+
+
+def test_the_scene_that_was_written_last_is_remembered(no_scenes, context, feedback, sample, tmp_path):
     from repm.processing_provider.last_scene import last_scene
 
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
@@ -89,7 +102,7 @@ def test_the_scene_that_was_written_last_is_remembered(plugin, context, feedback
     assert last_scene("dsmfuse") == last_scene("exportcameras") == ""  # they could not begin with it
 
 
-def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(plugin, town, tmp_path):
+def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(no_scenes, town, tmp_path):
     from repm.processing_provider.last_scene import last_scene, remember
 
     from repm_qgis.progress import Silent
