@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from osgeo import gdal, osr
 
+from repm_qgis.evaluation.scoring import score_files
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "cookbook.md").read_text(encoding="utf-8")
 TASKS = {int(number): text for number, text in re.findall(r"(?ms)^## (\d+)\. [^\n]*\n(.*?)(?=^## |\Z)", PAGE)}
@@ -80,8 +82,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_ten_tasks():
-    assert sorted(TASKS) == list(range(1, 11))
+def test_the_book_has_eleven_tasks():
+    assert sorted(TASKS) == list(range(1, 12))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -157,6 +159,23 @@ def test_10_compare_with_lidar(cook):
     absolute, shape = (float(value) for value in re.findall(r"NMAD:\t([\d.]+)", said))
     assert shape <= absolute + 0.05 < 0.6
     assert (folder / "absolute.html").exists() and (folder / "shape.html").exists()
+
+
+def test_11_the_right_place(cook):
+    folder, said = cook(11)
+    truth = str(folder / "mountains" / "truth.tif")
+    before, after = (
+        score_files(str(folder / name), truth, "3d").alignment for name in ("mountains.tif", "registered.tif")
+    )
+    assert np.hypot(np.hypot(before.dx, before.dy), before.dz) > 4.0
+    assert np.hypot(after.dx, after.dy) < 0.2 and abs(after.dz) < 0.1
+    moved = dict(re.findall(r"(EAST|NORTH|UP):\t([-\d.]+)", said))
+    found = [float(moved[name]) for name in ("EAST", "NORTH", "UP")]
+    assert found == pytest.approx([before.dx, before.dy, before.dz], abs=0.2)
+    page = (folder / "register.html").read_text(encoding="utf-8")
+    assert "determined" in page and "not determined" not in page
+    assert len(list((folder / "rpcs").glob("*.vrt"))) == 2 and "4.5 m" in TASKS[11]
+    assert f"{np.linalg.norm(found):.1f}" == "4.5"
 
 
 def test_the_whole_book_is_quick():
