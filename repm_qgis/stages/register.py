@@ -77,7 +77,7 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
             scene.save(output)
     figures = _figures(made[0])
     _write_products(made[0], figures, options)
-    progress.step(1.0, "registered")
+    progress.step(1.0, "scene registered")
     east, north, up = figures.latest.moved
     return {
         "output_scene": options.output_scene,
