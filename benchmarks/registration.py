@@ -25,7 +25,7 @@ from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import write
 from repm_qgis.progress import Silent
 from repm_qgis.registration.found import FoundHeights
-from repm_qgis.registration.laying import OwnSurface, cell_for, finest_cell, lay
+from repm_qgis.registration.laying import OwnSurface, factor_for, finest_cell, lay
 from repm_qgis.registration.parameters import REGISTRATION
 from repm_qgis.registration.solve import Prior
 from repm_qgis.registration.surfaces import Reference, SupportMeans
@@ -58,9 +58,10 @@ class Case:
     off: np.ndarray
     prior: Prior
 
-    def surface(self, cell: float) -> OwnSurface:
-        grid, height = _surface(self.scene, cell)
-        return OwnSurface(self.scene.crs, grid, height)
+    def surface(self, found: FoundHeights) -> OwnSurface:
+        finest = finest_cell(enclosing([tile.bounds for tile in self.scene.tiles]), self.scene.gsd_m, 2.0)
+        whole = OwnSurface(self.scene.crs, *_surface(self.scene, finest))
+        return whole.averaged(factor_for([found], finest), REGISTRATION.covered)
 
     def means(self, cells: int) -> Tuple[np.ndarray, np.ndarray]:
         """(N, 2) centres and (rows, columns) means of the truth over blocks of cells."""
@@ -77,7 +78,7 @@ _surfaces: Dict[Any, Tuple[CellGrid, np.ndarray]] = {}
 def _surface(scene: SceneFile, cell: float) -> Tuple[CellGrid, np.ndarray]:
     key = str(scene.path), cell
     if key not in _surfaces:
-        _surfaces[key] = own_surface(scene, cell, 0, 0, Silent(), "none")
+        _surfaces[key] = own_surface(scene, cell, 0, 0, Silent())
     return _surfaces[key]
 
 
@@ -159,8 +160,7 @@ def trial(case: Case, make: Callable[[Case, np.random.Generator], FoundHeights],
     known = np.isfinite(found.height)
     slopes = None if found.slopes is None else found.slopes[known]
     found = replace(found, xy=found.xy[known], height=found.height[known], slopes=slopes)
-    bounds = case.scene.tiles[0].bounds
-    surface = case.surface(cell_for([found], finest_cell(bounds, case.scene.gsd_m, 2.0)))
+    surface = case.surface(found)
     grid = replace(surface.grid, west=surface.grid.west + away[0], north=surface.grid.north + away[1])
     surface = replace(surface, grid=grid, height=surface.height + np.float32(away[2]))
     shift = lay(surface, found, HeightDatum.of(""), case.prior, False, lambda: None).shift

@@ -31,6 +31,24 @@ class OwnSurface:
     grid: CellGrid
     height: Floats
 
+    def averaged(self, factor: int, covered: float) -> OwnSurface:
+        """In cells so many times as wide: means of what is known, where so much of the area is.
+
+        Coarse cells are not fused at once: where roofs and ground share a cell, a fused height is that of one of them.
+        """
+        if factor == 1:
+            return self
+        rows, columns = (-(-count // factor) * factor for count in self.height.shape)
+        padded = np.full((rows, columns), np.nan)
+        padded[: self.height.shape[0], : self.height.shape[1]] = self.height
+        blocks = padded.reshape(rows // factor, factor, columns // factor, factor)
+        known = np.isfinite(blocks).sum(axis=(1, 3))
+        total = np.nansum(blocks, axis=(1, 3))
+        height = np.where(known >= covered * factor**2, total / np.maximum(known, 1), np.nan)
+        shape = rows // factor, columns // factor
+        grid = CellGrid(self.grid.west, self.grid.north, factor * self.grid.cell, shape)
+        return OwnSurface(self.crs, grid, height)
+
     def as_reference(self, name: str, crs: str) -> Reference:
         """Its cells as a reference for a surface in another CRS, with their slopes; grid norths that differ by a few
         degrees change means over cells of this size by nothing that counts."""
@@ -95,13 +113,13 @@ def finest_cell(
     return max(cell_gsd * gsd_m, math.sqrt(area / parameters.most_cells))
 
 
-def cell_for(
+def factor_for(
     references: Sequence[FoundHeights], finest: float, parameters: RegistrationParameters = REGISTRATION
-) -> float:
-    """The side of the surface's cells that suits references, m."""
+) -> int:
+    """How many times as wide as the finest ones cells of a surface are best, for references."""
     widths = [min(found.width_m) for found in references]
     wanted = min(widths, default=parameters.averaged_cells * finest * parameters.cells_across)
-    return max(finest, wanted / parameters.cells_across)
+    return max(1, int(wanted / parameters.cells_across / finest + 1e-6))
 
 
 def lay(

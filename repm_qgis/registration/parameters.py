@@ -49,6 +49,9 @@ class RegistrationParameters(Parameters):
     least_search_m: float = 40.0  # ... and at least up to this
     contradiction: float = 3.0  # standard deviations between two sources that are one too many
     least_contradiction_m: float = 0.1
+    fine_cells: float = 4.0  # of the own surface: a raster with narrower cells has slopes no better than its own
+    trusted_widths: float = 0.05  # of a support's width: a position less certain than that is not taken from coarse ...
+    trusted_m: float = 1.0  # ... references, whose systematic errors are as large; from fine ones up to this
     undetermined: float = 0.3  # of the promised standard deviation: a direction less certain than that stays as it was
 
 

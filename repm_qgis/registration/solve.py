@@ -13,7 +13,7 @@ would be far too small.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Callable, Iterator, Tuple
 
 import numpy as np
@@ -96,11 +96,15 @@ def solve_shift(
     if tilted and not _carried(found[1], surface, prior, parameters):
         tilted = False
         found = problem.determined(start, np.eye(2), tilted, check)
+    coarse = max(parameters.trusted_widths * max(reference.width_m), parameters.trusted_m)
+    most = min(parameters.undetermined * prior.horizontal_m, coarse)
     horizontal, directions = np.linalg.eigh(found[1][:2, :2])
-    good = horizontal <= (parameters.undetermined * prior.horizontal_m) ** 2
+    good = horizontal <= most**2
     free = directions[:, good].T
     if not good.all():  # what the relief does not determine stays as it was
-        found = problem.determined(np.array([*(free.T @ (free @ start[:2])), start[2]]), free, tilted, check)
+        found = problem.back(found, free, tilted)
+    if free.size and problem.is_fine:
+        found = problem.refined(found, free, tilted, check)
     solution, covariance, correlation = found
     covariance[:2, :2] += prior.horizontal_m**2 * (np.eye(2) - free.T @ free)
     east, north, up, *tilt = map(float, solution.unknowns)
@@ -196,12 +200,17 @@ class _Solution:
     instruments: FloatArray
 
 
+_Found = Tuple[_Solution, FloatArray, "_Correlation"]
+"""A solution with its covariance, and the correlation of its differences."""
+
+
 class _Problem:
     """Heights of a reference as observations of the shift: h = S(p - d) + dz + tilt (p - centre)."""
 
     def __init__(self, surface: SupportMeans, reference: Reference, parameters: RegistrationParameters) -> None:
         self._surface, self._xyz, self._parameters = surface, reference.xyz, parameters
         self._slopes = reference.slopes
+        self.is_fine = self._slopes is not None and max(reference.width_m) < parameters.fine_cells * surface.cell_m
         self.centre = np.array(surface.middle)
 
     def solve(self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]) -> _Solution:
@@ -266,15 +275,47 @@ class _Problem:
 
     # How well it is determined -------------------------------------------------------------------------------------
 
-    def determined(
-        self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]
-    ) -> Tuple[_Solution, FloatArray, "_Correlation"]:
+    def determined(self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]) -> "_Found":
         """The solution with its covariance, and the correlation of its differences."""
         solution = self.solve(start, free, tilted, check)
         correlation = self.correlation(solution)
         basis = _basis(free, tilted)
         covariance = self.covariance(solution, basis, correlation, solution.weight > 0, self._parameters.lattice)
         return solution, covariance, correlation
+
+    def back(self, found: "_Found", free: FloatArray, tilted: bool) -> "_Found":
+        """What stays of a solution where directions that are not ``free`` are put back to where they were.
+
+        Heights follow by the mean slope alone, with the weights of the solution: elsewhere, houses and trees stand
+        beside those of the reference, and their differences would have no mode at the ground.
+        """
+        solution, _, correlation = found
+        basis, weight = _basis(free, tilted), solution.weight / solution.noise**2
+        given = np.zeros(5)
+        given[:2] = -(solution.unknowns[:2] - free.T @ (free @ solution.unknowns[:2]))
+        design = solution.design @ basis
+        step = np.linalg.lstsq(
+            (design.T * weight) @ design, -(design.T * weight) @ (solution.design @ given), rcond=None
+        )
+        moved = replace(solution, unknowns=solution.unknowns + given + basis @ step[0])
+        return (
+            moved,
+            self.covariance(solution, basis, correlation, solution.weight > 0, self._parameters.lattice),
+            correlation,
+        )
+
+    def refined(self, found: "_Found", free: FloatArray, tilted: bool, check: Callable[[], None]) -> "_Found":
+        """A solution with the own surface's slopes, from that with a fine reference's.
+
+        At the edges of roofs the own surface has errors that the reference's slopes take for a shift; its own slopes do
+        so less. Half of what the two solutions differ by is added to the deviations: it shows such errors.
+        """
+        first, (slopes, self._slopes) = found[0].unknowns, (self._slopes, None)
+        solution = self.solve(first[:3], free, tilted, check)
+        self._slopes = slopes
+        apart = (solution.unknowns - first) / 2.0
+        apart[3:] = 0.0
+        return solution, found[1] + np.outer(apart, apart), found[2]
 
     def local_offsets(
         self, solution: _Solution, free: FloatArray, correlation: "_Correlation"

@@ -37,7 +37,7 @@ class SupportMeans:
 
         Means have a value where ``covered`` of the support's area is known; they are means of what is known.
         """
-        self._grid = grid
+        self._grid, self.cell_m = grid, grid.cell
         self.resolution_m = max(grid.cell, *reference.width_m)
         known = np.isfinite(height)
         level = float(np.median(height[known])) if known.any() else 0.0

@@ -26,7 +26,7 @@ from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
 from ..records import GroundShift, RegistrationFigures
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
-from ..registration.laying import Laid, OwnSurface, cell_for, finest_cell, lay, overlaps
+from ..registration.laying import Laid, OwnSurface, factor_for, finest_cell, lay, overlaps
 from ..registration.moved_scene import moved_scene
 from ..registration.references import FoundHeights, read_reference
 from ..registration.solve import Prior, Shift, solve_shift
@@ -191,12 +191,11 @@ def _work(
             if len(options.others) + len(options.reference) < 2:
                 raise
             progress.info(f"'{path}' does not cover the scene '{scene.path}'.")
-    cell = cell_for(found, finest, numbers)
     how = options.workers, options.memory, Part(progress, 0.05, 0.8)
-    grid, height = own_surface(scene, cell, *how, "none", parameters.fusion)
+    grid, height = own_surface(scene, finest, *how, parameters=parameters.fusion)
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
-    surface = OwnSurface(scene.crs, grid, height)
+    surface = OwnSurface(scene.crs, grid, height).averaged(factor_for(found, finest, numbers), numbers.covered)
     laid = []
     for number, each in enumerate(found):
         progress.step(0.8 + 0.2 * number / len(found), f"laying the surface on {os.path.basename(each.name)}")
