@@ -166,10 +166,10 @@ class _Search:
         # A phrase that was made a sentence: with a full stop, or with a capital.
         if text[-1:] == ".":
             yield from self._changed(text[:-1], lambda word: f"{word}.")
-        if text[:1].isupper() and not text[1:2].isupper():
-            yield from self._changed(text[0].lower() + text[1:], lambda word: word[0].upper() + word[1:])
         for joint in _JOINTS:
             yield from self._by_parts(text, joint)
+        if text[:1].isupper() and not text[1:2].isupper():
+            yield from self._changed(text[0].lower() + text[1:], lambda word: word[0].upper() + word[1:])
 
     def _changed(self, other: str, back: Callable[[str], str]) -> Iterator[_Found]:
         found = self.of(other)

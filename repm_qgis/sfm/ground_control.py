@@ -75,19 +75,23 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
         at = f"{place}: point '{gcp.id}'"
         known = points.setdefault(gcp.id, gcp)
         if np.abs(known.lon_lat_h - gcp.lon_lat_h).max() > 1e-6 or known.role != gcp.role:
-            text = "has another place or role than in an earlier row; give each point one place and one role."
-            raise InputTableError(f"{at} {text}")
+            raise InputTableError(
+                f"{at} has another place or role than in an earlier row; give each point one place and one role."
+            )
         view = str(row.get("view") or "").strip()
         if not view or views is None:
             continue
         if view not in names:
             known_views = ", ".join(v.name for v in views)
-            text = f"was measured in '{view}', which is none of the images ({known_views}); use the images' file names."
-            raise InputTableError(f"{at} {text}")
+            raise InputTableError(
+                f"{at} was measured in '{view}', which is none of the images ({known_views}); use the images' "
+                "file names."
+            )
         pixel = np.array([_number(place, row, "col"), _number(place, row, "row")])
         if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
-            text = f"has another pixel in '{view}' than in an earlier row; give each point one row for each image."
-            raise InputTableError(f"{at} {text}")
+            raise InputTableError(
+                f"{at} has another pixel in '{view}' than in an earlier row; give each point one row for each image."
+            )
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
     return _ellipsoidal(list(points.values()), vertical, path)

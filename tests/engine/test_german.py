@@ -84,7 +84,7 @@ def test_a_run_is_logged_in_german(german):
     assert lines[-1]["type"] == "result", lines[-1]
     texts = [line["text"] for line in lines[:-1]]
     assert len(texts) > 20 and any("Verknüpfungspunkte" in text for text in texts)
-    assert not english_in(texts)
+    assert not english_in(texts) and "Rekonstruktion: beginnt" in texts
 
 
 def test_its_report_and_legends_are_german(german):
@@ -225,6 +225,13 @@ def test_errors_are_german_and_keep_their_kind(stage, job, tmp_path):
     (german,), (english,) = engine(stage, tmp_path, **job, language="de"), engine(stage, tmp_path, **job)
     assert german["kind"] == english["kind"] and english_in([english["text"]])
     assert not english_in([german["text"]])
+
+
+def test_points_of_an_image_that_is_not_there_are_said_in_german(sample, tmp_path):
+    job = {"images": sample["images"][:2], "gcps": sample["gcps"], "workspace": str(tmp_path), "output": "dsm.tif"}
+    *_, said = engine("pipeline", tmp_path, **job, language="de")
+    assert said["type"] == "error" and "Punkt „P01“ wurde in „img_03“ gemessen" in said["text"]
+    assert not english_in([said["text"]])
 
 
 def test_a_language_must_be_a_code():

@@ -41,6 +41,7 @@ def german():
         ("4 in Done", "Fertig: 4"),  # fields in another order
         ("3 to 5 m, or 0 for automatic", "3 bis 5 m, oder 0 für automatisch"),  # a phrase that is added to another
         ("It ended. It ended. 3 to 4.", "Es ist zu Ende. Es ist zu Ende. 3 bis 4."),
+        ("Done: no view", "Fertig: keine Ansicht"),  # and not as a sentence that begins with "done"
         ("Step: 2 tiles of up to 5 px", "Step: 2 Kacheln, bis 5 px groß"),
         ("/home/Done/x.tif", "/home/Done/x.tif"),
         ("what nobody wrote to anyone", "what nobody wrote to anyone"),
