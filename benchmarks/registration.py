@@ -232,7 +232,9 @@ def against_s2p() -> List[str]:
     for scene in real("pleiades_pair", "pleiades_triplet"):
         with tempfile.TemporaryDirectory() as folder:
             coarse = f"{folder}/s2p_30m.tif"
-            gdal.Warp(coarse, scene.reference, xRes=30.0, yRes=30.0, resampleAlg="average")
+            gdal.Warp(
+                coarse, scene.reference, xRes=30.0, yRes=30.0, resampleAlg="average", srcNodata="nan", dstNodata="nan"
+            )
             more = {"reference": [coarse], "reference_datum": "ellipsoid"}
             made = pipeline(scene.images, folder, resolution=scene.resolution, **more)
             left = score_files(made["output"], scene.reference, "3d").alignment
@@ -263,7 +265,7 @@ def _register(scene: str, reference: str, output: str) -> Dict[str, Any]:
 def cost() -> List[str]:
     """What registration to a DEM of 30 m adds to a large scene."""
     size = quick_size(5120, "ZY3")
-    scene = simulated("zy3", zy3(size, 700.0), 5.0)
+    scene = simulated("zy3_1500m", zy3(size, 1500.0), 5.0)
     with tempfile.TemporaryDirectory() as folder:
         coarse = f"{folder}/dem.tif"
         gdal.Warp(coarse, scene.reference, xRes=30.0, yRes=30.0, resampleAlg="average")
