@@ -35,6 +35,19 @@ class DemParameters(Parameters):
     surface_cells: int = 2000  # side of the surface that images are refined on, at most
 
 
+@dataclass(frozen=True)
+class CollarParameters(Parameters):
+    """What is a black end of an image, and not dark ground. All values are chosen."""
+
+    black: float = 3.0  # of whole numbers: zeros, and what lossy JPEG 2000 makes of them
+    least_px: int = 16  # of a run of black pixels: shadows at an image's border are shorter
+    least_share: float = 0.0005  # of the image: less does no harm
+    looked_at: int = 256  # rows, of which one must have a black end before the whole image is read ...
+    end_px: int = 64  # ... and how much of each end is looked at
+    strip_rows: int = 512  # a pass; bounds the memory
+
+
+COLLARS = CollarParameters()
 STRETCH = StretchParameters()
 WARPING = WarpingParameters()
 DEM = DemParameters()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
@@ -21,13 +23,14 @@ from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_a
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
+from ..imagery.collars import write_collar_mask
 from ..imagery.raster import raster_identity
 from ..memory import planned_mib
 from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
-from ..scene import Scene, Tile, TileView, View, common_heights, load_views, middle_of, reusable
+from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, load_views, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
@@ -43,12 +46,12 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     report_paths = with_copy(str(folder / "equivalent_error.html"), options.report)
     key = _key(options, parameters)
     scene = reusable(scene_path, "epmfit", key)
-    if scene is not None:
+    if scene is not None and _masks_are_there(scene):
         tiles = counted(len(scene.tiles), "tile")
         progress.info(f"Reused the cameras of {tiles} in '{scene_path}': images and options are unchanged.")
     else:
         notes = Recorder(progress)
-        scene = _fit(options, parameters, notes)
+        scene = _fit(options, folder_of(Path(scene_path), "masks"), parameters, notes)
         seconds, changes = time.monotonic() - start, parameters.changes()
         scene = scene.recorded("epmfit", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(scene_path)
@@ -73,8 +76,30 @@ def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
     return fingerprint("epmfit", wanted, *rasters, *map(file_identity, sidecars), *parameters.in_fingerprint())
 
 
-def _fit(options: EpmFitOptions, parameters: EngineParameters, progress: Progress) -> Scene:
+def _masks_are_there(scene: Scene) -> bool:
+    """Whether none of the masks is gone, which the fit itself may have made."""
+    return all(os.path.exists(view.mask) or view.mask.startswith("/vsi") for view in scene.views if view.mask)
+
+
+def _without_collars(views: Sequence[View], folder: Path, progress: Progress) -> Tuple[View, ...]:
+    """The views with masks of their black ends, where no nodata value marks these."""
+    found = []
+    for view in views:
+        progress.step(0.0, f"black ends of {view.name}")
+        target = str(folder / f"{view.name}.tif")
+        share = write_collar_mask(view.image, view.band, view.mask, target, progress.check_cancelled)
+        if share:
+            progress.info(
+                f"{100 * share:.1f} % of '{view.name}' are black from its ends on, and no nodata value says so: they "
+                "are left out."
+            )
+        found.append(replace(view, mask=target) if share else view)
+    return tuple(found)
+
+
+def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs, options.masks)
+    views = _without_collars(views, masks, progress)
     taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
     satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
     sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
