@@ -33,7 +33,8 @@ class FuseTask:
 
     ``scene`` without its tiles; ``bounds`` are the tile's, ``window`` has the tile's cells in the whole ``grid``.
     ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. ``ortho_views`` are
-    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept.
+    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept. Each ``step``-th pixel of
+    the height maps is taken.
     """
 
     scene: Scene
@@ -47,6 +48,7 @@ class FuseTask:
     radius: float = 0.0
     ortho_views: Tuple[View, ...] = ()
     cloud: bool = False
+    step: int = 1
     parameters: FusionParameters = FUSION
     matching: MatchingParameters = MATCHING
 
@@ -191,7 +193,13 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers = [
-            grid_height_map(part, source.within(bounds), record.metres_per_px, task.scene.gsd_m, parameters)
+            grid_height_map(
+                part,
+                source.within(bounds, task.step),
+                task.step * record.metres_per_px,
+                task.step * task.scene.gsd_m,
+                parameters,
+            )
             for source, record in zip(sources, task.records)
         ]
         fused = aggregate(layers, task.method, parameters)

@@ -32,26 +32,22 @@ def own_surface(
     workers: int,
     memory: int,
     progress: Progress,
-    fill: str = "occlusions",
+    coarse: bool = False,
     parameters: FusionParameters = FUSION,
 ) -> Tuple[CellGrid, FloatImage]:
     """A scene's height maps fused into cells of ``cell`` metres in the scene's CRS: the cells, and (rows, columns)
-    heights in metres above the ellipsoid, NaN where there are none. ``workers``, ``memory`` and ``fill`` are options.
+    heights in metres above the ellipsoid, NaN where there are none. ``workers`` and ``memory`` are options.
+
+    ``coarse``: each tile has the height map with the most heights alone, and of that every second pixel, which costs a
+    fifth and is enough for references whose noise is larger than that of the surface.
     """
     tiles = [tile for tile in scene.tiles if tile.heights]
     grid, lean = CellGrid.covering(enclosing([tile.bounds for tile in tiles]), cell), scene.lean()
+    best = [(max(tile.heights, key=lambda record: record.valid),) if coarse else tile.heights for tile in tiles]
+    step = 2 if coarse else 1
     tasks = [
-        FuseTask(
-            lean,
-            tile.bounds,
-            tile.heights,
-            grid,
-            grid.window(tile.bounds),
-            scene.crs,
-            fill=fill,
-            parameters=parameters,
-        )
-        for tile in tiles
+        FuseTask(lean, tile.bounds, maps, grid, grid.window(tile.bounds), scene.crs, step=step, parameters=parameters)
+        for tile, maps in zip(tiles, best)
     ]
     most = max(
         fusing_mib([record.pixels for record in task.records], task.window.width * task.window.height) for task in tasks

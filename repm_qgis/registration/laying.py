@@ -113,6 +113,14 @@ def finest_cell(
     return max(cell_gsd * gsd_m, math.sqrt(area / parameters.most_cells))
 
 
+def are_coarse(
+    references: Sequence[FoundHeights], finest: float, parameters: RegistrationParameters = REGISTRATION
+) -> bool:
+    """Whether cells twice as wide as the finest ones are enough for all references."""
+    least = 2.0 * finest * parameters.coarse_cells
+    return bool(references) and all(min(found.width_m) >= least for found in references)
+
+
 def factor_for(
     references: Sequence[FoundHeights], finest: float, parameters: RegistrationParameters = REGISTRATION
 ) -> int:

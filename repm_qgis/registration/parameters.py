@@ -44,6 +44,7 @@ class RegistrationParameters(Parameters):
     local_parts: int = 4  # along each side of the surface, whose offsets are shown
     most_cells: int = 6_000_000  # of the own surface: half a gigabyte, and more tell no more than millimetres
     cells_across: float = 6.0  # of the own surface in a support of the reference, if the images are fine enough
+    coarse_cells: float = 2.5  # in a support, of a surface that is made of a part of the heights
     averaged_cells: float = 3.0  # of the own surface that cells of a finer reference are averaged to: it sees no finer
     search: float = 3.0  # a shift is looked for up to so many CE90 that the vendor promises ...
     least_search_m: float = 40.0  # ... and at least up to this

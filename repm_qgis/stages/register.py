@@ -26,7 +26,7 @@ from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
 from ..records import GroundShift, RegistrationFigures
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
-from ..registration.laying import Laid, OwnSurface, factor_for, finest_cell, lay, overlaps
+from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps
 from ..registration.moved_scene import moved_scene
 from ..registration.references import FoundHeights, read_reference
 from ..registration.solve import Prior, Shift, solve_shift
@@ -192,7 +192,9 @@ def _work(
                 raise
             progress.info(f"'{path}' does not cover the scene '{scene.path}'.")
     how = options.workers, options.memory, Part(progress, 0.05, 0.8)
-    grid, height = own_surface(scene, finest, *how, parameters=parameters.fusion)
+    coarse = are_coarse(found, finest, numbers) and not options.others
+    finest = 2.0 * finest if coarse else finest
+    grid, height = own_surface(scene, finest, *how, coarse, parameters.fusion)
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
     surface = OwnSurface(scene.crs, grid, height).averaged(factor_for(found, finest, numbers), numbers.covered)

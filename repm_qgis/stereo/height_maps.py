@@ -60,8 +60,9 @@ class HeightSource:
     part: Optional[Tuple[Bounds, Bounds]] = None
     shift: Optional[GroundShift] = None
 
-    def within(self, bounds: Optional[Bounds] = None) -> HeightMap:
-        """The rectangle of pixels that contains all points in ``bounds``; None takes all.
+    def within(self, bounds: Optional[Bounds] = None, step: int = 1) -> HeightMap:
+        """The rectangle of pixels that contains all points in ``bounds``; None takes all. Of them each ``step``-th in
+        columns and rows.
 
         Raises SceneError where the file is missing or damaged.
         """
@@ -72,10 +73,11 @@ class HeightSource:
             none = np.empty((0, 0))
             return HeightMap(none, none, none, none.astype(np.float32), none.astype(bool))
         with _opened_height_map(self.path) as dataset:
-            height = read(dataset, window, 1).astype(np.float64)
-            score = read(dataset, window, 2)
-            filled = read(dataset, window, 3) > 0
-        columns, rows = np.arange(col, col + width, dtype=np.float64), np.arange(row, row + height_px, dtype=np.float64)
+            height = read(dataset, window, 1)[::step, ::step].astype(np.float64)
+            score = read(dataset, window, 2)[::step, ::step]
+            filled = read(dataset, window, 3)[::step, ::step] > 0
+        columns = np.arange(col, col + width, step, dtype=np.float64)
+        rows = np.arange(row, row + height_px, step, dtype=np.float64)
         x, y = (table.on_grid(columns, rows, height) for table in (self.x, self.y))
         if self.part is not None:
             tile, own = self.part
@@ -83,7 +85,8 @@ class HeightSource:
         if self.shift is not None:
             height = height + self.shift.up(x, y)
             x, y = x + self.shift.moved[0], y + self.shift.moved[1]
-        return HeightMap(x, y, height, score, filled, *verticals(self.x, self.y))
+        ray, (right, down) = verticals(self.x, self.y)
+        return HeightMap(x, y, height, score, filled, ray, (right / step, down / step))
 
     def _window(self, bounds: Bounds) -> Window:
         """The pixels between the nodes of the tables whose rays may cross the bounds."""
