@@ -62,9 +62,9 @@ class Case:
     prior: Prior
 
     def surface(self, found: FoundHeights) -> OwnSurface:
-        finest = finest_cell(enclosing([tile.bounds for tile in self.scene.tiles]), self.scene.gsd_m, 2.0)
-        coarse = are_coarse([found], finest)
-        finest = 2.0 * finest if coarse else finest
+        bounds, native = enclosing([tile.bounds for tile in self.scene.tiles]), 2.0 * self.scene.gsd_m
+        coarse = are_coarse([found], native)
+        finest = finest_cell(bounds, 2.0 * native if coarse else native)
         whole = OwnSurface(self.scene.crs, *_surface(self.scene, finest, coarse))
         return whole.averaged(factor_for([found], finest), REGISTRATION.covered)
 
@@ -140,7 +140,7 @@ def lasers(case: Case, rng: np.random.Generator) -> FoundHeights:
 
 def lidar(case: Case, rng: np.random.Generator) -> FoundHeights:
     """Cells of the true surface with noise of 0.1 m, averaged as a file's would be."""
-    finest = finest_cell(case.scene.tiles[0].bounds, case.scene.gsd_m, 2.0)
+    finest = finest_cell(case.scene.tiles[0].bounds, 2.0 * case.scene.gsd_m)
     cells = max(1, int(np.ceil(REGISTRATION.averaged_cells * finest / case.place[1] - 1e-6)))
     noisy = replace(case, truth=case.truth + rng.normal(size=case.truth.shape) * 0.1)
     xy, height = noisy.means(cells)

@@ -105,19 +105,17 @@ class Laid:
         return self.reference.xyz[seen, :2], before[seen], after[seen]
 
 
-def finest_cell(
-    bounds: Bounds, gsd_m: float, cell_gsd: float, parameters: RegistrationParameters = REGISTRATION
-) -> float:
-    """The side of the finest cell of a surface that is worth its work, m."""
+def finest_cell(bounds: Bounds, native: float, parameters: RegistrationParameters = REGISTRATION) -> float:
+    """The side of the finest cell of a surface that is worth its work, m; ``native`` is that of the DSM."""
     area = (bounds.xmax - bounds.xmin) * (bounds.ymax - bounds.ymin)
-    return max(cell_gsd * gsd_m, math.sqrt(area / parameters.most_cells))
+    return max(native, math.sqrt(area / parameters.most_cells))
 
 
 def are_coarse(
-    references: Sequence[FoundHeights], finest: float, parameters: RegistrationParameters = REGISTRATION
+    references: Sequence[FoundHeights], native: float, parameters: RegistrationParameters = REGISTRATION
 ) -> bool:
-    """Whether cells twice as wide as the finest ones are enough for all references."""
-    least = 2.0 * finest * parameters.coarse_cells
+    """Whether cells twice as wide as the DSM's are enough for all references."""
+    least = 2.0 * native * parameters.coarse_cells
     return bool(references) and all(min(found.width_m) >= least for found in references)
 
 

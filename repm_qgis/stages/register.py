@@ -94,7 +94,7 @@ def require_references(
 ) -> None:
     """Raise what reading the references over a scene raises, before anything is matched."""
     bounds, numbers = enclosing([tile.bounds for tile in scene.tiles]), parameters.registration
-    cell = numbers.averaged_cells * finest_cell(bounds, scene.gsd_m, parameters.tiles.cell_gsd, numbers)
+    cell = numbers.averaged_cells * finest_cell(bounds, parameters.tiles.cell_gsd * scene.gsd_m, numbers)
     for path in options.reference:
         read_reference(path, scene.crs, bounds.grown(_prior(scene, parameters).most_m), cell, progress.check_cancelled)
 
@@ -107,8 +107,8 @@ def registered_path(scene: str) -> str:
 
 def _matched(path: str) -> Scene:
     """A scene that has heights, with all its tiles; raises SceneError where there are none."""
-    reconstructed(path)
-    return Scene.load(path)
+    scene = Scene.load(path)
+    return scene if any(tile.heights for tile in scene.tiles) else reconstructed(path)
 
 
 def _figures(scene: Scene) -> RegistrationFigures:
@@ -180,7 +180,8 @@ def _work(
     numbers, check = parameters.registration, progress.check_cancelled
     prior = _prior(scene, parameters)
     bounds = enclosing([tile.bounds for tile in scene.tiles if tile.heights])
-    finest = finest_cell(bounds, scene.gsd_m, parameters.tiles.cell_gsd, numbers)
+    native = parameters.tiles.cell_gsd * scene.gsd_m
+    finest = finest_cell(bounds, native, numbers)
     found: List[FoundHeights] = []
     for path in options.reference:
         progress.step(0.0, f"reading {os.path.basename(path)}")
@@ -192,8 +193,8 @@ def _work(
                 raise
             progress.info(f"'{path}' does not cover the scene '{scene.path}'.")
     how = options.workers, options.memory, Part(progress, 0.05, 0.8)
-    coarse = are_coarse(found, finest, numbers) and not options.others
-    finest = 2.0 * finest if coarse else finest
+    coarse = are_coarse(found, native, numbers) and not options.others
+    finest = finest_cell(bounds, 2.0 * native, numbers) if coarse else finest
     grid, height = own_surface(scene, finest, *how, coarse, parameters.fusion)
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
