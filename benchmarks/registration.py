@@ -280,14 +280,16 @@ def cost() -> List[str]:
         options = {"images": list(scene.images), "workspace": place, "output": f"{folder}/dsm.tif"}
         whole = _cost("pipeline", {**options, "resolution": scene.resolution}, folder)
         ends = {"scene": f"{place}/reconstructed.json", "output_scene": f"{place}/registered.json"}
-        added = _cost("register", {**ends, "reference": [coarse], **_DATUM}, folder)
-    share = 100.0 * added.cpu_s / whole.cpu_s
-    row = [f"3 x {size} px", whole.cpu_s, whole.wall_s, added.cpu_s, added.wall_s, share, added.peak_gib]
+        alone, start = (_cost("register", {**ends, "reference": [coarse], **_DATUM}, folder) for _ in range(2))
+    added = alone.cpu_s - start.cpu_s  # the second run takes up the first one's result: what a pipeline has not to do
+    share = 100.0 * added / whole.cpu_s
+    row = [f"3 x {size} px", whole.cpu_s, whole.wall_s, alone.cpu_s, alone.wall_s, start.cpu_s, share, alone.peak_gib]
     return [
-        "**5. Cost** of registering a scene to a DEM of 30 m, each as a program with its workers. Bar: 5 % of the CPU.",
+        "**5. Cost** of registering a scene to a DEM of 30 m, each as a program with its workers. "
+        "Registration in the same run as the rest needs no start of its own. Bar: 5 % of the CPU.",
         table(
-            "scene | the whole run, CPU s | by the clock, s | registration, CPU s | by the clock, s | "
-            "added, % of CPU | GiB",
+            "scene | the whole run, CPU s | by the clock, s | registration alone, CPU s | by the clock, s | "
+            "its start, CPU s | added to a run, % | GiB",
             [row],
         ),
     ]
