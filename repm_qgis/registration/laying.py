@@ -114,9 +114,11 @@ def finest_cell(bounds: Bounds, native: float, parameters: RegistrationParameter
 def are_coarse(
     references: Sequence[FoundHeights], native: float, parameters: RegistrationParameters = REGISTRATION
 ) -> bool:
-    """Whether cells twice as wide as the DSM's are enough for all references."""
+    """Whether cells twice as wide as the DSM's are enough for all references: rasters with wide cells, whose noise is
+    larger than that of the surface, which that of lasers is not."""
     least = 2.0 * native * parameters.coarse_cells
-    return bool(references) and all(min(found.width_m) >= least for found in references)
+    wide = [found.slopes is not None and min(found.width_m) >= least for found in references]
+    return bool(wide) and all(wide)
 
 
 def factor_for(

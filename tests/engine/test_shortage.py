@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
-from repm_qgis import shortage
-from repm_qgis.dsm import point_cloud
+from repm_qgis import las, shortage
 from repm_qgis.dsm.ept import write_ept
 from repm_qgis.dsm.mesh import write_mesh
 from repm_qgis.dsm.point_cloud import created_cloud
@@ -217,7 +216,7 @@ def test_buffers_are_taken_only_where_there_is_room(monkeypatch):
 
 def test_a_cloud_is_the_same_where_only_one_core_compresses(tmp_path, monkeypatch):
     cloud(str(tmp_path / "a.laz"))
-    monkeypatch.setattr(point_cloud, "own_rest", lambda: 1 << 40)
+    monkeypatch.setattr(las, "own_rest", lambda: 1 << 40)
     cloud(str(tmp_path / "b.laz"))
     assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
 

@@ -6,6 +6,7 @@ import http.server
 import os
 import threading
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from repm_qgis import untrusted
 from repm_qgis.errors import ImageError, InputTableError
 from repm_qgis.imagery.raster import opened, opened_image, raster_identity, read
 from repm_qgis.scene import load_views
+from repm_qgis.sfm import ground_control
 from repm_qgis.sfm.ground_control import read_gcps
 from repm_qgis.vector import open_vector
 
@@ -336,7 +338,7 @@ def test_tables_above_the_limit_are_not_read(tmp_path):
 
 
 def test_tables_with_too_many_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr("repm_qgis.sfm.ground_control._MOST_ROWS", 3)
+    monkeypatch.setattr(ground_control, "_LIMITS", replace(ground_control._LIMITS, rows=3))
     (tmp_path / "p.csv").write_text("id,lon,lat,height\n" + "".join(f"{k},1,1,1\n" for k in range(4)))
     with pytest.raises(InputTableError, match="p.csv' has more than 3 rows"):
         read_gcps(str(tmp_path / "p.csv"), None)
