@@ -139,12 +139,16 @@ class LayerTable:
         gdal.ErrorReset()
         try:
             feature = self._layer.GetNextFeature()
+            failed, reason = (
+                gdal.GetLastErrorType() >= gdal.CE_Failure,
+                gdal.GetLastErrorMsg(),
+            )  # the next call may reset
         except RuntimeError as error:
             raise self._damaged(error) from error
         finally:
             gdal.PopErrorHandler()
-        if feature is None and gdal.GetLastErrorType() >= gdal.CE_Failure:
-            raise self._damaged(gdal.GetLastErrorMsg())
+        if feature is None and failed:
+            raise self._damaged(reason)
         return feature
 
     def _damaged(self, reason: object) -> InputTableError:

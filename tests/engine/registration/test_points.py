@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from osgeo import ogr
+from osgeo import gdal, ogr
 
 from repm_qgis.arrays import Bounds
 from repm_qgis.errors import Cancelled, InputTableError, OverlapError
@@ -234,7 +234,18 @@ def test_layers_that_cannot_be_used(tmp_path):
         read_points_of_layer(lines, "b", UTM, BOUNDS)
 
 
-def test_a_layer_that_is_cut_short_is_a_sentence_and_not_fewer_points(tmp_path):
+@pytest.mark.parametrize("raises", (False, True))
+def test_a_layer_that_is_cut_short_is_a_sentence_and_not_fewer_points(tmp_path, raises):
+    """Whether GDAL raises or not, which any module of a process may choose for all."""
+    before = gdal.GetUseExceptions()
+    (gdal.UseExceptions if raises else gdal.DontUseExceptions)()
+    try:
+        require_whole_layer(tmp_path)
+    finally:
+        (gdal.UseExceptions if before else gdal.DontUseExceptions)()
+
+
+def require_whole_layer(tmp_path):
     count = 2000
     many = np.column_stack([np.linspace(500_100, 501_900, count), np.linspace(4_000_100, 4_001_900, count)])
     path = layer(tmp_path / "points.fgb", places=many, heights=np.arange(count), values=((),) * count)
