@@ -16,6 +16,7 @@ from ..imagery.sampling import nmad
 from ..records import GroundShift, ReferenceFigures
 from .datums import DatumChoice, likely_datum
 from .parameters import REGISTRATION, RegistrationParameters
+from .rasters import block_means, slopes_of
 from .references import FoundHeights, in_datum
 from .solve import Prior, Shift, solve_shift
 from .surfaces import Reference, SupportMeans
@@ -41,26 +42,18 @@ class OwnSurface:
         rows, columns = (-(-count // factor) * factor for count in self.height.shape)
         padded = np.full((rows, columns), np.nan)
         padded[: self.height.shape[0], : self.height.shape[1]] = self.height
-        blocks = padded.reshape(rows // factor, factor, columns // factor, factor)
-        known = np.isfinite(blocks).sum(axis=(1, 3))
-        total = np.nansum(blocks, axis=(1, 3))
-        height = np.where(known >= covered * factor**2, total / np.maximum(known, 1), np.nan)
         shape = rows // factor, columns // factor
         grid = CellGrid(self.grid.west, self.grid.north, factor * self.grid.cell, shape)
-        return OwnSurface(self.crs, grid, height)
+        return OwnSurface(self.crs, grid, block_means(padded, factor, covered))
 
     def as_reference(self, name: str, crs: str) -> Reference:
         """Its cells as a reference for a surface in another CRS, with their slopes; grid norths that differ by a few
         degrees change means over cells of this size by nothing that counts."""
-        down, right = np.full(self.height.shape, np.nan), np.full(self.height.shape, np.nan)
-        right[:, 1:-1] = (self.height[:, 2:] - self.height[:, :-2]) / (2 * self.grid.cell)
-        down[1:-1] = (self.height[2:] - self.height[:-2]) / (2 * self.grid.cell)
-        known = np.isfinite(self.height)
-        x, y = (each[known] for each in np.meshgrid(*self.grid.centres()))
-        xy, slopes = np.column_stack([x, y]), np.column_stack([right[known], -down[known]])
+        cell, known = self.grid.cell, np.isfinite(self.height)
+        slopes = slopes_of(self.height.astype(np.float64), np.diag([cell, -cell]))[known]
+        xy = np.column_stack([each[known] for each in np.meshgrid(*self.grid.centres())])
         if crs != self.crs:
             xy = projected_from_geodetic(crs, geodetic_from_projected(self.crs, xy))
-        cell = self.grid.cell
         return Reference(name, np.column_stack([xy, self.height[known]]), (cell, cell), False, slopes)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, FloatImage, Window
+from ..arrays import Bounds, FloatArray, Floats, Window
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG, metres_per_unit, stated_datum
@@ -53,7 +53,7 @@ def read_raster(
         jacobian = _jacobian(place, back, window)
         widths = np.hypot(*jacobian)
         factor = max(1, math.ceil(least_m / float(widths.min()) - 1e-6))
-        heights = _block_means(dataset, window, factor, check) * unit
+        heights = _read_means(dataset, window, factor, check) * unit
     col, row = np.meshgrid(
         *(origin + factor * (np.arange(n) + 0.5) for origin, n in zip(window[:2], heights.shape[::-1]))
     )
@@ -120,7 +120,7 @@ def _moved(to: pyproj.Transformer, x: FloatArray, y: FloatArray) -> Tuple[FloatA
     return np.asarray(found[0]), np.asarray(found[1])
 
 
-def _block_means(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> FloatArray:
+def _read_means(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> FloatArray:
     """Means of blocks of factor x factor cells, strip by strip; the raster's overviews are not used: they may be
     shifted by half a cell."""
     columns, rows = window.width // factor, window.height // factor
@@ -130,12 +130,17 @@ def _block_means(dataset: gdal.Dataset, window: Window, factor: int, check: Call
         check()
         count = min(strip, rows - begin)
         part = Window(window.col, window.row + begin * factor, columns * factor, count * factor)
-        cells: FloatImage = read(dataset, part)
-        blocks = cells.reshape(count, factor, columns, factor)
-        known = np.isfinite(blocks).sum(axis=(1, 3))
-        total = np.nansum(blocks, axis=(1, 3), dtype=np.float64)
-        result[begin : begin + count] = np.where(2 * known >= factor**2, total / np.maximum(known, 1), np.nan)
+        result[begin : begin + count] = block_means(read(dataset, part), factor, 0.5)
     return result
+
+
+def block_means(cells: Floats, factor: int, covered: float) -> FloatArray:
+    """Means of blocks of factor x factor cells, of which ``covered`` must be known (NaN: unknown)."""
+    rows, columns = (count // factor for count in cells.shape)
+    blocks = cells.reshape(rows, factor, columns, factor)
+    known = np.isfinite(blocks).sum(axis=(1, 3))
+    total = np.nansum(blocks, axis=(1, 3), dtype=np.float64)
+    return np.asarray(np.where(known >= covered * factor**2, total / np.maximum(known, 1), np.nan))
 
 
 def slopes_of(heights: FloatArray, jacobian: FloatArray) -> FloatArray:

@@ -209,7 +209,7 @@ class _Problem:
 
     def __init__(self, surface: SupportMeans, reference: Reference, parameters: RegistrationParameters) -> None:
         self._surface, self._xyz, self._parameters = surface, reference.xyz, parameters
-        self._slopes = reference.slopes
+        self._reference, self._slopes = reference, reference.slopes
         self.is_fine = self._slopes is not None and max(reference.width_m) < parameters.fine_cells * surface.cell_m
         self.centre = np.array(surface.middle)
 
@@ -310,9 +310,8 @@ class _Problem:
         At the edges of roofs the own surface has errors that the reference's slopes take for a shift; its own slopes do
         so less. Half of what the two solutions differ by is added to the deviations: it shows such errors.
         """
-        first, (slopes, self._slopes) = found[0].unknowns, (self._slopes, None)
-        solution = self.solve(first[:3], free, tilted, check)
-        self._slopes = slopes
+        first, own = found[0].unknowns, replace(self._reference, slopes=None)
+        solution = _Problem(self._surface, own, self._parameters).solve(first[:3], free, tilted, check)
         apart = (solution.unknowns - first) / 2.0
         apart[3:] = 0.0
         return solution, found[1] + np.outer(apart, apart), found[2]
