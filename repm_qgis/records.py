@@ -4,7 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Tuple, Type, TypeVar, Union, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    Optional,
+    Tuple,
+    Type,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+)
 
 import numpy as np
 
@@ -327,6 +341,17 @@ class RegistrationFigures(Record):
     offsets: Tuple[LocalOffset, ...] = ()
     differences: OwnFilePath = ""
     neighbours: Tuple[str, ...] = ()
+
+    def unexpected(self) -> List[Tuple[str, float, float]]:
+        """The parts of the shift that are larger than was to be expected, beyond two deviations: in which direction,
+        how large, and what was to be expected, m."""
+        east, north, up = self.latest.moved
+        horizontal, height = self.promised_m
+        parts = [
+            ("horizontally", float(np.hypot(east, north)), horizontal, max(self.deviation[:2])),
+            ("in height", abs(up), height, self.deviation[2]),
+        ]
+        return [(words, size, most) for words, size, most, deviation in parts if size > most + 2.0 * deviation]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ the bound; no finding is a good result.
 
 from __future__ import annotations
 
-import math
 import os
 from typing import List, Mapping, NamedTuple, Optional, Sequence
 
@@ -194,15 +193,11 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
             "The relief does not determine the horizontal position in every direction: a plain tells the height only. "
             "What is not determined stays as the vendors' RPCs have it: see 'Registration'."
         )
-    east, north, up = figures.latest.moved
-    sizes = ("horizontally", math.hypot(east, north), figures.promised_m[0], max(figures.deviation[:2]))
-    heights = ("in height", abs(up), figures.promised_m[1], figures.deviation[2])
-    for words, size, promise, deviation in (sizes, heights):
-        if size > promise + 2.0 * deviation:
-            found.append(
-                f"The shift of {size:.1f} m {words} is more than the {promise:.1f} m within which nine of ten scenes "
-                "lie: see 'Registration'."
-            )
+    for words, size, promise in figures.unexpected():
+        found.append(
+            f"The shift of {size:.1f} m {words} is more than the {promise:.1f} m within which nine of ten scenes "
+            "lie: see 'Registration'."
+        )
     for each in figures.references:
         share = each.used / max(each.seen, 1)
         if share < bounds.least_used_share:

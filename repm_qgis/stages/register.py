@@ -13,7 +13,6 @@ import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..arrays import FloatArray
 from ..dsm.own_surface import own_surface
 from ..errors import EmptyResultError, OverlapError, SceneError
 from ..evaluation.registration_section import registration_page
@@ -259,8 +258,6 @@ def _moved(
     """The registered scene, with the layer and the raster that lie beside it."""
     scene, before = work.scene, work.scene.registration
     changed, error = moved_scene(scene, placed.ground)
-    promise = _promise(work, parameters)
-    _say(placed, promise, progress)
     differences = _write_differences(work, placed.ground)
     ties = ""
     if scene.tie_points and os.path.exists(scene.tie_points):
@@ -274,28 +271,29 @@ def _moved(
         deviation=(east, north, up),
         determined=tuple((float(a), float(b)) for a, b in placed.determined),
         control=scene.pointing is not None and scene.pointing.control_information is not None,
-        promised_m=promise,
+        promised_m=_promise(work, parameters),
         pointing_px=error,
         references=tuple(laid.figures() for laid in work.laid),
         offsets=work.laid[0].shift.offsets if work.laid else (),
         differences=differences,
         neighbours=tuple(neighbours),
     )
+    _say(figures, progress)
     return replace(changed, registration=figures, tie_points=ties)
 
 
-def _say(placed: Placed, promise: Tuple[float, float], progress: Progress) -> None:
+def _say(figures: RegistrationFigures, progress: Progress) -> None:
     """What was found, and a warning where it is more than the vendor promises."""
-    east, north, up = placed.ground.moved
-    deviations = placed.deviations
+    east, north, up = figures.latest.moved
+    deviations = figures.deviation
     progress.info(
         f"The scene was moved by ({east:+.2f}, {north:+.2f}, {up:+.2f}) m to the east, to the north and up; the "
         f"standard deviations are {deviations[0]:.2f}, {deviations[1]:.2f} and {deviations[2]:.2f} m."
     )
-    if len(placed.determined) < 2:
-        if len(placed.determined):
+    if len(figures.determined) < 2:
+        if figures.determined:
             progress.warn(
-                f"The relief determines the horizontal position only along {_azimuth(placed.determined[0])}: across "
+                f"The relief determines the horizontal position only along {_azimuth(figures.determined[0])}: across "
                 "it, the scene stays where the vendors' RPCs put it."
             )
         else:
@@ -303,18 +301,15 @@ def _say(placed: Placed, promise: Tuple[float, float], progress: Progress) -> No
                 "The relief does not determine the horizontal position: horizontally, the scene stays where the "
                 "vendors' RPCs put it."
             )
-    ends = ("horizontally", float(np.hypot(east, north)), promise[0], float(max(deviations[:2])))
-    heights = ("in height", abs(up), promise[1], float(deviations[2]))
-    for words, size, promised_m, deviation in (ends, heights):
-        if size > promised_m + 2.0 * deviation:
-            progress.warn(
-                f"The shift of {size:.1f} m {words} is more than the {promised_m:.1f} m within which nine of ten "
-                "scenes lie, by what the vendors promise and how well their RPCs agree: check that the reference is in "
-                "its right place and vertical datum."
-            )
+    for words, size, promised_m in figures.unexpected():
+        progress.warn(
+            f"The shift of {size:.1f} m {words} is more than the {promised_m:.1f} m within which nine of ten "
+            "scenes lie, by what the vendors promise and how well their RPCs agree: check that the reference is in "
+            "its right place and vertical datum."
+        )
 
 
-def _azimuth(direction: FloatArray) -> str:
+def _azimuth(direction: Tuple[float, float]) -> str:
     """A horizontal direction in degrees from north, 0 to 180: it has no sign."""
     return f"{math.degrees(math.atan2(direction[0], direction[1])) % 180.0:.0f} degrees from north"
 
