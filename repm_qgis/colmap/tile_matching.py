@@ -24,7 +24,7 @@ from ..imagery.warping import box_filter, sample_array
 from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
-from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, require_whole, write_height_map
+from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.parameters import STEREO, StereoParameters
 from ..workspace import fingerprint, temporary_folder
 from .depth_heights import DepthGeometry, depth_geometry
@@ -273,9 +273,8 @@ def tile_height_source(
     """A height map of a tile with these bounds, to be placed on the ground in any projected ``crs``.
 
     Where the tile was matched in parts, heights beyond the part are left out, because its neighbour has them. Raises
-    SceneError where the file is missing, damaged or of another scene.
+    SceneError where the height map is of another scene.
     """
-    require_whole(record)
     own = record.bounds or bounds
     frame = tile_frame(scene, record.views, own, record.altitudes, colmap.frame, stereo)
     names = (record.pair[0], *record.sources)

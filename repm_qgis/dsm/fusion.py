@@ -18,7 +18,7 @@ from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
 from ..records import FilePath, HeightMapRecord, Record
 from ..scene import Scene, View
-from ..stereo.height_maps import HeightMap, HeightSource
+from ..stereo.height_maps import HeightMap, HeightSource, require_whole
 from ..workspace import write_text, writing
 from .aggregation import FusedCells, HeightLayer, aggregate
 from .occluded import occluded_ground
@@ -161,6 +161,9 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     """Grid each height map, aggregate, remove outliers, and cut the result to the tile's own cells."""
     wide = task.window.grown(task.parameters.feather_cells, task.grid.size)
     grid = task.grid.part(wide)
+    if task.step == 1:  # where only some pixels are read, GDAL's own checks of the blocks that are read have to do
+        for record in task.records:
+            require_whole(record)
     sources = [height_source(task.scene, task.bounds, record, task.crs, task.matching) for record in task.records]
     fused = _fuse_blocks(task, grid, sources)
     if task.fill == "none":

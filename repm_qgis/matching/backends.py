@@ -85,7 +85,7 @@ class Backend(Protocol):
         """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
 
         The geometry is made again from the scene: it is exact, and nothing stored can contradict it. Raises SceneError
-        where the file is missing, damaged or of another scene.
+        where the height map is of another scene; what is read from it raises it where the file is missing or damaged.
         """
 
 

@@ -22,7 +22,7 @@ from ..parallel import run_tasks
 from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
-from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, require_whole, write_height_map
+from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.pairing import rectified_pair
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
@@ -73,7 +73,6 @@ class PairBackend:
         self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
     ) -> HeightSource:
         pair = rectified_over_tile(scene, record.pair, bounds, record.altitudes, parameters.stereo)
-        require_whole(record)
         if pair is None or pair.size != record.size:
             raise foreign_height_map(record, scene)
         first, second = (scene.view(name) for name in record.pair)
