@@ -7,6 +7,7 @@ within some ten metres, with numpy alone.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import List, Optional, Sequence, Tuple
@@ -14,7 +15,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..altitudes import ALTITUDES, AltitudeParameters
-from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Window
+from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
 from ..errors import OptionError
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
@@ -26,7 +27,9 @@ from ..imagery.enhancement import view_stretch
 from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
 from ..progress import Progress
+from ..records import ViewPair
 from ..scene import View
+from .pair_selection import change_cost, pair_at, usual_change
 from .parameters import POINTING, SweepParameters
 
 
@@ -53,9 +56,28 @@ def sweep_altitudes(
 
     None where the images do not show it: no texture, no overlap, or all pairs too narrow.
     """
-    first, second, base_to_height = _best_pair(views, bounds, crs, search, parameters)
-    if base_to_height < parameters.least_base_to_height:
-        return None
+    best: Optional[SweepResult] = None
+    for first, second, base_to_height in _pairs(views, bounds, crs, search, parameters)[: parameters.pairs]:
+        found = _swept(first, second, base_to_height, crs, bounds, search, progress, parameters, altitudes)
+        if found is not None and (best is None or found.matched > best.matched):
+            best = found
+        if best is not None and best.matched >= parameters.enough_share * best.cells:
+            break
+    return best
+
+
+def _swept(
+    first: View,
+    second: View,
+    base_to_height: float,
+    crs: str,
+    bounds: Bounds,
+    search: Altitudes,
+    progress: Progress,
+    parameters: SweepParameters,
+    altitudes: AltitudeParameters,
+) -> Optional[SweepResult]:
+    """What one pair of views shows."""
     gsd = max(first.gsd_m, second.gsd_m)
     step = max(gsd * parameters.reduction / base_to_height, (search[1] - search[0]) / parameters.most_planes)
     sweep = _Sweep(first, second, crs, np.arange(search[0], search[1] + step, step), parameters)
@@ -67,7 +89,7 @@ def sweep_altitudes(
         progress.check_cancelled()
         progress.step(index / len(patches), "altitude range from the images")
         altitude, score = _sweep_patch(sweep, patch, shift)
-        good = score > parameters.least_correlation
+        good = _in_large_parts(np.where(score > parameters.least_correlation, altitude, np.nan), step, parameters)
         cells += score.size
         found.append(altitude[good])
     heights = np.concatenate(found) if found else np.empty(0)
@@ -76,6 +98,32 @@ def sweep_altitudes(
     low, high = np.percentile(heights, (parameters.tail_percent, 100.0 - parameters.tail_percent))
     low, high = altitudes.around_sweep(low, high, step)
     return SweepResult((max(search[0], low), min(search[1], high)), int(heights.size), cells, float(step))
+
+
+def _in_large_parts(altitude: FloatArray, step: float, parameters: SweepParameters) -> Mask:
+    """Which cells belong to a connected part of at least a correlation window's size: a wrong match is one feature
+    in its window, so its cells are no more than that. Neighbours belong together where they differ by few planes.
+
+    Unknown cells are NaN. The labels spread to neighbours, and jump to the labels of their labels until none changes.
+    """
+    label = np.arange(altitude.size).reshape(altitude.shape)
+    with np.errstate(invalid="ignore"):
+        across, down = (np.abs(np.diff(altitude, axis=axis)) <= parameters.joined_planes * step for axis in (1, 0))
+    before = np.full_like(label, -1)
+    while (label != before).any():
+        before = label.copy()
+        for one, other, joined in (
+            (label[:, :-1], label[:, 1:], across),
+            (label[:-1], label[1:], down),
+        ):
+            least = np.where(joined, np.minimum(one, other), altitude.size)
+            np.minimum(one, least, out=one)
+            np.minimum(other, least, out=other)
+        label = label.ravel()[label]
+    known = np.isfinite(altitude)
+    count = np.bincount(label[known], minlength=altitude.size)
+    large: Mask = known & (count[label] >= (2 * parameters.window_radius + 1) ** 2)
+    return large
 
 
 @dataclass(frozen=True)
@@ -89,19 +137,26 @@ class _Sweep:
     parameters: SweepParameters
 
 
-def _best_pair(
+def _pairs(
     views: Sequence[View], bounds: Bounds, crs: str, search: Altitudes, parameters: SweepParameters
-) -> Tuple[View, View, float]:
-    """The two views whose base-to-height ratio is nearest to the best one, and that ratio."""
-    centre = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
-    middle = (search[0] + search[1]) / 2
-    slopes = [ray_slope(view, centre, middle) for view in views]
-    ranked = []
-    for i, j in combinations(range(len(views)), 2):
-        ratio = float(np.linalg.norm(slopes[i] - slopes[j]))
-        ranked.append((abs(np.log(max(ratio, 1e-6) / parameters.best_base_to_height)), i, j, ratio))
-    _, i, j, ratio = min(ranked)
-    return views[i], views[j], ratio
+) -> List[Tuple[View, View, float]]:
+    """Pairs that are wide enough, with their base-to-height ratios, the best first: those that differ least in time
+    and sun, and whose ratio is near the best one.
+
+    Dates count as where pairs to match are chosen: images of two seasons hardly correlate.
+    """
+    lon, lat = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
+    place = float(lon), float(lat), (search[0] + search[1]) / 2
+    pairs = [pair_at(first, second, place, 0, 0.0) for first, second in combinations(views, 2)]
+    pairs = [pair for pair in pairs if pair.base_to_height >= parameters.least_base_to_height]
+    unknown, named = usual_change(pairs), {view.name: view for view in views}
+
+    def cost(pair: ViewPair) -> float:
+        changed = change_cost(pair)
+        ratio = pair.base_to_height / parameters.best_base_to_height
+        return abs(math.log(ratio)) + (unknown if changed is None else changed)
+
+    return [(named[pair.first], named[pair.second], pair.base_to_height) for pair in sorted(pairs, key=cost)]
 
 
 def sweep_patches(bounds: Bounds, gsd: float, parameters: SweepParameters) -> List[Bounds]:

@@ -23,9 +23,12 @@ class SweepParameters(Parameters):
     window_radius: int = 5  # of the correlation window, cells
     least_correlation: float = 0.7  # a cell with less gives no altitude
     least_contrast: float = 1e-4  # variance of the root intensity over its squared mean: less is noise
+    joined_planes: float = 2.0  # between neighbours of one connected part; smaller parts than the window are wrong
     least_known: float = 0.8  # share of a correlation window that both images must show
     least_cells: int = 60  # cells with an altitude: fewer say nothing
     least_share: float = 0.01  # the same as a share of all cells
+    enough_share: float = 0.1  # of all cells with an altitude: with fewer, the next best pair is tried,
+    pairs: int = 4  # up to so many pairs
     most_planes: int = 180  # planes of a sweep
     shift_planes: int = 40  # planes that are tried when the shift between two views is searched
     most_shift: int = 3  # cells across the parallax, searched in both directions: errors of RPCs of tens of px
