@@ -1,0 +1,230 @@
+"""Bad input: what the plugin makes of it, beside what an earlier revision made of the same files.
+
+Each trial runs stages of a checkout as the dialogs do, in a process of its own, and says in a few words how they
+ended. A trial that ends with a DSM says how far that lies from the truth. The earlier revision is that of
+REPM_BENCH_BEFORE, by default the last one before these cases were looked at.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+from osgeo import gdal
+
+from benchmarks.runner import ROOT, few, say
+from benchmarks.scenes import Scene, default
+from benchmarks.tables import Section, table
+from repm_qgis.errors import RepmError
+from repm_qgis.evaluation.grids import Grid
+from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.imagery.raster import opened
+from repm_qgis.rpc.model import Rpc
+from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.scene import load_views
+
+BEFORE = os.environ.get("REPM_BENCH_BEFORE", "d8da444")
+Job = Tuple[str, Dict[str, Any]]
+
+
+@dataclass
+class Ended:
+    """How a stage ended: its result, or its error; what it said, and its folder."""
+
+    folder: Path
+    result: Dict[str, Any] = field(default_factory=dict)
+    error: str = ""
+    said: List[str] = field(default_factory=list)
+    warned: List[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A case of bad input: ``jobs`` writes its files into a folder and gives the stages to run there, one after the
+    other; ``judge`` says in a few words what became of the last one that ended."""
+
+    point: str
+    what: str
+    jobs: Callable[[Path], List[Job]]
+    judge: Callable[[Ended], str]
+
+    def run(self, tree: Path) -> str:
+        with tempfile.TemporaryDirectory() as place:
+            ended = Ended(Path(place))
+            for stage, options in self.jobs(Path(place)):
+                ended = run_in(tree, stage, options, Path(place))
+                if ended.error:
+                    return f"stops: “{ended.error}”"
+            return self.judge(ended)
+
+
+def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path) -> Ended:
+    """A stage of the engine in a checkout."""
+    job, ended = folder / "job.json", Ended(folder)
+    job.write_text(json.dumps(options))
+    command = [sys.executable, "-m", "repm_qgis", stage, str(job)]
+    done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
+    for line in done.stdout.splitlines():
+        message = json.loads(line)
+        kind, text = message["type"], message.get("text", "").replace(f"{folder}/", "")
+        if kind == "result":
+            ended.result = message["result"]
+        elif kind in ("error", "bug"):
+            ended.error = text.strip().splitlines()[-1]
+        elif kind in ("info", "warning"):
+            (ended.said if kind == "info" else ended.warned).append(text)
+    return ended
+
+
+def pipeline(folder: Path, images: Sequence[str], name: str = "run", **options: Any) -> Job:
+    """The pipeline; its DSM is ``NAME.tif`` in the folder."""
+    made = {"images": list(images), "workspace": str(folder / name), "output": str(folder / f"{name}.tif")}
+    return "pipeline", {**made, "resolution": 1.0, **options}
+
+
+def off(ended: Ended, truth: str) -> str:
+    """How far the DSM of a run lies from the true surface, whose middle is that of all trials' ground."""
+    dsm = ended.result["output"]
+    with opened(dsm) as ours, opened(truth) as theirs:
+        boxes = [np.reshape(Grid.of(each).bounds, (2, 2)) for each in (ours, theirs)]
+    away = float(np.hypot(*(boxes[0].mean(axis=0) - boxes[1].mean(axis=0))))
+    try:
+        found = score_files(dsm, truth).metrics
+        wrong = f"{found.me:.2f} m wrong in the median"
+    except RepmError:
+        wrong = "nowhere on the true surface"
+    side = float(np.sqrt(np.prod(boxes[0][1] - boxes[0][0])))
+    return f"exit 0: the DSM is {side:.0f} m wide, its middle {away:.0f} m from the ground's, {wrong}"
+
+
+def say_of(ended: Ended, *words: str) -> str:
+    """The sentences that hold any of these words, from what a stage said and warned of."""
+    found = [text for text in (*ended.warned, *ended.said) if any(word in text for word in words)]
+    return " ".join(f"“{text}”" for text in found) or "nothing is said"
+
+
+# --- images ---------------------------------------------------------------------------------------------------------
+
+
+def town() -> Scene:
+    return default("urban", 1000, 5)
+
+
+def pixels_of(path: str) -> np.ndarray:
+    dataset = gdal.Open(path)
+    return dataset.ReadAsArray()
+
+
+def write_plain(
+    path: Path,
+    pixels: np.ndarray,
+    rpc: Optional[Rpc] = None,
+    place: Optional[Sequence[float]] = None,
+    tags: Optional[Dict[str, str]] = None,
+) -> str:
+    """An image with RPC tags, a geotransform and metadata, each where it is given."""
+    dataset = gdal.GetDriverByName("GTiff").Create(str(path), *pixels.shape[::-1], 1, gdal.GDT_UInt16)
+    if rpc is not None:
+        dataset.SetMetadata(rpc_tags(rpc), "RPC")
+    if place is not None:
+        dataset.SetGeoTransform(list(place))
+    if tags:
+        dataset.SetMetadata(tags)
+    dataset.GetRasterBand(1).WriteArray(pixels)
+    dataset = None
+    return str(path)
+
+
+def geom(rpc: Rpc) -> str:
+    """OSSIM's file of an RPC, which Orfeo ToolBox leaves beside a crop as that of the whole image."""
+    lines = ["type:  ossimRpcModel", "polynomial_format:  B"]
+    for key, text in rpc_tags(rpc).items():
+        if key.endswith("_COEFF"):
+            lines += [f"{key.lower()}_{number:02d}:  {word}" for number, word in enumerate(text.split())]
+        else:
+            lines.append(f"{key.lower()}:  {text}")
+    return "\n".join(lines) + "\n"
+
+
+def averaged(pixels: np.ndarray, step: int) -> np.ndarray:
+    rows, columns = (side // step * step for side in pixels.shape)
+    blocks = pixels[:rows, :columns].reshape(rows // step, step, columns // step, step)
+    return np.rint(blocks.mean(axis=(1, 3))).astype(np.uint16)
+
+
+def stepped(step: float, folder: Path) -> List[Job]:
+    """Crops whose pixels are means of ``step`` x ``step`` px, or parts of one, with the whole image's RPC beside."""
+    scene, images = town(), []
+    for view in load_views(scene.images[:2]):
+        col, row = 100, 60
+        crop = pixels_of(view.image)[row:, col:]
+        if step > 1:
+            crop = averaged(crop, int(step))
+        elif step < 1:
+            crop = np.kron(crop[200:600, 200:600], np.ones((round(1 / step),) * 2, np.uint16))
+            col, row = col + 200, row + 200
+        place = (col, step, 0.0, row, 0.0, step)
+        images.append(write_plain(folder / f"{view.name}.tif", crop, place=place))
+        (folder / f"{view.name}.geom").write_text(geom(view.rpc))
+    return [pipeline(folder, images)]
+
+
+def contradicting(folder: Path) -> List[Job]:
+    """Images of 1 m whose metadata say so, under RPCs of 0.5 m."""
+    images = []
+    for view in load_views(town().images[:2]):
+        pixels = averaged(pixels_of(view.image), 2)
+        images.append(write_plain(folder / f"{view.name}.tif", pixels, view.rpc, tags={"GSD": "1.0"}))
+    return [pipeline(folder, images)]
+
+
+def _off_town(ended: Ended) -> str:
+    return off(ended, town().reference)
+
+
+TRIALS: List[Trial] = [
+    Trial("1", "crops of step 2 with the whole images' `.geom`", partial(stepped, 2), _off_town),
+    Trial("1", "crops of step 0.5 with the whole images' `.geom`", partial(stepped, 0.5), _off_town),
+    Trial("1", "images of 1 m, so their metadata, under RPCs of 0.5 m", contradicting, _off_town),
+]
+
+
+# --- the table ------------------------------------------------------------------------------------------------------
+
+
+def earlier(folder: Path) -> Optional[Path]:
+    """The files of the earlier revision; None where this is no clone that has it."""
+    packed = subprocess.run(["git", "-C", str(ROOT), "archive", BEFORE], capture_output=True, check=False)
+    if packed.returncode:
+        say(f"the revision {BEFORE} is not here: what was before is not measured")
+        return None
+    tree = folder / "before"
+    tree.mkdir()
+    subprocess.run(["tar", "-x", "-C", str(tree)], input=packed.stdout, check=True)
+    return tree
+
+
+def never_silently_wrong() -> List[str]:
+    rows = []
+    with tempfile.TemporaryDirectory() as place:
+        before = earlier(Path(place))
+        for trial in few(TRIALS):
+            say(f"{trial.point}: {trial.what} ...")
+            cells = [trial.run(tree) if tree else "not measured" for tree in (before, ROOT)]
+            rows.append([trial.point, trial.what, *cells])
+    return [
+        "Each row is a case of bad input: how the run ended before these cases were looked at "
+        f"(revision {BEFORE}), and how it ends now. Distances are those of the DSM from the simulated surface.",
+        table("point | input | before | now", rows),
+    ]
+
+
+SECTIONS = [Section("input", "Bad input", "make bench-input", {"trials": never_silently_wrong})]
