@@ -15,6 +15,7 @@ from ..progress import counted
 from ..records import PointingFigures, ViewPair
 from ..scene import Scene, View
 from .graph import components
+from .height_uncertainty import height_uncertainty
 from .pair_selection import days_off_season, sun_over
 from .parameters import POINTING, AdviceParameters, PointingParameters, PromiseParameters
 from .promises import promise_of, promised
@@ -82,10 +83,12 @@ def absolute_height(
             f"The vendors promise that the RPCs' errors are at most {listed}; with the widest B/H that is at most "
             f"{height}, if the images' errors have nothing in common."
         )
+    known = height_uncertainty(views, figures, parameters)
     uncertain = (
-        f"The absolute height is uncertain by {figures.height_uncertainty_m:.1f} m (two standard deviations): from how "
-        f"much the RPCs disagree with each other ({apart:.1f} px across the parallax), and the {parameters.usual_px:g} "
-        "px that are usual; relative heights are not affected."
+        f"The absolute height is uncertain by {figures.height_uncertainty_m:.1f} m (two standard deviations): by "
+        f"{2.0 * known.promised_m:.1f} m if the RPCs are as wrong as is promised or assumed; they disagree by "
+        f"{apart:.2f} px across the parallax, {known.disagreement:.2f} times as much as that lets expect; relative "
+        "heights are not affected."
     )
     return [uncertain, promise]
 

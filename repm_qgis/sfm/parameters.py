@@ -189,6 +189,7 @@ class PromiseParameters(Parameters):
     unknown_px: float = 20.0  # the same in ground sampling distances, if that is more: coarser ones are worse. Chosen
     ce90: float = 2.146  # by the standard deviation in each direction (normal distribution)
     le90: float = 1.645  # by the standard deviation of heights (normal distribution)
+    freedom: float = 8.0  # observed disagreements that a promise counts as much as; chosen
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,7 @@ class PointingParameters(Parameters):
     colmap: ColmapAdjustmentParameters = ColmapAdjustmentParameters()
     advice: AdviceParameters = AdviceParameters()
     least_tracks: int = 20  # tie points after alignment; chosen
-    usual_px: float = 2.0  # by which RPCs of one pass usually disagree in each direction; chosen
+    usual_px: float = 2.0  # by which RPCs of one pass usually disagree in each direction: tells datums apart; chosen
     good_px: float = 1.5  # a tie with a larger residual is a wrong match, and gives no altitude; chosen
     around: float = 0.25  # of a tile's side: ties so far around it also give its altitudes; chosen
     tail_percent: float = 0.5  # of these altitudes, at either end, that may be wrong; chosen

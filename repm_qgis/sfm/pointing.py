@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from .advice import absolute_height, ties_by_part, ties_by_tile
 from .colmap_adjustment import adjust_colmap
 from .control_information import control_information
 from .ground_control import Gcp, intersect
+from .height_uncertainty import height_uncertainty
 from .keypoints import Detector, with_best_detector
 from .parameters import POINTING, PointingParameters
 from .tie_alignment import align_ties
@@ -104,10 +105,13 @@ def point_views(
         rejected_gcps=tuple(adjusted.rejected) if gcps else (),
         control_noise_px=adjusted.control_noise_px if controlled else None,
         control_information=_control_information(gcps, views, adjusted) if controlled else None,
-        height_uncertainty_m=None if controlled else _height_uncertainty(scene, pairs, before, parameters.usual_px),
         ties_by_tile=ties_by_tile(scene, xy, parameters.advice),
         ties_by_part=ties_by_part(scene, xy, parameters.advice),
     )
+    if not controlled:
+        figures = replace(
+            figures, height_uncertainty_m=2.0 * height_uncertainty(views, figures, parameters).deviation_m
+        )
     _log(scene.views, figures, parameters, progress)
     return Pointing(views, tracks, adjusted, xy, figures)
 
@@ -148,20 +152,6 @@ def _gcp_figures(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustmen
 def _control_information(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustment) -> Optional[FloatArray]:
     noise = adjusted.control_noise_px
     return None if noise is None else control_information(gcps, adjusted.rejected, views, noise)
-
-
-def _height_uncertainty(
-    scene: Scene, pairs: Sequence[ViewPair], before: Dict[Tuple[str, str], FloatArray], usual_px: float
-) -> float:
-    """Two standard deviations of the absolute height, m.
-
-    The vertical parallax shows how much the vendors' RPCs disagree; along the parallax, where an error looks like a
-    height, they probably disagree as much. A few pairs are too few to estimate a deviation, so the usual one counts as
-    one more pair. The pair with the widest base is the best one for heights.
-    """
-    seen = [_median(parallax) for parallax in before.values() if len(parallax)]
-    deviation = np.sqrt((usual_px**2 + sum(parallax**2 for parallax in seen)) / (1 + len(seen)))
-    return float(2.0 * deviation * scene.gsd_m / max(pair.base_to_height for pair in pairs))
 
 
 def _log(views: Sequence[View], figures: PointingFigures, parameters: PointingParameters, progress: Progress) -> None:

@@ -44,6 +44,12 @@ def promise_of(view: View, parameters: PromiseParameters = POINTING.promises) ->
     return Promise(unknown, vertical, "assumed, because no promise of its vendor is known")
 
 
+def published_vertical(promises: Sequence[Promise]) -> Optional[float]:
+    """The LE90 (m) of what several images show: the largest, where the vendors of all publish one; None elsewhere."""
+    published = [promise.vertical_m for promise in promises if promise.vertical_m is not None]
+    return max(published) if len(published) == len(promises) else None
+
+
 def promised(views: Sequence[View], parameters: PointingParameters = POINTING) -> Deviations:
     """How well the vendors promise the ground that at least one view shows.
 
@@ -55,9 +61,9 @@ def promised(views: Sequence[View], parameters: PointingParameters = POINTING) -
     promises = [promise_of(view, parameters.promises) for view in views]
     square = sum(promise.horizontal_m**2 for promise in promises) / len(promises)
     horizontal = math.sqrt(square) / parameters.promises.ce90
-    published = [promise.vertical_m for promise in promises if promise.vertical_m is not None]
-    if len(published) == len(promises):
-        return Deviations(horizontal, max(published) / parameters.promises.le90)
+    published = published_vertical(promises)
+    if published is not None:
+        return Deviations(horizontal, published / parameters.promises.le90)
     place = *middle_of(views), sum(view.rpc.height_off for view in views) / len(views)
     ratios = [convergence(first, second, *place)[1] for first, second in combinations(views, 2)]
     pairs = parameters.pairs

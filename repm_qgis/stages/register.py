@@ -32,6 +32,7 @@ from ..registration.solve import Prior, Shift, solve_shift
 from ..registration.stable import stable_cells
 from ..registration.surfaces import SupportMeans
 from ..scene import Scene, folder_of, reusable
+from ..sfm.height_uncertainty import usual_height_deviation
 from ..sfm.promises import promised
 from ..vector import copy_layer, file_and_layer, write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
@@ -209,8 +210,8 @@ def _work(
 def _prior(scene: Scene, parameters: EngineParameters) -> Prior:
     horizontal, up = promised(scene.views, parameters.pointing)
     ties = scene.pointing
-    if ties is not None and ties.height_uncertainty_m is not None:  # errors that images share do not change heights
-        up = min(up, ties.height_uncertainty_m / 2.0)
+    if ties is not None and not ties.controlled:  # errors that images share do not change heights
+        up = min(up, usual_height_deviation(scene.pairs, ties, scene.gsd_m, parameters.pointing))
     numbers, circle = parameters.registration, parameters.pointing.promises.ce90
     return Prior(horizontal, up, max(numbers.search * circle * horizontal, numbers.least_search_m))
 

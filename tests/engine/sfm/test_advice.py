@@ -14,6 +14,7 @@ from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.records import PairFigures, PointingFigures, ViewPair
 from repm_qgis.scene import Scene, Tile
 from repm_qgis.sfm.advice import absolute_height, advice, ties_by_part
+from repm_qgis.sfm.height_uncertainty import height_uncertainty
 from repm_qgis.sfm.pair_selection import choose_pairs
 
 PAIR = ViewPair("img_01", "img_02", 20.0, 0.35, 4, days=0.0001, sun_deg=0.1, shadow=0.01)
@@ -201,7 +202,10 @@ def test_the_image_that_contradicts_all_others_is_named(scene):
 def test_the_height_is_said_to_be_uncertain_with_its_source(scene):
     seen, figures = disagreeing(scene, 1.0, -1.5, uncertain=5.7)
     measured, promise = absolute_height(seen.views, figures)
-    assert "uncertain by 5.7 m (two standard deviations)" in measured and "(1.1 px across the parallax)" in measured
+    assert "uncertain by 5.7 m (two standard deviations)" in measured and "by 1.08 px across the parallax" in measured
+    known = height_uncertainty(seen.views, figures)
+    assert f"by {2 * known.promised_m:.1f} m if the RPCs are as wrong as is promised" in measured
+    assert f"{known.disagreement:.2f} times as much as that lets expect" in measured
     assert (
         "at most CE90 8.5 m (Pleiades 1A: Astrium," in promise and "LE90" in promise and "nothing in common" in promise
     )

@@ -1,0 +1,101 @@
+"""How uncertain the absolute height is without ground control: what vendors promise, and how much RPCs disagree.
+
+The errors of the images' lines of sight on the ground are taken as normal and different in each image. The vendors
+promise their variance; by how many times it is wrong (the variance factor of the scene) has a scaled inverse
+chi-square distribution around one, and the disagreement of the RPCs is evidence of it (Gelman et al., Bayesian Data
+Analysis, 2013, section 2.6). The height is then distributed as Student's t.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Dict, List, Sequence, Tuple
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..geometry.frames import EnuFrame
+from ..records import PointingFigures, ViewPair
+from ..scene import View, middle_of
+from .graph import components
+from .parameters import POINTING, PointingParameters
+from .promises import promise_of, published_vertical
+
+
+@dataclass(frozen=True)
+class HeightUncertainty:
+    """Standard deviations of the absolute height, m: ``promised_m`` by the vendors' promise alone, ``deviation_m`` with
+    what the RPCs' disagreement adds to it.
+
+    ``disagreement`` is how large the observed disagreement is, as a share of what the promise lets expect (root mean
+    square of ``freedom`` independent parts: one for a pair, 2 n - 3 for n images).
+    """
+
+    promised_m: float
+    disagreement: float
+    freedom: int
+    deviation_m: float
+
+
+def height_uncertainty(
+    views: Sequence[View], figures: PointingFigures, parameters: PointingParameters = POINTING
+) -> HeightUncertainty:
+    """From the RPCs of views, and their relative pointing without ground control.
+
+    Where ties do not connect all views, it is that of the group whose height is least certain.
+    """
+    tied = [pair.pair for pair in figures.pairs if pair.count]
+    names = [view.name for view in views]
+    groups = [group for group in components(names, tied) if len(group) > 1] or [names]
+    found = [_of_group([v for v in views if v.name in group], figures.shifts_px, parameters) for group in groups]
+    promised_m = max(height for height, _, _ in found)
+    square, freedom = sum(each for _, each, _ in found), sum(each for _, _, each in found)
+    prior = parameters.promises.freedom
+    # The variance of Student's t with so many degrees of freedom, whose scale is the posterior's.
+    factor = (prior + square) / (prior + freedom - 2)
+    return HeightUncertainty(promised_m, math.sqrt(square / freedom), freedom, promised_m * math.sqrt(factor))
+
+
+def usual_height_deviation(
+    pairs: Sequence[ViewPair], figures: PointingFigures, gsd_m: float, parameters: PointingParameters = POINTING
+) -> float:
+    """The standard deviation of the absolute height of a scene as scenes usually are, m: smaller than what vendors
+    promise, and nothing to rely on.
+
+    Along the parallax, where an error looks like a height, RPCs usually disagree by ``usual_px`` or by as much as they
+    do across it. A registration takes it to tell one vertical datum from another.
+    """
+    seen = [pair.before_px for pair in figures.pairs if pair.count]
+    deviation = math.sqrt((parameters.usual_px**2 + sum(each**2 for each in seen)) / (1 + len(seen)))
+    return deviation * gsd_m / max(pair.base_to_height for pair in pairs)
+
+
+def _of_group(
+    views: Sequence[View], shifts_px: Dict[str, Tuple[float, float]], parameters: PointingParameters
+) -> Tuple[float, float, int]:
+    """The deviation of the height by promise, m; the sum of squares of the disagreement, in promised standard
+    deviations; and of how many independent parts it is."""
+    place = np.array([*middle_of(views), sum(view.rpc.height_off for view in views) / len(views)])
+    frame = EnuFrame(*map(float, place))
+    moved = frame.to_geodetic(np.eye(3))
+    promises = [promise_of(view, parameters.promises) for view in views]
+    deviations = [promise.horizontal_m / parameters.promises.ce90 for promise in promises]
+    jacobians, across, errors = [], [], []
+    for view, deviation in zip(views, deviations):
+        jacobian = (view.project(moved) - view.project(place)).T  # (2, 3) px for each metre east, north and up
+        # What errors of one promised deviation on the ground move in the image; and the shift in these units.
+        scaled = jacobian[:, :2] * deviation
+        jacobians.append(jacobian)
+        across.append(scaled)
+        errors.append(np.linalg.solve(scaled, np.column_stack([shifts_px.get(view.name, (0.0, 0.0)), jacobian])))
+    whitened: FloatArray = np.concatenate(errors)
+    shifts, design = whitened[:, 0], whitened[:, 1:]
+    left = shifts - design @ np.linalg.lstsq(design, shifts, rcond=None)[0]
+    published = published_vertical(promises)
+    if published is not None:
+        return published / parameters.promises.le90, float(left @ left), len(left) - 3
+    # The smallest corrections are used, in px: the rest of the errors moves the ground by J^+ e.
+    height: List[FloatArray] = np.split(np.linalg.pinv(np.concatenate(jacobians))[2], len(views))
+    variance = sum(float(((row @ each) ** 2).sum()) for row, each in zip(height, across))
+    return math.sqrt(variance), float(left @ left), len(left) - 3
