@@ -54,6 +54,7 @@ _MAX_SCENE_BYTES = 512 << 20
 _FIRST_STAGE = "'Fit equivalent pinhole cameras'"
 _CHOOSE = f"choose the scene.json that {_FIRST_STAGE} wrote."
 _GSD_M = 0.01, 1000.0
+_GSD_RATIO = 1.3  # between what RPC and image say: relief and oblique views make less, resampled pixels more
 _IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 Side = Annotated[int, Number(1, MOST_SIDE_PX, "px", whole=True)]
@@ -502,12 +503,14 @@ def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[
 def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[View] = ()) -> View:
     """One of the views of :func:`load_views`, with a name that none of the others has."""
     from .imagery.raster import grey_band, name_of, opened_image, opened_masked
+    from .imagery.spacing import stated_spacings
     from .rpc.readers import rpc_of
 
     with opened_image(path) as dataset:
         rpc = rpc_of(dataset, path, rpc_file)
         width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
         when, sensor = acquired(dataset, path), sensor_of(dataset, path)
+        stated = tuple(stated_spacings(dataset))
     with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
         mask = os.path.abspath(mask) if os.path.exists(mask) else mask
     if min(width, height) < 64:
@@ -517,6 +520,12 @@ def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[Vi
     while name.lower() in taken:
         name = f"{name}_{len(others) + 1}"
     image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
+    for metres, where in stated:
+        if not 1 / _GSD_RATIO <= metres / gsd <= _GSD_RATIO:
+            raise RpcInvalidError(
+                f"The RPC of '{path}' gives pixels of {gsd:.3g} m on the ground, but {where} says {metres:.3g} m: if "
+                "the image was resampled, give the RPC of these pixels; else correct or remove what is wrong."
+            )
     return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask, sensor=sensor)
 
 

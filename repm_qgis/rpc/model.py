@@ -98,6 +98,19 @@ class Rpc(Record):
         """The RPC of an image whose pixel (0, 0) is this image's pixel (col, row): a crop's RPC."""
         return replace(self, col_off=self.col_off - col, row_off=self.row_off - row)
 
+    def resampled(self, col_step: float, row_step: float) -> "Rpc":
+        """The RPC of an image whose pixels are so many of this image's pixels wide and high, from the same corner on.
+
+        The corner is (-0.5, -0.5) in both: of steps of 2, the first pixel's centre is this image's (0.5, 0.5).
+        """
+        return replace(
+            self,
+            col_off=(self.col_off + 0.5) / col_step - 0.5,
+            row_off=(self.row_off + 0.5) / row_step - 0.5,
+            col_scale=self.col_scale / col_step,
+            row_scale=self.row_scale / row_step,
+        )
+
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) degrees, degrees, metres above the ellipsoid to (..., 2) column, row; NaN in gives NaN out."""
         points = np.asarray(lon_lat_h, dtype=np.float64)

@@ -7,8 +7,9 @@ An image may be a crop of the product that its RPC file describes. There are thr
 * RPC tags inside an image are those of its own pixels: ``gdal_translate -srcwin`` shifts them with the crop. They are
   never shifted again. A vendor's file that was copied next to such a crop differs from the tags by the crop's origin,
   in whole pixels: then the tags are right (GDAL itself would use the file).
-* An image without a CRS whose geotransform is a shift in pixels, as Orfeo ToolBox and GDAL write for crops, is a window
-  of the image that its sidecar file describes: the file's RPC is shifted, unless its domain starts there already.
+* An image without a CRS whose geotransform counts pixels, as Orfeo ToolBox and GDAL write for crops, is a window of the
+  image that its sidecar file describes: the file's RPC is shifted, unless its domain starts there already. Steps other
+  than 1 are those of a reduced or enlarged image: the file's RPC is scaled by them.
 * ``IMG_..._R2C1.TIF`` is a tile of an Airbus product, whose RPC is that of the whole image: it is shifted by the
   tile size in ``DIM_*.XML``, and refused without that file.
 """
@@ -23,12 +24,15 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import gdal
 
+from ..arrays import FloatArray
 from ..errors import RpcInvalidError, RpcMissingError
 from .formats import DIMAP, FORMAT_NAMES, FoundRpc, checked, read_sidecar, rpc_from_texts, tile_size
 from .model import Rpc
 
 _AGREE_PX = 0.5  # vendors round the same model to different digits in its different files
 _WHOLE_PX = 1e-3
+_STEPS = 1 / 32, 32.0  # of geotransforms that count pixels: those of world files in degrees are below
+_BEYOND = 0.05  # of an RPC's domain, by which an image may reach out of it: vendors round their domains
 _MAX_FOLDER = 20_000
 
 _IMAGE_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"NITF", b"NSIF", b"\0\0\0\x0cjP  ")
@@ -214,7 +218,7 @@ def _placed(found: FoundRpc, dataset: gdal.Dataset, path: str) -> Rpc:
     rpc = found.rpc
     if found.kind == DIMAP:
         rpc = rpc.shifted(*_tile_origin(Path(path)))
-    return rpc.shifted(*_crop_origin(dataset, rpc))
+    return _of_window(dataset, rpc)
 
 
 def _tile_origin(image: Path) -> Tuple[int, int]:
@@ -235,26 +239,54 @@ def _tile_origin(image: Path) -> Tuple[int, int]:
     raise RpcInvalidError(f"the image is tile R{row}C{col} of its product and {reason}: {remedy}.")
 
 
-def _crop_origin(dataset: gdal.Dataset, rpc: Rpc) -> Tuple[float, float]:
-    """Column and row of an image's first pixel in the image that an RPC file describes.
+def _of_window(dataset: gdal.Dataset, rpc: Rpc) -> Rpc:
+    """A file's RPC, shifted and scaled to the pixels of an image whose geotransform counts pixels of the file's image.
 
-    Taken from a geotransform that counts pixels: no CRS, steps of 1, and an origin inside the RPC's domain. (0, 0)
-    without one, or where the domain, which was shifted with the crop, starts at the crop's origin already.
+    Such a geotransform has no CRS, steps within ``_STEPS``, and an origin inside the RPC's domain. The domain may start
+    where the crop does: then the RPC was shifted with it; or where that is in the crop's pixels: then it was scaled,
+    too. Raises RpcInvalidError for a turned window, and for a resampled one that reaches out of the domain.
     """
     transform = dataset.GetGeoTransform(can_return_null=True)
     if not transform or dataset.GetProjection():
-        return 0.0, 0.0
+        return rpc
     col, right, row_right, row, col_down, down = transform
-    if right != 1.0 or abs(down) != 1.0 or row_right or col_down:
-        return 0.0, 0.0
-    row = row * down
-    start = np.array([rpc.col_off - abs(rpc.col_scale), rpc.row_off - abs(rpc.row_scale)])
-    end = np.array([rpc.col_off + abs(rpc.col_scale), rpc.row_off + abs(rpc.row_scale)])
-    origin = np.array([col, row])
-    moved_already = np.abs(start + origin).sum() < np.abs(start).sum()
-    if moved_already or (origin < 0).any() or (origin > end).any():
-        return 0.0, 0.0
-    return float(col), float(row)
+    origin, step = np.array([col, row * np.sign(down)]), np.array([right, abs(down)])
+    start, end = _domain(rpc)
+    if (step < _STEPS[0]).any() or (step > _STEPS[1]).any() or (origin < 0).any():
+        return rpc
+    size = np.array([dataset.RasterXSize, dataset.RasterYSize])
+    done = [  # to the RPC already: where its domain starts then, and what it becomes here
+        (0 * origin, rpc.shifted(*origin).resampled(*step)),
+        (-origin, rpc.resampled(*step)),
+        (-origin / step, rpc),
+    ]
+
+    def unlike(each: Tuple[FloatArray, Rpc]) -> Tuple[float, float]:
+        # From the origin (0, 0) on all start alike: then that one is right whose domain ends most nearly as the image.
+        last = np.maximum(_domain(each[1])[1] + 1, 1)
+        return float(np.abs(start - each[0]).sum()), float(np.abs(np.log(last / size)).sum())
+
+    from_start, placed = min(done, key=unlike)
+    if not from_start.any() and (origin > end).any():
+        return rpc
+    if row_right or col_down:
+        raise RpcInvalidError(
+            f"the image's geotransform {tuple(transform)} counts pixels along turned axes: cut the crop again without "
+            "turning it, or remove the geotransform if the RPC is that of these pixels."
+        )
+    if (step != 1).any() and (size > (1 + _BEYOND) * (_domain(placed)[1] + 1)).any():
+        raise RpcInvalidError(
+            f"the image's geotransform {tuple(transform)} puts its end at column {origin[0] + step[0] * size[0]:.0f}, "
+            f"row {origin[1] + step[1] * size[1]:.0f} of an image whose RPC is made for {end[0] + 1:.0f} x "
+            f"{end[1] + 1:.0f} px: remove the geotransform if the RPC is that of these pixels."
+        )
+    return placed
+
+
+def _domain(rpc: Rpc) -> Tuple[FloatArray, FloatArray]:
+    """(2,) first and last column, row that an RPC was made for."""
+    middle, reach = np.array([rpc.col_off, rpc.row_off]), np.abs([rpc.col_scale, rpc.row_scale])
+    return middle - reach, middle + reach
 
 
 def _is_crop(tags: Rpc, whole: Rpc) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -320,28 +321,66 @@ def test_what_is_no_shift_by_whole_pixels_to_the_right_and_down_is_another_model
 
 
 @pytest.mark.parametrize(
-    "transform, moved",
+    "transform, moved, step",
     (
-        ((200.0, 1.0, 0.0, 100.0, 0.0, 1.0), (200.0, 100.0)),
-        ((200.0, 1.0, 0.0, -100.0, 0.0, -1.0), (200.0, 100.0)),
-        ((0.0, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 100.0)),
-        ((200.0, 2.0, 0.0, 100.0, 0.0, 2.0), (0.0, 0.0)),  # zoomed,
-        ((200.0, 1.0, 0.0, 100.0, 0.0, 0.5), (0.0, 0.0)),
-        ((200.0, 1.0, 0.1, 100.0, 0.0, 1.0), (0.0, 0.0)),  # turned,
-        ((200.0, 1.0, 0.0, 100.0, 0.1, 1.0), (0.0, 0.0)),
-        ((-0.5, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 0.0)),  # or outside
-        ((200.0, 1.0, 0.0, -0.5, 0.0, 1.0), (0.0, 0.0)),
-        ((900.0, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 0.0)),
+        ((200.0, 1.0, 0.0, 100.0, 0.0, 1.0), (200.0, 100.0), (1.0, 1.0)),
+        ((200.0, 1.0, 0.0, -100.0, 0.0, -1.0), (200.0, 100.0), (1.0, 1.0)),
+        ((0.0, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 100.0), (1.0, 1.0)),
+        ((200.0, 2.0, 0.0, 100.0, 0.0, 2.0), (200.0, 100.0), (2.0, 2.0)),
+        ((200.0, 2.0, 0.0, -100.0, 0.0, -2.0), (200.0, 100.0), (2.0, 2.0)),
+        ((200.0, 1.0, 0.0, 100.0, 0.0, 0.5), (200.0, 100.0), (1.0, 0.5)),
+        ((1.44, 4.5e-6, 0.0, 43.6, 0.0, -4.5e-6), (0.0, 0.0), (1.0, 1.0)),  # degrees of a world file,
+        ((-0.5, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 0.0), (1.0, 1.0)),  # or outside
+        ((200.0, 1.0, 0.0, -0.5, 0.0, 1.0), (0.0, 0.0), (1.0, 1.0)),
+        ((900.0, 1.0, 0.0, 100.0, 0.0, 1.0), (0.0, 0.0), (1.0, 1.0)),
     ),
 )
-def test_which_geotransforms_count_pixels(tmp_path, write_image, synthetic_rpc, transform, moved):
+def test_which_geotransforms_count_pixels(tmp_path, write_image, synthetic_rpc, transform, moved, step):
+    """A pixel of steps of 2 is the mean of 2 x 2: its centre is that of their common corner."""
     rpc = synthetic_rpc(col_off=449.0, col_scale=450.0, row_off=349.0, row_scale=350.0)
-    image = write_image(tmp_path / "a.tif")
+    found = read(placed(write_image(tmp_path / "a.tif"), transform, rpc))
+    whole = np.array([[230.5, 140.5], [300.0, 200.0]])
+    ground = rpc.localise(whole, 500.0)
+    wanted = (whole - moved - (np.array(step) - 1) / 2) / step
+    assert np.abs(found.project(ground) - wanted).max() < 1e-6
+
+
+def placed(image, transform, rpc):
+    """An image that gets a geotransform, and an RPC file beside it."""
     dataset = gdal.Open(image, gdal.GA_Update)
     dataset.SetGeoTransform(transform)
     dataset = None  # noqa: F841
-    (tmp_path / "a_RPC.TXT").write_text(key_value(rpc))
-    assert read(image) == rpc.shifted(*moved)
+    Path(image).with_name("a_RPC.TXT").write_text(key_value(rpc))
+    return image
+
+
+@pytest.mark.parametrize("origin", ((0.0, 0.0), (60.0, 100.0)))
+@pytest.mark.parametrize("step", (2.0, 0.5))
+def test_an_rpc_that_was_made_for_the_crop_already_is_not_changed_twice(
+    tmp_path, write_image, synthetic_rpc, origin, step
+):
+    """The image of 80 x 100 px is all of what the RPC describes from the origin on, at another step."""
+    size = np.array(origin) + step * np.array([80, 100])
+    whole = synthetic_rpc(
+        col_off=(size[0] - 1) / 2, col_scale=(size[0] - 1) / 2, row_off=(size[1] - 1) / 2, row_scale=(size[1] - 1) / 2
+    )
+    transform = (origin[0], step, 0.0, origin[1], 0.0, step)
+    scaled = whole.shifted(*origin).resampled(step, step)
+    for number, rpc in enumerate((whole, whole.shifted(*origin), scaled)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        close(read(placed(write_image(folder / "a.tif"), transform, rpc)), scaled)
+
+
+def test_a_window_that_the_rpc_cannot_have_is_refused(tmp_path, write_image, synthetic_rpc):
+    rpc = synthetic_rpc(col_off=149.0, col_scale=150.0, row_off=149.0, row_scale=150.0)
+    for transform, words in (
+        ((200.0, 2.0, 0.0, 100.0, 0.0, 2.0), "puts its end at column 360, row 300 of an image .* for 300 x 300 px"),
+        ((100.0, 1.0, 0.1, 100.0, 0.0, 1.0), "along turned axes"),
+        ((100.0, 1.0, 0.0, 100.0, 0.1, 1.0), "along turned axes"),
+    ):
+        with pytest.raises(RpcInvalidError, match=words):
+            read(placed(write_image(tmp_path / "a.tif"), transform, rpc))
 
 
 def test_pixel_coordinates_without_a_crs_are_no_map(tmp_path, write_image):
