@@ -29,6 +29,8 @@ from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain
 from .geometry.tiles import enclosing
 from .imagery.acquisition import acquired, moment, sensor_of
+from .imagery.enhancement import Stretch, view_stretch
+from .imagery.parameters import STRETCH, StretchParameters
 from .options import BACKENDS, MODELS, PRESETS
 from .records import (
     FilePath,
@@ -88,6 +90,7 @@ class View(Record):
     is really seen; the identity until relative pointing is known. ``acquired`` is when the image was taken, ISO 8601 in
     UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
+    ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
     """
 
     name: Name
@@ -101,10 +104,14 @@ class View(Record):
     acquired: str = ""
     mask: FilePath = ""
     sensor: str = ""
+    part: Optional[Window] = None
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
-        return "" if 0.5 < turned < 2.0 else "has a pointing that is too large for a correction"
+        if not 0.5 < turned < 2.0:
+            return "has a pointing that is too large for a correction"
+        whole = Window(0, 0, *self.size)
+        return "" if self.part is None or self.part.common(whole) == self.part else "has a part outside its image"
 
     @property
     def time(self) -> Optional[datetime]:
@@ -125,6 +132,10 @@ class View(Record):
         offset: FloatArray = np.asarray(col_row) - self.pointing[:, 2]
         raw: FloatArray = offset @ np.linalg.inv(self.pointing[:, :2]).T
         return self.rpc.localise(raw, height)
+
+    def stretch(self, parameters: StretchParameters = STRETCH) -> Stretch:
+        """The stretch of the view's intensities, the same in all stages. Raises ImageError where it shows nothing."""
+        return view_stretch(self.image, self.band, self.mask, parameters, self.part)
 
     def with_pointing(self, pointing: FloatArray) -> "View":
         return replace(self, pointing=np.asarray(pointing, dtype=np.float64))
@@ -485,28 +496,31 @@ def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
     return scene if last is not None and (last.stage, last.fingerprint) == (stage, key) else None
 
 
-def load_views(images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[str] = ()) -> Tuple[View, ...]:
+def load_views(
+    images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[str] = (), whole: bool = True
+) -> Tuple[View, ...]:
     """Open images, read their RPCs, and make views; names are unique, in the order given.
 
     ``rpcs`` names the images' RPC files in the same order; "" is for an image whose RPC is to be found, as all are
-    where the sequence is empty. ``masks`` likewise names rasters of what is not to be used, "" for none.
+    where the sequence is empty. ``masks`` likewise names rasters of what is not to be used, "" for none. ``whole``:
+    no EXTENT says that only a part of them will be read, and files that hold almost nothing are refused.
 
     Raises ImageError or an RpcError with the file's name.
     """
     views: List[View] = []
     none = [""] * len(images)
     for path, rpc_file, mask in zip(images, rpcs or none, masks or none):
-        views.append(load_view(path, rpc_file, mask, views))
+        views.append(load_view(path, rpc_file, mask, views, whole))
     return tuple(views)
 
 
-def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[View] = ()) -> View:
+def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[View] = (), whole: bool = True) -> View:
     """One of the views of :func:`load_views`, with a name that none of the others has."""
     from .imagery.raster import grey_band, name_of, opened_image, opened_masked
     from .imagery.spacing import stated_spacings
     from .rpc.readers import rpc_of
 
-    with opened_image(path) as dataset:
+    with opened_image(path, whole) as dataset:
         rpc = rpc_of(dataset, path, rpc_file)
         width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
         when, sensor = acquired(dataset, path), sensor_of(dataset, path)

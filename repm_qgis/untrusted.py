@@ -11,11 +11,12 @@ import os
 import re
 import stat
 from functools import lru_cache
-from typing import Any, List, Sequence, Set, Tuple
+from typing import Any, List, Optional, Sequence, Set, Tuple
 from xml.parsers import expat  # declarations of types, and so of entities, are refused
 
 from osgeo import gdal
 
+from .arrays import Window
 from .checks import INLINE
 from .workspace import file_identity
 
@@ -110,11 +111,18 @@ def unlike_an_image(dataset: gdal.Dataset) -> str:
     if max(width, height) > MOST_SIDE_PX or width * height > _MOST_PX:
         most = f"{MOST_SIDE_PX} px a side and {_MOST_PX:.0e} px in all"
         return f"claims {width} x {height} px, more than any satellite's image ({most}): get the file again."
+    return ""
+
+
+def hollow(dataset: gdal.Dataset, part: Optional[Window] = None) -> str:
+    """Why a part of an opened raster (None: all of it) is not worth reading, in the form of :func:`distrust`; "" where
+    it is."""
+    col, row, width, height = part or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     if width * height > _HARMLESS_PX:
-        flags, share = dataset.GetRasterBand(1).GetDataCoverageStatus(0, 0, width, height)[:2]
+        flags, share = dataset.GetRasterBand(1).GetDataCoverageStatus(col, row, width, height)[:2]
         if not flags & gdal.GDAL_DATA_COVERAGE_STATUS_UNIMPLEMENTED and 0 <= share < _LEAST_SHARE:
             held = f"claims {width} x {height} px and holds {share:.2g} % of them, the rest of the file is empty"
-            return f"{held}: get the file again, or crop it to what it holds."
+            return f"{held}: get the file again, crop it to what it holds, or give an EXTENT there."
     return ""
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from typing import Callable, Iterator, Tuple
+from typing import Callable, Iterator, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Mask, Window
+from ..arrays import FloatImage, Mask, Size, Window
 from .parameters import COLLARS, CollarParameters
-from .raster import Image, created, opened_masked, read
+from .raster import Image, MaskedImage, created, opened_masked, read
 
 
 def write_collar_mask(
@@ -25,25 +25,32 @@ def write_collar_mask(
     target: str,
     check: Callable[[], None] = lambda: None,
     parameters: CollarParameters = COLLARS,
+    part: Optional[Window] = None,
 ) -> float:
     """Write a mask (1 where a pixel is not to be used) of an image's black ends and of its own ``mask`` ("": none).
 
     Black are runs of pixels from the left or right end of a row, or from the top of a column, that the vendor's own
-    mask does not hide. Gives the share of the image that they are; 0 where they are too few to matter, and nothing is
-    written. ``check`` is called between parts, and may raise to stop.
+    mask does not hide. Only a ``part`` of the image is looked at (None: the whole); what is black in it counts where
+    it is so to the image's end. Gives the share of the part that they are; 0 where they are too few to matter, and
+    nothing is written. ``check`` is called between parts, and may raise to stop.
 
     Raises ImageError for an image or mask that cannot be read, WorkspaceError where the mask cannot be written.
     """
     with opened_masked(image, mask) as dataset:
-        if not _may_have_any(dataset, band, parameters):
-            return 0.0
         width, height = dataset.RasterXSize, dataset.RasterYSize
+        looked_at = _to_near_ends(part, (width, height), parameters.least_px)
+        if not _may_have_any(dataset, looked_at, band, parameters):
+            return 0.0
         black = 0
         with created(target, (height, width), np.dtype(np.uint8), 1, None, "", nodata=None) as raster:
-            for row, hidden, found in _strips(dataset, band, check, parameters):
+            if part is not None and isinstance(dataset, MaskedImage):
+                for row in range(0, height, parameters.strip_rows):  # it holds outside the part, too
+                    strip = Window(0, row, width, min(parameters.strip_rows, height - row))
+                    raster.write(dataset.excluded(strip).astype(np.uint8), 0, row)
+            for row, hidden, found in _strips(dataset, looked_at, band, check, parameters):
                 black += int(found.sum())
-                raster.write((hidden | found).astype(np.uint8), 0, row)
-    share = float(black / (width * height))
+                raster.write((hidden | found).astype(np.uint8), looked_at.col, row)
+    share = float(black / (looked_at.width * looked_at.height))
     if share < parameters.least_share:
         with suppress(OSError):
             os.remove(target)
@@ -51,41 +58,84 @@ def write_collar_mask(
     return share
 
 
-def _may_have_any(dataset: Image, band: int, parameters: CollarParameters) -> bool:
-    """Whether some of the image's rows begin or end black: nearly all images have none, and cost no more than this."""
-    width, height = dataset.RasterXSize, dataset.RasterYSize
-    side, least = min(width, parameters.end_px), parameters.least_px
-    if _is_black(read(dataset, Window(0, 0, width, 1), band), parameters).sum() >= least:
+def _to_near_ends(part: Optional[Window], size: Size, near: int) -> Window:
+    """The part, or the whole image; to the image's ends where they are near."""
+    if part is None:
+        return Window(0, 0, *size)
+    low = [0 if value < near else value for value in part[:2]]
+    ends = [value + side for value, side in zip(part[:2], part[2:])]
+    high = [whole if value > whole - near else value for value, whole in zip(ends, size)]
+    return Window.spanning(*low, *high)
+
+
+def _may_have_any(dataset: Image, part: Window, band: int, parameters: CollarParameters) -> bool:
+    """Whether some of the part's rows begin or end black: nearly all images have none, and cost no more than this."""
+    side, least = min(part.width, parameters.end_px), parameters.least_px
+    if _is_black(read(dataset, Window(part.col, part.row, part.width, 1), band), parameters).sum() >= least:
         return True
-    for row in np.unique(np.linspace(0, height - 1, min(height, parameters.looked_at)).astype(int)):
-        for col in (0, width - side):
-            values = read(dataset, Window(col, int(row), side, 1), band)
+    for row in np.unique(np.linspace(0, part.height - 1, min(part.height, parameters.looked_at)).astype(int)):
+        for col in (0, part.width - side):
+            values = read(dataset, Window(part.col + col, part.row + int(row), side, 1), band)
             black = _is_black(values, parameters)
-            left, right = _runs(black | ~np.isfinite(values), least)
+            left, right = _runs(_dark(values, parameters), least)
             if (black & (right if col else left)).sum() >= least:
                 return True
     return False
 
 
 def _strips(
-    dataset: Image, band: int, check: Callable[[], None], parameters: CollarParameters
+    dataset: Image, part: Window, band: int, check: Callable[[], None], parameters: CollarParameters
 ) -> Iterator[Tuple[int, Mask, Mask]]:
-    """The first row of each strip, what is hidden already, and what is black from an end."""
-    width, height = dataset.RasterXSize, dataset.RasterYSize
-    falling = np.ones(width, dtype=bool)  # columns that are black, or hidden, from the top down to here
-    first = True
-    for row in range(0, height, parameters.strip_rows):
+    """The first row of each strip of a part, what is hidden there already, and what is black from an image's end."""
+    above = Window(part.col, 0, part.width, part.row)
+    top = read(dataset, Window(part.col, part.row, part.width, 1), band)
+    # Columns that are black, or hidden, from the image's top down to here.
+    falling = _black_throughout(dataset, above, 0, _dark(top, parameters)[0], band, check, parameters)
+    end_row, end_col = part.row + part.height, part.col + part.width
+    for row in range(part.row, end_row, parameters.strip_rows):
         check()
-        count = min(parameters.strip_rows, height - row)
-        values = read(dataset, Window(0, row, width, count), band)
-        hidden = ~np.isfinite(values)
-        black = _is_black(values, parameters)
-        left, right = _runs(black | hidden, parameters.least_px)
-        down = np.logical_and.accumulate(np.vstack([falling, black | hidden]), axis=0)[1:]
-        if first and count >= parameters.least_px:
+        count = min(parameters.strip_rows, end_row - row)
+        values = read(dataset, Window(part.col, row, part.width, count), band)
+        hidden, dark = ~np.isfinite(values), _dark(values, parameters)
+        left, right = _runs(dark, parameters.least_px)
+        for run, edge, col, stop in ((left, 0, 0, part.col), (right, -1, end_col, dataset.RasterXSize)):
+            outside = Window(col, row, stop - col, count)
+            run &= _black_throughout(dataset, outside, 1, run[:, edge], band, check, parameters)[:, None]
+        down = np.logical_and.accumulate(np.vstack([falling, dark]), axis=0)[1:]
+        if row == 0 and count >= parameters.least_px:
             down &= down[parameters.least_px - 1]  # columns whose black ends sooner are dark ground
-        falling, first = down[-1], False
-        yield row, hidden, (left | right | down) & black
+        falling = down[-1]
+        yield row, hidden, (left | right | down) & dark & ~hidden
+
+
+def _black_throughout(
+    dataset: Image,
+    window: Window,
+    axis: int,
+    among: Mask,
+    band: int,
+    check: Callable[[], None],
+    parameters: CollarParameters,
+) -> Mask:
+    """(n,) which ``among`` the columns (axis 0) or rows (axis 1) of a window are black or hidden all along.
+
+    It is read in blocks, and no further than any of them is; all are where the window is empty.
+    """
+    found, along = among.copy(), (window.row, window.col)[axis]
+    end, step = along + (window.height, window.width)[axis], parameters.strip_rows
+    for start in range(along, end, step):
+        if not found.any():
+            break
+        check()
+        count = min(step, end - start)
+        block = window._replace(row=start, height=count) if axis == 0 else window._replace(col=start, width=count)
+        found &= _dark(read(dataset, block, band), parameters).all(axis=axis)
+    return found
+
+
+def _dark(values: FloatImage, parameters: CollarParameters) -> Mask:
+    """What is black or hidden."""
+    return _is_black(values, parameters) | ~np.isfinite(values)
 
 
 def _is_black(values: FloatImage, parameters: CollarParameters) -> Mask:

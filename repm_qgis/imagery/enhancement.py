@@ -1,15 +1,16 @@
-"""The stretch of intensities: one for a whole view, so that tiles have no visible borders."""
+"""The stretch of intensities: one for all tiles of a view, so that they have no visible borders."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage
+from ..arrays import FloatImage, Window
 from ..errors import ImageError
 from .parameters import STRETCH, StretchParameters
-from .raster import opened_masked, read
+from .raster import Image, opened_masked, read
 
 
 @dataclass(frozen=True)
@@ -34,20 +35,36 @@ class Stretch:
             return np.where(root > 1, tail, root * self.knee).astype(np.float32)
 
 
-def view_stretch(path: str, band: int, mask: str = "", parameters: StretchParameters = STRETCH) -> Stretch:
-    """The stretch of a whole image of any bit depth, from its overviews or a reduced reading; without masked pixels.
+def view_stretch(
+    path: str, band: int, mask: str = "", parameters: StretchParameters = STRETCH, part: Optional[Window] = None
+) -> Stretch:
+    """The stretch of an image of any bit depth, from its overviews or a reduced reading; without masked pixels.
 
-    Raises ImageError where the image holds only nodata or one value.
+    ``part`` is the window that is used of the image, where it is not the whole: what lies outside has no part in the
+    stretch, unless the window itself shows nothing. Raises ImageError where the image holds only nodata or one value.
     """
     with opened_masked(path, mask) as dataset:
-        factor = max(1.0, max(dataset.RasterXSize, dataset.RasterYSize) / parameters.sample_px)
-        size = (max(1, int(dataset.RasterXSize / factor)), max(1, int(dataset.RasterYSize / factor)))
-        pixels = read(dataset, None, band, size)
-    known = pixels[np.isfinite(pixels)]
-    if known.size < parameters.least_pixels:
+        known, (low, high) = _sampled(dataset, part, band, parameters)
+        if part is not None and high <= low:
+            known, (low, high) = _sampled(dataset, None, band, parameters)
+    if known < parameters.least_pixels:
         raise ImageError(f"'{path}' has only nodata in band {band}: choose another image, band or mask.")
-    low, high = np.percentile(known, (parameters.low_percent, parameters.high_percent))
     if high <= low:
         nearly = f"has the same value ({low:g}) almost everywhere in band {band}"
         raise ImageError(f"'{path}' {nearly}: it shows nothing to match.")
     return Stretch(float(low), float(high), parameters.knee)
+
+
+def _sampled(
+    dataset: Image, window: Optional[Window], band: int, parameters: StretchParameters
+) -> Tuple[int, Tuple[float, float]]:
+    """How many pixels of a reduced window (None: of the whole) have a value, and the ends of the stretch; (0, 0) where
+    they are too few."""
+    width, height = window[2:] if window else (dataset.RasterXSize, dataset.RasterYSize)
+    factor = max(1.0, max(width, height) / parameters.sample_px)
+    pixels = read(dataset, window, band, (max(1, int(width / factor)), max(1, int(height / factor))))
+    known = pixels[np.isfinite(pixels)]
+    if known.size < parameters.least_pixels:
+        return known.size, (0.0, 0.0)
+    low, high = np.percentile(known, (parameters.low_percent, parameters.high_percent))
+    return known.size, (low, high)

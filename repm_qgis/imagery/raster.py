@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatImage, Size, Window
+from ..arrays import FloatImage, Mask, Size, Window
 from ..errors import ImageError
 from ..shortage import speaks_of_memory
-from ..untrusted import RASTERS, claimed, distrust, drivers_for, unlike_an_image
+from ..untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
 from ..workspace import file_identity, not_written, take_name, temporary_name
 
 NODATA = -9999.0
@@ -69,6 +69,10 @@ class MaskedImage:
     def GetDescription(self) -> str:  # noqa: N802 - GDAL's name
         return str(self.image.GetDescription())
 
+    def excluded(self, window: Optional[Window] = None, size: Optional[Size] = None) -> Mask:
+        """(height, width) what the mask excludes of a window, as :func:`read` takes it."""
+        return np.asarray(np.nan_to_num(read(self.mask, window, 1, size), nan=0.0) != 0)
+
 
 Image = Union[gdal.Dataset, MaskedImage]
 
@@ -117,12 +121,19 @@ def _require(path: str, distrusted: str) -> None:
 
 
 @contextmanager
-def opened_image(path: str) -> Iterator[gdal.Dataset]:
-    """A satellite image opened as :func:`opened` does; raises ImageError too for what is none, by size and content."""
+def opened_image(path: str, whole: bool = True) -> Iterator[gdal.Dataset]:
+    """A satellite image opened as :func:`opened` does; raises ImageError too for what is none, by its size and, where
+    the ``whole`` of it will be read, by its content."""
     with opened(path) as dataset:
         with quiet():
-            _require(path, unlike_an_image(dataset))
+            _require(path, unlike_an_image(dataset) or (hollow(dataset) if whole else ""))
         yield dataset
+
+
+def require_content(path: str, part: Optional[Window] = None) -> None:
+    """Raise ImageError where the file holds almost nothing of a part of its image (None: of the whole)."""
+    with opened(path) as dataset, quiet():
+        _require(path, hollow(dataset, part))
 
 
 def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: Optional[Size] = None) -> FloatImage:
@@ -133,8 +144,7 @@ def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: O
     by averaging, from overviews where there are any. Raises ImageError for a truncated or damaged file.
     """
     if isinstance(dataset, MaskedImage):
-        excluded = np.nan_to_num(read(dataset.mask, window, 1, size), nan=0.0) != 0
-        return np.where(excluded, np.float32(np.nan), read(dataset.image, window, band, size))
+        return np.where(dataset.excluded(window, size), np.float32(np.nan), read(dataset.image, window, band, size))
     if band == 0:
         meanings = _meanings(dataset)
         red, green, blue = (

@@ -23,7 +23,6 @@ from ..geometry.interpolation import upsample_grid
 from ..geometry.tiles import pixel_window
 from ..imagery.correlation import window_statistics
 from ..imagery.dem import dem_range
-from ..imagery.enhancement import view_stretch
 from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
 from ..progress import Progress
@@ -315,7 +314,7 @@ def altitude_range(
         swept = sweep_altitudes(views, crs, bounds, search, progress, parameters, altitudes)
         if swept is None:
             for view in views:  # an image that shows nothing is an error of its own
-                view_stretch(view.image, view.band, view.mask)
+                view.stretch()
             progress.warn(
                 f"The altitude range could not be found from the images: that of the RPCs is used, {search[0]:.0f} to "
                 f"{search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is faster and more reliable."

@@ -66,7 +66,7 @@ def _require_memory(options: SampleDataOptions) -> None:
 def _seen(options: Options) -> Optional[GroundSeen]:
     """What the images show; None where a stage has none, or a scene that the stage itself will refuse."""
     if isinstance(options, PipelineOptions):
-        return GroundSeen.of(load_views(options.fit.images, options.fit.rpcs))
+        return GroundSeen.of(load_views(options.fit.images, options.fit.rpcs, whole=options.fit.extent is None))
     if isinstance(options, (DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions)) and options.scene:
         return ground_of(options.scene)
     return None

@@ -8,13 +8,13 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..arrays import Altitudes, Bounds
+from ..arrays import Altitudes, Bounds, Window
 from ..errors import OptionError, OverlapError
 from ..evaluation.stage_reports import fit_report
 from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
@@ -24,7 +24,7 @@ from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
 from ..imagery.collars import write_collar_mask
-from ..imagery.raster import raster_identity
+from ..imagery.raster import raster_identity, require_content
 from ..memory import planned_mib
 from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
@@ -32,6 +32,7 @@ from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
 from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, load_views, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
+from ..stereo.parameters import STEREO
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
 from .parameters import ENGINE, EngineParameters, TileParameters
@@ -82,24 +83,24 @@ def _masks_are_there(scene: Scene) -> bool:
 
 
 def _without_collars(views: Sequence[View], folder: Path, progress: Progress) -> Tuple[View, ...]:
-    """The views with masks of their black ends, where no nodata value marks these."""
+    """The views with masks of the black ends of their parts, where no nodata value marks these."""
     found = []
     for view in views:
         progress.step(0.0, f"black ends of {view.name}")
         target = str(folder / f"{view.name}.tif")
-        share = write_collar_mask(view.image, view.band, view.mask, target, progress.check_cancelled)
+        share = write_collar_mask(view.image, view.band, view.mask, target, progress.check_cancelled, part=view.part)
         if share:
+            looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
             progress.info(
-                f"{100 * share:.1f} % of '{view.name}' are black from its ends on, and no nodata value says so: they "
-                "are left out."
+                f"{100 * share:.1f} % of {looked_at} are black from the image's ends on, and no nodata value says so: "
+                "they are left out."
             )
         found.append(replace(view, mask=target) if share else view)
     return tuple(found)
 
 
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
-    views = load_views(options.images, options.rpcs, options.masks)
-    views = _without_collars(views, masks, progress)
+    views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
     taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
     satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
     sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
@@ -112,11 +113,19 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
         Part(progress, 0.0, 0.6),
         parameters.pointing.sweep,
     )
+    if options.extent is not None:
+        known = [*search, *(end for end in ends if end is not None)]
+        views = _parted(views, crs, area, (min(known), max(known)))
+        for view in views:
+            require_content(view.image, view.part)
+    views = _without_collars(views, masks, progress)
     altitudes, source = altitude_range(
         views, crs, bounds_of(area), search, ends, options.dem, part, sweep, parameters.altitudes
     )
     progress.info(f"Altitudes {altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid (from: {source}).")
     area = _area(views, crs, altitudes, options, parameters.tiles)
+    if options.extent is not None:
+        views = _parted(views, crs, area, altitudes)
     xmin, ymin, xmax, ymax = bounds_of(area)
     lon, lat = geodetic_from_projected(crs, np.array([(xmin + xmax) / 2, (ymin + ymax) / 2]))
     frame = EnuFrame(float(lon), float(lat), 0.0)
@@ -126,6 +135,17 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     scene = replace(scene, tiles=_tiles(scene, lay_tiles(area, size * scene.gsd_m), progress))
     progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
+
+
+def _parted(views: Sequence[View], crs: str, area: ogr.Geometry, altitudes: Altitudes) -> Tuple[View, ...]:
+    """The views with the windows that show an area at these altitudes, and the margin that tiles are matched with."""
+    around = Bounds(*bounds_of(area)).grown(STEREO.tile_margin_px * min(view.gsd_m for view in views))
+
+    def part(view: View) -> Optional[Window]:
+        window = pixel_window(view.project, partial(geodetic_from_projected, crs), around, altitudes, view.size)
+        return None if window == (0, 0, *view.size) else window
+
+    return tuple(replace(view, part=part(view)) for view in views)
 
 
 def _crs(options: EpmFitOptions, views: Sequence[View]) -> str:

@@ -16,7 +16,7 @@ from ..exports.formats import ExportFormat
 from ..exports.images import write_image
 from ..exports.model import TileModel, tile_model
 from ..exports.ties import tie_points
-from ..imagery.enhancement import Stretch, view_stretch
+from ..imagery.enhancement import Stretch
 from ..options import ExportCamerasOptions
 from ..progress import Progress
 from ..scene import Scene, Tile
@@ -42,7 +42,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     for place in places:
         _check_place(place, options.format)
     names = sorted({view.name for model in models for view in model.views} if options.bits == "8" else ())
-    stretches = {name: view_stretch(scene.view(name).image, scene.view(name).band) for name in names}
+    stretches = {name: scene.view(name).stretch() for name in names}
     count, done = sum(len(model.views) for model in models), 0
     for model, place in zip(models, places):
         points, residuals = tie_points(scene, model.tile)

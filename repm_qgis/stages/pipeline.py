@@ -106,5 +106,6 @@ def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None
     if options.fuse.ept:
         require_ept_place(options.fuse.ept)
     if options.reconstruct.gcps:
-        views, gcps = load_views(fit.images, fit.rpcs), options.reconstruct.gcps
+        views = load_views(fit.images, fit.rpcs, whole=fit.extent is None)
+        gcps = options.reconstruct.gcps
         require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing)

@@ -17,7 +17,7 @@ from ..disk_space import heights_need, require_space
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
-from ..imagery.enhancement import Stretch, view_stretch
+from ..imagery.enhancement import Stretch
 from ..imagery.parameters import StretchParameters
 from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
@@ -118,7 +118,7 @@ def _stretches(scene: Scene, workers: int, parameters: EngineParameters, progres
 
 def _stretch(task: Tuple[View, StretchParameters]) -> Stretch:
     view, parameters = task
-    return view_stretch(view.image, view.band, view.mask, parameters)
+    return view.stretch(parameters)
 
 
 def _log_pairs(scene: Scene, progress: Progress) -> None:

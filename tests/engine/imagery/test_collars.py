@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from repm_qgis.arrays import Window
 from repm_qgis.imagery.collars import write_collar_mask
 from repm_qgis.imagery.parameters import COLLARS
 from repm_qgis.imagery.raster import opened, read
@@ -22,7 +23,7 @@ def ground():
 def found(tmp_path):
     """The share and the mask of an image; None where none is written."""
 
-    def find(values, nodata=None, mask=None):
+    def find(values, nodata=None, mask=None, part=None):
         paths = [str(tmp_path / name) for name in ("image.tif", "mask.tif")]
         for path, data in zip(paths, (values, mask)):
             if data is not None:
@@ -33,7 +34,7 @@ def found(tmp_path):
                     dataset.GetRasterBand(1).SetNoDataValue(nodata)
                 dataset = None
         target = tmp_path / "found.tif"
-        share = write_collar_mask(paths[0], 1, paths[1] if mask is not None else "", str(target))
+        share = write_collar_mask(paths[0], 1, paths[1] if mask is not None else "", str(target), part=part)
         if not target.exists():
             return share, None
         with opened(str(target)) as dataset:
@@ -94,3 +95,48 @@ def test_a_plain_image_is_not_read_as_a_whole(ground, found, monkeypatch):
     monkeypatch.setattr("repm_qgis.imagery.collars.read", counting)
     assert found(ground) == (0.0, None)
     assert sum(pixels) == WIDTH + 2 * COLLARS.looked_at * COLLARS.end_px
+
+
+@pytest.mark.parametrize(
+    "part",
+    (
+        Window(0, 0, 200, 200),
+        Window(350, 0, 150, 700),
+        Window(200, 250, 200, 120),  # the stripes alone, which reach the ends outside
+        Window(10, 100, 480, 590),  # near to the ends, but not at them
+        Window(220, 600, 280, 100),
+    ),
+)
+def test_a_part_has_the_black_ends_that_the_whole_image_has_there(ground, found, part):
+    ground[frame()] = 0
+    clouds = np.zeros((HEIGHT, WIDTH), dtype=np.uint16)
+    clouds[5:90, 210:480] = 1  # the user's own, inside the parts and outside
+    _, whole = found(ground, mask=clouds)
+    share, mask = found(ground, mask=clouds, part=part)
+    seen = part.inside(Window(0, 0, WIDTH, HEIGHT))
+    assert share > 0 and (mask[seen] != whole[seen]).mean() < 0.002  # runs that the part cuts short
+    outside = np.ones((HEIGHT, WIDTH), dtype=bool)
+    outside[part.grown(COLLARS.least_px, (WIDTH, HEIGHT)).inside(Window(0, 0, WIDTH, HEIGHT))] = False
+    np.testing.assert_array_equal(mask[outside], clouds[outside] != 0)
+
+
+def test_dark_ground_at_the_ends_of_a_part_stays(ground, found):
+    ground[200:400, 100:300] = 0  # a lake, across the part's left end and its top
+    assert found(ground, part=Window(200, 300, 250, 300)) == (0.0, None)
+
+
+def test_beside_a_part_no_more_is_read_than_is_needed(ground, found, monkeypatch):
+    read_from = []
+    plain = read
+
+    def counting(dataset, window=None, band=1, size=None):
+        read_from.append(window)
+        return plain(dataset, window, band, size)
+
+    monkeypatch.setattr("repm_qgis.imagery.collars.read", counting)
+    ground[:, :120] = 0
+    part = Window(100, 300, 200, 100)
+    assert found(ground, part=part)[0] == pytest.approx(0.1)
+    near = Window(0, 300, 300, 100)
+    assert all(near.common(window) == window or window.row < 300 and window.width == 200 for window in read_from)
+    assert max(window.width * window.height for window in read_from) <= 200 * 300

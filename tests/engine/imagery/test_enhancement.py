@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from repm_qgis.arrays import Window
 from repm_qgis.errors import ImageError
 from repm_qgis.imagery.enhancement import Stretch, view_stretch
 
@@ -43,3 +44,22 @@ def test_images_that_show_nothing(tmp_path, write_image, values, nodata, words):
     with pytest.raises(ImageError) as caught:
         view_stretch(path, 1)
     assert path in str(caught.value) and words in str(caught.value)
+
+
+def test_of_a_part_that_is_used_nothing_outside_counts(tmp_path, write_image):
+    part = np.random.default_rng(1).integers(200, 900, (300, 400)).astype(np.uint16)
+    values = np.full((6000, 5000), 40, np.uint16)  # less than the threshold's share of it has data
+    values[700:1000, 4000:4400] = part
+    path = write_image(tmp_path / "whole.tif", values)
+    with pytest.raises(ImageError, match="has the same value .40. almost everywhere"):
+        view_stretch(path, 1)
+    found = view_stretch(path, 1, part=Window(4000, 700, 400, 300))
+    assert found == view_stretch(write_image(tmp_path / "part.tif", part), 1)
+
+
+def test_a_part_that_shows_nothing_takes_the_stretch_of_the_whole(tmp_path, write_image):
+    """The view has nothing to add there, and the run goes on with the others."""
+    values = np.tile(np.arange(100, 1100, dtype=np.uint16), (300, 1))
+    values[:100, :200] = 0
+    path = write_image(tmp_path / "a.tif", values, nodata=0)
+    assert view_stretch(path, 1, part=Window(0, 0, 200, 100)) == view_stretch(path, 1)

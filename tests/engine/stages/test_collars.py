@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 from osgeo import gdal
 
+from repm_qgis.errors import ImageError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -38,10 +40,94 @@ def test_black_frames_are_masked_and_change_nothing_else(mountains, framed, tmp_
     said = told()
     scene, plain = fit(framed, tmp_path / "ws", said), fit(mountains.images, tmp_path / "plain", told())
     assert all(Path(view.mask).exists() for view in scene.views) and not any(view.mask for view in plain.views)
-    assert sum("are black from its ends on" in text for text in said.notes) == 3
+    assert sum("are black from the image's ends on" in text for text in said.notes) == 3
     assert np.abs(np.subtract(scene.altitudes, plain.altitudes)).max() < 60.0
     again = told()
     fit(framed, tmp_path / "ws", again)
     assert any(text.startswith("Reused the cameras") for text in again.notes)
     Path(scene.views[0].mask).unlink()
     assert Path(fit(framed, tmp_path / "ws", told()).views[0].mask).exists()
+
+
+SIDE, CORNER = 40_000, (39_300, 39_500)
+
+
+def linear(tags):
+    """RPC tags for a raster a hundred times as large, without higher terms: far from the image they make nonsense."""
+    for axis in ("LINE", "SAMP"):
+        above, below = (np.array(tags[f"{axis}_{part}_COEFF"].split(), float) for part in ("NUM", "DEN"))
+        terms = np.append(above[0], (above - above[0] * below)[1:4]) * (0.01, 1, 1, 0.01)  # of 1, lon, lat and height
+        tags[f"{axis}_NUM_COEFF"] = " ".join(map(repr, [*terms.tolist(), *[0.0] * 16]))
+        tags[f"{axis}_DEN_COEFF"] = " ".join(["1"] + ["0"] * 19)
+    for axis in ("LINE", "SAMP", "LAT", "LONG"):
+        tags[f"{axis}_SCALE"] = str(100 * float(tags[f"{axis}_SCALE"]))
+    return tags
+
+
+@pytest.fixture(scope="module")
+def in_corner(mountains, tmp_path_factory):
+    """Makes two of the mountains' images in the corner of rasters of so many pixels a side, which hold nothing else."""
+
+    def make(side, corner):
+        folder = tmp_path_factory.mktemp("corner")
+        paths = [str(folder / Path(image).name) for image in mountains.images[:2]]
+        for path, image in zip(paths, mountains.images):
+            source = gdal.Open(image)
+            tags = linear(source.GetMetadata("RPC"))
+            for name, offset in zip(("SAMP_OFF", "LINE_OFF"), corner):
+                tags[name] = str(float(tags[name]) + offset)
+            options = ["TILED=YES", "SPARSE_OK=TRUE"]
+            dataset = gdal.GetDriverByName("GTiff").Create(path, side, side, 1, gdal.GDT_UInt16, options)
+            dataset.GetRasterBand(1).WriteArray(source.ReadAsArray(), *corner)
+            dataset.SetMetadata(tags, "RPC")
+            source = dataset = None
+            assert Path(path).stat().st_size < 3 << 20
+        return paths
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def sparse(in_corner):
+    return in_corner(SIDE, CORNER)
+
+
+@pytest.fixture(scope="module")
+def within(mountains):
+    """EXTENT: the inner part of the mountains, as options."""
+    xmin, ymin, xmax, ymax = mountains.bounds
+    across, up = 0.3 * (xmax - xmin), 0.3 * (ymax - ymin)
+    return {"extent": [xmin + across, ymin + up, xmax - across, ymax - up], "extent_crs": mountains.crs}
+
+
+def test_of_a_huge_raster_only_the_extent_counts(in_corner, sparse, within, tmp_path, told):
+    made = {}
+    for name, images in (("sparse", sparse), ("plain", in_corner(400, (0, 0)))):
+        options = {"images": images, "workspace": str(tmp_path / name), "output": str(tmp_path / f"{name}.tif")}
+        made[name] = run_stage("pipeline", {**options, **within, "resolution": 1.0, "workers": 1}, told())
+    scenes = {name: Scene.load(result["scene"]) for name, result in made.items()}
+    for view, plain in zip(scenes["sparse"].views, scenes["plain"].views):
+        assert np.abs(np.subtract(view.part, (*np.add(plain.part[:2], CORNER), *plain.part[2:]))).max() <= 3
+        stretch, expected = view.stretch(), plain.stretch()
+        assert abs(stretch.low - expected.low) < 3 and abs(stretch.high - expected.high) < 5
+        assert all(tile.views[view.name].window.common(view.part) for tile in scenes["sparse"].tiles)
+    heights = [gdal.Open(made[name]["output"]).ReadAsArray() for name in ("sparse", "plain")]
+    assert heights[0].shape == heights[1].shape
+    both = (heights[0] != -9999) & (heights[1] != -9999)
+    assert both.mean() > 0.95 * (heights[1] != -9999).mean()
+    assert np.median(np.abs(heights[0] - heights[1])[both]) < 0.1
+
+
+def test_without_an_extent_what_holds_almost_nothing_is_refused(sparse, tmp_path, told):
+    with pytest.raises(
+        ImageError, match=r"holds 0.\d* % of them, .* crop it to what it holds, or give an EXTENT there"
+    ):
+        fit(sparse, tmp_path / "ws", told())
+
+
+def test_an_extent_that_images_show_wholly_changes_nothing(mountains, tmp_path, told):
+    back = pyproj.Transformer.from_crs(mountains.crs, "EPSG:4326", always_xy=True)
+    xmin, ymin, xmax, ymax = back.transform_bounds(*mountains.bounds)
+    options = {"images": mountains.images, "extent": [xmin - 0.1, ymin - 0.1, xmax + 0.1, ymax + 0.1]}
+    made = run_stage("epmfit", {**options, "workspace": str(tmp_path), "extent_crs": "EPSG:4326"}, told())
+    assert [view.part for view in Scene.load(made["scene"]).views] == [None] * 3
