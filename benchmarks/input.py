@@ -193,6 +193,34 @@ def contradicting(folder: Path) -> List[Job]:
     return [pipeline(folder, images)]
 
 
+def abroad(folder: Path) -> str:
+    """An image of another continent, whose RPC was made for other heights."""
+    view = true_views(3)[2]
+    rpc = replace(view.rpc, lon_off=-47.0, lat_off=-23.0, height_off=view.rpc.height_off + 800.0)
+    return write_plain(folder / "abroad.tif", pixels_of(view.image), rpc)
+
+
+def with_foreign(order: Sequence[int], folder: Path) -> List[Job]:
+    """A pair alone, and with an image of another continent at a place among the images."""
+    pair = list(town().images[:2])
+    every = [*pair, abroad(folder)]
+    return [pipeline(folder, pair, "alone"), pipeline(folder, [every[k] for k in order])]
+
+
+def foreign_only(folder: Path) -> List[Job]:
+    return [pipeline(folder, [town().images[0], abroad(folder)])]
+
+
+def as_alone(ended: Ended) -> str:
+    """Whether the DSM has the very heights of the pair's own."""
+    own, found = (gdal.Open(str(ended.folder / name)) for name in ("alone.tif", "run.tif"))
+    if (own.GetGeoTransform(), own.GetProjection()) != (found.GetGeoTransform(), found.GetProjection()):
+        return f"exit 0, another DSM than the pair's own, in {found.GetSpatialRef().GetName()}"
+    same = own.ReadAsArray().tobytes() == found.ReadAsArray().tobytes()
+    said = say_of(ended, "left out:")
+    return f"exit 0, heights {'identical with' if same else 'other than'} the pair's own, to the byte; {said}"
+
+
 def _off_town(ended: Ended) -> str:
     return off(ended, town().reference)
 
@@ -201,6 +229,9 @@ TRIALS: List[Trial] = [
     Trial("1", "crops of step 2 with the whole images' `.geom`", partial(stepped, 2), _off_town),
     Trial("1", "crops of step 0.5 with the whole images' `.geom`", partial(stepped, 0.5), _off_town),
     Trial("1", "images of 1 m, so their metadata, under RPCs of 0.5 m", contradicting, _off_town),
+    Trial("2", "a pair, then an image of another continent", partial(with_foreign, (0, 1, 2)), as_alone),
+    Trial("2", "an image of another continent, then a pair", partial(with_foreign, (2, 0, 1)), as_alone),
+    Trial("2", "two images of two continents", foreign_only, _off_town),
 ]
 
 

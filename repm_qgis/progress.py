@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import threading
-from typing import Callable, Optional, Protocol, TextIO
+from typing import Callable, Optional, Protocol, Sequence, TextIO
+
+_MOST_NAMED = 6
 
 
 class Progress(Protocol):
@@ -25,6 +27,12 @@ class Progress(Protocol):
 def counted(count: int, noun: str) -> str:
     """A number with its noun: "1 tile", "3 tiles"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def listed(names: Sequence[str], between: str = ", ") -> str:
+    """The first six of names, and how many more there are."""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return between.join(names[:_MOST_NAMED]) + more
 
 
 class Silent:

@@ -551,9 +551,17 @@ def middle_of(views: Sequence[View]) -> Tuple[float, float]:
 
 
 def common_heights(views: Sequence[View]) -> Tuple[float, float]:
-    """The heights all RPCs were made for, m above the ellipsoid; all of theirs where they have none in common."""
+    """The heights that most RPCs were made for, m above the ellipsoid; all of theirs where no two have any in common.
+
+    So an RPC that was made for other heights than all others does not widen the range that these have in common.
+    """
     lows, highs = zip(*(view.rpc.height_range for view in views))
-    return (max(lows), min(highs)) if max(lows) < min(highs) else (min(lows), max(highs))
+    ends = sorted({*lows, *highs})
+    shared = [sum(low <= a and b <= high for low, high in zip(lows, highs)) for a, b in zip(ends, ends[1:])]
+    if max(shared) < min(2, len(views)):
+        return ends[0], ends[-1]
+    most = [number for number, count in enumerate(shared) if count == max(shared)]
+    return ends[most[0]], ends[most[-1] + 1]
 
 
 def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:

@@ -11,7 +11,7 @@ from osgeo import ogr
 from ..arrays import Bounds, FloatArray
 from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import duration_text
-from ..progress import counted
+from ..progress import counted, listed
 from ..records import PointingFigures, ViewPair
 from ..scene import Scene, View
 from .graph import components
@@ -20,7 +20,6 @@ from .pair_selection import days_off_season, sun_over
 from .parameters import POINTING, AdviceParameters, PointingParameters, PromiseParameters
 from .promises import promise_of, promised
 
-_MOST_NAMED = 6
 _PARTS = (("north-west", "north", "north-east"), ("west", "middle", "east"), ("south-west", "south", "south-east"))
 
 
@@ -119,7 +118,7 @@ def _beyond_promise(scene: Scene, figures: PointingFigures, parameters: Pointing
     common = set.intersection(*({view.name for view in views} for views in named.values()))
     culprit = f" ({min(common)} is in all of these pairs)" if len(common) == 1 else ""
     return [
-        f"The RPCs disagree by more than their vendors promise, which is {promises}: {_listed(list(named), '; ')}; the "
+        f"The RPCs disagree by more than their vendors promise, which is {promises}: {listed(list(named), '; ')}; the "
         f"absolute height is uncertain by {figures.height_uncertainty_m:.1f} m; check that each RPC belongs to its "
         f"image{culprit}, give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
         "reference', ALIGN=3d)."
@@ -147,7 +146,7 @@ def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     used = {name for pair in pairs for name in (pair.first, pair.second)}
     names = [view.name for view in scene.views if view.name not in used]
     why = "no other image of the same ground was taken from a direction at least 3 degrees away"
-    text = f"{_listed(names)}: not used, because {why}; leave it out, or add an image from another direction."
+    text = f"{listed(names)}: not used, because {why}; leave it out, or add an image from another direction."
     return [text] if names else []
 
 
@@ -156,7 +155,7 @@ def _groups(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     groups = components([view.name for view in scene.views], [(pair.first, pair.second) for pair in pairs])
     names = [", ".join(sorted(group)) for group in groups if len(group) > 1]
     text = (
-        f"The images form {len(names)} groups that no pair connects ({_listed(names, '; ')}): their heights may differ "
+        f"The images form {len(names)} groups that no pair connects ({listed(names, '; ')}): their heights may differ "
         "by metres; add an image that overlaps both, give ground control points (GCPS), or process each group by "
         "itself."
     )
@@ -168,7 +167,7 @@ def _at_night(scene: Scene) -> List[str]:
     suns = ((view, sun_over(scene, view)) for view in scene.views)
     names = [f"{view.name} ({view.time:%Y-%m-%d %H:%M} UTC)" for view, sun in suns if sun is not None and sun[1] <= 0]
     text = "the sun had set at the time in the product's files, so that only its date was used"
-    return [f"{_listed(names)}: {text}; check the sidecar files of the image."] if names else []
+    return [f"{listed(names)}: {text}; check the sidecar files of the image."] if names else []
 
 
 def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
@@ -181,7 +180,7 @@ def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
         if other_sun(pair, parameters)
     ]
     text = (
-        f"The sun had different directions over {_listed(named)}: edges of shadows are matched as if they were ground, "
+        f"The sun had different directions over {listed(named)}: edges of shadows are matched as if they were ground, "
         "and ground in shadow is not matched; take images of one pass or with similar suns, or leave one image out."
     )
     return [text] if named else []
@@ -211,15 +210,10 @@ def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]
         if other_season(pair, parameters) and not other_sun(pair, parameters):
             named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
     text = (
-        f"Images were taken seasons or years apart: {_listed(named)}; fields, leaves, snow and building sites have "
+        f"Images were taken seasons or years apart: {listed(named)}; fields, leaves, snow and building sites have "
         "changed, which causes gaps or wrong heights; take images of one pass, or leave one image out."
     )
     return [text] if named else []
-
-
-def _listed(names: Sequence[str], between: str = ", ") -> str:
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return between.join(names[:_MOST_NAMED]) + more
 
 
 def _thin(scene: Scene, figures: PointingFigures, parameters: AdviceParameters) -> List[str]:
@@ -231,8 +225,8 @@ def _thin(scene: Scene, figures: PointingFigures, parameters: AdviceParameters) 
     few = [name for name, count in tiles.items() if count < parameters.few_ties] if len(tiles) > 1 else []
     if not few and not bare:
         return []
-    where = _listed(list(dict.fromkeys([*bare, *(_part_of(scene, tile) for tile in few)])))
-    names = f" ({counted(len(few), 'tile')} of {len(tiles)}: {_listed(few)})" if few else ""
+    where = listed(list(dict.fromkeys([*bare, *(_part_of(scene, tile) for tile in few)])))
+    names = f" ({counted(len(few), 'tile')} of {len(tiles)}: {listed(few)})" if few else ""
     return [
         f"There are hardly any tie points in the {where} of the overlap{names}, because of water, clouds, shadow or "
         "changes; the pointing comes from the rest of the scene; check the arrows of the tie points around it (their "

@@ -13,7 +13,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import Bounds, FloatArray
+from ..arrays import Bounds
 from ..errors import EmptyResultError
 from ..geometry.footprints import Polygon, footprint, geometry_of, ray_slope, seen_twice
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
@@ -21,12 +21,11 @@ from ..imagery.acquisition import duration_text
 from ..records import ViewPair
 from ..scene import View, common_heights, middle_of
 from .advice import expected_accuracy_m, other_season, other_sun
-from .graph import components
+from .overlap import places
 from .pair_selection import best_pairs, pair_at, shared_part, sun_at
 from .parameters import POINTING, PointingParameters
 
 YES, CARE, NO = "yes", "with care", "no"
-_APART_DEG = 0.02  # footprints at different heights may miss each other by so much and overlap at the same height
 
 
 @dataclass(frozen=True)
@@ -86,23 +85,8 @@ class Place:
 def inspect_views(
     views: Sequence[View], least_px: float, parameters: PointingParameters = POINTING
 ) -> Tuple[Place, ...]:
-    """The places of the views, those with most images first; overlaps of less than ``least_px`` a side do not count."""
-    boxes = [_box(footprint(view.localise, view.size, view.rpc.height_off)) for view in views]
-    names = [view.name for view in views]
-    near = [(names[i], names[j]) for i, j in combinations(range(len(views)), 2) if _touch(boxes[i], boxes[j])]
-    groups = [[view for view in views if view.name in group] for group in components(names, near)]
-    places = [_place(group, least_px, parameters) for group in groups]
-    return tuple(sorted(places, key=lambda place: -len(place.images)))
-
-
-def _box(outline: Polygon) -> FloatArray:
-    """(2, 2) lowest and highest longitude and latitude."""
-    return np.array([outline.min(axis=0), outline.max(axis=0)])
-
-
-def _touch(first: FloatArray, second: FloatArray) -> bool:
-    moved = second + [360.0 * np.round((first[0, 0] - second[0, 0]) / 360.0), 0.0]  # one side of the date line
-    return bool((moved[0] <= first[1] + _APART_DEG).all() and (moved[1] >= first[0] - _APART_DEG).all())
+    """The places of the views (:func:`~repm_qgis.sfm.overlap.places`), those with most images first."""
+    return tuple(_place(group, least_px, parameters) for group in places(views, least_px))
 
 
 def _place(views: Sequence[View], least_px: float, parameters: PointingParameters) -> Place:

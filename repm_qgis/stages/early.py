@@ -21,6 +21,7 @@ from ..options import (
     SampleDataOptions,
 )
 from ..scene import GroundSeen, ground_of, load_views
+from ..sfm.overlap import of_one_place
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _SAMPLE_BYTES = {"urban": 450.0, "mountains": 180.0}  # memory for each px of a sample image; measured at 1000 px
@@ -33,7 +34,7 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
     """
     if isinstance(options, SampleDataOptions):
         _require_memory(options)
-    seen = _seen(options)
+    seen = _seen(options, parameters.tiles)
     if seen is None:
         return
     for part in options.parts():
@@ -63,10 +64,11 @@ def _require_memory(options: SampleDataOptions) -> None:
         raise OptionError("SIZE", options.size, f"{takes}: choose at most {most} px")
 
 
-def _seen(options: Options) -> Optional[GroundSeen]:
+def _seen(options: Options, parameters: TileParameters) -> Optional[GroundSeen]:
     """What the images show; None where a stage has none, or a scene that the stage itself will refuse."""
     if isinstance(options, PipelineOptions):
-        return GroundSeen.of(load_views(options.fit.images, options.fit.rpcs, whole=options.fit.extent is None))
+        views = load_views(options.fit.images, options.fit.rpcs, whole=options.fit.extent is None)
+        return GroundSeen.of(of_one_place(views, parameters.least_overlap_px))
     if isinstance(options, (DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions)) and options.scene:
         return ground_of(options.scene)
     return None

@@ -32,6 +32,7 @@ from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
 from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, load_views, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
+from ..sfm.overlap import of_one_place
 from ..stereo.parameters import STEREO
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
@@ -101,6 +102,7 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
 
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
     views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
+    views = of_one_place(views, parameters.tiles.least_overlap_px, progress.warn)
     taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
     satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
     sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
@@ -165,8 +167,9 @@ def _area(
     area = seen_twice(outlines)
     least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
     if area.IsEmpty() or area.GetArea() < least:
-        places = [f"{v.name} around longitude {v.rpc.lon_off:.4f}, latitude {v.rpc.lat_off:.4f}" for v in views]
-        raise OverlapError(f"The images do not overlap on the ground: {'; '.join(places)}. Choose images of one place.")
+        range_ = f"{altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid"
+        remedy = "give the heights of this ground as ALTITUDE_MIN and ALTITUDE_MAX, or a DEM of it"
+        raise OverlapError(f"The images share no ground at altitudes of {range_}: {remedy}.")
     if options.extent is None:
         return area
     common = area.Intersection(_extent(options, options.extent, crs))

@@ -23,6 +23,7 @@ from ..run_estimate import estimate_run
 from ..scene import Scene, load_views
 from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
+from ..sfm.overlap import of_one_place
 from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine, register
 from .early import require_cell
@@ -107,5 +108,6 @@ def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None
         require_ept_place(options.fuse.ept)
     if options.reconstruct.gcps:
         views = load_views(fit.images, fit.rpcs, whole=fit.extent is None)
+        views = of_one_place(views, parameters.tiles.least_overlap_px)
         gcps = options.reconstruct.gcps
         require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing)

@@ -329,3 +329,24 @@ def test_a_missing_wheel(tmp_path, urban, told, package, stage):
     assert (last["type"], last["kind"]) == ("error", "MissingPackageError")
     assert package in last["text"] and "(repm:environment) with INSTALL=true" in last["text"]
     assert not (tmp_path / "out.json").exists()
+
+
+def test_an_image_of_another_place_changes_nothing_but_a_warning(bench, tmp_path, told):
+    """The scene of a pair with it has the same views, CRS, area, altitudes and tiles as that of the pair alone."""
+    rpc = bench.urban.views[2].rpc
+    abroad = rpc.__class__(**{**rpc.to_mapping(), "lon_off": -47.0, "lat_off": -23.0, "height_off": 3200.0})
+    pair, foreign = bench.urban.images[:2], bench.image("abroad.tif", rpc=abroad)
+    scenes = []
+    for number, images in enumerate((pair, [*pair, foreign], [foreign, *pair])):
+        said = told()
+        workspace = str(tmp_path / f"w{number}")
+        made = run_stage("epmfit", {"images": images, "workspace": workspace, "tile_size": 300}, said)
+        document = json.loads(Path(made["scene"]).read_text())
+        scenes.append({key: value for key, value in document.items() if key not in ("folder", "history")})
+        assert [text for text in said.warnings if "left out: abroad" in text] == said.warnings[:number] * bool(number)
+    assert scenes[0] == scenes[1] == scenes[2] and len(scenes[0]["views"]) == 2
+
+
+def test_altitudes_of_another_place(bench):
+    text = bench.fails(OverlapError, altitude_min=7000.0, altitude_max=7200.0)
+    assert "share no ground at altitudes of 7000 to 7200 m" in text and "ALTITUDE_MIN" in text

@@ -1,0 +1,138 @@
+"""Which images show the same ground: the largest group of those that overlap is worked on, in all stages.
+
+Images of another place would spoil what all have in common: the heights that are searched, the CRS and the area.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, List, Sequence, Tuple
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import OverlapError
+from ..geometry.footprints import Polygon, footprint, geometry_of
+from ..progress import listed
+from ..scene import View, common_heights
+
+_DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, and need no projection
+_FAR_DEG = 5.0  # between the middles of two images, which cannot overlap then: no strip is that long
+_MOST_LEVELS = 64
+_LARGER = 1.5  # times an image's side: an RPC that was made for more columns or rows is that of a larger image
+_STARTS = 0.1  # of an image's side: an RPC whose domain begins nearer to the first pixel was not shifted with a crop
+
+
+def places(views: Sequence[View], least_px: float) -> List[Tuple[View, ...]]:
+    """The views in groups that overlap, directly or through others, in the views' order; those with most views first.
+
+    Two views overlap where they share a square of ``least_px`` pixels at some height that both RPCs were made for.
+    """
+    groups: List[List[View]] = []
+    for view in views:
+        joined = [group for group in groups if any(_overlap(view, other, least_px) for other in group)]
+        apart = [group for group in groups if group not in joined]
+        groups = [*apart, [*(each for group in joined for each in group), view]]
+    order = {id(view): number for number, view in enumerate(views)}
+    found = [tuple(sorted(group, key=lambda view: order[id(view)])) for group in groups]
+    return sorted(found, key=lambda group: (-len(group), order[id(group[0])]))
+
+
+def of_one_place(
+    views: Sequence[View], least_px: float, warn: Callable[[str], None] = lambda text: None
+) -> Tuple[View, ...]:
+    """The views of the place that most of them show; ``warn`` is told of the others.
+
+    Raises OverlapError, with where the images look, where no two overlap.
+    """
+    first, *others = places(views, least_px)
+    left = [view for group in others for view in group]
+    if len(first) < 2:
+        raise OverlapError(not_overlapping(views))
+    if left:
+        remedy = foreign_rpc(left) or "If one of them belongs to this place, check that its RPC is its own."
+        warn(f"Images of another place are left out: {_looking(left)}; used are {_looking(first)}. {remedy}")
+    return first
+
+
+def not_overlapping(views: Sequence[View]) -> str:
+    """The sentence that these images share no ground, with where each of them looks."""
+    remedy = foreign_rpc(views) or "Choose images of one place, and check that each RPC belongs to its image."
+    return f"The images do not overlap on the ground: {_looking(views)}. {remedy}"
+
+
+def foreign_rpc(views: Sequence[View]) -> str:
+    """The suspicion that RPCs are those of larger images, which were not shifted when the images were cut out of them;
+    "" where there is no sign of it.
+
+    The sign: an RPC that was made for an image that begins where this one does and is much larger.
+    """
+    found = []
+    for view in views:
+        rpc, size = view.rpc, np.array(view.size)
+        middle, reach = np.array([rpc.col_off, rpc.row_off]), np.abs([rpc.col_scale, rpc.row_scale])
+        made = np.rint(middle + reach + 1)
+        if (middle - reach > -_STARTS * size).all() and (made > _LARGER * size).any():
+            found.append(
+                f"{view.name} has {view.width} x {view.height} px, its RPC was made for {made[0]:.0f} x {made[1]:.0f}"
+            )
+    if not found:
+        return ""
+    return (
+        f"The RPC may be that of a larger image ({listed(found, '; ')}): a crop needs one that was shifted with it, as "
+        "gdal_translate -srcwin does with RPC tags."
+    )
+
+
+def _looking(views: Sequence[View]) -> str:
+    """Where images look: their middles, at the middle of their RPCs' heights."""
+    texts = []
+    for view in views:
+        lon, lat, _ = view.localise((np.array(view.size) - 1) / 2, view.rpc.height_off)
+        texts.append(f"{view.name} around longitude {lon:.4f}, latitude {lat:.4f}")
+    return listed(texts, "; ")
+
+
+def _overlap(first: View, second: View, least_px: float) -> bool:
+    """Whether two views share ground at some height."""
+    low, high = common_heights((first, second))
+    side = min(min(view.size) * view.gsd_m for view in (first, second))
+    ends = [_between(first, second, height) for height in (low, high)]
+    if np.abs(ends[0]).max() > _FAR_DEG * _DEGREE_M:
+        return False
+    # Between two levels, the footprints may move against each other by no more than half of the smaller one.
+    steps = 2 * float(np.linalg.norm(ends[1] - ends[0])) / side
+    count = int(np.clip(math.ceil(steps) + 1, 2, _MOST_LEVELS)) if math.isfinite(steps) else _MOST_LEVELS
+    least = (least_px * min(first.gsd_m, second.gsd_m)) ** 2
+    for height in np.linspace(low, high, count):
+        outlines = [_outline(view, height) for view in (first, second)]
+        if min(map(len, outlines)) < 3:
+            continue
+        origin = outlines[0][0]
+        shapes = [geometry_of(_metres(_apart(outline, origin), origin)) for outline in outlines]
+        common = shapes[0].Intersection(shapes[1])
+        if common is not None and common.GetArea() >= least:
+            return True
+    return False
+
+
+def _between(first: View, second: View, height: float) -> FloatArray:
+    """(2,) metres east and north from the middle of one view to that of another; NaN where an RPC has no answer."""
+    here, there = (view.localise((np.array(view.size) - 1) / 2, height)[:2] for view in (first, second))
+    return _metres(_apart(there, here), here)
+
+
+def _outline(view: View, height: float) -> Polygon:
+    return footprint(view.localise, view.size, height)
+
+
+def _apart(points: FloatArray, origin: FloatArray) -> FloatArray:
+    """(..., 2) degrees of longitude and latitude from one place, on its side of the date line."""
+    away: FloatArray = np.asarray(points) - origin
+    return np.stack([(away[..., 0] + 180.0) % 360.0 - 180.0, away[..., 1]], axis=-1)
+
+
+def _metres(degrees: FloatArray, place: FloatArray) -> FloatArray:
+    """(..., 2) metres east and north for degrees around a place."""
+    found: FloatArray = degrees * _DEGREE_M * np.array([math.cos(math.radians(float(place[1]))), 1.0])
+    return found
