@@ -355,10 +355,29 @@ class RegistrationFigures(Record):
 
 
 @dataclass(frozen=True)
+class DemOffset(Record):
+    """How far the DSM lies above the DEM that was given, as ``file``: ``up_m`` with its standard deviation.
+
+    ``most_m`` is to be expected at most, by what is stated of the absolute height; None where nothing is stated.
+    """
+
+    file: str
+    up_m: Offset
+    deviation_m: Metres
+    most_m: Optional[Metres] = None
+
+    @property
+    def unexpected(self) -> bool:
+        """Whether it is more than is to be expected."""
+        return self.most_m is not None and abs(self.up_m) > self.most_m
+
+
+@dataclass(frozen=True)
 class FusionFacts(Record):
     """What fusion counted, in cells of the DSM: ``cells`` that two images see, ``valid`` ones with a height, of these
     ``matched``, ``background`` (of an occlusion) and ``interpolated`` ones; ``removed`` were outliers. ``points`` are
-    the cloud's, ``resolution`` is the side of a cell in units of the ``crs``."""
+    the cloud's, ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was
+    given, or none that could be compared."""
 
     cells: int
     valid: int
@@ -370,6 +389,7 @@ class FusionFacts(Record):
     removed: int
     resolution: float
     crs: str
+    dem_offset: Optional[DemOffset] = None
 
 
 @dataclass(frozen=True)

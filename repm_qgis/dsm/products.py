@@ -25,6 +25,7 @@ from ..imagery.raster import RasterWriter, created
 from ..options import DsmFuseOptions
 from ..records import FusionFacts
 from ..scene import Scene, Tile
+from .coarse_means import CoarseMeans
 from .expected_error import expected_error
 from .feathering import feathered
 from .fusion import FusedTile, StoredTile
@@ -142,11 +143,12 @@ def write_products(
     stored: Sequence[StoredTile],
     folder: str,
     parameters: FusionParameters = FUSION,
+    means: Optional[CoarseMeans] = None,
 ) -> FusionFacts:
     """Write DSM, confidence, orthophoto and cloud from the fused tiles; gives what was counted.
 
-    ``folder`` is for temporary files. Raises EmptyResultError where no cell has a height, WorkspaceError where a file
-    cannot be written.
+    ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
+    Raises EmptyResultError where no cell has a height, WorkspaceError where a file cannot be written.
     """
     valid, cells, filled = (sum(getattr(tile, name) for tile in stored) for name in ("valid", "cells", "filled"))
     if not valid:
@@ -161,6 +163,8 @@ def write_products(
             # Turned tiles overlap in their windows: there each tile has only its own cells.
             if result.own is None:
                 height = feathered(height, index, windows, stored, size, tolerance, parameters.feather_cells)
+            if means is not None:
+                means.add(height, window)
             if products.whole is None:
                 height = height - layout.undulation(layout.grid.part(window))
             error = expected_error(result.fused, tile.metres_per_px, parameters.error)

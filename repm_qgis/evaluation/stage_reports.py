@@ -19,6 +19,7 @@ from ..installer.packages import PACKAGES
 from ..products import forms, products_of
 from ..progress import counted
 from ..records import FusionFacts
+from ..registration.dem_offset import sentence
 from ..scene import Scene, View
 from ..sfm.pair_selection import sun_over
 from . import charts, pictures, verdict
@@ -131,6 +132,8 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
     report.facts([*figures, ("Heights", heights), ("CRS", facts.crs)])
+    if facts.dem_offset is not None:
+        report.paragraph(sentence(facts.dem_offset))
 
 
 def _map(report: Report, values: FloatImage, limits: Tuple[float, float], caption: str, unit: str = "") -> None:
@@ -146,7 +149,8 @@ def _verdict(report: Report, scene: Scene, facts: Optional[FusionFacts] = None) 
         good.append(f"{facts.valid_percent:.0f} % of the ground that two images see has a height.")
     if scene.pointing is not None:
         good.append(f"The median residual of the tie points is {scene.pointing.after_px:.2f} px.")
-    if facts is not None and (scene.pointing is None or not scene.pointing.gcps):
+    compared = facts is not None and facts.dem_offset is not None
+    if facts is not None and not compared and (scene.pointing is None or not scene.pointing.gcps):
         good.append("Nothing here measures the absolute position: only ground control points or a reference can.")
     report.verdict(" ".join(good), verdict.of_run(scene, facts))
 

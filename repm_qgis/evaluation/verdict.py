@@ -13,6 +13,7 @@ import numpy as np
 
 from ..imagery.sampling import nmad
 from ..records import FusionFacts, RegistrationFigures
+from ..registration.dem_offset import sentence
 from ..rpc.correction import DELIVERED, CorrectedRpc
 from ..scene import Scene
 from .gcp_accuracy import GcpAccuracy
@@ -28,6 +29,8 @@ def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictPar
             f"Only {facts.valid_percent:.0f} % of the ground that two images see has a height (usual: at least "
             f"{bounds.least_covered_percent:g} %): see 'Height maps'."
         )
+    if facts is not None and facts.dem_offset is not None and facts.dem_offset.unexpected:
+        found.append(sentence(facts.dem_offset))
     ties = scene.pointing
     if ties is not None and ties.after_px > bounds.most_residual_px:
         found.append(

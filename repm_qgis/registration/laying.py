@@ -14,6 +14,10 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.vertical import HeightDatum
 from ..imagery.sampling import nmad
 from ..records import GroundShift, ReferenceFigures
+from ..scene import Scene
+from ..sfm.height_uncertainty import usual_height_deviation
+from ..sfm.parameters import POINTING, PointingParameters
+from ..sfm.promises import promised
 from .datums import DatumChoice, likely_datum
 from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import block_means, slopes_of
@@ -96,6 +100,19 @@ class Laid:
         after = z - self.means.at(east, north)[0] - ground.up(east, north)
         seen = np.isfinite(before) | np.isfinite(after)
         return self.reference.xyz[seen, :2], before[seen], after[seen]
+
+
+def prior_of(
+    scene: Scene, pointing: PointingParameters = POINTING, parameters: RegistrationParameters = REGISTRATION
+) -> Prior:
+    """What is known of a scene's place before it is laid anywhere: what vendors promise, and of heights what is
+    usual."""
+    horizontal, up = promised(scene.views, pointing)
+    ties = scene.pointing
+    if ties is not None and not ties.controlled:  # errors that images share do not change heights
+        up = min(up, usual_height_deviation(scene.pairs, ties, scene.gsd_m, pointing))
+    circle = pointing.promises.ce90
+    return Prior(horizontal, up, max(parameters.search * circle * horizontal, parameters.least_search_m))
 
 
 def finest_cell(bounds: Bounds, native: float, parameters: RegistrationParameters = REGISTRATION) -> float:

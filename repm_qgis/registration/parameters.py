@@ -50,6 +50,9 @@ class RegistrationParameters(Parameters):
     least_search_m: float = 40.0  # ... and at least up to this
     contradiction: float = 3.0  # standard deviations between two sources that are one too many
     least_contradiction_m: float = 0.1
+    dem_cells: int = 250_000  # coarse cells of a DSM that is compared with the user's DEM, about
+    dem_m: float = 2.4  # standard deviation of a DEM's own height: LE90 4 m of Copernicus DEM (Airbus, handbook, 2020)
+    unexpected: float = 2.0  # standard deviations from which on such an offset is more than is to be expected
     fine_cells: float = 4.0  # of the own surface: a raster with narrower cells has slopes no better than its own
     trusted_widths: float = 0.05  # of a support's width: a position less certain than that is not taken from coarse ...
     trusted_m: float = 1.0  # ... references, whose systematic errors are as large; from fine ones up to this

@@ -8,16 +8,17 @@ import shutil
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 from ..disk_space import fusion_needs, require_space
+from ..dsm.coarse_means import CoarseMeans
 from ..dsm.derived import FinishedDsm, make_derived
 from ..dsm.ept import require_ept_place
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
 from ..dsm.products import DsmLayout, cloud_of, write_products
-from ..errors import EmptyResultError, SceneError
+from ..errors import EmptyResultError, RepmError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.vertical import HeightDatum
@@ -27,7 +28,9 @@ from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
-from ..records import FusionFacts, ViewPair
+from ..records import DemOffset, FusionFacts, ViewPair
+from ..registration.dem_offset import dem_offset, sentence
+from ..registration.laying import prior_of
 from ..scene import Scene
 from ..workspace import ensure_folder, fingerprint
 from .early import require_cell
@@ -155,14 +158,29 @@ def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]
 
 
 def _written(task: Tuple[_Fusion, List[StoredTile]], progress: Progress) -> FusionFacts:
-    """Write the products of all tiles, with their styles."""
+    """Write the products of all tiles, with their styles, and compare the heights with the scene's DEM."""
     fusion, stored = task
-    options, folder = fusion.options, str(fusion.folder)
-    facts = write_products(options, fusion.scene, fusion.layout, stored, folder, fusion.parameters.fusion)
+    options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
+    means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
+    facts = write_products(options, fusion.scene, layout, stored, folder, numbers.fusion, means)
+    if means is not None:
+        facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
     for product, path in paths_of("dsmfuse", options):
         if product.style and not product.maker:
             write_style(product.style, path, taken=fusion.scene.taken())
     return facts
+
+
+def _dem_offset(fusion: _Fusion, means: CoarseMeans, progress: Progress) -> Optional[DemOffset]:
+    """How far the DSM lies above the DEM; None, with the reason in the log, where that cannot be told."""
+    scene, numbers = fusion.scene, fusion.parameters.registration
+    surface = fusion.layout.crs, means.grid, means.means(numbers.covered)
+    prior = prior_of(scene, fusion.parameters.pointing, numbers)
+    try:
+        return dem_offset(scene, *surface, prior, progress.check_cancelled, numbers)
+    except RepmError as error:
+        progress.info(f"The DSM was not compared with the DEM '{scene.dem}': {error}")
+        return None
 
 
 def _one_pair(fusion: _Fusion, pair: Tuple[str, str], progress: Progress) -> None:
@@ -174,7 +192,8 @@ def _one_pair(fusion: _Fusion, pair: Tuple[str, str], progress: Progress) -> Non
     output, confidence = str(target / f"{name}.tif"), str(target / f"{name}_confidence.tif")
     wanted = {**not_requested("dsmfuse"), "output": output, "confidence": confidence, "fill": "none"}
     alone = replace(fusion.options, **wanted)
-    scene, layout = replace(fusion.scene, tiles=tiles), replace(fusion.layout, windows=windows)
+    # Without the DEM, which all pairs together are compared with.
+    scene, layout = replace(fusion.scene, tiles=tiles, dem=""), replace(fusion.layout, windows=windows)
     folder = _folder_of(fusion.folder.parent, alone, scene, layout, fusion.parameters)
     try:
         _fused(replace(fusion, options=alone, scene=scene, layout=layout, folder=folder), progress)
@@ -212,6 +231,9 @@ def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progr
         f"{matched:.1f} % matched, {background:.1f} % from the background of occlusions, "
         f"{interpolated:.1f} % interpolated."
     )
+    if facts.dem_offset is not None:
+        say = progress.warn if facts.dem_offset.unexpected else progress.info
+        say(sentence(facts.dem_offset))
     if facts.interpolated and not options.confidence:
         cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
         progress.warn(f"{cells}: ask for CONFIDENCE to see which (band 4).")

@@ -25,15 +25,13 @@ from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
 from ..records import GroundShift, RegistrationFigures
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
-from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps
+from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps, prior_of
 from ..registration.moved_scene import moved_scene
 from ..registration.references import FoundHeights, read_reference
 from ..registration.solve import Prior, Shift, solve_shift
 from ..registration.stable import stable_cells
 from ..registration.surfaces import SupportMeans
 from ..scene import Scene, folder_of, reusable
-from ..sfm.height_uncertainty import usual_height_deviation
-from ..sfm.promises import promised
 from ..vector import copy_layer, file_and_layer, write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 from .dsmfuse import reconstructed
@@ -96,7 +94,13 @@ def require_references(
     bounds, numbers = enclosing([tile.bounds for tile in scene.tiles]), parameters.registration
     cell = numbers.averaged_cells * finest_cell(bounds, parameters.tiles.cell_gsd * scene.gsd_m, numbers)
     for path in options.reference:
-        read_reference(path, scene.crs, bounds.grown(_prior(scene, parameters).most_m), cell, progress.check_cancelled)
+        read_reference(
+            path,
+            scene.crs,
+            bounds.grown(prior_of(scene, parameters.pointing, parameters.registration).most_m),
+            cell,
+            progress.check_cancelled,
+        )
 
 
 def registered_path(scene: str) -> str:
@@ -178,7 +182,7 @@ def _work(
 ) -> _Work:
     """A scene's own surface, laid on all references that cover it."""
     numbers, check = parameters.registration, progress.check_cancelled
-    prior = _prior(scene, parameters)
+    prior = prior_of(scene, parameters.pointing, numbers)
     bounds = enclosing([tile.bounds for tile in scene.tiles if tile.heights])
     native = parameters.tiles.cell_gsd * scene.gsd_m
     finest = finest_cell(bounds, native, numbers)
@@ -205,15 +209,6 @@ def _work(
         laid.append(lay(surface, each, datum, prior, options.model == "tilt", check, numbers))
         _log(laid[-1], progress)
     return _Work(scene, surface, prior, tuple(laid))
-
-
-def _prior(scene: Scene, parameters: EngineParameters) -> Prior:
-    horizontal, up = promised(scene.views, parameters.pointing)
-    ties = scene.pointing
-    if ties is not None and not ties.controlled:  # errors that images share do not change heights
-        up = min(up, usual_height_deviation(scene.pairs, ties, scene.gsd_m, parameters.pointing))
-    numbers, circle = parameters.registration, parameters.pointing.promises.ce90
-    return Prior(horizontal, up, max(numbers.search * circle * horizontal, numbers.least_search_m))
 
 
 def _promise(work: _Work, parameters: EngineParameters) -> Tuple[float, float]:

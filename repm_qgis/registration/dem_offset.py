@@ -1,0 +1,76 @@
+"""How far a finished surface lies above the elevation model that the user gave, and whether that is to be expected."""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, Optional
+
+import numpy as np
+
+from ..arrays import Floats
+from ..geometry.cell_grid import CellGrid
+from ..geometry.vertical import HeightDatum
+from ..records import DemOffset
+from ..scene import Scene
+from .parameters import REGISTRATION, RegistrationParameters
+from .references import in_datum, read_reference
+from .solve import Prior, solve_shift
+from .surfaces import SupportMeans
+
+
+def dem_offset(
+    scene: Scene,
+    crs: str,
+    grid: CellGrid,
+    height: Floats,
+    prior: Prior,
+    check: Callable[[], None] = lambda: None,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> DemOffset:
+    """Lay a surface, (rows, columns) heights above the ellipsoid in the cells of a grid, on the DEM of its scene.
+
+    A DEM that does not state its vertical datum is taken as ellipsoidal, as everywhere. Raises what reading it raises,
+    and EmptyResultError where too few of its cells see the surface.
+    """
+    around = grid.bounds.grown(prior.most_m)
+    found = read_reference(scene.dem, crs, around, parameters.averaged_cells * grid.cell, check)
+    reference = in_datum(found, crs, found.datum or HeightDatum.of("ellipsoid"))
+    means = SupportMeans(grid, height, reference, parameters.covered)
+    shift = solve_shift(means, reference, prior, check=check, parameters=parameters)
+    # Added to the surface it would lie on the DEM: the surface is as much above it as must be taken off.
+    up, deviation = -float(shift.moved[2]), float(shift.deviations[2])
+    stated = stated_height_deviation(scene)
+    most = None
+    if stated is not None:
+        most = parameters.unexpected * math.hypot(stated, deviation, parameters.dem_m)
+    return DemOffset(scene.dem, up, deviation, most)
+
+
+def stated_height_deviation(scene: Scene) -> Optional[float]:
+    """The standard deviation of the absolute height that is stated for a scene, m: that of its registration, of its
+    ground control, or without both of the RPCs; None where nothing is stated."""
+    if scene.registration is not None:
+        return scene.registration.deviation[2]
+    ties = scene.pointing
+    if ties is None:
+        return None
+    if ties.height_uncertainty_m is not None:
+        return ties.height_uncertainty_m / 2.0
+    if ties.control_information is None:
+        return None
+    return float(math.sqrt(np.linalg.pinv(ties.control_information)[2, 2]))
+
+
+def sentence(offset: DemOffset) -> str:
+    """The offset in words, for people: as information, or as a warning where it is more than is to be expected."""
+    where = f"{abs(offset.up_m):.1f} m {'above' if offset.up_m > 0 else 'below'} the DEM '{offset.file}'"
+    text = f"The DSM lies {where} (standard deviation {offset.deviation_m:.2f} m)"
+    if offset.most_m is None:
+        return f"{text}."
+    if not offset.unexpected:
+        return f"{text}, where up to {offset.most_m:.1f} m are to be expected of the absolute height."
+    return (
+        f"{text}, where at most {offset.most_m:.1f} m are to be expected: check that each RPC belongs to its image and "
+        "that the DEM is of this place and states its vertical datum, or lay the scene on known heights with "
+        "'Register to a reference' (REFERENCE)."
+    )
