@@ -21,7 +21,7 @@ import numpy as np
 from osgeo import gdal
 
 from benchmarks.runner import ROOT, few, say
-from benchmarks.scenes import Scene, default
+from benchmarks.scenes import CACHE, Scene, default
 from benchmarks.tables import Section, table
 from repm_qgis.errors import RepmError
 from repm_qgis.evaluation.grids import Grid
@@ -74,7 +74,7 @@ def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path) -> End
     done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
     for line in done.stdout.splitlines():
         message = json.loads(line)
-        kind, text = message["type"], message.get("text", "").replace(f"{folder}/", "")
+        kind, text = message["type"], message.get("text", "").replace(f"{folder}/", "").replace(f"{CACHE}/", "")
         if kind == "result":
             ended.result = message["result"]
         elif kind in ("error", "bug"):
@@ -211,6 +211,23 @@ def foreign_only(folder: Path) -> List[Job]:
     return [pipeline(folder, [town().images[0], abroad(folder)])]
 
 
+def points_of_three(folder: Path) -> List[Job]:
+    """A run of two images with control points that were measured in three."""
+    scene = town()
+    return [pipeline(folder, scene.images[:2], gcps=str(scene.folder / "gcps.csv"))]
+
+
+def stale(folder: Path) -> List[Job]:
+    """A crop with its own RPC, and one from elsewhere in its image, with the whole image's RPC file beside it."""
+    images = []
+    for number, view in enumerate(true_views(2)):
+        col, row = (300, 300) if number else (0, 0)
+        crop = pixels_of(view.image)[row : row + 500, col : col + 500]
+        images.append(write_plain(folder / f"{view.name}.tif", crop))
+        (folder / f"{view.name}.geom").write_text(geom(view.rpc))
+    return [pipeline(folder, images)]
+
+
 def as_alone(ended: Ended) -> str:
     """Whether the DSM has the very heights of the pair's own."""
     own, found = (gdal.Open(str(ended.folder / name)) for name in ("alone.tif", "run.tif"))
@@ -221,8 +238,9 @@ def as_alone(ended: Ended) -> str:
     return f"exit 0, heights {'identical with' if same else 'other than'} the pair's own, to the byte; {said}"
 
 
-def _off_town(ended: Ended) -> str:
-    return off(ended, town().reference)
+def _off_town(ended: Ended, words: str = "") -> str:
+    found = off(ended, town().reference)
+    return f"{found}; {say_of(ended, words)}" if words else found
 
 
 TRIALS: List[Trial] = [
@@ -232,6 +250,10 @@ TRIALS: List[Trial] = [
     Trial("2", "a pair, then an image of another continent", partial(with_foreign, (0, 1, 2)), as_alone),
     Trial("2", "an image of another continent, then a pair", partial(with_foreign, (2, 0, 1)), as_alone),
     Trial("2", "two images of two continents", foreign_only, _off_town),
+    Trial(
+        "8", "control points of three images, a run of two", points_of_three, partial(_off_town, words="not used here")
+    ),
+    Trial("8", "a crop with the whole image's RPC file beside it", stale, _off_town),
 ]
 
 

@@ -221,12 +221,15 @@ class ControlPointsDock(QgsDockWidget):
         from ..repm_qgis.sfm.ground_control import read_gcps
 
         datum = "" if self.datum.currentIndex() == 0 else self.datum.currentText()
-        views = self.measuring.views or None
-        if not self._tried(lambda: self.measuring.load(read_gcps(path, views, datum))):
+        views, elsewhere = self.measuring.views or None, []
+        if not self._tried(lambda: self.measuring.load(read_gcps(path, views, datum, elsewhere.append))):
             return False
         self._path = ""  # a table of the user's may have more columns than ours: it is not written over
         self._current = self.measuring.points[0].id
-        return self._refresh(move=True)
+        self._refresh(move=True)
+        if elsewhere:
+            self._say(" ".join(map(said, elsewhere)))
+        return True
 
     def add_at(self, point: QgsPointXY) -> None:
         """A new point at a place of the map."""

@@ -7,7 +7,7 @@ import io
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Counter, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -16,6 +16,7 @@ from ..arrays import FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
+from ..progress import counted, listed
 from ..scene import View
 from ..tables import CsvTable, LayerTable, Limits
 from ..vector import file_and_layer
@@ -51,16 +52,23 @@ class Gcp:
         return {**vars(self), "pixels": {view: pixel.tolist() for view, pixel in sorted(self.pixels.items())}}
 
 
-def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] = None) -> List[Gcp]:
+def read_gcps(
+    path: str,
+    views: Optional[Sequence[View]],
+    datum: Optional[str] = None,
+    warn: Callable[[str], None] = lambda text: None,
+) -> List[Gcp]:
     """Read points from a CSV file or a file with a layer of points that OGR opens, one row for each observation.
 
     Fields ``id, lon, lat, height, view, col, row, role``: ``view`` is the image's file name (with or without its
     extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
     A layer may have points as geometry instead of lon and lat. ``views`` None reads positions and heights only.
     ``datum`` is the vertical datum: a name of :data:`repm_qgis.geometry.vertical.DATUMS`, or any vertical CRS that PROJ
-    knows; None or "" is the WGS 84 ellipsoid.
+    knows; None or "" is the WGS 84 ellipsoid. Measurements in images that are none of the views are left out, and
+    ``warn`` is told of them.
 
-    Raises InputTableError with the file, the row and the wrong value, OptionError for an unknown datum.
+    Raises InputTableError with the file, the row and the wrong value, or where no measurement is left; OptionError for
+    an unknown datum.
     """
     vertical = vertical_crs(datum, "GCP_DATUM")
     file, layer = file_and_layer(path)
@@ -68,6 +76,7 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
     points: Dict[str, Gcp] = {}
     aliases = [(view.name, Path(view.image).name, Path(view.image).stem) for view in views or ()]
     names = {alias: known[0] for known in aliases for alias in known}
+    elsewhere: Counter[str] = Counter()
     for line, row in _rows(file, layer):
         _LIMITS.require_count(path, line)
         place = f"'{path}', row {line}"
@@ -82,11 +91,8 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
         if not view or views is None:
             continue
         if view not in names:
-            known_views = ", ".join(v.name for v in views)
-            raise InputTableError(
-                f"{at} was measured in '{view}', which is none of the images ({known_views}); use the images' "
-                "file names."
-            )
+            elsewhere[view] += 1
+            continue
         pixel = np.array([_number(place, row, "col"), _number(place, row, "row")])
         if np.abs(known.pixels.setdefault(names[view], pixel) - pixel).max() > 1e-6:
             raise InputTableError(
@@ -94,7 +100,27 @@ def read_gcps(path: str, views: Optional[Sequence[View]], datum: Optional[str] =
             )
     if not points:
         raise InputTableError(f"'{path}' holds no point: it needs rows with {', '.join(FIELDS)}.")
+    if elsewhere:
+        _measured_elsewhere(path, points.values(), elsewhere, views or (), warn)
     return _ellipsoidal(list(points.values()), vertical, path)
+
+
+def _measured_elsewhere(
+    path: str, points: Iterable[Gcp], elsewhere: Counter[str], views: Sequence[View], warn: Callable[[str], None]
+) -> None:
+    """Tell of measurements (a count for each name) in images that are none of the views; raise InputTableError where
+    there are no others."""
+    ours, theirs = listed([view.name for view in views]), listed(list(elsewhere))
+    if not any(gcp.pixels for gcp in points):
+        raise InputTableError(
+            f"The points of '{path}' were measured in {theirs}, and in none of the images ({ours}): use the images' "
+            "file names in its field 'view'."
+        )
+    count = counted(sum(elsewhere.values()), "measurement")
+    warn(
+        f"Left out of '{path}': {count} in images that are not used here ({theirs}); those in {ours} are used. If a "
+        "name is misspelt, correct it in the field 'view'."
+    )
 
 
 def point_of(place: str, row: Mapping[str, Any]) -> Gcp:

@@ -27,6 +27,7 @@ from ..stereo.pairing import ground_points, rectify_over, refined_view
 from ..stereo.parameters import STEREO
 from ..stereo.rectification import RectifiedPair
 from .keypoints import CPU_DETECTOR, Detector
+from .overlap import foreign_rpc
 from .parameters import POINTING, PointingParameters, TieParameters
 from .tie_patches import ranked_patches, texture_of
 
@@ -102,7 +103,7 @@ def find_ties(
         kept = [consistent_matches(*pair, found, ties) for pair, found in parts.items()]
         if all(len(matches.first_px) >= patches.enough_ties for matches in kept):
             break
-    return [_checked(*pair, found, ties) for pair, found in parts.items()]
+    return [_checked(scene.view(first), scene.view(second), found, ties) for (first, second), found in parts.items()]
 
 
 def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
@@ -294,15 +295,16 @@ def parallax_trend(
     return np.asarray(design(at) @ plane)
 
 
-def _checked(first: str, second: str, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:
+def _checked(first: View, second: View, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:
     """The consistent matches of a pair; raises EmptyResultError where they are too few."""
-    found = consistent_matches(first, second, parts, parameters)
+    found = consistent_matches(first.name, second.name, parts, parameters)
     if len(found.first_px) < parameters.least_ties:
         candidates = sum(len(part.first_px) for part in parts)
+        doubt = foreign_rpc([first, second]) or "Check that each RPC belongs to its image: a crop's often does not."
         raise EmptyResultError(
-            f"{first} and {second} have only {len(found.first_px)} consistent tie points, of {candidates} candidates "
-            f"in {counted(len(parts), 'place')} (needed: {parameters.least_ties}). Do they show the same place, in "
-            "focus and without clouds? Choose another EXTENT with more texture, or another pair."
+            f"{first.name} and {second.name} have only {len(found.first_px)} consistent tie points, of {candidates} "
+            f"candidates in {counted(len(parts), 'place')} (needed: {parameters.least_ties}). {doubt} Do they show the "
+            "same place, in focus and without clouds? Choose another EXTENT with more texture, or another pair."
         )
     return found
 

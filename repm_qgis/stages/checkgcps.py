@@ -33,7 +33,9 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
     """
     scene = Scene.load(options.scene) if options.scene else None
-    found = GcpAccuracy(read_gcps(options.gcps, scene.views if scene else None, options.gcp_datum))
+    elsewhere: List[str] = []
+    gcps = read_gcps(options.gcps, scene.views if scene else None, options.gcp_datum, elsewhere.append)
+    found = GcpAccuracy(gcps, warnings=elsewhere)
     if scene is not None:
         progress.step(0.1, "points in the images")
         _measure_images(scene, found, options)

@@ -52,7 +52,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     scene.require_images()
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
-    gcps = read_gcps(options.gcps, scene.views, options.gcp_datum) if options.gcps else []
+    elsewhere: List[str] = []
+    gcps = read_gcps(options.gcps, scene.views, options.gcp_datum, elsewhere.append) if options.gcps else []
     require_places(gcps, scene.views, options.gcps or "", parameters.pointing)
     # Control points count by what they say: QGIS writes those of a layer into another temporary file for every run.
     control = [gcp.to_mapping() for gcp in gcps] or None
@@ -70,6 +71,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
         notes = Recorder(progress)
+        for text in elsewhere:
+            notes.warn(text)
         pairs = pairs_of(scene, options, parameters)
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         ties = f"{folder_of(place, 'tie_points')}.gpkg"

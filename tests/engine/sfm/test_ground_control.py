@@ -74,7 +74,10 @@ def test_a_view_goes_by_its_file_with_or_without_extension(urban, table, alias):
         (["A,1.44,43.6,high,img_01,1,2,control"], ("row 2", "'height' is 'high'", "not a number")),
         (["A,1.44,43.6,190,img_01,1,,control"], ("row 2", "'row' is ''")),
         (["A,1.44,43.6,190,img_01,1,nan,control"], ("row 2", "'row' is 'nan'")),
-        (["A,1.44,43.6,190,img_09.tif,1,2,control"], ("'img_09.tif'", "none of the images (img_01, img_02, img_03)")),
+        (
+            ["A,1.44,43.6,190,img_09.tif,1,2,control"],
+            ("img_09.tif", "none of the images (img_01, img_02, img_03)"),
+        ),
         (
             ["A,1.44,43.6,190,,,,control", "A,1.4401,43.6,190,img_01,1,2,control"],
             ("row 3", "'A'", "another place or role"),
@@ -92,6 +95,23 @@ def test_a_view_goes_by_its_file_with_or_without_extension(urban, table, alias):
 )
 def test_what_is_wrong_is_said_with_its_row(urban, table, rows, words):
     refused(table(*rows), urban.views, "gcps.csv", *words)
+
+
+def test_measurements_in_other_images_are_left_out_and_told(urban, table):
+    said = []
+    path = table(
+        "A,1.44,43.6,190,img_01,1,2,control",
+        "A,1.44,43.6,190,other,3,4,control",
+        "A,1.44,43.6,190,another.tif,5,,control",
+        "B,1.45,43.6,190,other,7,8,check",
+    )
+    first, second = read_gcps(path, urban.views, None, said.append)
+    assert list(first.pixels) == ["img_01"] and second.pixels == {}
+    (text,) = said
+    for words in ("gcps.csv", "3 measurements", "(other, another.tif)", "those in img_01, img_02, img_03 are used"):
+        assert words in text
+    read_gcps(table("A,1.44,43.6,190,img_01,1,2,"), urban.views, None, said.append)
+    assert len(said) == 1
 
 
 def test_missing_fields_and_files(urban, table, tmp_path):

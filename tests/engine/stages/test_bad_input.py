@@ -350,3 +350,29 @@ def test_an_image_of_another_place_changes_nothing_but_a_warning(bench, tmp_path
 def test_altitudes_of_another_place(bench):
     text = bench.fails(OverlapError, altitude_min=7000.0, altitude_max=7200.0)
     assert "share no ground at altitudes of 7000 to 7200 m" in text and "ALTITUDE_MIN" in text
+
+
+def test_control_points_of_images_that_are_not_in_the_run(bench, tmp_path, told):
+    """A table of three images, a run of two: their measurements count, and the third image's are told."""
+    said = told()
+    fitted = run_stage("epmfit", {"images": bench.urban.images[:2], "workspace": bench.workspace}, said)
+    options = {"scene": fitted["scene"], "gcps": bench.urban.made["gcps"]}
+    made = run_stage("reconstruct", {**options, "output_scene": str(tmp_path / "reconstructed.json")}, said)
+    pointing = json.loads(Path(made["output_scene"]).read_text())["pointing"]
+    assert pointing["control_noise_px"] is not None and len(pointing["gcps"]) >= 8
+    assert [text for text in said.warnings if "(img_03)" in text and "those in img_01, img_02 are used" in text]
+    checked = told()
+    run_stage("checkgcps", options, checked)
+    assert [text for text in checked.warnings if "(img_03)" in text]
+
+
+def test_a_crop_with_the_rpc_of_its_whole_image(bench, tmp_path):
+    """It says where to look first: no cloud made these tie points disagree."""
+    whole = [view.rpc for view in bench.urban.views]
+    images = [
+        bench.image("crop0.tif", 0, lambda pixels: pixels[:240, :240], whole[0]),
+        bench.image("crop1.tif", 1, lambda pixels: pixels[160:, 160:], whole[1]),
+    ]
+    text = bench.fails(EmptyResultError, images=images)
+    assert "consistent tie points" in text and "may be that of a larger image" in text
+    assert re.search(r"crop1 has 240 x 240 px, its RPC was made for 4\d\d x 4\d\d", text)

@@ -375,8 +375,8 @@ def test_what_cannot_be_checked_is_said_in_a_sentence(urban, scene, exact, point
         output=str(tmp_path / "p.gpkg"),
     )
     renamed = tmp_path / "renamed.csv"
-    renamed.write_text(open(exact, encoding="utf-8").read().replace("img_02.tif", "nadir.tif"), encoding="utf-8")
-    fails(InputTableError, told, "'nadir.tif'", "img_01, img_02, img_03", gcps=str(renamed), scene=scene)
+    renamed.write_text(open(exact, encoding="utf-8").read().replace("img_0", "nadir_0"), encoding="utf-8")
+    fails(InputTableError, told, "nadir_02.tif", "img_01, img_02, img_03", gcps=str(renamed), scene=scene)
     assert not (tmp_path / "p.gpkg").exists()
 
 
