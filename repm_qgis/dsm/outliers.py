@@ -38,7 +38,8 @@ def remove_isolated_points(
 def automatic_radius(cell: float, spacing: float = 0.0, parameters: OutlierParameters = FUSION.outliers) -> float:
     """The radius of the outlier filter in metres where the user gives none.
 
-    The density of a grid is known: one point a cell, or one in ``spacing`` metres where points are sparser than cells.
+    The density of a grid is known: one point a cell, or one in ``spacing`` metres where points are sparser than cells,
+    whose heights are those of points around them.
     """
     return max(parameters.radius_cells * max(cell, spacing), parameters.radius_m)
 

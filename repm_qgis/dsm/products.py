@@ -155,11 +155,14 @@ def write_products(
         raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     tolerance = float(np.median([record.metres_per_px for tile in scene.tiles for record in tile.heights]))
     windows, size = layout.windows, layout.grid.size
+    levels: List[float] = []
     with ExitStack() as stack:
         products = _Products.opened(stack, options, scene, layout, _known_part(layout, stored), folder)
         for index, (window, tile) in enumerate(zip(windows, stored)):
             result = tile.load()
             height = result.fused.height
+            if tile.known is not None:
+                levels.append(float(np.nanmedian(height)))
             # Turned tiles overlap in their windows: there each tile has only its own cells.
             if result.own is None:
                 height = feathered(height, index, windows, stored, size, tolerance, parameters.feather_cells)
@@ -178,17 +181,18 @@ def write_products(
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
         points = products.cloud.count if products.cloud is not None else 0
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
-    cells = max(round(overlap_m2(scene) / layout.grid.cell**2), valid)  # holes are filled beyond it, too
+    cells = max(
+        round(overlap_m2(scene, float(np.median(levels))) / layout.grid.cell**2), valid
+    )  # holes are filled beyond it, too
     counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, points, removed)
     return FusionFacts(*counts, layout.grid.cell, layout.crs)
 
 
-def overlap_m2(scene: Scene) -> float:
-    """The ground that two images see at the altitude of most tiles, within the area that is processed.
+def overlap_m2(scene: Scene, level: float) -> float:
+    """The ground that two images see at a level, metres above the ellipsoid, within the area that is processed.
 
     The scene's own area is larger: it is what they see at any altitude that was thought possible.
     """
-    level = float(np.median([sum(tile.altitudes) / 2 for tile in scene.tiles]))
     outlines = [projected_from_geodetic(scene.crs, footprint(v.localise, v.size, level)) for v in scene.views]
     seen: ogr.Geometry = seen_twice([outlines]).Intersection(ogr.CreateGeometryFromWkt(scene.area))
     return float(seen.GetArea())

@@ -20,6 +20,11 @@ def surface_step(cell: float, parameters: GriddingParameters) -> float:
     return parameters.surface_step * max(cell, parameters.surface_step_cell_m)
 
 
+def widening(cell: float, spacing: float, parameters: GriddingParameters = GRIDDING) -> int:
+    """How many cells wide a cell must be that always holds points which are ``spacing`` metres apart; inf: one."""
+    return max(1, math.ceil(spacing / cell - parameters.wider)) if math.isfinite(spacing) else 1
+
+
 def grid_points(
     grid: CellGrid,
     x: FloatArray,
@@ -31,11 +36,15 @@ def grid_points(
 ) -> Tuple[FloatArray, FloatArray, FloatArray]:
     """Heights of cells from points, their mean matching score, NaN where no point is, and how many points they hold.
 
-    A point represents a square of ``spacing`` metres (the distance between neighbouring points; at most a cell), and
-    each cell gets the part of the square that lies in it, so that there are no comb patterns and no shifts. Where a
+    A point represents a square of ``spacing`` metres (the distance between neighbouring points; inf: a cell), and
+    each cell gets the part of the square that lies in it, so that there are no comb patterns and no shifts. Cells that
+    are finer than that get what a cell as wide as the distance would get around their centre. Where a
     cell has points of several surfaces (a roof and the ground before it), the surface that covers most of it gives the
     height: means between surfaces would smear every edge, and the topmost would make every roof too wide.
     """
+    factor = widening(grid.cell, spacing, parameters)
+    if factor > 1:
+        return _wide_cells(factor, grid, x, y, height, score, spacing, parameters)
     footprint, step = min(spacing / grid.cell, 1.0), surface_step(grid.cell, parameters)
     points = _placed(grid, x, y, height, score)
     padded = (grid.shape[0] + 2) * (grid.shape[1] + 2)
@@ -58,6 +67,31 @@ def grid_points(
     shape = grid.shape[0] + 2, grid.shape[1] + 2
     heights, scores, weights = (values.reshape(shape)[1:-1, 1:-1].copy() for values in (heights, scores, weights))
     return heights + points.offset, scores, weights
+
+
+def _wide_cells(
+    factor: int,
+    grid: CellGrid,
+    x: FloatArray,
+    y: FloatArray,
+    height: FloatArray,
+    score: Floats,
+    spacing: float,
+    parameters: GriddingParameters,
+) -> Tuple[FloatArray, FloatArray, FloatArray]:
+    """The same for cells so many times as wide around the centre of each cell, which overlap: those whose centres are
+    so many cells apart are a grid of their own. The number of points is that of one fine cell."""
+    heights, scores, weights = (np.full(grid.shape, np.nan), np.full(grid.shape, np.nan), np.zeros(grid.shape))
+    wide, before = factor * grid.cell, (factor - 1) / 2 * grid.cell
+    for row in range(min(factor, grid.shape[0])):
+        for column in range(min(factor, grid.shape[1])):
+            west, north = grid.west + column * grid.cell - before, grid.north - row * grid.cell + before
+            shape = len(range(row, grid.shape[0], factor)), len(range(column, grid.shape[1], factor))
+            every = CellGrid(west, north, wide, shape)
+            found = grid_points(every, x, y, height, score, min(spacing, wide), parameters)
+            for whole, part in zip((heights, scores, weights), found):
+                whole[row::factor, column::factor] = part
+    return heights, scores, weights / factor**2
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ class GriddingParameters(Parameters):
     mixed: float = 0.3  # of that step: cells whose heights have this standard deviation may have two surfaces
     surface_weight: float = 0.02  # of a point: what covers less of a cell is no evidence of another surface
     cell_weight: float = 0.15  # of a point: a cell that is covered less has no height
+    wider: float = 0.4  # of a cell: points that are farther apart by so much than a cell is wide leave none empty
 
 
 VIRTUAL_GRID = VirtualGridParameters()

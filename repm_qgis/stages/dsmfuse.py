@@ -21,6 +21,7 @@ from ..dsm.products import DsmLayout, cloud_of, write_products
 from ..errors import EmptyResultError, RepmError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
+from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import raster_identity
 from ..memory import fusing_mib, tile_work, workers_within
@@ -71,6 +72,11 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     rows, columns = layout.grid.shape
     cells = f"{columns} x {rows} cells of {layout.grid.cell:g} m in {crs}"
     progress.info(f"DSM of {cells}, heights above the {datum.name}; outlier radius {radius:g} m.")
+    if widening(layout.grid.cell, scene.gsd_m, parameters.fusion.gridding) > 1:
+        progress.info(
+            f"Cells of {layout.grid.cell:g} m are finer than the images' ground sampling distance of {scene.gsd_m:.2g} "
+            "m: between the matched points they are interpolated, and show no more detail."
+        )
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
     require_space("fusion", fusion_needs(scene, _matched(scene), options, cell), progress)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.cell_grid import CellGrid
-from repm_qgis.geometry.gridding import grid_points, surface_step
+from repm_qgis.geometry.gridding import grid_points, surface_step, widening
 from repm_qgis.geometry.parameters import GRIDDING
 
 
@@ -149,24 +149,27 @@ def test_the_grid_covers_and_lies_on_whole_cells():
 def one_by_one(grid, x, y, height, score, spacing, numbers):
     """What grid_points must give, from areas of squares and lists of each cell."""
     rows, columns = grid.shape
-    side, step = min(spacing, grid.cell), numbers.surface_step * max(grid.cell, numbers.surface_step_cell_m)
+    # Where points are sparser than cells, a cell takes what lies in a wider one around its centre.
+    factor = max(1, int(np.ceil(spacing / grid.cell - numbers.wider))) if np.isfinite(spacing) else 1
+    cell, before = factor * grid.cell, (factor - 1) / 2 * grid.cell
+    side, step = min(spacing, cell), numbers.surface_step * max(cell, numbers.surface_step_cell_m)
     inside = {}
     for px, py, z, s in zip(x, y, height, score):
         if np.isnan(z):
             continue
         for row in range(rows):
-            south = grid.north - (row + 1) * grid.cell
-            tall = min(py + side / 2, south + grid.cell) - max(py - side / 2, south)
+            south = grid.north - (row + 1) * grid.cell - before
+            tall = min(py + side / 2, south + cell) - max(py - side / 2, south)
             for column in range(columns):
-                west = grid.west + column * grid.cell
-                wide = min(px + side / 2, west + grid.cell) - max(px - side / 2, west)
+                west = grid.west + column * grid.cell - before
+                wide = min(px + side / 2, west + cell) - max(px - side / 2, west)
                 if tall > 0 and wide > 0:
                     inside.setdefault((row, column), []).append((tall * wide / side**2, z, np.nan_to_num(s)))
     found = np.full((3, rows, columns), np.nan)
     found[2] = 0.0
-    for cell, points in inside.items():
+    for place, points in inside.items():
         weight, z, s = np.array(points).T
-        found[(2, *cell)] = weight.sum()
+        found[(2, *place)] = weight.sum() / factor**2
         if weight.sum() < numbers.cell_weight:
             continue
         if np.average((z - np.average(z, weights=weight)) ** 2, weights=weight) > (numbers.mixed * step) ** 2:
@@ -175,7 +178,7 @@ def one_by_one(grid, x, y, height, score, spacing, numbers):
             most = max(weight[surface].sum() for surface in surfaces)
             chosen = [surface for surface in surfaces if weight[surface].sum() >= most - 1e-9][-1]
             weight, z, s = weight[chosen], z[chosen], s[chosen]
-        found[(0, *cell)], found[(1, *cell)] = np.average(z, weights=weight), np.average(s, weights=weight)
+        found[(0, *place)], found[(1, *place)] = np.average(z, weights=weight), np.average(s, weights=weight)
     return found
 
 
@@ -229,3 +232,40 @@ def test_small_cells_have_the_step_of_larger_ones():
     """1 m at least: noise within it is no second surface, however small the cell is."""
     assert surface_step(0.1, GRIDDING) == surface_step(0.33, GRIDDING) == pytest.approx(0.99)
     assert surface_step(2.0, GRIDDING) == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("cell", (0.51, 0.4, 0.34, 0.25))
+@pytest.mark.parametrize("turned", (0.0, 0.4))
+def test_cells_that_are_finer_than_the_points_all_have_heights(cell, turned):
+    """A metre between points: no cell is empty, the plane is where it is, and the points are as many as before."""
+    x, y = lattice(1.0, 0.3)
+    u, v = x - 20, y - 20
+    x, y = 20 + np.cos(turned) * u - np.sin(turned) * v, 20 + np.sin(turned) * u + np.cos(turned) * v
+    side = int(20 / cell)
+    grid = CellGrid(10.0, 30.0, cell, (side, side + 3))
+    heights, scores, weights = grid_points(grid, x, y, plane(x, y), np.ones_like(x), 1.0)
+    assert np.isfinite(heights).all() and np.isfinite(scores).all()
+    away = heights - plane(*np.meshgrid(*grid.centres()))
+    assert abs(away.mean()) < 0.002 and np.abs(away).max() < 0.25 * 0.36  # a quarter of a metre on that slope
+    assert weights.mean() == pytest.approx(cell**2, rel=0.02)
+
+
+def test_fine_cells_keep_gaps_and_edges():
+    """What no point is near to stays empty, and a wall stays a wall: no cell lies between roof and ground."""
+    x, y = lattice(1.0, 0.5)
+    z = np.where(x < 20, 120.0, 100.0)
+    z[(np.abs(x - 10) < 4) & (np.abs(y - 10) < 4)] = np.nan
+    grid = CellGrid(0.0, 40.0, 0.25, (160, 160))
+    heights, _, _ = grid_points(grid, x, y, z, np.ones_like(x), 1.0)
+    cx, cy = np.meshgrid(*grid.centres())
+    hole = (np.abs(cx - 10) < 3) & (np.abs(cy - 10) < 3)
+    assert np.isnan(heights[hole]).all() and np.isfinite(heights[(np.abs(cx - 10) > 5) | (np.abs(cy - 10) > 5)]).all()
+    known = heights[np.isfinite(heights)]
+    assert set(known.round(6)) == {100.0, 120.0}
+    roof = np.isfinite(heights) & (heights > 110)
+    assert roof[20, :].sum() * 0.25 == pytest.approx(20.0, abs=0.25)
+
+
+def test_cells_as_wide_as_points_are_apart_are_gridded_as_before():
+    assert [widening(cell, 0.51) for cell in (1.0, 0.51, 0.5, 0.37, 0.36, 0.25, 0.128)] == [1, 1, 1, 1, 2, 2, 4]
+    assert widening(0.1, np.inf) == 1
