@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -74,12 +74,15 @@ def compare(
     if method != "none":
         part = Part(progress, 0.0, 0.25, "Alignment")
         patches = _patches(warper, reference, common, part, parameters.comparison)
+        if not _any_in_both(patches):
+            _require_filled(dsm, reference, cell, common, progress, parameters.comparison)
         alignment = align(method, patches, cell, progress.check_cancelled, parameters.coregistration)
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
     work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
     metrics = work.total.metrics()
     if metrics.cells == 0:
+        _require_filled(dsm, reference, cell, common, progress, parameters.comparison)
         text = f"the reference '{grid.path}' has heights in {metrics.reference_cells} cells, '{source.path}' in none"
         raise EmptyResultError(
             f"No cell has a height in both rasters: {text} of them; choose a reference that covers the DSM."
@@ -195,6 +198,30 @@ def _patches(
         found.append((warper.read(grid.window(window)), read_heights(reference, window)))
     progress.step(0.5, "shift")
     return found
+
+
+def _any_in_both(patches: Sequence[Patch]) -> bool:
+    return any(bool((np.isfinite(dsm) & np.isfinite(reference)).any()) for dsm, reference in patches)
+
+
+def _require_filled(
+    dsm: gdal.Dataset,
+    reference: gdal.Dataset,
+    cell: Tuple[float, float],
+    common: Bounds,
+    progress: Progress,
+    parameters: ComparisonParameters,
+) -> None:
+    """Raise EmptyResultError where the DSM has heights within the reference's cells, but fills too little of each."""
+    grid = Grid.of(reference)
+    loose = HeightWarper(dsm, grid, replace(parameters, least_share=1e-6))
+    if _any_in_both(_patches(loose, reference, common, Part(progress, 1.0, 1.0), parameters)):
+        size, share = f"{abs(cell[0]):.3g} x {abs(cell[1]):.3g} m", f"{100 * parameters.least_share:g} %"
+        raise EmptyResultError(
+            f"The reference '{grid.path}' covers the DSM '{dsm.GetDescription()}', but its cells are {size}, and the "
+            f"DSM has heights in less than {share} of each: choose a finer reference, fill the DSM's holes (FILL), or "
+            "make it with larger cells (RESOLUTION)."
+        )
 
 
 def _sample_windows(grid: Grid, common: Bounds, parameters: ComparisonParameters) -> List[Window]:

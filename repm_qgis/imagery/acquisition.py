@@ -5,7 +5,8 @@ Best first, for the time:
 1. sidecar files: Airbus's ``DIM_*.XML``, Maxar's ``.IMD`` and ``.XML``, Orfeo ToolBox's ``.geom``;
 2. GDAL's readers of vendors' files (``ACQUISITIONDATETIME`` in the domain IMAGERY);
 3. a NITF's STDIDC and IDATIM, unless that is the constant that GDAL writes into files of its own;
-4. the name of the product, where the vendor is known to write the time (UTC) into it.
+4. the name of the product, where the vendor is known to write the time (UTC) into it;
+5. tags of the image itself (``IMAGING_DATE`` and ``IMAGING_TIME``, and others), which anyone may have written.
 
 TIFFTAG_DATETIME is not used: TIFF 6.0 defines it as the time when the *file* was made, without a time zone, and a wrong
 time is worse than none: without times, pairs are chosen by geometry only. A time that cannot be read is unknown, never
@@ -53,6 +54,14 @@ _SENSOR_METADATA = (
     ("NITF_IID2", ""),
     ("gml.root-instance", ""),
     ("TIFFTAG_IMAGEDESCRIPTION", ""),
+)
+_TAGS = (  # of the image: a day or both, and the time of day that may stand beside it
+    ("IMAGING_DATE", "IMAGING_TIME"),
+    ("ACQUISITIONDATETIME", ""),
+    ("ACQUISITION_DATETIME", ""),
+    ("ACQUISITION_DATE", "ACQUISITION_TIME"),
+    ("DATE_ACQUIRED", "TIME_ACQUIRED"),
+    ("ACQUIRED", ""),
 )
 _GEOM = re.compile(r"^support_data\.(time_range_start|image_date):\s*(\S{1,40})", re.MULTILINE)
 
@@ -145,6 +154,12 @@ def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
         if text != _GDALS_OWN:
             yield text
     yield time_of_name(path)
+    for domain in ("", "IMAGERY"):
+        tags = {
+            name.upper().removeprefix("TIFFTAG_"): text for name, text in (dataset.GetMetadata(domain) or {}).items()
+        }
+        for day, time in _TAGS:
+            yield f"{tags.get(day, '').strip()}T{tags[time].strip()}" if time in tags else tags.get(day, "")
 
 
 def _in_sidecars(path: str, texts_of: Callable[[str, str], List[str]]) -> Iterator[str]:

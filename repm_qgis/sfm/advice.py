@@ -57,9 +57,10 @@ def advice(
 ) -> List[str]:
     """Warnings, each with what the analyst can do."""
     limits = parameters.advice
-    texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, parameters)]
-    texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, limits)
-    texts += _dates(pairs, limits) + _thin(scene, figures, limits)
+    spare = len(scene.views) > 2  # of two, none can be left out
+    texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, spare, parameters)]
+    texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, spare, limits)
+    texts += _dates(pairs, spare, limits) + _thin(scene, figures, limits)
     texts += _beyond_promise(scene, figures, parameters)
     return texts
 
@@ -125,15 +126,16 @@ def _beyond_promise(scene: Scene, figures: PointingFigures, parameters: Pointing
     ]
 
 
-def _geometry(pair: ViewPair, gsd_m: float, parameters: PointingParameters) -> List[str]:
+def _geometry(pair: ViewPair, gsd_m: float, spare: bool, parameters: PointingParameters) -> List[str]:
     """A pair that is too narrow or too wide."""
     names = f"{pair.first} and {pair.second}"
     angles = f"(B/H {pair.base_to_height:.2f}, {pair.angle_deg:.1f} degrees)"
     if pair.base_to_height < parameters.pairs.narrow:
         accuracy = expected_accuracy_m(pair, gsd_m, parameters.advice)
+        remedy = "add an image from another direction"
         return [
             f"{names} were taken from nearly the same direction {angles}: heights of this pair are accurate to about "
-            f"{accuracy:.1f} m only; add an image from another direction, or leave out one of the two."
+            f"{accuracy:.1f} m only; {f'{remedy}, or leave out one of the two' if spare else remedy}."
         ]
     if pair.base_to_height > parameters.pairs.wide:
         wide = f"{names} were taken from very different directions {angles}"
@@ -170,7 +172,7 @@ def _at_night(scene: Scene) -> List[str]:
     return [f"{listed(names)}: {text}; check the sidecar files of the image."] if names else []
 
 
-def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
+def _suns(pairs: Sequence[ViewPair], spare: bool, parameters: AdviceParameters) -> List[str]:
     """Pairs whose shadows differ."""
     high = parameters.building_m
     named = [
@@ -179,9 +181,10 @@ def _suns(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
         for pair in pairs
         if other_sun(pair, parameters)
     ]
+    remedy = "take images of one pass or with similar suns"
     text = (
         f"The sun had different directions over {listed(named)}: edges of shadows are matched as if they were ground, "
-        "and ground in shadow is not matched; take images of one pass or with similar suns, or leave one image out."
+        f"and ground in shadow is not matched; {f'{remedy}, or leave one image out' if spare else remedy}."
     )
     return [text] if named else []
 
@@ -203,15 +206,16 @@ def expected_accuracy_m(pair: ViewPair, gsd_m: float, parameters: AdviceParamete
     return parameters.matching_px * gsd_m / pair.base_to_height
 
 
-def _dates(pairs: Sequence[ViewPair], parameters: AdviceParameters) -> List[str]:
+def _dates(pairs: Sequence[ViewPair], spare: bool, parameters: AdviceParameters) -> List[str]:
     """Pairs of different seasons or years, except those with different suns, which are named already."""
     named = []
     for pair in pairs:
         if other_season(pair, parameters) and not other_sun(pair, parameters):
             named.append(f"{pair.first} and {pair.second} ({duration_text(pair.days)})")
+    remedy = "take images of one pass"
     text = (
         f"Images were taken seasons or years apart: {listed(named)}; fields, leaves, snow and building sites have "
-        "changed, which causes gaps or wrong heights; take images of one pass, or leave one image out."
+        f"changed, which causes gaps or wrong heights; {f'{remedy}, or leave one image out' if spare else remedy}."
     )
     return [text] if named else []
 

@@ -297,7 +297,7 @@ def altitude_range(
     parameters: SweepParameters = POINTING.sweep,
     altitudes: AltitudeParameters = ALTITUDES,
 ) -> Tuple[Altitudes, str]:
-    """The altitude range to work in, and where it comes from.
+    """The altitude range to work in, and where it comes from: one word, or one for each end.
 
     The first of these that is there: the user's, that of a DEM, of the images, of the RPCs (``search``). Where the
     user gives one end only, it replaces that end. Raises OptionError where nothing is left between the ends.
@@ -323,8 +323,11 @@ def altitude_range(
         else:
             found, source = swept.altitudes, "images"
     low, high = (end if own is None else own for end, own in zip(found, given))
+    # The images' range ends where the search did, unless it found an end of its own.
+    from_rpc = [source == "images" and end == most for end, most in zip(found, search)]
+    sources = ["given" if own is not None else "RPC" if rpc else source for own, rpc in zip(given, from_rpc)]
     if low >= high:
         option, value = ("ALTITUDE_MIN", low) if given[0] is not None else ("ALTITUDE_MAX", high)
         ends = f"{found[0]:.0f} and {found[1]:.0f} m"
         raise OptionError(option, value, f"leaves no range: the ground lies between {ends}")
-    return (float(low), float(high)), source
+    return (float(low), float(high)), sources[0] if sources[0] == sources[1] else f"{sources[0]} and {sources[1]}"

@@ -228,9 +228,11 @@ def test_errors_are_german_and_keep_their_kind(stage, job, tmp_path):
 
 
 def test_points_of_an_image_that_is_not_there_are_said_in_german(sample, tmp_path):
-    job = {"images": sample["images"][:2], "gcps": sample["gcps"], "workspace": str(tmp_path), "output": "dsm.tif"}
+    gcps = tmp_path / "gcps.csv"
+    gcps.write_text(Path(sample["gcps"]).read_text(encoding="utf-8").replace("img_0", "foto_0"), encoding="utf-8")
+    job = {"images": sample["images"][:2], "gcps": str(gcps), "workspace": str(tmp_path), "output": "dsm.tif"}
     *_, said = engine("pipeline", tmp_path, **job, language="de")
-    assert said["type"] == "error" and "Punkt „P01“ wurde in „img_03“ gemessen" in said["text"]
+    assert said["type"] == "error" and "wurden in foto_01" in said["text"] and "in keinem der Bilder" in said["text"]
     assert not english_in([said["text"]])
 
 

@@ -425,3 +425,27 @@ def test_what_is_no_line_layer_is_named(make_raster, terrain, tmp_path):
     (tmp_path / "empty.geojson").write_text('{"type":"FeatureCollection","features":[]}')
     with pytest.raises(InputTableError, match="empty.geojson.*no line"):
         compare(a, a, profiles=str(tmp_path / "empty.geojson"))
+
+
+def test_a_reference_of_90_m_covers_a_dsm_with_many_holes_and_that_is_said(make_raster):
+    """A DSM of 450 m at 2 m with heights in 40 % of its rows: no cell of 90 m is half full. With 60 % they are."""
+    row = np.arange(225)[:, None] % 5
+    reference = make_raster("ref.tif", np.full((20, 20), 200.0), cell=90.0)
+    for known, fits in ((3, True), (2, False)):
+        heights = np.where((row < known) & np.ones(225, bool), 201.0, np.nan).astype(np.float32)
+        dsm = make_raster(f"dsm{known}.tif", heights, cell=2.0)
+        if fits:
+            got = compare(dsm, reference)
+            assert got["cells"] >= 25 and got["bias"] == pytest.approx(1.0, abs=1e-3)
+            with pytest.raises(EmptyResultError, match="or has smaller cells, or set ALIGN to none"):
+                compare(dsm, reference, align="3d")
+            continue
+        for method in ("none", "3d"):
+            with pytest.raises(EmptyResultError) as caught:
+                compare(dsm, reference, align=method)
+            for words in ("covers the DSM", "90 x 90 m", "less than 50 % of each", "RESOLUTION"):
+                assert words in str(caught.value)
+    holes = np.full((20, 20), 200.0, np.float32)
+    holes[:12, :12] = np.nan
+    with pytest.raises(EmptyResultError, match="choose a reference that covers the DSM"):
+        compare(dsm, make_raster("holes.tif", holes, cell=90.0))

@@ -200,3 +200,26 @@ def test_real_files(shared_data, tmp_path, write_image):
 )
 def test_spans_as_people_say_them(days, text):
     assert duration_text(days) == text
+
+
+@pytest.mark.parametrize(
+    ("domain", "items", "found"),
+    [
+        ("plain", {"IMAGING_DATE": "2013-06-29T06:37:14Z"}, "2013-06-29T06:37:14.000Z"),
+        ("plain", {"TIFFTAG_IMAGING_DATE": "2013-06-29 06:37:14"}, "2013-06-29T06:37:14.000Z"),
+        ("plain", {"IMAGING_DATE": "2013-06-29", "IMAGING_TIME": "06:37:14.4Z"}, "2013-06-29T06:37:14.400Z"),
+        ("IMAGERY", {"acquisition_date": "2013-06-29", "acquisition_time": "06:37:14"}, "2013-06-29T06:37:14.000Z"),
+        ("plain", {"ACQUIRED": "2013-06-29T08:37:14+02:00"}, "2013-06-29T06:37:14.000Z"),
+        ("plain", {"IMAGING_DATE": "2013-06-29"}, ""),  # no time of day: the sun would be wrong
+        ("plain", {"TIFFTAG_DATETIME": "2013:06:29 06:37:14"}, ""),
+    ],
+)
+def test_tags_of_the_image(domain, items, found):
+    assert of("a.tif", **{domain: items}) == found
+
+
+def test_what_is_better_comes_before_tags_of_the_image(tmp_path):
+    tags = {"IMAGING_DATE": "2001-01-01T00:00:00Z"}
+    assert of("PHR1A_201106151037450.tif", plain=tags).startswith("2011-06-15")
+    (tmp_path / "a.IMD").write_text(IMD)
+    assert of(tmp_path / "a.tif", plain=tags).startswith("2015-09-30")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
@@ -84,6 +85,21 @@ def test_other_seasons_and_years_under_the_same_sun(scene, days, said):
     assert bool(found) == said
     if said:
         assert f"img_01 and img_02 ({days:.0f} days)" in only(found) and "one pass" in found[0]
+
+
+@pytest.mark.parametrize(
+    "change",
+    (
+        {"base_to_height": 0.06, "angle_deg": 3.4},
+        {"days": 183.0, "sun_deg": 47.0, "shadow": 1.42},
+        {"days": 731.0, "sun_deg": 5.0},
+    ),
+)
+def test_of_two_images_none_can_be_left_out(scene, change):
+    odd = replace(PAIR, **change)
+    assert re.search(r", or leave (out )?one", only(advice(scene, all_three(odd), NO_TIES)))
+    two = replace(scene, views=scene.views[:2], tiles=[])
+    assert ", or leave" not in only(advice(two, [odd], NO_TIES))
 
 
 def test_times_of_the_night_are_named(scene):

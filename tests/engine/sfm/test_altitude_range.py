@@ -76,10 +76,28 @@ def test_what_the_user_gives_comes_first(urban, told):
         (150.0, 300.0),
         "given",
     )
-    found, source = altitude_range(urban.views, urban.crs, urban.bounds, search, (100.0, None), None, told())
-    assert found[0] == 100.0 and source == "images" and found[1] >= urban.surface.max()
+    wide = (0.0, 900.0)
+    found, source = altitude_range(urban.views, urban.crs, urban.bounds, wide, (100.0, None), None, told())
+    assert found[0] == 100.0 and source == "given and images" and found[1] >= urban.surface.max()
     with pytest.raises(OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range"):
         altitude_range(urban.views, urban.crs, urban.bounds, search, (5000.0, None), None, told())
+
+
+def test_a_range_that_only_the_search_ended_is_the_rpcs(urban, told):
+    """The ground lies between, and the margins of what the images show reach beyond one or both ends."""
+    low, high = urban.surface.min(), urban.surface.max()
+    for search, wanted in (
+        ((low - 10.0, high + 20.0), "RPC"),
+        ((low - 10.0, high + 400.0), "RPC and images"),
+        ((low - 400.0, high + 20.0), "images and RPC"),
+        ((low - 400.0, high + 400.0), "images"),
+    ):
+        found, source = altitude_range(urban.views, urban.crs, urban.bounds, search, NONE, None, told())
+        assert source == wanted
+        assert [end == most for end, most in zip(found, search)] == [
+            wanted in ("RPC", "RPC and images"),
+            wanted in ("RPC", "images and RPC"),
+        ]
 
 
 def test_a_dem_comes_before_the_images(urban, told):
