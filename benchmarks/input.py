@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
+import pyproj
 from osgeo import gdal
 
 from benchmarks.runner import ROOT, few, say
@@ -26,7 +27,7 @@ from benchmarks.tables import Section, table
 from repm_qgis.errors import RepmError
 from repm_qgis.evaluation.grids import Grid
 from repm_qgis.evaluation.scoring import score_files
-from repm_qgis.imagery.raster import opened
+from repm_qgis.imagery.raster import opened, write
 from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import View, load_views
@@ -105,7 +106,7 @@ def off(ended: Ended, truth: str) -> str:
     return f"exit 0: the DSM is {side:.0f} m wide, its middle {away:.0f} m from the ground's, {wrong}"
 
 
-def say_of(ended: Ended, *words: str) -> str:
+def say_of(ended: Ended, words: Sequence[str]) -> str:
     """The sentences that hold any of these words, from what a stage said and warned of."""
     found = [text for text in (*ended.warned, *ended.said) if any(word in text for word in words)]
     return " ".join(f"“{text}”" for text in found) or "nothing is said"
@@ -228,19 +229,53 @@ def stale(folder: Path) -> List[Job]:
     return [pipeline(folder, images)]
 
 
+def crops_apart(folder: Path) -> List[Job]:
+    """Crops of two corners of the scene, each with an RPC of its own."""
+    images = []
+    for view, (col, row) in zip(true_views(2), ((0, 0), (700, 700))):
+        crop = pixels_of(view.image)[row : row + 300, col : col + 300]
+        images.append(write_plain(folder / f"{view.name}.tif", crop, view.rpc.shifted(col, row)))
+    return [pipeline(folder, images)]
+
+
+def dated(days: Sequence[str], folder: Path) -> List[Job]:
+    """A pair whose tags say when it was taken."""
+    images = []
+    for view, day in zip(true_views(2), days):
+        pixels = pixels_of(view.image)
+        images.append(write_plain(folder / f"{view.name}.tif", pixels, view.rpc, tags={"IMAGING_DATE": day}))
+    return [pipeline(folder, images)]
+
+
+def as_it_is(folder: Path) -> List[Job]:
+    """A pair whose RPCs were made for little more than the heights of the ground."""
+    return [pipeline(folder, town().images[:2])]
+
+
+def sparse_under_coarse(folder: Path) -> List[Job]:
+    """A DSM with heights in two of five rows, and a reference in cells of 90 m that covers it."""
+    row = np.arange(450)[:, None] % 5
+    heights = np.where((row < 2) & np.ones(450, bool), 200.0, np.nan).astype(np.float32)
+    crs = pyproj.CRS("EPSG:32631").to_wkt("WKT1_GDAL")
+    dsm = write(str(folder / "dsm.tif"), [heights], (500000.0, 1.0, 0.0, 4800000.0, 0.0, -1.0), crs)
+    place = (499500.0, 90.0, 0.0, 4800500.0, 0.0, -90.0)
+    reference = write(str(folder / "reference.tif"), [np.full((20, 20), 201.0, np.float32)], place, crs)
+    return [("comparedsm", {"dsm": dsm, "reference": reference})]
+
+
 def as_alone(ended: Ended) -> str:
     """Whether the DSM has the very heights of the pair's own."""
     own, found = (gdal.Open(str(ended.folder / name)) for name in ("alone.tif", "run.tif"))
     if (own.GetGeoTransform(), own.GetProjection()) != (found.GetGeoTransform(), found.GetProjection()):
         return f"exit 0, another DSM than the pair's own, in {found.GetSpatialRef().GetName()}"
     same = own.ReadAsArray().tobytes() == found.ReadAsArray().tobytes()
-    said = say_of(ended, "left out:")
+    said = say_of(ended, ("left out:",))
     return f"exit 0, heights {'identical with' if same else 'other than'} the pair's own, to the byte; {said}"
 
 
 def _off_town(ended: Ended, words: str = "") -> str:
     found = off(ended, town().reference)
-    return f"{found}; {say_of(ended, words)}" if words else found
+    return f"{found}; {say_of(ended, (words,))}" if words else found
 
 
 TRIALS: List[Trial] = [
@@ -254,6 +289,15 @@ TRIALS: List[Trial] = [
         "8", "control points of three images, a run of two", points_of_three, partial(_off_town, words="not used here")
     ),
     Trial("8", "a crop with the whole image's RPC file beside it", stale, _off_town),
+    Trial("9", "crops of two corners of a scene", crops_apart, _off_town),
+    Trial(
+        "9",
+        "two images of two years; IMAGING_DATE",
+        partial(dated, ("2012-06-20T10:40:00Z", "2014-06-20T10:40:00Z")),
+        partial(say_of, words=("years apart",)),
+    ),
+    Trial("9", "RPCs of 100 m of heights", as_it_is, partial(say_of, words=("(from: ",))),
+    Trial("9", "a DSM with many holes, a reference of 90 m", sparse_under_coarse, str),
 ]
 
 

@@ -6,15 +6,20 @@ Images of another place would spoil what all have in common: the heights that ar
 from __future__ import annotations
 
 import math
-from typing import Callable, List, Sequence, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
+import pyproj
 
 from ..arrays import FloatArray
 from ..errors import OverlapError
-from ..geometry.footprints import Polygon, footprint, geometry_of
+from ..geometry.footprints import Polygon, footprint, geometry_of, ring
+from ..options import EpmFitOptions
 from ..progress import listed
-from ..scene import View, common_heights
+from ..scene import View, common_heights, load_views
+
+Warn = Callable[[str], None]
+"""It is given a sentence that the user should read."""
 
 _DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, and need no projection
 _FAR_DEG = 5.0  # between the middles of two images, which cannot overlap then: no strip is that long
@@ -38,14 +43,27 @@ def places(views: Sequence[View], least_px: float) -> List[Tuple[View, ...]]:
     return sorted(found, key=lambda group: (-len(group), order[id(group[0])]))
 
 
-def of_one_place(
-    views: Sequence[View], least_px: float, warn: Callable[[str], None] = lambda text: None
-) -> Tuple[View, ...]:
-    """The views of the place that most of them show; ``warn`` is told of the others.
+def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: None) -> Tuple[View, ...]:
+    """The views of a run: those of its images that show one place (:func:`of_one_place`), which EXTENT may choose.
 
-    Raises OverlapError, with where the images look, where no two overlap.
+    Raises whatever :func:`~repm_qgis.scene.load_views` raises, and OverlapError where no two images overlap.
     """
-    first, *others = places(views, least_px)
+    views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
+    return of_one_place(views, least_px, warn, _wanted(options))
+
+
+def of_one_place(
+    views: Sequence[View], least_px: float, warn: Warn = lambda text: None, wanted: Optional[Polygon] = None
+) -> Tuple[View, ...]:
+    """The views of the place that most of them show; ``warn`` is given a sentence about the others.
+
+    ``wanted`` (N, 2), longitudes and latitudes, is an area that may choose the place. Raises OverlapError, with where
+    the images look, where no two overlap.
+    """
+    groups = places(views, least_px)
+    if wanted is not None:
+        groups.sort(key=lambda group: len(group) < 2 or not any(_shows(view, wanted) for view in group))
+    first, *others = groups
     left = [view for group in others for view in group]
     if len(first) < 2:
         raise OverlapError(not_overlapping(views))
@@ -91,6 +109,28 @@ def _looking(views: Sequence[View]) -> str:
         lon, lat, _ = view.localise((np.array(view.size) - 1) / 2, view.rpc.height_off)
         texts.append(f"{view.name} around longitude {lon:.4f}, latitude {lat:.4f}")
     return listed(texts, "; ")
+
+
+def _wanted(options: EpmFitOptions) -> Optional[Polygon]:
+    """EXTENT as longitudes and latitudes; None without one, or where PROJ cannot bring it there."""
+    if options.extent is None:
+        return None
+    xmin, ymin, xmax, ymax = options.extent
+    x, y = ring(np.linspace(xmin, xmax, 5), np.linspace(ymin, ymax, 5)).T
+    try:
+        found = np.column_stack(pyproj.Transformer.from_crs(options.extent_crs, 4326, always_xy=True).transform(x, y))
+    except pyproj.exceptions.ProjError:
+        return None
+    return found if np.isfinite(found).all() else None
+
+
+def _shows(view: View, wanted: Polygon) -> bool:
+    """Whether a view shows ground of an area, at the middle of its RPC's heights."""
+    outline = _outline(view, view.rpc.height_off)
+    if len(outline) < 3:
+        return False
+    shown, area = (geometry_of(_metres(_apart(each, outline[0]), outline[0])) for each in (outline, wanted))
+    return bool(shown.Intersects(area))
 
 
 def _overlap(first: View, second: View, least_px: float) -> bool:

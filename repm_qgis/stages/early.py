@@ -20,8 +20,8 @@ from ..options import (
     RegisterOptions,
     SampleDataOptions,
 )
-from ..scene import GroundSeen, ground_of, load_views
-from ..sfm.overlap import of_one_place
+from ..scene import GroundSeen, ground_of
+from ..sfm.overlap import views_of
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _SAMPLE_BYTES = {"urban": 450.0, "mountains": 180.0}  # memory for each px of a sample image; measured at 1000 px
@@ -67,8 +67,7 @@ def _require_memory(options: SampleDataOptions) -> None:
 def _seen(options: Options, parameters: TileParameters) -> Optional[GroundSeen]:
     """What the images show; None where a stage has none, or a scene that the stage itself will refuse."""
     if isinstance(options, PipelineOptions):
-        views = load_views(options.fit.images, options.fit.rpcs, whole=options.fit.extent is None)
-        return GroundSeen.of(of_one_place(views, parameters.least_overlap_px))
+        return GroundSeen.of(views_of(options.fit, parameters.least_overlap_px))
     if isinstance(options, (DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions)) and options.scene:
         return ground_of(options.scene)
     return None

@@ -30,9 +30,9 @@ from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
-from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, load_views, middle_of, reusable
+from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
-from ..sfm.overlap import of_one_place
+from ..sfm.overlap import views_of
 from ..stereo.parameters import STEREO
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
@@ -101,8 +101,7 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
 
 
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
-    views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
-    views = of_one_place(views, parameters.tiles.least_overlap_px, progress.warn)
+    views = views_of(options, parameters.tiles.least_overlap_px, progress.warn)
     taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
     satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
     sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)

@@ -20,10 +20,10 @@ from ..products import FOLDER, paths_of
 from ..progress import Part, Progress
 from ..records import ViewPair
 from ..run_estimate import estimate_run
-from ..scene import Scene, load_views
+from ..scene import Scene
 from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
-from ..sfm.overlap import of_one_place
+from ..sfm.overlap import views_of
 from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine, register
 from .early import require_cell
@@ -100,14 +100,11 @@ def _needs(
 
 def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None:
     """What can be refused is refused before hours of matching."""
-    fit = options.fit
     require(options.reconstruct.backend)
     for product, path in paths_of("pipeline", options):
         ensure_folder(path if product.form == FOLDER else str(Path(path).parent))
     if options.fuse.ept:
         require_ept_place(options.fuse.ept)
     if options.reconstruct.gcps:
-        views = load_views(fit.images, fit.rpcs, whole=fit.extent is None)
-        views = of_one_place(views, parameters.tiles.least_overlap_px)
-        gcps = options.reconstruct.gcps
+        views, gcps = views_of(options.fit, parameters.tiles.least_overlap_px), options.reconstruct.gcps
         require_places(read_gcps(gcps, views, options.reconstruct.gcp_datum), views, gcps, parameters.pointing)

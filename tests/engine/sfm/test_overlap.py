@@ -92,6 +92,17 @@ def test_others_are_named_with_where_they_look(urban, abroad):
         of_one_place([urban.views[0], abroad], 64)
 
 
+def test_an_area_chooses_the_place(urban, abroad):
+    a, b, _ = urban.views
+    views = [a, b, abroad, replace(abroad, name="again")]
+    here, there = (v.localise(np.array([200.0, 200.0]), v.rpc.height_off)[:2] for v in (a, abroad))
+    box = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * 1e-3
+    for middle, kept in ((there, ["abroad", "again"]), (here, [a.name, b.name]), (here + 30.0, [a.name, b.name])):
+        assert [v.name for v in of_one_place(views, 64, wanted=middle + box)] == kept
+    # One image alone cannot be worked on, wherever the area lies.
+    assert [v.name for v in of_one_place(views[:3], 64, wanted=there + box)] == [a.name, b.name]
+
+
 def test_a_crop_is_said_to_look_where_it_looks_and_not_where_its_rpc_has_its_middle(urban):
     view = urban.views[0]
     crop = replace(view, rpc=view.rpc.shifted(3000.0, -2000.0))

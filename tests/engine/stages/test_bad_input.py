@@ -25,6 +25,7 @@ from repm_qgis.errors import (
     SceneVersionError,
     WorkspaceError,
 )
+from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.stages import run_stage
 
@@ -345,6 +346,19 @@ def test_an_image_of_another_place_changes_nothing_but_a_warning(bench, tmp_path
         scenes.append({key: value for key, value in document.items() if key not in ("folder", "history")})
         assert [text for text in said.warnings if "left out: abroad" in text] == said.warnings[:number] * bool(number)
     assert scenes[0] == scenes[1] == scenes[2] and len(scenes[0]["views"]) == 2
+
+
+def test_an_extent_chooses_the_place(bench, tmp_path, told):
+    """Pairs of two places, an EXTENT over the second in its own CRS: its images are used."""
+    move = {"lon_off": -47.0, "lat_off": -23.0}
+    rpcs = [view.rpc.__class__(**{**view.rpc.to_mapping(), **move}) for view in bench.urban.views[:2]]
+    there = [bench.image(f"there{k}.tif", k, rpc=rpc) for k, rpc in enumerate(rpcs)]
+    options = {"images": [*bench.urban.images[:2], *there], "workspace": bench.workspace}
+    x, y = projected_from_geodetic("EPSG:32723", np.array([-47.0, -23.0]))
+    extent = {"extent": [x - 50, y - 50, x + 50, y + 50], "extent_crs": "EPSG:32723"}
+    for chosen, names in (({}, ["img_01", "img_02"]), (extent, ["there0", "there1"])):
+        made = run_stage("epmfit", {**options, **chosen}, told())
+        assert [view["name"] for view in json.loads(Path(made["scene"]).read_text())["views"]] == names
 
 
 def test_altitudes_of_another_place(bench):
