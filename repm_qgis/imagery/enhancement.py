@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import FloatImage, Window
 from ..errors import ImageError
 from .parameters import STRETCH, StretchParameters
-from .raster import Image, opened_masked, read
+from .raster import opened_masked, read
 
 
 @dataclass(frozen=True)
@@ -38,15 +38,14 @@ class Stretch:
 def view_stretch(
     path: str, band: int, mask: str = "", parameters: StretchParameters = STRETCH, part: Optional[Window] = None
 ) -> Stretch:
-    """The stretch of an image of any bit depth, from its overviews or a reduced reading; without masked pixels.
+    """The stretch of an image of any bit depth, from a reduced reading of its pixels that are not masked.
 
     ``part`` is the window that is used of the image, where it is not the whole: what lies outside has no part in the
     stretch, unless the window itself shows nothing. Raises ImageError where the image holds only nodata or one value.
     """
-    with opened_masked(path, mask) as dataset:
-        known, (low, high) = _sampled(dataset, part, band, parameters)
-        if part is not None and high <= low:
-            known, (low, high) = _sampled(dataset, None, band, parameters)
+    known, (low, high) = _sampled(path, band, mask, part, parameters)
+    if part is not None and high <= low:
+        known, (low, high) = _sampled(path, band, mask, None, parameters)
     if known < parameters.least_pixels:
         raise ImageError(f"'{path}' has only nodata in band {band}: choose another image, band or mask.")
     if high <= low:
@@ -56,13 +55,15 @@ def view_stretch(
 
 
 def _sampled(
-    dataset: Image, window: Optional[Window], band: int, parameters: StretchParameters
+    path: str, band: int, mask: str, part: Optional[Window], parameters: StretchParameters
 ) -> Tuple[int, Tuple[float, float]]:
-    """How many pixels of a reduced window (None: of the whole) have a value, and the ends of the stretch; (0, 0) where
+    """How many pixels of a reduced part (None: of the whole) have a value, and the ends of the stretch; (0, 0) where
     they are too few."""
-    width, height = window[2:] if window else (dataset.RasterXSize, dataset.RasterYSize)
+    with opened_masked(path, mask) as dataset:
+        width, height = part[2:] if part else (dataset.RasterXSize, dataset.RasterYSize)
     factor = max(1.0, max(width, height) / parameters.sample_px)
-    pixels = read(dataset, window, band, (max(1, int(width / factor)), max(1, int(height / factor))))
+    with opened_masked(path, mask, overviews=width * height > parameters.overviews_px) as dataset:
+        pixels = read(dataset, part, band, (max(1, int(width / factor)), max(1, int(height / factor))))
     known = pixels[np.isfinite(pixels)]
     if known.size < parameters.least_pixels:
         return known.size, (0.0, 0.0)

@@ -12,6 +12,7 @@ class StretchParameters(Parameters):
     """The stretch of intensities to 0..1 (paper, Section 3.1, which gives no numbers). All values are chosen."""
 
     sample_px: int = 1024  # side of the reduced image that the limits are taken from
+    overviews_px: int = 30_000_000  # larger images, or parts of them, are read from overviews where there are any
     least_pixels: int = 100  # with data in it: fewer are an error
     low_percent: float = 0.1  # of its pixels are darker than 0
     high_percent: float = 99.5  # of its pixels are below the threshold, where the compressed tail begins

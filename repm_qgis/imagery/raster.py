@@ -22,7 +22,10 @@ from ..workspace import file_identity, not_written, take_name, temporary_name
 
 NODATA = -9999.0
 
-_COLOURS = {gdal.GCI_RedBand: 0.299, gdal.GCI_GreenBand: 0.587, gdal.GCI_BlueBand: 0.114}
+_NO_OVERVIEWS = ["OVERVIEW_LEVEL=NONE"] if int(gdal.VersionInfo()) >= 3030000 else []  # older: the first overview alone
+
+_COLOURS = (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand)
+_RED, _BLUE = np.float32(0.299), np.float32(0.114)  # of the grey; green has the rest
 
 
 @contextmanager
@@ -78,13 +81,13 @@ Image = Union[gdal.Dataset, MaskedImage]
 
 
 @contextmanager
-def opened_masked(path: str, mask: str = "") -> Iterator[Image]:
+def opened_masked(path: str, mask: str = "", overviews: bool = True) -> Iterator[Image]:
     """An image opened with its mask, if it has one; raises ImageError also for a mask of another size."""
-    with opened(path) as image:
+    with opened(path, overviews) as image:
         if not mask:
             yield image
             return
-        with opened(mask) as excluded:
+        with opened(mask, overviews) as excluded:
             sizes = [(dataset.RasterXSize, dataset.RasterYSize) for dataset in (image, excluded)]
             if sizes[0] != sizes[1]:
                 image_size, mask_size = (f"{width} x {height} px" for width, height in sizes)
@@ -96,12 +99,17 @@ def opened_masked(path: str, mask: str = "") -> Iterator[Image]:
 
 
 @contextmanager
-def opened(path: str) -> Iterator[gdal.Dataset]:
-    """A raster opened for reading, and closed in any case; raises ImageError with GDAL's reason, or with ours."""
+def opened(path: str, overviews: bool = True) -> Iterator[gdal.Dataset]:
+    """A raster opened for reading, and closed in any case; raises ImageError with GDAL's reason, or with ours.
+
+    Without its ``overviews``, a reduced reading is the mean of the pixels: overviews may be single pixels of them
+    (gdaladdo's default), or what JPEG 2000 keeps, and files of other kinds would give other results.
+    """
     path = str(path)
     _require(path, distrust(path))
     flags, drivers = gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR, drivers_for(path, RASTERS)
-    dataset, reason = _attempt(lambda: gdal.OpenEx(path, flags, allowed_drivers=drivers))
+    options = [] if overviews else _NO_OVERVIEWS
+    dataset, reason = _attempt(lambda: gdal.OpenEx(path, flags, allowed_drivers=drivers, open_options=options))
     if dataset is None:
         hint = "it does not exist" if not os.path.exists(path) and "/vsi" not in path else reason
         raise ImageError(f"Cannot open the raster '{path}': {hint}. Check the path, or get the file again.")
@@ -141,17 +149,14 @@ def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: O
 
     So do pixels that the file's own mask or alpha band hides, or a :class:`MaskedImage` excludes. ``band`` 0 reads
     the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is. ``size`` (width, height) reads it reduced,
-    by averaging, from overviews where there are any. Raises ImageError for a truncated or damaged file.
+    by averaging, from overviews unless it was opened without. Raises ImageError for a truncated or damaged file.
     """
     if isinstance(dataset, MaskedImage):
         return np.where(dataset.excluded(window, size), np.float32(np.nan), read(dataset.image, window, band, size))
     if band == 0:
         meanings = _meanings(dataset)
-        red, green, blue = (
-            np.float32(weight) * read(dataset, window, meanings.index(colour) + 1, size)
-            for colour, weight in _COLOURS.items()
-        )
-        grey: FloatImage = red + green + blue
+        red, green, blue = (read(dataset, window, meanings.index(colour) + 1, size) for colour in _COLOURS)
+        grey: FloatImage = green + _RED * (red - green) + _BLUE * (blue - green)  # equal colours are that grey exactly
         return grey
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     handle = dataset.GetRasterBand(band)

@@ -222,7 +222,7 @@ class _Reduced:
         if window is None:
             return None
         size = max(1, window[2] // reduction), max(1, window[3] // reduction)
-        with opened_masked(view.image, view.mask) as dataset:
+        with opened_masked(view.image, view.mask, overviews=False) as dataset:
             pixels = read(dataset, window, view.band, size)
         return cls(view, np.sqrt(np.maximum(pixels, 0)), Window(*window))
 

@@ -100,7 +100,7 @@ def texture_of(scene: Scene, stretches: Dict[str, Stretch], place: Bounds, param
             missed += 1
             continue
         window = Window(*(int(v) for v in (*low, *size)))
-        with opened_masked(view.image, view.mask) as dataset:
+        with opened_masked(view.image, view.mask, overviews=False) as dataset:
             pixels = read(dataset, window, view.band, (window.width // 2, window.height // 2))
         intensity = np.nan_to_num(stretch.apply(pixels), nan=0.0)
         gradients = np.sqrt(np.maximum(cv2.cornerMinEigenVal(intensity, parameters.texture_px), 0))

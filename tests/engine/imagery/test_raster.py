@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from repm_qgis.arrays import Window
 from repm_qgis.errors import ImageError, WorkspaceError
 from repm_qgis.imagery.raster import created, files_of, grey_band, name_of, opened, read, write
 
@@ -270,3 +271,34 @@ def test_the_files_of_an_image_whose_rpc_file_is_damaged(tmp_path, raises):
         assert files_of(path) == sorted([path, sidecar, mask])
     finally:
         (gdal.UseExceptions if before else gdal.DontUseExceptions)()
+
+
+@pytest.mark.parametrize("kind", ("overviews", "JPEG 2000"))
+def test_without_overviews_a_reduced_reading_is_the_mean_of_the_pixels(tmp_path, kind):
+    values = np.random.default_rng(1).integers(10, 2000, (1024, 1024)).astype(np.uint16)
+    plain = write(str(tmp_path / "a.tif"), [values], None, "", nodata=None)
+    path = str(tmp_path / ("b.tif" if kind == "overviews" else "b.jp2"))
+    driver = gdal.GetDriverByName("GTiff" if kind == "overviews" else "JP2OpenJPEG")
+    if driver is None:
+        pytest.skip("this GDAL has no JP2OpenJPEG")
+    driver.CreateCopy(path, gdal.Open(plain), options=["QUALITY=100", "REVERSIBLE=YES"] if kind != "overviews" else [])
+    if kind == "overviews":
+        gdal.Open(path).BuildOverviews("NEAREST", [2, 4, 8])
+    window, size = Window(64, 32, 800, 640), (100, 80)
+    with opened(plain) as dataset:
+        means = read(dataset, window, 1, size)
+    with opened(path, overviews=False) as dataset:
+        np.testing.assert_array_equal(read(dataset, window, 1, size), means)
+    with opened(path) as dataset:
+        assert np.abs(read(dataset, window, 1, size) - means).max() > 100
+
+
+def test_the_grey_of_equal_colours_is_exact(tmp_path):
+    values = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+    path = str(tmp_path / "a.tif")
+    made = gdal.GetDriverByName("GTiff").Create(path, 256, 256, 3, gdal.GDT_UInt16, ["PHOTOMETRIC=RGB"])
+    for number in (1, 2, 3):
+        made.GetRasterBand(number).WriteArray(values)
+    made = None
+    with opened(path) as dataset:
+        np.testing.assert_array_equal(read(dataset, None, 0), values.astype(np.float32))
