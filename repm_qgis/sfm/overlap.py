@@ -25,7 +25,7 @@ _DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, a
 _FAR_DEG = 5.0  # between the middles of two images, which cannot overlap then: no strip is that long
 _MOST_LEVELS = 64
 _LARGER = 1.5  # times an image's side: an RPC that was made for more columns or rows is that of a larger image
-_STARTS = 0.1  # of an image's side: an RPC whose domain begins nearer to the first pixel was not shifted with a crop
+_STARTS = 0.05  # of its length: an RPC whose domain begins that near to the first pixel was not shifted with a crop
 
 
 def places(views: Sequence[View], least_px: float) -> List[Tuple[View, ...]]:
@@ -75,8 +75,8 @@ def of_one_place(
 
 def not_overlapping(views: Sequence[View]) -> str:
     """The sentence that these images share no ground, with where each of them looks."""
-    remedy = foreign_rpc(views) or "Choose images of one place, and check that each RPC belongs to its image."
-    return f"The images do not overlap on the ground: {_looking(views)}. {remedy}"
+    doubt = foreign_rpc(views) or "Check that each RPC belongs to its image."
+    return f"The images do not overlap on the ground: {_looking(views)}. Choose images of one place. {doubt}"
 
 
 def foreign_rpc(views: Sequence[View]) -> str:
@@ -90,7 +90,7 @@ def foreign_rpc(views: Sequence[View]) -> str:
         rpc, size = view.rpc, np.array(view.size)
         middle, reach = np.array([rpc.col_off, rpc.row_off]), np.abs([rpc.col_scale, rpc.row_scale])
         made = np.rint(middle + reach + 1)
-        if (middle - reach > -_STARTS * size).all() and (made > _LARGER * size).any():
+        if (np.abs(middle - reach) < _STARTS * 2 * reach).all() and (made > _LARGER * size).any():
             found.append(
                 f"{view.name} has {view.width} x {view.height} px, its RPC was made for {made[0]:.0f} x {made[1]:.0f}"
             )

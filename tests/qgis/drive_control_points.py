@@ -54,6 +54,8 @@ def open_dock():
     FOUND["one image"] = dock.said.text()
     assert dock.open_images(MADE["images"]), dock.said.text()
     FOUND["views"] = [panel.name for panel in dock.panels]
+    assert dock.open_points(PLAN["elsewhere"]), dock.said.text()
+    FOUND["elsewhere"] = dock.said.text()
     assert dock.open_points(PLAN["points"]), dock.said.text()
     FOUND["points"] = len(dock.measuring.points)
     QTimer.singleShot(1500, lambda: measure(dock))

@@ -27,8 +27,12 @@ def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, 
     lines = [f"{gcp.id},{gcp.lon!r},{gcp.lat!r},{gcp.height!r},{gcp.role}" for gcp in known]
     places.write_text("\n".join(["id,lon,lat,height,role", *lines]))
     pixels = {gcp.id: {view: list(pixel) for view, pixel in gcp.pixels.items()} for gcp in known}
-    found = desktop_start("drive_control_points.py", {"made": town, "points": str(places), "pixels": pixels})
+    elsewhere = tmp_path / "elsewhere.csv"
+    elsewhere.write_text("id,lon,lat,height,view,col,row\nA,1.44,43.6,190,img_01,9,9\nA,1.44,43.6,190,img_09,9,9\n")
+    plan = {"made": town, "points": str(places), "pixels": pixels, "elsewhere": str(elsewhere)}
+    found = desktop_start("drive_control_points.py", plan)
     assert found["first words"].startswith("Choose the images")
+    assert "1 measurement in images that are not used here (img_09)" in found["elsewhere"]
     assert found["one image"].startswith("Choose at least two images")
     assert found["views"] == ["img_01", "img_02", "img_03"] and found["points"] == len(known)
     first, second = known[:2]
