@@ -317,10 +317,12 @@ def earlier(folder: Path) -> Optional[Path]:
 
 
 def never_silently_wrong() -> List[str]:
-    rows = []
+    from benchmarks import input_heights  # which takes its tools from here
+
+    rows, trials = [], sorted([*TRIALS, *input_heights.TRIALS], key=lambda trial: int(trial.point))
     with tempfile.TemporaryDirectory() as place:
         before = earlier(Path(place))
-        for trial in few(TRIALS):
+        for trial in few(trials):
             say(f"{trial.point}: {trial.what} ...")
             cells = [trial.run(tree) if tree else "not measured" for tree in (before, ROOT)]
             rows.append([trial.point, trial.what, *cells])
@@ -331,4 +333,11 @@ def never_silently_wrong() -> List[str]:
     ]
 
 
-SECTIONS = [Section("input", "Bad input", "make bench-input", {"trials": never_silently_wrong})]
+def calibration() -> List[str]:
+    from benchmarks import input_heights
+
+    return input_heights.calibration()
+
+
+PARTS = {"trials": never_silently_wrong, "calibration": calibration}
+SECTIONS = [Section("input", "Bad input", "make bench-input", PARTS)]
