@@ -1,9 +1,10 @@
 """How uncertain the absolute height is without ground control: what vendors promise, and how much RPCs disagree.
 
 The errors of the images' lines of sight on the ground are taken as normal and different in each image. The vendors
-promise their variance; by how many times it is wrong (the variance factor of the scene) has a scaled inverse
-chi-square distribution around one, and the disagreement of the RPCs is evidence of it (Gelman et al., Bayesian Data
-Analysis, 2013, section 2.6). The height is then distributed as Student's t.
+promise their deviation; by how many times it is wrong in a scene (its factor) has a prior distribution: the root of a
+scaled inverse chi-square around one (Gelman et al., Bayesian Data Analysis, 2013, section 2.6), and in a few scenes,
+with an RPC of another image or a gross error, anything above one. The disagreement of the RPCs is evidence of the
+factor, and the height is distributed as a mixture of normal distributions over it.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from ..geometry.frames import EnuFrame
 from ..records import PointingFigures, ViewPair
 from ..scene import View, middle_of
 from .graph import components
-from .parameters import POINTING, PointingParameters
+from .parameters import POINTING, PointingParameters, PromiseParameters
 from .promises import promise_of, published_vertical
 
 
 @dataclass(frozen=True)
 class HeightUncertainty:
     """Standard deviations of the absolute height, m: ``promised_m`` by the vendors' promise alone, ``deviation_m`` with
-    what the RPCs' disagreement adds to it.
+    what the RPCs' disagreement adds to it: 95 % of the errors lie within two of these.
 
     ``disagreement`` is how large the observed disagreement is, as a share of what the promise lets expect (root mean
     square of ``freedom`` independent parts: one for a pair, 2 n - 3 for n images).
@@ -51,10 +52,28 @@ def height_uncertainty(
     found = [_of_group([v for v in views if v.name in group], figures.shifts_px, parameters) for group in groups]
     promised_m = max(height for height, _, _ in found)
     square, freedom = sum(each for _, each, _ in found), sum(each for _, _, each in found)
-    prior = parameters.promises.freedom
-    # The variance of Student's t with so many degrees of freedom, whose scale is the posterior's.
-    factor = (prior + square) / (prior + freedom - 2)
-    return HeightUncertainty(promised_m, math.sqrt(square / freedom), freedom, promised_m * math.sqrt(factor))
+    deviation_m = promised_m * _stated(square, freedom, parameters.promises)
+    return HeightUncertainty(promised_m, math.sqrt(square / freedom), freedom, deviation_m)
+
+
+def _stated(square: float, freedom: int, parameters: PromiseParameters) -> float:
+    """Half of what holds 95 % of the errors of a height whose promised deviation is one, given the sum of squares of
+    so many independent disagreements, in promised deviations."""
+    factors = np.geomspace(0.05, 20.0 * parameters.gross_most, 1200)
+    chi = factors**-parameters.freedom * np.exp(-parameters.freedom / (2.0 * factors**2))
+    gross = ((factors >= 1.0) & (factors <= parameters.gross_most)).astype(np.float64)
+    share = parameters.gross_share
+    prior = (1.0 - share) * chi / chi.sum() + share * gross / gross.sum()
+    # The logarithm, because a gross disagreement is all but impossible with most factors.
+    evidence = -freedom * np.log(factors) - square / (2.0 * factors**2)
+    posterior = prior * np.exp(evidence - evidence[prior > 0].max())
+    posterior /= posterior.sum()
+    low, high = 0.0, 10.0 * float(factors[-1])
+    while high - low > 1e-6 * high:
+        middle = (low + high) / 2.0
+        within = np.array([math.erf(middle / (math.sqrt(2.0) * factor)) for factor in factors])
+        low, high = (middle, high) if float(posterior @ within) < 0.95 else (low, middle)
+    return high / 2.0
 
 
 def usual_height_deviation(

@@ -190,6 +190,8 @@ class PromiseParameters(Parameters):
     ce90: float = 2.146  # by the standard deviation in each direction (normal distribution)
     le90: float = 1.645  # by the standard deviation of heights (normal distribution)
     freedom: float = 8.0  # observed disagreements that a promise counts as much as; chosen
+    gross_share: float = 0.05  # of scenes in which an RPC is not as promised, but grossly wrong; chosen
+    gross_most: float = 100.0  # times as wrong as promised, at most; chosen
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,21 @@ def test_the_stated_deviations_hold_for_errors_as_promised(urban, count):
     assert 0.75 < np.sqrt(np.mean(up**2)) / np.median(stated) < 1.3
 
 
+def test_an_rpc_that_is_grossly_wrong_makes_the_height_as_uncertain_as_it_is(urban):
+    """200 px, eighteen times what a promise lets expect of a pair: where the disagreement tells it, three stated
+    deviations hold the error, which has nothing of the promise any more."""
+    views = [replace(view, sensor="Pleiades 1A") for view in urban.views[:2]]
+    (tracks, ground), ratios = ties_of(views), []
+    for azimuth in np.linspace(0.0, 2 * np.pi, 24, endpoint=False):
+        moved = replace(views[1], rpc=views[1].rpc.shifted(200 * np.cos(azimuth), 200 * np.sin(azimuth)))
+        adjusted = adjust([views[0], moved], tracks, UP)
+        shifts = {name: tuple(map(float, shift)) for name, shift in adjusted.shifts.items()}
+        stated = height_uncertainty([views[0], moved], figures_of(views, shifts))
+        if stated.disagreement > 4.0:
+            ratios.append(abs(np.median(adjusted.ground[:, 2] - ground[:, 2])) / stated.deviation_m)
+    assert len(ratios) >= 16 and max(ratios) < 3.0, ratios
+
+
 def test_rpcs_that_agree_are_more_certain_than_those_that_do_not(urban):
     views = [replace(view, sensor="Pleiades 1A") for view in urban.views]
 
