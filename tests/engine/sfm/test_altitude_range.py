@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,38 @@ def test_real_pairs(shared_data, told):
     low, high = np.percentile(heights, (1, 99))
     assert found.altitudes[0] <= low and found.altitudes[1] >= high
     assert np.diff(found.altitudes)[0] < 2.5 * (high - low) + 100
+
+
+def test_stripes_of_zeros_do_not_widen_the_range(told, tmp_path):
+    """A quarter of all rows: false matches of black on black, and of the stripes' edges, lay 350 and 900 m away."""
+    from osgeo import gdal
+
+    from repm_qgis.imagery.collars import write_collar_mask
+    from repm_qgis.scene import load_views
+    from repm_qgis.stages import run_stage
+
+    made = run_stage("sampledata", {"folder": str(tmp_path), "kind": "urban", "size": 800, "seed": 3}, told())
+    views, search = load_views(made["images"][:2]), (-300.0, 2500.0)
+    dataset = gdal.Open(made["truth"])
+    surface, (west, cell, _, north, _, _) = dataset.ReadAsArray(), dataset.GetGeoTransform()
+    crs = f"EPSG:{dataset.GetSpatialRef().GetAuthorityCode(None)}"
+    bounds = (west, north - surface.shape[0] * cell, west + surface.shape[1] * cell, north)
+    plain = sweep_altitudes(views, crs, bounds, search, told())
+    masked = []
+    for view in views:
+        dataset = gdal.Open(view.image, gdal.GA_Update)
+        values = dataset.ReadAsArray()
+        for row in range(40, view.height, 130):
+            values[row : row + 30] = 0
+        dataset.GetRasterBand(1).WriteArray(values)
+        dataset = None
+        mask = str(tmp_path / f"mask_{view.name}.tif")
+        assert write_collar_mask(view.image, view.band, "", mask) > 0.2
+        masked.append(replace(view, mask=mask))
+    found = sweep_altitudes(masked, crs, bounds, search, told())
+    assert found.altitudes[0] > plain.altitudes[0] - 50.0 and found.altitudes[1] < plain.altitudes[1] + 50.0
+    low, high = np.percentile(surface, (0.5, 99.5))
+    assert found.altitudes[0] < low and found.altitudes[1] > high
 
 
 def test_slopes_are_what_two_heights_say(urban):
