@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,8 +191,7 @@ class _Solution:
         self._redundancy = 0.0
         self.corrections = np.zeros((len(views), 2 if model == "shift" else 6))
         self.groups = _groups(self.views, tracks, altitude)
-        for group in self.groups:
-            self._intersect(group)
+        self._intersect()
         self.before = self._residuals()
 
     def solved(self) -> "_Solution":
@@ -204,8 +203,7 @@ class _Solution:
     def with_shifts(self, shifts: Dict[str, FloatArray]) -> "_Solution":
         """The corrections of another adjustment, and the ground points that fit them."""
         self.corrections = np.array([shifts[view.name] for view in self.views])
-        for group in self.groups:
-            self._intersect(group)
+        self._intersect()
         return self
 
     def _solve(self, weights: Weights, robust: bool = False) -> None:
@@ -213,8 +211,7 @@ class _Solution:
         for _ in range(self._parameters.iterations):
             step = self._step(weights, robust)
             self.corrections = self.corrections + step
-            for group in self.groups:
-                self._intersect(group, passes=1)
+            self._intersect(passes=1)
             if np.abs(step).max() < self._parameters.stop:
                 break
 
@@ -261,28 +258,47 @@ class _Solution:
     def _correction(self, i: int, pixels: FloatArray) -> FloatArray:
         return np.asarray(self._basis(self.views[i], pixels) @ self.corrections[i])
 
-    def _linearised(self, group: _Group, frame: EnuFrame) -> Tuple[FloatArray, FloatArray, List[FloatArray]]:
-        """(n, 2v) residuals, (n, 2v, 3) their derivative by the ground point in px/m, and each view's basis."""
-        enu = frame.from_geodetic(group.ground)
-        moved = [frame.to_geodetic(enu + delta) for delta in np.eye(3)]
-        residual = np.empty(group.pixels.shape)
-        jacobian = np.empty(group.pixels.shape + (3,))
-        bases = []
-        for k, i in enumerate(group.views):
-            base = self.views[i].project(group.ground)
-            bases.append(self._basis(self.views[i], base))
-            residual[:, k] = group.pixels[:, k] - base - bases[-1] @ self.corrections[i]
-            jacobian[:, k] = np.stack([self.views[i].project(ground) - base for ground in moved], axis=-1)
-        n, v = group.pixels.shape[:2]
-        return residual.reshape(n, 2 * v), jacobian.reshape(n, 2 * v, 3), bases
+    def _projected(self, ground: FloatArray) -> List[FloatArray]:
+        """For each group, (..., n, v, 2) RPC pixels of all groups' ground points (..., N, 3), one after the other.
 
-    def _intersect(self, group: _Group, passes: int = 3) -> None:
-        """Move a group's ground points to where they fit their pixels best (least squares)."""
-        for _ in range(passes):
-            frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
-            residual, jacobian, _ = self._linearised(group, frame)
-            step = np.einsum("nij,nj->ni", _pseudo_inverse(jacobian), residual)
-            group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
+        Each view projects all its points in one call: many views make many small groups.
+        """
+        ends = np.cumsum([0, *(len(group.ground) for group in self.groups)])
+        found = [np.empty((*ground.shape[:-2], *group.pixels.shape)) for group in self.groups]
+        for i, view in enumerate(self.views):
+            seen = [number for number, group in enumerate(self.groups) if i in group.views]
+            if seen:
+                pixels = view.project(np.concatenate([ground[..., ends[k] : ends[k + 1], :] for k in seen], axis=-2))
+                stops = np.cumsum([len(self.groups[k].ground) for k in seen])[:-1]
+                for k, part in zip(seen, np.split(pixels, stops, axis=-2)):
+                    found[k][..., self.groups[k].views.index(i), :] = part
+        return found
+
+    def _linearised(self, frame: EnuFrame) -> Iterator[Tuple[_Group, FloatArray, FloatArray, List[FloatArray]]]:
+        """Each group with its (n, 2v) residuals, (n, 2v, 3) their derivative by the ground point in px/m, and each
+        view's basis."""
+        ground = np.concatenate([group.ground for group in self.groups])
+        enu = frame.from_geodetic(ground)
+        moved = np.stack([ground, *(frame.to_geodetic(enu + delta) for delta in np.eye(3))])
+        for group, pixels in zip(self.groups, self._projected(moved)):
+            base, (n, v) = pixels[0], group.pixels.shape[:2]
+            bases = [self._basis(self.views[i], base[:, k]) for k, i in enumerate(group.views)]
+            corrections = [basis @ self.corrections[i] for basis, i in zip(bases, group.views)]
+            residual = group.pixels - base - np.stack(corrections, axis=1)
+            jacobian = np.moveaxis(pixels[1:] - base, 0, -1)
+            yield group, residual.reshape(n, 2 * v), jacobian.reshape(n, 2 * v, 3), bases
+
+    def _frame(self) -> EnuFrame:
+        """The local frame in which ground points move."""
+        return EnuFrame(*map(float, np.concatenate([group.ground for group in self.groups]).mean(axis=0)))
+
+    def _intersect(self, passes: int = 3) -> None:
+        """Move all ground points to where they fit their pixels best (least squares)."""
+        for _ in range(passes if self.groups else 0):
+            frame = self._frame()
+            for group, residual, jacobian, _ in self._linearised(frame):
+                step = np.einsum("nij,nj->ni", _pseudo_inverse(jacobian), residual)
+                group.ground = frame.to_geodetic(frame.from_geodetic(group.ground) + step)
 
     def _step(self, weights: Weights, robust: bool) -> FloatArray:
         """(views, p) Gauss-Newton step of the corrections, ground points eliminated; sets their covariance."""
@@ -312,7 +328,7 @@ class _Solution:
         """The ties' (n, n) normal matrix and (n,) right side, each tie with weight one at most, and their noise, px."""
         count, p = self.corrections.shape
         normal, right = np.zeros((count * p, count * p)), np.zeros(count * p)
-        parts = [self._reduced(group) for group in self.groups]
+        parts = [_reduced(*linear) for _, *linear in self._linearised(self._frame())] if self.groups else []
         # Degrees of freedom of a track: two for each view, less the three of its ground point.
         sizes = [np.linalg.norm(reduced, axis=1) / math.sqrt(max(reduced.shape[1] - 3, 1)) for reduced, _ in parts]
         sigma = self._parameters.least_sigma_px
@@ -338,25 +354,16 @@ class _Solution:
         else:
             self.control_noise_px = variance_component(residuals, self._redundancy, self._noise)
 
-    def _reduced(self, group: _Group) -> Tuple[FloatArray, FloatArray]:
-        """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, moves of the ground removed."""
-        frame = EnuFrame(*map(float, group.ground.mean(axis=0)))
-        residual, jacobian, bases = self._linearised(group, frame)
-        # The space that no move of the ground point reaches: I - J J^+.
-        projector = np.eye(residual.shape[1]) - jacobian @ _pseudo_inverse(jacobian)
-        reduced = np.einsum("nij,nj->ni", projector, residual)
-        design = np.concatenate([projector[:, :, 2 * k : 2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
-        return reduced, design
-
     def _residuals(self) -> FloatArray:
         """(tracks,) root mean square reprojection distance of each track, px."""
         result = np.zeros(len(self.tracks))
-        for group in self.groups:
-            square = []
-            for k, i in enumerate(group.views):
-                base = self.views[i].project(group.ground)
-                square.append(((group.pixels[:, k] - base - self._correction(i, base)) ** 2).sum(axis=1))
-            result[group.members] = np.sqrt(np.mean(square, axis=0))
+        if not self.groups:
+            return result
+        everywhere = self._projected(np.concatenate([group.ground for group in self.groups]))
+        for group, base in zip(self.groups, everywhere):
+            corrections = [self._correction(i, base[:, k]) for k, i in enumerate(group.views)]
+            square = ((group.pixels - base - np.stack(corrections, axis=1)) ** 2).sum(axis=2)
+            result[group.members] = np.sqrt(square.mean(axis=1))
         return result
 
     @property
@@ -423,6 +430,15 @@ def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> 
         pixels = np.array([[tracks[k].pixels[views[i].name] for i in seen] for k in members])
         groups.append(_Group(list(seen), np.array(members), pixels, views[seen[0]].localise(pixels[:, 0], altitude)))
     return groups
+
+
+def _reduced(residual: FloatArray, jacobian: FloatArray, bases: Sequence[FloatArray]) -> Tuple[FloatArray, FloatArray]:
+    """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, moves of the ground removed."""
+    # The space that no move of the ground point reaches: I - J J^+.
+    projector = np.eye(residual.shape[1]) - jacobian @ _pseudo_inverse(jacobian)
+    reduced = np.einsum("nij,nj->ni", projector, residual)
+    design = np.concatenate([projector[:, :, 2 * k : 2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
+    return reduced, design
 
 
 def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
