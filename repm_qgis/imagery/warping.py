@@ -7,7 +7,7 @@ from typing import Callable, Iterator, Optional, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Size, Window
+from ..arrays import FloatArray, FloatImage, Mask, Size, Window
 from ..errors import ImageError
 from ..geometry.interpolation import interpolate_steps
 from .parameters import WARPING
@@ -24,6 +24,13 @@ _REACH = {"bilinear": 1, "cubic": 2, "lanczos": 4}  # pixels on either side that
 def box_filter(side: int, border: int = cv2.BORDER_REFLECT) -> Callable[[FloatImage], FloatImage]:
     """A function that gives the means of squares of ``side`` px; ``border`` is how OpenCV continues the image."""
     return lambda image: cv2.blur(image, (side, side), borderType=border)
+
+
+def gaussian_mean(known: Mask, sigma_px: float) -> Callable[[FloatImage], FloatImage]:
+    """A function that takes an image to the means of its known pixels in a Gaussian window."""
+    weight = known.astype(np.float32)
+    share = cv2.GaussianBlur(weight, (0, 0), sigma_px) + np.float32(1e-6)
+    return lambda image: cv2.GaussianBlur(image * weight, (0, 0), sigma_px) / share
 
 
 def source_positions(to_source: PixelMap, size: Size) -> FloatArray:

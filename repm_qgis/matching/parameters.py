@@ -63,7 +63,7 @@ class OcclusionParameters(Parameters):
 class SubpixelParameters(Parameters):
     """Subpixel disparities: Gauss-Newton steps on the intensities (Lucas and Kanade 1981) and filters, in turns."""
 
-    operations: Tuple[str, ...] = ("step", "step", "median", "mean", "step", "mean", "step", "mean")
+    operations: Tuple[str, ...] = ("step", "step", "median", "mean", "step", "mean", "step", "detail")
     # Half-quadratic splitting (Geman and Yang 1995); the first steps leave the whole pixels that semi-global matching
     # prefers before anything is averaged; matching table.
     most_step_px: float = 0.3  # of a step; chosen
@@ -75,6 +75,13 @@ class SubpixelParameters(Parameters):
     smooth_sigma_px: float = 1.5  # of the bilateral filter (Tomasi and Manduchi 1998) in space; chosen
     alike_sigma_px: float = 0.5  # the same in disparity; chosen
     smooth_window_px: int = 7  # side of its window; chosen
+    scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)  # of the means that detail is taken apart by; matching table
+    full_scale_px: float = 2.0  # wider means are made at half the resolution, for a fifth of the time; chosen
+    alike_detail_px: float = 0.3  # as alike_sigma_px, of these means: no more, or curbs and ridges go; matching table
+    power_window: float = 2.0  # of a detail's mean square, in the sigmas of its scale; chosen
+    variance_sigma_px: float = 4.0  # over which the variance of the disparities is averaged; chosen
+    correlation_sigma_px: float = 3.0  # wider differences of intensity are no noise; chosen
+    correlation_lags: int = 3  # px over which the noise's correlation is summed up; chosen
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Callable
+from typing import Callable, Dict, Tuple
 
 import cv2
 import numpy as np
 
 from ..arrays import FloatImage, Mask
+from ..imagery.sampling import NMAD_FACTOR
+from ..imagery.warping import gaussian_mean
+from .detail import bilateral_mean, without_noise
 from .disparity_map import matched_positions
 from .parameters import MATCHING, SubpixelParameters
 
@@ -22,14 +25,19 @@ def subpixel_disparity(
     """(H, W) disparities to a fraction of a pixel, of images as a :class:`.disparity_map.PairMatcher` gets them.
 
     Smoothing alone would also level real relief within the window; the next step on the intensities restores what the
-    images show (half-quadratic splitting, Geman and Yang 1995). Unknown disparities stay unknown and have no weight.
+    images show (half-quadratic splitting, Geman and Yang 1995). At the end, detail that is no more than noise goes.
+    Unknown disparities stay unknown and have no weight.
     """
-    step = _Step(first, second, high, _mean_of(np.isfinite(disparity), parameters.sigma_px), parameters)
+    p = parameters
+    step = _Step(first, second, high, np.isfinite(disparity), p)
+    operations: Dict[str, Callable[[FloatImage], FloatImage]] = {
+        "step": step.moved,
+        "median": lambda found: _edge_preserving_median(found, p),
+        "mean": lambda found: bilateral_mean(found, p.smooth_sigma_px, p.alike_sigma_px, p.smooth_window_px),
+        "detail": lambda found: without_noise(found, *step.noise(found), p),
+    }
     for operation in parameters.operations:
-        if operation == "step":
-            disparity = step.moved(disparity)
-        else:
-            disparity = (_edge_preserving_median if operation == "median" else _bilateral_mean)(disparity, parameters)
+        disparity = operations[operation](disparity)
     return disparity
 
 
@@ -51,34 +59,72 @@ class _Step:
         first: FloatImage,
         second: FloatImage,
         high: int,
-        mean: Callable[[FloatImage], FloatImage],
+        known: Mask,
         parameters: SubpixelParameters,
     ) -> None:
         self._first, self._second = np.nan_to_num(first), np.nan_to_num(second)
         self._slope = cv2.Sobel(self._second, cv2.CV_32F, 1, 0, ksize=1) * np.float32(0.5)
-        self._high, self._mean, self._parameters = high, mean, parameters
+        self._high, self._known, self._parameters = high, known, parameters
+        self._mean = gaussian_mean(known, parameters.sigma_px)
         window_px = 4 * np.pi * parameters.sigma_px**2 * parameters.prior_px**2
         self._noise_share = np.float32(parameters.operations.count("step") / window_px)
 
     def moved(self, disparity: FloatImage) -> FloatImage:
         """Disparities one step nearer to where the intensities of the two neighbourhoods agree best."""
-        mean, most = self._mean, self._parameters.most_step_px
-        columns, rows = matched_positions(disparity, self._high)
-        off = self._first - cv2.remap(self._second, columns, rows, cv2.INTER_CUBIC)
-        g = cv2.remap(self._slope, columns, rows, cv2.INTER_LINEAR)
-        mean_g, mean_off = mean(g), mean(off)
-        covariance = mean(off * g) - mean_off * mean_g
-        power = mean(g * g) - mean_g * mean_g
-        noise = np.maximum(mean(off * off) - mean_off * mean_off, np.float32(self._parameters.least_noise))
+        most = self._parameters.most_step_px
+        off, g = self._differences(disparity)
+        covariance = self._covariance(off, g)
+        power, noise = self._covariance(g, g), self._noise(off)
         moved: FloatImage = disparity - np.clip(covariance / (power + self._noise_share * noise), -most, most)
         return moved
 
+    def noise(self, disparity: FloatImage) -> Tuple[FloatImage, float]:
+        """(H, W) variance of the disparities, px^2, and the variance of the Gaussian window that makes white noise
+        like theirs, px^2.
 
-def _mean_of(known: Mask, sigma_px: float) -> Callable[[FloatImage], FloatImage]:
-    """The mean of the known pixels in a Gaussian window."""
-    weight = known.astype(np.float32)
-    share = cv2.GaussianBlur(weight, (0, 0), sigma_px) + np.float32(1e-6)
-    return lambda image: cv2.GaussianBlur(image * weight, (0, 0), sigma_px) / share
+        Noise of neighbouring pixels that is alike (of a sensor's optics, of pansharpening, of compression) is as much
+        as that of fewer pixels: how alike it is, the differences of the images show.
+        """
+        p = self._parameters
+        off, g = self._differences(disparity)
+        alike = _correlated_px(off - gaussian_mean(self._known, p.correlation_sigma_px)(off), self._known, p)
+        pixels = np.float32(4 * np.pi * p.sigma_px**2 / alike)
+        information = pixels * self._covariance(g, g) / self._noise(off) + np.float32(p.prior_px**-2)
+        around = gaussian_mean(self._known, p.variance_sigma_px)
+        return around(1 / information), p.sigma_px**2 * alike
+
+    def _differences(self, disparity: FloatImage) -> Tuple[FloatImage, FloatImage]:
+        """(H, W) each: the first image less the second where it was matched, and the second's slope there."""
+        columns, rows = matched_positions(disparity, self._high)
+        off = self._first - cv2.remap(self._second, columns, rows, cv2.INTER_CUBIC)
+        return off, cv2.remap(self._slope, columns, rows, cv2.INTER_LINEAR)
+
+    def _covariance(self, one: FloatImage, other: FloatImage) -> FloatImage:
+        return self._mean(one * other) - self._mean(one) * self._mean(other)
+
+    def _noise(self, off: FloatImage) -> FloatImage:
+        return np.maximum(self._covariance(off, off), np.float32(self._parameters.least_noise))
+
+
+def _correlated_px(noise: FloatImage, known: Mask, parameters: SubpixelParameters) -> float:
+    """How many pixels have noise that tells as much as that of one: the sum of its correlations over columns times
+    that over rows, 1 for white noise. Differences beyond three standard deviations are no noise."""
+    size = np.abs(noise[known])
+    usable = known & (np.abs(noise) < 3.0 * NMAD_FACTOR * np.median(size)) if size.size else known
+    if not usable.any():
+        return 1.0
+    values, total = np.where(usable, noise, np.float32(0)), 1.0
+    variance = float((values[usable] ** 2).mean())
+    for axis in (0, 1):
+        reach = 0.0
+        for lag in range(1, min(parameters.correlation_lags, values.shape[axis] - 1) + 1):
+            parts = [np.take(each, range(lag, each.shape[axis]), axis) for each in (values, usable)]
+            other = [np.take(each, range(each.shape[axis] - lag), axis) for each in (values, usable)]
+            both = parts[1] & other[1]
+            if both.any() and variance > 0:
+                reach += max(float((parts[0] * other[0])[both].mean()) / variance, 0.0)
+        total *= 1.0 + 2.0 * reach
+    return total
 
 
 def known_median(disparity: FloatImage, side_px: int) -> FloatImage:
@@ -94,16 +140,3 @@ def _edge_preserving_median(disparity: FloatImage, parameters: SubpixelParameter
     median = known_median(disparity, parameters.median_px)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(median - disparity) <= np.float32(parameters.edge_px), median, disparity)
-
-
-def _bilateral_mean(disparity: FloatImage, parameters: SubpixelParameters) -> FloatImage:
-    """The mean of neighbours with similar disparities: bilateral filter of Tomasi and Manduchi (1998)."""
-    known = np.isfinite(disparity)
-    if not known.any():
-        return disparity
-    alike = parameters.alike_sigma_px
-    # Ten deviations below the least disparity: such pixels have no weight, and the filter's table stays fine.
-    absent = np.float32(disparity[known].min() - 10 * alike)
-    filled = np.where(known, disparity, absent)
-    mean = cv2.bilateralFilter(filled, parameters.smooth_window_px, alike, parameters.smooth_sigma_px)
-    return np.where(known, mean, np.float32(np.nan)).astype(np.float32)

@@ -328,7 +328,8 @@ class _Solution:
         """The ties' (n, n) normal matrix and (n,) right side, each tie with weight one at most, and their noise, px."""
         count, p = self.corrections.shape
         normal, right = np.zeros((count * p, count * p)), np.zeros(count * p)
-        parts = [_reduced(*linear) for _, *linear in self._linearised(self._frame())] if self.groups else []
+        linear = self._linearised(self._frame()) if self.groups else ()
+        parts = [_reduced(residual, jacobian, bases) for _, residual, jacobian, bases in linear]
         # Degrees of freedom of a track: two for each view, less the three of its ground point.
         sizes = [np.linalg.norm(reduced, axis=1) / math.sqrt(max(reduced.shape[1] - 3, 1)) for reduced, _ in parts]
         sigma = self._parameters.least_sigma_px

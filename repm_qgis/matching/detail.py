@@ -1,0 +1,86 @@
+"""Detail of a disparity map kept as far as it is more than noise, scale by scale.
+
+The map is taken apart into bilateral means of growing width and the details between them (Fattal, Agrawala and
+Rusinkiewicz, Multiscale shape and detail enhancement, 2007). Each detail is multiplied by Wiener's gain from local
+statistics (Lee 1980): the share of its local mean square that the noise does not explain. What the noise of a detail
+is follows from what the images say of each disparity. So a plain roof in noisy images becomes plain, and natural relief
+in clear images stays.
+"""
+
+from __future__ import annotations
+
+from typing import List
+
+import cv2
+import numpy as np
+
+from ..arrays import FloatImage
+from ..geometry.interpolation import interpolate_steps
+from ..imagery.warping import gaussian_mean
+from .parameters import SubpixelParameters
+
+_HALF = 2  # px between the pixels that wide means are made of
+
+
+def without_noise(
+    disparity: FloatImage, variance: FloatImage, area_px: float, parameters: SubpixelParameters
+) -> FloatImage:
+    """(H, W) disparities without the detail that is no more than their noise; unknown ones (NaN) stay unknown.
+
+    ``variance`` (H, W), px^2, is that of each disparity. Its noise is that of white noise after a Gaussian window
+    whose variance is ``area_px``, px^2: so much less is left of it in wider means.
+    """
+    known = np.isfinite(disparity)
+    if not known.any():
+        return disparity
+    sigmas = (0.0, *parameters.scales_px)
+    means = _means(disparity, parameters)
+    kept = means[-1]
+    for (fine, coarse), (narrow, wide) in zip(zip(sigmas, sigmas[1:]), zip(means, means[1:])):
+        # Means over sigma a and b have the covariance area / (area + (a^2 + b^2) / 2) of the variance.
+        part = [area_px / (area_px + square) for square in (fine**2, coarse**2, (fine**2 + coarse**2) / 2)]
+        noise = variance * np.float32(part[0] + part[1] - 2 * part[2])
+        detail = np.where(known, narrow - wide, np.float32(0))
+        power = gaussian_mean(known, parameters.power_window * coarse)(detail * detail)
+        gain = np.clip((power - noise) / np.maximum(power, np.float32(1e-9)), 0, 1)
+        kept = kept + gain * detail
+    return np.where(known, kept, np.float32(np.nan)).astype(np.float32)
+
+
+def _means(disparity: FloatImage, parameters: SubpixelParameters) -> List[FloatImage]:
+    """The disparities and their bilateral means over all scales; wide ones of every second pixel of a narrow one.
+
+    Near edges the coarser grid mixes surfaces. The detail is large there, and is kept.
+    """
+    means, full = [disparity], [sigma for sigma in parameters.scales_px if sigma <= parameters.full_scale_px]
+    for sigma in full:
+        means.append(bilateral_mean(disparity, sigma, parameters.alike_detail_px))
+    height, width = disparity.shape
+    small = means[-1][::_HALF, ::_HALF]
+    known = np.isfinite(small)
+    for sigma in parameters.scales_px[len(full) :]:
+        rest = np.sqrt(sigma**2 - (full[-1] ** 2 if full else 0.0)) / _HALF
+        mean = bilateral_mean(small, rest, parameters.alike_detail_px)
+        value, weight = (
+            interpolate_steps(np.pad(part, (0, 1), mode="edge"), (height, width), _HALF)
+            for part in (np.where(known, mean, np.float32(0)), known.astype(np.float32))
+        )
+        found = weight > 0
+        means.append(np.where(found, value / np.where(found, weight, np.float32(1)), means[-1]))
+    return means
+
+
+def bilateral_mean(disparity: FloatImage, sigma_px: float, alike_px: float, window_px: int = 0) -> FloatImage:
+    """The mean of neighbours with similar disparities: bilateral filter of Tomasi and Manduchi (1998).
+
+    ``sigma_px`` is the standard deviation of the weights in space, ``alike_px`` that in disparity; ``window_px`` the
+    side of the window, 0 for two standard deviations to each side. Unknown pixels (NaN) stay unknown.
+    """
+    known = np.isfinite(disparity)
+    if not known.any():
+        return disparity
+    # Ten deviations below the least disparity: such pixels have no weight, and the filter's table stays fine.
+    absent = np.float32(disparity[known].min() - 10 * alike_px)
+    side = window_px or 2 * int(np.ceil(2 * sigma_px)) + 1
+    mean = cv2.bilateralFilter(np.where(known, disparity, absent).astype(np.float32), side, alike_px, sigma_px)
+    return np.where(known, mean, np.float32(np.nan)).astype(np.float32)

@@ -1,0 +1,114 @@
+"""Detail that is no more than noise goes, relief and edges stay; and what the images say of the noise is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from repm_qgis.matching.detail import without_noise
+from repm_qgis.matching.parameters import MATCHING
+from repm_qgis.matching.subpixel import _Step, subpixel_disparity
+
+NUMBERS = MATCHING.subpixel
+SHAPE, HIGH = (200, 240), 6
+INNER = np.s_[20:-20, 24:-24]
+WINDOW_PX = 1.44  # variance of the Gaussian window of the noise below
+
+
+def noisy(surface, deviation, seed=3):
+    """A surface with noise of this standard deviation, white noise after a Gaussian window; and its variance."""
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=surface.shape), np.sqrt(WINDOW_PX))
+    noise *= deviation / noise.std()
+    return (surface + noise).astype(np.float32), np.full(surface.shape, deviation**2, np.float32)
+
+
+def rms(found, truth):
+    return float(np.sqrt(np.nanmean((found - truth)[INNER] ** 2)))
+
+
+@pytest.mark.parametrize("deviation", (0.05, 0.15))
+def test_a_plain_roof_becomes_plain_and_its_edges_stay(deviation):
+    roof = np.where(np.indices(SHAPE)[1] < 120, 2.0, 6.0)
+    start, variance = noisy(roof, deviation)
+    found = without_noise(start, variance, WINDOW_PX, NUMBERS)
+    assert rms(found, roof) < 0.4 * deviation
+    assert np.abs(found - roof)[40:160, 116:124].max() < 3 * deviation
+
+
+def test_a_slope_stays_a_slope():
+    rows, columns = np.indices(SHAPE)
+    slope = 1.0 + 0.05 * columns - 0.03 * rows
+    start, variance = noisy(slope, 0.1)
+    assert rms(without_noise(start, variance, WINDOW_PX, NUMBERS), slope) < 0.06
+
+
+@pytest.mark.parametrize("length", (12.0, 24.0, 48.0))
+def test_relief_that_is_more_than_its_noise_stays(length):
+    rows, columns = np.indices(SHAPE)
+    relief = 3.0 + 0.25 * np.sin(2 * np.pi * columns / length) * np.cos(2 * np.pi * rows / length)
+    start, variance = noisy(relief, 0.03)
+    assert rms(without_noise(start, variance, WINDOW_PX, NUMBERS), relief) < 0.035
+    # The very same relief is removed where the images cannot tell it from noise.
+    told = without_noise(start, np.full(SHAPE, 4.0, np.float32), WINDOW_PX, NUMBERS)
+    assert rms(told, relief) > 0.06
+
+
+def test_unknown_disparities_stay_unknown_and_touch_nobody():
+    level = np.full(SHAPE, 2.0)
+    start, variance = noisy(level, 0.1)
+    start[60:90, 100:130] = np.nan
+    found = without_noise(start, variance, WINDOW_PX, NUMBERS)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(start))
+    assert rms(found, level) < 0.05 and np.nanmax(np.abs(found[55:95, 95:135] - 2.0)) < 0.3
+    nothing = np.full(SHAPE, np.nan, np.float32)
+    assert np.isnan(without_noise(nothing, variance, WINDOW_PX, NUMBERS)).all()
+
+
+def images(noise_sigma_px, noise=0.01, seed=8):
+    """Both images of a level ground at two px, each with noise of its own, which is alike over some pixels."""
+    rng = np.random.default_rng(seed)
+    wide = ndimage.gaussian_filter(rng.normal(size=(SHAPE[0], SHAPE[1] + 2 * HIGH)), 1.5)
+    wide = 0.5 + 0.05 * wide / wide.std()
+    rows, columns = np.indices(SHAPE).astype(float)
+    first = ndimage.map_coordinates(wide, [rows, columns - 2.0 + HIGH], order=5)
+
+    def own(image):
+        more = rng.normal(size=image.shape)
+        more = ndimage.gaussian_filter(more, noise_sigma_px) if noise_sigma_px else more
+        return (image + noise * more / more.std()).astype(np.float32)
+
+    return own(first), own(wide)
+
+
+@pytest.mark.parametrize("noise_sigma_px, least, most", ((0.0, 1.0, 1.6), (0.7, 2.0, 6.0)))
+def test_how_far_noise_is_alike_shows_in_the_images(noise_sigma_px, least, most):
+    """White noise has one pixel (resampling makes it a little more); a Gaussian window of 0.7 px 4 pi 0.7^2 = 6."""
+    start = np.full(SHAPE, 2.0, np.float32)
+    step = _Step(*images(noise_sigma_px), HIGH, np.ones(SHAPE, bool), NUMBERS)
+    alike = step.noise(start)[1] / NUMBERS.sigma_px**2
+    assert least <= alike <= most
+
+
+@pytest.mark.parametrize("noise_sigma_px", (0.0, 0.7))
+def test_the_variance_is_that_of_what_steps_find(noise_sigma_px):
+    """Steps without a prior and without filters, so that the images alone decide."""
+    numbers = replace(NUMBERS, operations=("step",) * 6, prior_px=10.0)
+    first, second = images(noise_sigma_px)
+    start = np.full(SHAPE, 2.0, np.float32)
+    found = subpixel_disparity(start, first, second, HIGH, numbers)
+    variance, _ = _Step(first, second, HIGH, np.ones(SHAPE, bool), numbers).noise(found)
+    # Over the median of chi-square with one degree of freedom. Noise in the slopes is taken for texture: up to 3.
+    ratio = np.median(((found - 2.0) ** 2 / variance)[INNER]) / 0.4549
+    assert 0.4 < ratio < 3.0
+
+
+def test_the_last_operation_removes_more_than_means_do():
+    start, roof = np.full(SHAPE, 2.2, np.float32), 2.0
+    first, second = images(0.7, noise=0.02)
+    means = replace(NUMBERS, operations=(*NUMBERS.operations[:-1], "mean"))
+    found, before = (subpixel_disparity(start, first, second, HIGH, numbers) for numbers in (NUMBERS, means))
+    assert NUMBERS.operations[-1] == "detail"
+    assert rms(found, roof) < 0.8 * rms(before, roof)
