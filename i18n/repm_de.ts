@@ -1034,8 +1034,8 @@
         <translation>Bildpaare</translation>
     </message>
     <message>
-        <source>best: all pairs of up to three images, and the three best ones of each of more images; fewest: only as many as connect all images, which takes less time and leaves more gaps.</source>
-        <translation>best: alle Paare von bis zu drei Bildern, bei mehr Bildern die drei besten jedes Bildes; fewest: nur so viele, dass sie alle Bilder verbinden, was weniger Zeit kostet und mehr Lücken lässt.</translation>
+        <source>best: all pairs of up to three images, and the two best ones of each of more images; fewest: only as many as connect all images, which takes less time and leaves more gaps.</source>
+        <translation>best: alle Paare von bis zu drei Bildern, bei mehr Bildern die zwei besten jedes Bildes; fewest: nur so viele, dass sie alle Bilder verbinden, was weniger Zeit kostet und mehr Lücken lässt.</translation>
     </message>
     <message>
         <source>Adjustment that finds the pointing correction</source>

@@ -314,7 +314,7 @@ def pairs() -> QgsProcessingParameterDefinition:
             "pairs",
             tr("Pairs of images"),
             tr(
-                "best: all pairs of up to three images, and the three best ones of each of more images; fewest: only "
+                "best: all pairs of up to three images, and the two best ones of each of more images; fewest: only "
                 "as many as connect all images, which takes less time and leaves more gaps."
             ),
         )

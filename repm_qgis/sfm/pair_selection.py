@@ -25,7 +25,7 @@ _YEAR = 365.25
 def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> List[ViewPair]:
     """Pairs that share tiles and are neither too narrow to measure heights nor too wide to match, best first.
 
-    Of up to three views, these are all pairs that can measure heights. Of more views, each one keeps its three best
+    Of up to three views, these are all pairs that can measure heights. Of more views, each one keeps its two best
     good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Raises
     EmptyResultError with the angles where no pair is usable.
     """
@@ -81,8 +81,8 @@ def is_good(pair: ViewPair, parameters: PairParameters = POINTING.pairs) -> bool
 def change_cost(pair: ViewPair, parameters: PairParameters = POINTING.pairs) -> Optional[float]:
     """The cost of what changed between two images: the ground with time and season, the shadows with the sun.
 
-    A quarter for each power of ten of 1 + days (same pass 0, ten days 0.26, a year 0.64), up to a half for the
-    opposite season, and one for each 30 degrees between the two suns. None where the time is not known.
+    A half for each power of ten of 1 + days (same pass 0, ten days 0.52, a year 1.28), up to a half for the opposite
+    season, and one for each ten degrees between the two suns. None where the time is not known.
     """
     if pair.days is None:
         return None

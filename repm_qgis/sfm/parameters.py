@@ -48,11 +48,11 @@ class PairParameters(Parameters):
     least_base_to_height: float = 0.05  # about 3 degrees: a narrower pair is never matched
     least_good_deg: float = 5.0  # oblique views have a fair ratio at angles that are too small for good heights
     all_up_to: int = 3  # views: of up to so many, all pairs are matched
-    per_view: int = 3  # good pairs that each view gets
-    most_per_view: int = 5  # pairs of a view that is a good partner of many; more only to connect all views
-    decade_cost: float = 0.25  # for each power of ten of days between two images
+    per_view: int = 2  # good pairs that each view gets; more cost time, and gain nothing (`make bench-towns`)
+    most_per_view: int = 3  # pairs of a view that is a good partner of many; more only to connect all views
+    decade_cost: float = 0.5  # for each power of ten of days between two images; `make bench-towns`
     season_cost: float = 0.5  # of the opposite season
-    sun_cost_deg: float = 30.0  # angle between two suns that is as bad as an angle of convergence wrong by a factor e
+    sun_cost_deg: float = 10.0  # angle between two suns that is as bad as an angle of convergence wrong by a factor e
     least_share: float = 0.01  # of the area: smaller overlaps cost as much as this one
 
 

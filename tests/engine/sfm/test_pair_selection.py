@@ -108,7 +108,7 @@ def test_three_views_make_three_pairs_whatever_their_times(urban, days):
 def test_many_views_stay_few_pairs_and_connected(urban):
     views = [named(urban.views[i % 3], f"v{i}") for i in range(9)]
     pairs = choose_pairs(scene_of(views, urban))
-    assert len(pairs) <= 5 * 9 / 2 and all(pair.base_to_height >= 0.05 for pair in pairs)
+    assert len(pairs) <= 3 * 9 / 2 and all(pair.base_to_height >= 0.05 for pair in pairs)
     assert connected(pairs, [view.name for view in views])
 
 
@@ -130,7 +130,7 @@ def test_seventeen_real_views(melbourne):
         12 < pair.angle_deg < 32 and POINTING.pairs.narrow < pair.base_to_height < POINTING.pairs.wide for pair in pairs
     )
     count = Counter(name for pair in pairs for name in (pair.first, pair.second))
-    assert set(count) == set(names) and min(count.values()) >= 3 and max(count.values()) <= 5
+    assert set(count) == set(names) and min(count.values()) >= 2 and max(count.values()) <= 4
     assert connected(pairs, names) and pairs == choose_pairs(melbourne)
     assert all(pair.days < 100 / 86400 and pair.sun_deg < 0.5 and 0.4 < pair.share < 0.8 for pair in pairs)
     # The summer sun of Melbourne at 11.24 in the morning stands high in the north-east.
@@ -194,9 +194,9 @@ def test_what_speaks_against_a_pair():
         (replace(best, angle_deg=40.0), np.log(2)),
         (replace(best, angle_deg=10.0), np.log(2)),
         (replace(best, share=0.5), np.log(2)),
-        (replace(best, sun_deg=30.0), 1.0),
-        (replace(best, days=365.25), 0.25 * np.log10(366.25)),
-        (replace(best, days=365.25 / 2), 0.25 * np.log10(1 + 365.25 / 2) + 0.5),
+        (replace(best, sun_deg=10.0), 1.0),
+        (replace(best, days=365.25), 0.5 * np.log10(366.25)),
+        (replace(best, days=365.25 / 2), 0.5 * np.log10(1 + 365.25 / 2) + 0.5),
     ):
         assert pair_cost(worse) == pytest.approx(cost)
     assert days_off_season(365.25 * 3 + 10) == pytest.approx(10) and days_off_season(355.25) == pytest.approx(10)
