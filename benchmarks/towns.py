@@ -84,16 +84,16 @@ def towns() -> List[str]:
     names = _names()
     sets = [(str(count), names[:count]) for count in _COUNTS] + [("3, January", list(_JANUARY))]
     headers = (
-        "images | holes | valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | ground, % | trees, % | buildings, % | "
-        "walls off, m | wider, m | CPU s"
+        "images | holes | valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | ground, % | trees, % | "
+        "buildings, % | walls off, m | wider, m | CPU s"
     )
     return [
         "WorldView-3, 0.3 m, 8 bit, pansharpened, October 2014 to November 2015, against the airborne lidar of the "
         "western half of `jax_068`, in cells of 0.5 m, default settings, aligned in 3-D (the images have no ground "
         "control). The first images by date; *3, January* are 009, 010 and 011 (sun at 36 degrees). C1: share of all "
         "cells of the lidar within 1 m, and the same for cells of three classes; ME is the median of absolute errors; "
-        "*walls off*: mean distance of the DSM's walls of 3 m and more from the lidar's; *wider*: how much wider objects "
-        "are, on each side.",
+        "*walls off*: mean distance of the DSM's walls of 3 m and more from the lidar's; *wider*: how much wider "
+        "objects are, on each side.",
         table(headers, [row for label, chosen in few(sets) for row in _rows(label, chosen)]),
     ]
 
