@@ -132,7 +132,7 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
     report.facts([*figures, ("Heights", heights), ("CRS", facts.crs)])
-    if facts.dem_offset is not None:
+    if facts.dem_offset is not None and not facts.dem_offset.unexpected:  # which stands at the top
         report.paragraph(sentence(facts.dem_offset))
 
 
