@@ -171,6 +171,7 @@ VARIANTS: Dict[str, MatchingParameters] = {
     "subpixel: windows of 1 px": changed(subpixel={"sigma_px": 1.0}),
     "subpixel: windows of 2 px": changed(subpixel={"sigma_px": 2.0}),
     "means instead of detail": operations(*STEP, "median", "mean", "step", "mean", "step", "mean"),
+    "detail: all of the noise": changed(subpixel={"noise_share": 1.0}),
     "detail: all scales at the full resolution": changed(subpixel={"full_scale_px": math.inf}),
     "detail: noise taken for white": changed(subpixel={"correlation_lags": 0}),
     "detail: 0.5 px of disparity are alike": changed(subpixel={"alike_detail_px": 0.5}),

@@ -27,8 +27,8 @@ def without_noise(
 ) -> FloatImage:
     """(H, W) disparities without the detail that is no more than their noise; unknown ones (NaN) stay unknown.
 
-    ``variance`` (H, W), px^2, is that of each disparity. Its noise is that of white noise after a Gaussian window
-    whose variance is ``area_px``, px^2: so much less is left of it in wider means.
+    ``variance`` (H, W), px^2, is what the images say of each disparity; ``noise_share`` of it is left. The noise is that
+    of white noise after a Gaussian window whose variance is ``area_px``, px^2: so much less is left in wider means.
     """
     known = np.isfinite(disparity)
     if not known.any():
@@ -39,7 +39,7 @@ def without_noise(
     for (fine, coarse), (narrow, wide) in zip(zip(sigmas, sigmas[1:]), zip(means, means[1:])):
         # Means over sigma a and b have the covariance area / (area + (a^2 + b^2) / 2) of the variance.
         part = [area_px / (area_px + square) for square in (fine**2, coarse**2, (fine**2 + coarse**2) / 2)]
-        noise = variance * np.float32(part[0] + part[1] - 2 * part[2])
+        noise = variance * np.float32(parameters.noise_share * (part[0] + part[1] - 2 * part[2]))
         detail = np.where(known, narrow - wide, np.float32(0))
         power = gaussian_mean(known, parameters.power_window * coarse)(detail * detail)
         gain = np.clip((power - noise) / np.maximum(power, np.float32(1e-9)), 0, 1)

@@ -78,6 +78,7 @@ class SubpixelParameters(Parameters):
     scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)  # of the means that detail is taken apart by; matching table
     full_scale_px: float = 2.0  # wider means are made at half the resolution, for a fifth of the time; chosen
     alike_detail_px: float = 0.3  # as alike_sigma_px, of these means: no more, or curbs and ridges go; matching table
+    noise_share: float = 0.5  # of the variance of the last step, which the filters before it leave; matching table
     power_window: float = 2.0  # of a detail's mean square, in the sigmas of its scale; chosen
     variance_sigma_px: float = 4.0  # over which the variance of the disparities is averaged; chosen
     correlation_sigma_px: float = 3.0  # wider differences of intensity are no noise; chosen

@@ -13,6 +13,7 @@ from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.matching.subpixel import _Step, subpixel_disparity
 
 NUMBERS = MATCHING.subpixel
+WHOLE = replace(NUMBERS, noise_share=1.0)  # no filter has been there before
 SHAPE, HIGH = (200, 240), 6
 INNER = np.s_[20:-20, 24:-24]
 WINDOW_PX = 1.44  # variance of the Gaussian window of the noise below
@@ -33,7 +34,7 @@ def rms(found, truth):
 def test_a_plain_roof_becomes_plain_and_its_edges_stay(deviation):
     roof = np.where(np.indices(SHAPE)[1] < 120, 2.0, 6.0)
     start, variance = noisy(roof, deviation)
-    found = without_noise(start, variance, WINDOW_PX, NUMBERS)
+    found = without_noise(start, variance, WINDOW_PX, WHOLE)
     assert rms(found, roof) < 0.4 * deviation
     assert np.abs(found - roof)[40:160, 116:124].max() < 3 * deviation
 
@@ -42,7 +43,7 @@ def test_a_slope_stays_a_slope():
     rows, columns = np.indices(SHAPE)
     slope = 1.0 + 0.05 * columns - 0.03 * rows
     start, variance = noisy(slope, 0.1)
-    assert rms(without_noise(start, variance, WINDOW_PX, NUMBERS), slope) < 0.06
+    assert rms(without_noise(start, variance, WINDOW_PX, WHOLE), slope) < 0.06
 
 
 @pytest.mark.parametrize("length", (12.0, 24.0, 48.0))
@@ -50,9 +51,9 @@ def test_relief_that_is_more_than_its_noise_stays(length):
     rows, columns = np.indices(SHAPE)
     relief = 3.0 + 0.25 * np.sin(2 * np.pi * columns / length) * np.cos(2 * np.pi * rows / length)
     start, variance = noisy(relief, 0.03)
-    assert rms(without_noise(start, variance, WINDOW_PX, NUMBERS), relief) < 0.035
+    assert rms(without_noise(start, variance, WINDOW_PX, WHOLE), relief) < 0.035
     # The very same relief is removed where the images cannot tell it from noise.
-    told = without_noise(start, np.full(SHAPE, 4.0, np.float32), WINDOW_PX, NUMBERS)
+    told = without_noise(start, np.full(SHAPE, 4.0, np.float32), WINDOW_PX, WHOLE)
     assert rms(told, relief) > 0.06
 
 
@@ -60,11 +61,11 @@ def test_unknown_disparities_stay_unknown_and_touch_nobody():
     level = np.full(SHAPE, 2.0)
     start, variance = noisy(level, 0.1)
     start[60:90, 100:130] = np.nan
-    found = without_noise(start, variance, WINDOW_PX, NUMBERS)
+    found = without_noise(start, variance, WINDOW_PX, WHOLE)
     np.testing.assert_array_equal(np.isnan(found), np.isnan(start))
     assert rms(found, level) < 0.05 and np.nanmax(np.abs(found[55:95, 95:135] - 2.0)) < 0.3
     nothing = np.full(SHAPE, np.nan, np.float32)
-    assert np.isnan(without_noise(nothing, variance, WINDOW_PX, NUMBERS)).all()
+    assert np.isnan(without_noise(nothing, variance, WINDOW_PX, WHOLE)).all()
 
 
 def images(noise_sigma_px, noise=0.01, seed=8):
