@@ -27,8 +27,8 @@ def without_noise(
 ) -> FloatImage:
     """(H, W) disparities without the detail that is no more than their noise; unknown ones (NaN) stay unknown.
 
-    ``variance`` (H, W), px^2, is what the images say of each disparity; ``noise_share`` of it is left. The noise is that
-    of white noise after a Gaussian window whose variance is ``area_px``, px^2: so much less is left in wider means.
+    ``variance`` (H, W), px^2, is what the images say of each disparity; ``noise_share`` of it is left. Its noise is
+    that of white noise after a Gaussian window whose variance is ``area_px``, px^2: less is left in wider means.
     """
     known = np.isfinite(disparity)
     if not known.any():
