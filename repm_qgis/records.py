@@ -371,6 +371,20 @@ class DemOffset(Record):
         """Whether it is more than is to be expected."""
         return self.most_m is not None and abs(self.up_m) > self.most_m
 
+    def sentence(self) -> str:
+        """The offset in words, for people: as information, or as a warning where it is more than is to be expected."""
+        where = f"{abs(self.up_m):.1f} m {'above' if self.up_m > 0 else 'below'} the DEM '{self.file}'"
+        text = f"The DSM lies {where} (standard deviation {self.deviation_m:.2f} m)"
+        if self.most_m is None:
+            return f"{text}."
+        if not self.unexpected:
+            return f"{text}, where up to {self.most_m:.1f} m are to be expected of the absolute height."
+        return (
+            f"{text}, where at most {self.most_m:.1f} m are to be expected: check that each RPC belongs to its image "
+            "and that the DEM is of this place and states its vertical datum, or lay the scene on known heights with "
+            "'Register to a reference' (REFERENCE)."
+        )
+
 
 @dataclass(frozen=True)
 class FusionFacts(Record):

@@ -19,7 +19,6 @@ from ..installer.packages import PACKAGES
 from ..products import forms, products_of
 from ..progress import counted
 from ..records import FusionFacts
-from ..registration.dem_offset import sentence
 from ..scene import Scene, View
 from ..sfm.pair_selection import sun_over
 from . import charts, pictures, verdict
@@ -133,7 +132,7 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
     report.facts([*figures, ("Heights", heights), ("CRS", facts.crs)])
     if facts.dem_offset is not None and not facts.dem_offset.unexpected:  # which stands at the top
-        report.paragraph(sentence(facts.dem_offset))
+        report.paragraph(facts.dem_offset.sentence())
 
 
 def _map(report: Report, values: FloatImage, limits: Tuple[float, float], caption: str, unit: str = "") -> None:

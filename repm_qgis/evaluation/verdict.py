@@ -13,7 +13,6 @@ import numpy as np
 
 from ..imagery.sampling import nmad
 from ..records import FusionFacts, RegistrationFigures
-from ..registration.dem_offset import sentence
 from ..rpc.correction import DELIVERED, CorrectedRpc
 from ..scene import Scene
 from .gcp_accuracy import GcpAccuracy
@@ -30,7 +29,7 @@ def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictPar
             f"{bounds.least_covered_percent:g} %): see 'Height maps'."
         )
     if facts is not None and facts.dem_offset is not None and facts.dem_offset.unexpected:
-        found.append(sentence(facts.dem_offset))
+        found.append(facts.dem_offset.sentence())
     ties = scene.pointing
     if ties is not None and ties.after_px > bounds.most_residual_px:
         found.append(

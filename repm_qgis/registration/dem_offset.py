@@ -59,18 +59,3 @@ def stated_height_deviation(scene: Scene) -> Optional[float]:
     if ties.control_information is None:
         return None
     return float(math.sqrt(np.linalg.pinv(ties.control_information)[2, 2]))
-
-
-def sentence(offset: DemOffset) -> str:
-    """The offset in words, for people: as information, or as a warning where it is more than is to be expected."""
-    where = f"{abs(offset.up_m):.1f} m {'above' if offset.up_m > 0 else 'below'} the DEM '{offset.file}'"
-    text = f"The DSM lies {where} (standard deviation {offset.deviation_m:.2f} m)"
-    if offset.most_m is None:
-        return f"{text}."
-    if not offset.unexpected:
-        return f"{text}, where up to {offset.most_m:.1f} m are to be expected of the absolute height."
-    return (
-        f"{text}, where at most {offset.most_m:.1f} m are to be expected: check that each RPC belongs to its image and "
-        "that the DEM is of this place and states its vertical datum, or lay the scene on known heights with "
-        "'Register to a reference' (REFERENCE)."
-    )

@@ -30,7 +30,7 @@ from ..parallel import run_tasks, run_whole
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
 from ..records import DemOffset, FusionFacts, ViewPair
-from ..registration.dem_offset import dem_offset, sentence
+from ..registration.dem_offset import dem_offset
 from ..registration.laying import prior_of
 from ..scene import Scene
 from ..workspace import ensure_folder, fingerprint
@@ -239,7 +239,7 @@ def _log(fusion: _Fusion, facts: FusionFacts, needed: List[int], progress: Progr
     )
     if facts.dem_offset is not None:
         say = progress.warn if facts.dem_offset.unexpected else progress.info
-        say(sentence(facts.dem_offset))
+        say(facts.dem_offset.sentence())
     if facts.interpolated and not options.confidence:
         cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
         progress.warn(f"{cells}: ask for CONFIDENCE to see which (band 4).")
