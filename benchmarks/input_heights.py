@@ -87,11 +87,11 @@ def judged(truth: Callable[[], str], words: Sequence[str], ended: Ended) -> str:
     wrong = re.search(r"([\d.]+) m wrong", found)
     if stated and wrong:
         found += f", {2.0 * float(wrong[1]) / float(stated[1]):.1f} stated standard deviations"
-    return f"{found}; {say_of(ended, *words)}"
+    return f"{found}; {say_of(ended, words)}"
 
 
 def filled(ended: Ended) -> str:
-    return f"exit 0: VALID_PERCENT {ended.result['valid_percent']:.1f}; {say_of(ended, 'finer than')}"
+    return f"exit 0: VALID_PERCENT {ended.result['valid_percent']:.1f}; {say_of(ended, ('finer than',))}"
 
 
 def _town_truth() -> str:
