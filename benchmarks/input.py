@@ -22,7 +22,7 @@ import pyproj
 from osgeo import gdal
 
 from benchmarks.runner import ROOT, few, say
-from benchmarks.scenes import CACHE, Scene, default
+from benchmarks.scenes import CACHE, SHARED, Scene, default
 from benchmarks.tables import Section, table
 from repm_qgis.errors import RepmError
 from repm_qgis.evaluation.grids import Grid
@@ -109,7 +109,8 @@ def off(ended: Ended, truth: str) -> str:
 def say_of(ended: Ended, words: Sequence[str]) -> str:
     """The sentences that hold any of these words, from what a stage said and warned of."""
     found = [text for text in (*ended.warned, *ended.said) if any(word in text for word in words)]
-    return " ".join(f"“{text}”" for text in found) or "nothing is said"
+    # Tables name the shared data as people find them, whatever the machine.
+    return " ".join(f"“{text}”" for text in found).replace(str(SHARED), "../shared/data") or "nothing is said"
 
 
 # --- images ---------------------------------------------------------------------------------------------------------
