@@ -181,9 +181,8 @@ def write_products(
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
         points = products.cloud.count if products.cloud is not None else 0
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
-    cells = max(
-        round(overlap_m2(scene, float(np.median(levels))) / layout.grid.cell**2), valid
-    )  # holes are filled beyond it, too
+    overlap = overlap_m2(scene, float(np.median(levels)))
+    cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
     counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, points, removed)
     return FusionFacts(*counts, layout.grid.cell, layout.crs)
 

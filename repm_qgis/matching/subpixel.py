@@ -72,9 +72,7 @@ class _Step:
     def moved(self, disparity: FloatImage) -> FloatImage:
         """Disparities one step nearer to where the intensities of the two neighbourhoods agree best."""
         most = self._parameters.most_step_px
-        off, g = self._differences(disparity)
-        covariance = self._covariance(off, g)
-        power, noise = self._covariance(g, g), self._noise(off)
+        _, covariance, power, noise = self._statistics(disparity)
         moved: FloatImage = disparity - np.clip(covariance / (power + self._noise_share * noise), -most, most)
         return moved
 
@@ -86,24 +84,24 @@ class _Step:
         as that of fewer pixels: how alike it is, the differences of the images show.
         """
         p = self._parameters
-        off, g = self._differences(disparity)
+        off, _, power, noise = self._statistics(disparity)
         alike = _correlated_px(off - gaussian_mean(self._known, p.correlation_sigma_px)(off), self._known, p)
         pixels = np.float32(4 * np.pi * p.sigma_px**2 / alike)
-        information = pixels * self._covariance(g, g) / self._noise(off) + np.float32(p.prior_px**-2)
+        information = pixels * power / noise + np.float32(p.prior_px**-2)
         around = gaussian_mean(self._known, p.variance_sigma_px)
         return around(1 / information), p.sigma_px**2 * alike
 
-    def _differences(self, disparity: FloatImage) -> Tuple[FloatImage, FloatImage]:
-        """(H, W) each: the first image less the second where it was matched, and the second's slope there."""
+    def _statistics(self, disparity: FloatImage) -> Tuple[FloatImage, FloatImage, FloatImage, FloatImage]:
+        """(H, W) each: the first image less the second where it was matched; of windows, its covariance with the
+        second's slope there, that slope's variance, and its own."""
         columns, rows = matched_positions(disparity, self._high)
         off = self._first - cv2.remap(self._second, columns, rows, cv2.INTER_CUBIC)
-        return off, cv2.remap(self._slope, columns, rows, cv2.INTER_LINEAR)
-
-    def _covariance(self, one: FloatImage, other: FloatImage) -> FloatImage:
-        return self._mean(one * other) - self._mean(one) * self._mean(other)
-
-    def _noise(self, off: FloatImage) -> FloatImage:
-        return np.maximum(self._covariance(off, off), np.float32(self._parameters.least_noise))
+        g = cv2.remap(self._slope, columns, rows, cv2.INTER_LINEAR)
+        mean = self._mean
+        mean_g, mean_off = mean(g), mean(off)
+        covariance, power = mean(off * g) - mean_off * mean_g, mean(g * g) - mean_g * mean_g
+        noise = np.maximum(mean(off * off) - mean_off * mean_off, np.float32(self._parameters.least_noise))
+        return off, covariance, power, noise
 
 
 def _correlated_px(noise: FloatImage, known: Mask, parameters: SubpixelParameters) -> float:
@@ -118,11 +116,10 @@ def _correlated_px(noise: FloatImage, known: Mask, parameters: SubpixelParameter
     for axis in (0, 1):
         reach = 0.0
         for lag in range(1, min(parameters.correlation_lags, values.shape[axis] - 1) + 1):
-            parts = [np.take(each, range(lag, each.shape[axis]), axis) for each in (values, usable)]
-            other = [np.take(each, range(each.shape[axis] - lag), axis) for each in (values, usable)]
-            both = parts[1] & other[1]
+            late, early = ((slice(None),) * axis + (part,) for part in (slice(lag, None), slice(-lag)))
+            both = usable[late] & usable[early]
             if both.any() and variance > 0:
-                reach += max(float((parts[0] * other[0])[both].mean()) / variance, 0.0)
+                reach += max(float((values[late] * values[early])[both].mean()) / variance, 0.0)
         total *= 1.0 + 2.0 * reach
     return total
 

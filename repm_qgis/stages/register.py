@@ -93,14 +93,9 @@ def require_references(
     """Raise what reading the references over a scene raises, before anything is matched."""
     bounds, numbers = enclosing([tile.bounds for tile in scene.tiles]), parameters.registration
     cell = numbers.averaged_cells * finest_cell(bounds, parameters.tiles.cell_gsd * scene.gsd_m, numbers)
+    around = bounds.grown(prior_of(scene, parameters.pointing, numbers).most_m)
     for path in options.reference:
-        read_reference(
-            path,
-            scene.crs,
-            bounds.grown(prior_of(scene, parameters.pointing, parameters.registration).most_m),
-            cell,
-            progress.check_cancelled,
-        )
+        read_reference(path, scene.crs, around, cell, progress.check_cancelled)
 
 
 def registered_path(scene: str) -> str:
