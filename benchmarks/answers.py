@@ -1,0 +1,11 @@
+"""What analysts make from a DSM: bare earth, changes, colour, 3-D. Each part is a module ``answers_PART``."""
+
+from __future__ import annotations
+
+from typing import Callable, Dict, List
+
+from benchmarks.tables import Section
+
+PARTS: Dict[str, Callable[[], List[str]]] = {}
+
+SECTIONS = [Section("answers", "From the surface to answers", "make bench-answers", PARTS)]
