@@ -14,6 +14,7 @@ class Refine(RepmAlgorithm):
     ID = "refine"
     GROUP = "cameras"
     STEP = 3
+    USES_WORKERS = True
     TAGS = "EPM,REPM,resampling,polynomial,homography,terrain,relief"
 
     def title(self) -> str:

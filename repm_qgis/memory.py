@@ -125,6 +125,7 @@ def workers_within(workers: int, work: Work, budget_mib: int, progress: Progress
 _PROCESS_MIB = 125.0  # a worker with its libraries, before it does anything
 _BYTES_PER_PX = 115.0  # of the rectified tile
 _RECTIFIED = 1.2  # side of a rectified tile by that of its ground, where memory is planned
+_BYTES_PER_REFINED_PX = 30_000.0  # of a refined image's width: it is made in strips of 512 rows
 _BYTES_PER_STRIP_PX = 16.0  # of the second image's strip that only far disparities reach
 
 
@@ -139,6 +140,11 @@ def matching_mib(width: float, height: float, disparities: float) -> float:
 def planned_mib(side: float, disparities: float) -> float:
     """:func:`matching_mib` of a square of ground ``side`` px wide, before its rectification is known."""
     return matching_mib(_RECTIFIED * side, _RECTIFIED * side, disparities)
+
+
+def refining_mib(width: float) -> float:
+    """Peak memory of a worker that writes refined images ``width`` px wide, MiB; with 0, of one that writes none."""
+    return _PROCESS_MIB + _BYTES_PER_REFINED_PX * width / _MIB
 
 
 _PART_CELLS = 536**2  # that are fused at once, with their margin (dsm/fusion.py)

@@ -238,7 +238,7 @@ class RefineOptions(Options):
     """Find the map from each refined pixel to its original pixel that makes the pinhole camera true.
 
     ``dem`` is the terrain model's surface; None takes the heights that the scene already has. ``order`` is the
-    polynomial's, ``kernel`` resamples the refined images.
+    polynomial's, ``kernel`` resamples the refined images. ``workers`` and ``memory`` as in :class:`ReconstructOptions`.
     """
 
     scene: str = read()
@@ -249,6 +249,8 @@ class RefineOptions(Options):
     kernel: str = choice("bilinear", KERNELS)
     write_images: bool = switch(True)
     report: Optional[str] = None
+    workers: int = whole(0, 0, 1024)
+    memory: int = whole(0, 0, 1 << 24, "MiB")
 
 
 @dataclass(frozen=True)

@@ -127,16 +127,13 @@ class RefinedPinhole(Record):
 
 def surface_grid(terrain: Terrain, window: Sequence[float], parameters: VirtualGridParameters) -> VirtualGrid:
     """Ground points near a surface, over a window: a terrain-aware camera must be exact there."""
-    near = parameters.near_surface_m
-    pixels, above = _pixel_grid(window, (-near, near), parameters.scene)
-    height = np.full(len(pixels), float(terrain.surface.heights.mean()))
-    for _ in range(40):
-        ground = terrain.sensor.localise(pixels, height)
-        before = height
-        height = terrain.surface.height(ground[:, 0], ground[:, 1]) + above
-        if not (np.abs(height - before) > 0.01).any():
-            break
-    return _seen(pixels, ground, terrain.frame)
+    columns, rows, levels = parameters.scene
+    col, row, width, height = window
+    across, down = np.linspace(col, col + width - 1, columns), np.linspace(row, row + height - 1, rows)
+    pixels = np.stack(np.meshgrid(across, down, indexing="ij"), axis=-1)[:, :, None]
+    near = np.linspace(-parameters.near_surface_m, parameters.near_surface_m, levels)
+    ground = terrain.seen_at(pixels, near)
+    return _seen(np.broadcast_to(pixels, ground.shape[:3] + (2,)).reshape(-1, 2), ground.reshape(-1, 3), terrain.frame)
 
 
 def refine_pinhole(

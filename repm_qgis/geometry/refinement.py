@@ -23,7 +23,6 @@ from .surface import Surface
 _STEPS = 20
 _INVERSE_TOLERANCE_PX = 1e-7
 _LEAST_DETERMINANT = 1e-9  # of maps that are almost the identity
-_INTERSECTION_TOLERANCE_M = 1e-3  # 1e-5 px at the steepest parallax
 
 
 @dataclass(frozen=True)
@@ -119,6 +118,17 @@ class Terrain:
     frame: EnuFrame
     surface: Surface
 
+    def seen_at(self, col_row: FloatArray, above: FloatArray) -> FloatArray:
+        """(..., 3) longitudes, latitudes, heights, so many metres above the surface, that are seen at (..., 2) pixels.
+
+        ``above`` broadcasts with the pixels' shape.
+        """
+
+        def line(height: FloatArray) -> FloatArray:
+            return self.sensor.localise(np.broadcast_to(col_row, height.shape + (2,)), height)
+
+        return self.surface.met_by(line, np.zeros(col_row.shape[:-1]), above)
+
 
 @dataclass(frozen=True)
 class TerrainMap:
@@ -135,27 +145,16 @@ class TerrainMap:
         p = np.asarray(points, dtype=np.float64)
         homogeneous = np.concatenate([p, np.ones(p.shape[:-1] + (1,))], axis=-1)
         rays = homogeneous @ np.linalg.inv(self.camera.K @ self.camera.R).T
-        centre, frame, surface = self.camera.centre, self.terrain.frame, self.terrain.surface
-        # The frame's vertical is within a third of a degree of the local one: steps along it converge fast.
-        distance = (surface.heights.mean() - frame.height - centre[2]) / rays[..., 2]
-        for _ in range(_STEPS):
-            ground = frame.to_geodetic(centre + distance[..., None] * rays)
-            rise = surface.height(ground[..., 0], ground[..., 1]) - ground[..., 2]
-            if not (np.abs(rise) > _INTERSECTION_TOLERANCE_M).any():
-                break
-            distance = distance + rise / rays[..., 2]
-        return self.terrain.sensor.project(ground)
+        centre, frame = self.camera.centre, self.terrain.frame
+
+        def line(up: FloatArray) -> FloatArray:
+            return frame.to_geodetic(centre + ((up - frame.height - centre[2]) / rays[..., 2])[..., None] * rays)
+
+        return self.terrain.sensor.project(self.terrain.surface.met_by(line, np.zeros(p.shape[:-1]), np.zeros(())))
 
     def refined_from_original(self, points: FloatArray) -> FloatArray:
         p = np.asarray(points, dtype=np.float64)
-        height = np.full(p.shape[:-1], float(self.terrain.surface.heights.mean()))
-        for _ in range(_STEPS):
-            ground = self.terrain.sensor.localise(p, height)
-            above = self.terrain.surface.height(ground[..., 0], ground[..., 1])
-            rise = above - height
-            height = above
-            if not (np.abs(rise) > _INTERSECTION_TOLERANCE_M).any():
-                break
+        ground = self.terrain.seen_at(p, np.zeros(()))
         return self.camera.project(self.terrain.frame.from_geodetic(ground))
 
     def moved(self, col: float, row: float) -> "TerrainMap":

@@ -189,7 +189,8 @@ def _with_coarse_surface(
     if not options.own_surface:
         return scene
     source = surface.write(str(scene.folder("surface") / "coarse.tif"), scene.crs)
-    return refined_tiles(with_surface(scene, source, parameters, progress), progress)
+    scene = with_surface(scene, source, parameters, progress)
+    return refined_tiles(scene, options.workers, options.memory, progress)
 
 
 def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy: FloatArray) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, Optional
+from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -19,11 +19,15 @@ from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_
 from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import raster_identity, write
+from ..memory import refining_mib, tile_work, workers_within
 from ..options import RefineOptions
+from ..parallel import run_tasks
 from ..progress import Progress, Recorder
-from ..scene import Scene, reusable
+from ..scene import Scene, Tile, reusable
 from ..workspace import fingerprint
 from .parameters import ENGINE, EngineParameters
+
+_BATCH = 32  # tiles of a task that writes no images: starting processes costs as much as the maps of some hundred tiles
 
 
 def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
@@ -60,7 +64,9 @@ def _refine(scene: Scene, options: RefineOptions, parameters: EngineParameters, 
     scene = replace(scene, refinement=options.model, order=options.order)
     if options.model == "terrain":
         scene = with_surface(scene, _source(scene, options, parameters, progress), parameters, progress)
-    return refined_tiles(scene, progress, options.kernel if options.write_images else None)
+    return refined_tiles(
+        scene, options.workers, options.memory, progress, options.kernel if options.write_images else None
+    )
 
 
 def with_surface(scene: Scene, source: str, parameters: EngineParameters, progress: Progress) -> Scene:
@@ -73,22 +79,42 @@ def with_surface(scene: Scene, source: str, parameters: EngineParameters, progre
     return replace(scene, refinement="terrain", surface=surface)
 
 
-def refined_tiles(scene: Scene, progress: Progress, kernel: Optional[str] = None) -> Scene:
+def refined_tiles(scene: Scene, workers: int, memory: int, progress: Progress, kernel: Optional[str] = None) -> Scene:
     """Find M for every tile and view by the scene's model; with a ``kernel``, write the refined images too."""
-    tiles = []
-    for index, tile in enumerate(scene.tiles):
-        progress.step(index / len(scene.tiles), f"tile {index + 1} of {len(scene.tiles)}")
+    size, lean = 1 if kernel else _BATCH, scene.lean()
+    tasks = [RefineTask(lean, scene.tiles[at : at + size], kernel) for at in range(0, len(scene.tiles), size)]
+    widest = max(view.window.width for tile in scene.tiles for view in tile.views.values())
+    work = tile_work(widest, refining_mib(widest if kernel else 0))
+    done = run_tasks(_refined, tasks, workers_within(workers, work, memory, progress), progress, _describe)
+    return replace(scene, tiles=tuple(tile for tiles in done for tile in tiles))
+
+
+@dataclass(frozen=True)
+class RefineTask:
+    """All a worker needs: the scene without its tiles, some of these, and the kernel of their images (None: none)."""
+
+    scene: Scene
+    tiles: Tuple[Tile, ...]
+    kernel: Optional[str]
+
+
+def _describe(task: RefineTask) -> str:
+    return f"refining tile {task.tiles[-1].id}"
+
+
+def _refined(task: RefineTask) -> List[Tile]:
+    scene, tiles = task.scene, []
+    for tile in task.tiles:
         views = {}
-        for name, tile_view in tile.views.items():
-            progress.check_cancelled()
+        for name, seen in tile.views.items():
             rpc = scene.view(name).rpc
-            grid = virtual_grid(rpc.localise, tile_view.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
+            grid = virtual_grid(rpc.localise, seen.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
             how = scene.order, scene.terrain(rpc)
-            refined = refine_pinhole(scene.refinement, tile_view.camera, grid, tile_view.window, *how)
-            image = _write_image(scene, tile.id, name, refined, kernel) if kernel else tile_view.image
-            views[name] = replace(tile_view, refined=refined, image=image)
+            refined = refine_pinhole(scene.refinement, seen.camera, grid, seen.window, *how)
+            image = _write_image(scene, tile.id, name, refined, task.kernel) if task.kernel else seen.image
+            views[name] = replace(seen, refined=refined, image=image)
         tiles.append(replace(tile, views=views))
-    return replace(scene, tiles=tuple(tiles))
+    return tiles
 
 
 def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters, progress: Progress) -> str:

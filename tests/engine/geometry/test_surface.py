@@ -105,6 +105,54 @@ def test_the_terrain_models_error_is_measured_near_the_surface(slope):
     np.testing.assert_allclose(grid.enu, terrain.frame.from_geodetic(grid.ground), atol=1e-9)
 
 
+class Counted:
+    """A sensor that counts the points that it is asked for."""
+
+    def __init__(self, sensor):
+        self.sensor, self.asked = sensor, 0
+
+    def project(self, points):
+        self.asked += points.size // 3
+        return self.sensor.project(points)
+
+    def localise(self, pixels, height):
+        self.asked += np.size(height)
+        return self.sensor.localise(pixels, height)
+
+
+@pytest.fixture(scope="module")
+def great_relief(synthetic_rpc):
+    """A sensor that counts, and 8600 m of relief within its image: a slope of 40 degrees, rough by 15 m in 80 m."""
+    sensor = Counted(synthetic_rpc())
+    rng, lon = np.random.default_rng(5), sensor.sensor.lon_off + np.linspace(-0.06, 0.06, 120)
+    up = np.linspace(200.0, 8800.0, 120)[None, :] + rng.uniform(-15.0, 15.0, (120, 120))
+    surface = Surface(lon[0], sensor.sensor.lat_off + 0.06, lon[1] - lon[0], 0.12 / 119, up)
+    return Terrain(sensor, EnuFrame(sensor.sensor.lon_off, sensor.sensor.lat_off), surface)
+
+
+def test_lines_of_sight_meet_great_relief_exactly_and_soon(great_relief):
+    """Points are followed on parabolas, and the sensor is asked for few of them more than once."""
+    sensor = great_relief.sensor
+    sensor.asked = 0
+    grid = surface_grid(great_relief, WINDOW, VIRTUAL_GRID)
+    above = grid.ground[:, 2] - great_relief.surface.height(grid.ground[:, 0], grid.ground[:, 1])
+    levels = np.tile(np.linspace(-10, 10, VIRTUAL_GRID.scene[2]), len(grid.pixels) // VIRTUAL_GRID.scene[2])
+    np.testing.assert_allclose(above, levels, atol=2e-3)
+    np.testing.assert_allclose(sensor.sensor.project(grid.ground), grid.pixels, atol=1e-6)
+    # Asked at every step from the mean height on, it would be for 15 times as many.
+    assert sensor.asked < 5 * len(grid.pixels)
+
+
+def test_the_map_through_great_relief_goes_there_and_back(great_relief):
+    camera = fit_pinhole(virtual_grid(great_relief.sensor.localise, WINDOW, (200.0, 8800.0), great_relief.frame)).camera
+    terrain_map = TerrainMap(camera.without_skew(), great_relief)
+    original = np.random.default_rng(6).uniform((20000, 18000), (20900, 18700), (500, 2))
+    great_relief.sensor.asked = 0
+    refined = terrain_map.refined_from_original(original)
+    assert great_relief.sensor.asked < 8 * len(original)
+    np.testing.assert_allclose(terrain_map.original_from_refined(refined), original, atol=1e-4)
+
+
 def test_the_refined_image_holds_the_window_and_no_more(slope):
     terrain, camera, grid = slope
     for model in ("none", "homography", "polynomial", "terrain"):
