@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List
 
+from benchmarks import answers_viewer
 from benchmarks.tables import Section
 
-PARTS: Dict[str, Callable[[], List[str]]] = {}
+PARTS: Dict[str, Callable[[], List[str]]] = {
+    "viewer": answers_viewer.pages,
+}
 
 SECTIONS = [Section("answers", "From the surface to answers", "make bench-answers", PARTS)]

@@ -1354,6 +1354,14 @@
         <translation>Ein Ordner für die Oberfläche, die jedes Bildpaar für sich ergibt, mit ihrer Konfidenz: um zu finden, von welchem Paar ein Fehler kommt.</translation>
     </message>
     <message>
+        <source>Surface in the browser (3-D)</source>
+        <translation>Oberfläche im Browser (3D)</translation>
+    </message>
+    <message>
+        <source>The surface in 3-D, with rasters draped over it and profiles: a page for the browser, without any network.</source>
+        <translation>Die Oberfläche in 3D, mit darübergelegten Rastern und Profilen: eine Seite für den Browser, ganz ohne Netz.</translation>
+    </message>
+    <message>
         <source>A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics.</source>
         <translation>Ein Name, der auf .vrt endet, ergibt einen Ordner mit Kacheln und ein VRT, das sie als ein Raster zeigt: für sehr große Mosaike.</translation>
     </message>
@@ -1555,6 +1563,57 @@
     <message>
         <source>Make a DSM stage by stage (model)</source>
         <translation>DOM Stufe für Stufe erzeugen (Modell)</translation>
+    </message>
+</context>
+<context>
+    <name>Viewer</name>
+    <message>
+        <source>Show a DSM in the browser (3-D)</source>
+        <translation>DOM im Browser zeigen (3D)</translation>
+    </message>
+    <message>
+        <source>One HTML page with the surface in 3-D, what is draped over it, and profiles; needs no network.</source>
+        <translation>Eine HTML-Seite mit der Oberfläche in 3D, den darübergelegten Rastern und Profilen; braucht kein Netz.</translation>
+    </message>
+    <message>
+        <source>DSM to show</source>
+        <translation>DOM, das gezeigt wird</translation>
+    </message>
+    <message>
+        <source>A raster of heights, in any CRS: a surface or a terrain model, of this plugin or of others.</source>
+        <translation>Ein Höhenraster in einem beliebigen KBS: ein Oberflächen- oder Geländemodell, von diesem Plugin oder von anderen.</translation>
+    </message>
+    <message>
+        <source>Orthophoto</source>
+        <translation>Orthophoto</translation>
+    </message>
+    <message>
+        <source>A picture to drape over the surface, grey or in colour, in any CRS.</source>
+        <translation>Ein Bild, das über die Oberfläche gelegt wird, grau oder farbig, in einem beliebigen KBS.</translation>
+    </message>
+    <message>
+        <source>Confidence</source>
+        <translation>Konfidenz</translation>
+    </message>
+    <message>
+        <source>The confidence raster that came with the DSM, or one band with the expected error in metres.</source>
+        <translation>Das Konfidenzraster, das mit dem DOM kam, oder ein Kanal mit dem erwarteten Fehler in Metern.</translation>
+    </message>
+    <message>
+        <source>Height difference</source>
+        <translation>Höhenunterschied</translation>
+    </message>
+    <message>
+        <source>A raster of differences in metres, such as the height error of a comparison.</source>
+        <translation>Ein Raster mit Unterschieden in Metern, etwa der Höhenfehler eines Vergleichs.</translation>
+    </message>
+    <message>
+        <source>Most cells of the page</source>
+        <translation>Höchstens so viele Zellen der Seite</translation>
+    </message>
+    <message>
+        <source>Where the DSM has more, each cell of the page is a mean. A page of 4 million has 5 to 15 MB.</source>
+        <translation>Hat das DOM mehr, ist jede Zelle der Seite ein Mittel. Eine Seite mit 4 Millionen hat 5 bis 15 MB.</translation>
     </message>
 </context>
 <context>

@@ -29,6 +29,7 @@ from .reconstruct import Reconstruct
 from .refine import Refine
 from .register import Register
 from .sampledata import SampleData
+from .viewer import Viewer
 
 ALGORITHMS = (
     Inspect,
@@ -42,6 +43,7 @@ ALGORITHMS = (
     Pipeline,
     CompareDsm,
     CheckGcps,
+    Viewer,
     SampleData,
     Environment,
     ExportCameras,

@@ -13,7 +13,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
 from osgeo import ogr
 
 from .errors import WorkspaceError
-from .options import DsmFuseOptions, MosaicOptions
+from .options import VIEWER_CELLS, DsmFuseOptions, MosaicOptions
 from .products import tiles_folder
 from .progress import Progress
 from .records import ViewPair
@@ -30,6 +30,7 @@ _ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
 _MOSAIC_CELL, _MOSAIC_SOURCES = 16.0, 1.5  # of a block, not compressed, and of the sources, with overviews
 _LAZ, _LAS, _EPT = 4.2, 30.0, 14.0  # for each point; EPT: while it is built
 _VERTEX = 48.0  # with its two triangles
+_PAGE_CELL = 3.0  # heights, an orthophoto and the expected error
 
 
 class Need(NamedTuple):
@@ -63,12 +64,16 @@ def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOption
     """Fused tiles and products on cells of a side (m), without what an earlier run has left of the tiles."""
     cells, points = _area(scene) / cell**2, seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
-    between = cells * (_FUSED_CELL + (_FUSED_ORTHO if options.ortho else 0.0)) + points * _FUSED_POINT
+    between = cells * (_FUSED_CELL + (_FUSED_ORTHO if options.ortho or options.viewer else 0.0)) + points * _FUSED_POINT
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":
         needs.append(_need(folder, cells * _ALL_HEIGHTS))
     rasters = {**_RASTERS, "output": 2 * _RASTERS["output"]}  # the last to be copied in its final form
     needs += [_need(getattr(options, name), cells * size) for name, size in rasters.items() if getattr(options, name)]
+    if options.viewer:  # what it drapes is temporary where nobody keeps it
+        temporary = [name for name in ("ortho", "confidence") if not getattr(options, name)]
+        needs += [_need(folder, cells * _RASTERS[name]) for name in temporary]
+        needs.append(_need(options.viewer, min(cells, VIEWER_CELLS) * _PAGE_CELL))
     if options.view_heights:
         needs.append(_need(options.view_heights, len(pairs) * cells * (_RASTERS["output"] + _RASTERS["confidence"])))
     if points:

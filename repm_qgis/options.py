@@ -32,6 +32,9 @@ KINDS = ("urban", "mountains")
 TERRAIN_TILE_PX = 1300
 """Side of automatic tiles with the model terrain: its error does not grow with the tile, only the memory does."""
 
+VIEWER_CELLS = 4_000_000
+"""Most cells of a page for the browser: it has 5 to 15 MB, and opens in seconds without a graphics card."""
+
 PRESETS: Dict[str, Dict[str, Any]] = {
     "none": {},
     "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
@@ -145,6 +148,12 @@ class Options(metaclass=_ByName):
 
     def to_json(self) -> Dict[str, Any]:
         return dataclasses.asdict(self)
+
+
+def require_page(name: str, path: str) -> None:
+    """Raise OptionError for a page for the browser that no browser would take for one."""
+    if not path.lower().endswith((".html", ".htm")):
+        raise OptionError(name, path, "must end with .html")
 
 
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
@@ -377,9 +386,10 @@ class DsmFuseOptions(Options):
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
-    None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``: files to write, None = not wanted;
-    ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone. ``mesh_vertices``: at most so many in
-    the mesh, 0 = one a cell. ``memory`` and ``cluster`` as in ``ReconstructOptions``.
+    None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser):
+    files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone.
+    ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``memory`` and ``cluster`` as in
+    ``ReconstructOptions``.
     """
 
     scene: str = read()
@@ -400,9 +410,12 @@ class DsmFuseOptions(Options):
     mesh: Optional[str] = None
     mesh_vertices: int = whole(500_000, 0, 2**31 - 1)  # a PLY's indices
     view_heights: Optional[str] = None
+    viewer: Optional[str] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.viewer:
+            require_page("VIEWER", self.viewer)
         if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
         if self.mesh and not self.mesh.lower().endswith(".ply"):
@@ -551,6 +564,27 @@ class MosaicOptions(Options):
         if self.confidences and len(self.confidences) != len(self.dsms):
             count = f"{len(self.dsms)} rasters: one for each of DSMS, in their order"
             raise OptionError("CONFIDENCES", list(self.confidences), f"must be empty, or name {count}")
+
+
+@dataclass(frozen=True)
+class ViewerOptions(Options):
+    """Show a DSM in 3-D in a page for the browser.
+
+    ``ortho``, ``confidence`` and ``difference`` are rasters to drape over it: a picture, the confidence of this
+    plugin's DSM or one band with the expected error in metres, and a difference of heights in metres; None = none.
+    ``cells`` is how many the page has at most; each is a mean where the DSM has more.
+    """
+
+    dsm: str = read()
+    viewer: str = given()
+    ortho: Optional[str] = read(None)
+    confidence: Optional[str] = read(None)
+    difference: Optional[str] = read(None)
+    cells: int = whole(VIEWER_CELLS, 10_000, 16_000_000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_page("VIEWER", self.viewer)
 
 
 @dataclass(frozen=True)

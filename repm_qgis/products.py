@@ -134,6 +134,8 @@ _PAIRS = (
     "A folder for the surface that each pair of images gives on its own, with its confidence: to find out which pair "
     "an error comes from."
 )
+_VIEWER = "The surface in 3-D, with rasters draped over it and profiles: a page for the browser, without any network."
+
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
 _REPORTS = {
@@ -176,6 +178,7 @@ PRODUCTS = (
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
     Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply)", maker="mesh", help=_MESH),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
+    Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),
     Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
@@ -192,6 +195,7 @@ PRODUCTS = (
         "Ground control points",
         help=_CHECKED,
     ),
+    Product("viewer", "viewer", "Surface in the browser (3-D)", FILE, ALWAYS, filter=_HTML, help=_VIEWER),
     Product("sampledata", "folder", "Folder", FOLDER, ALWAYS, help=_SAMPLES),
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
     *(

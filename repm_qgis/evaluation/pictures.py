@@ -125,6 +125,18 @@ def shaded_relief(heights: Floats, cell: float, low: Optional[float] = None, hig
 
 def png_bytes(picture: NDArray[Any]) -> bytes:
     """A (rows, columns), (..., 3) or (..., 4) uint8 array as the bytes of a PNG. Raises ValueError for other arrays."""
+    return _encoded(picture, "PNG", _PNG_LEVEL)
+
+
+def jpeg_bytes(picture: NDArray[Any], quality: int) -> bytes:
+    """A (rows, columns), (..., 1) or (..., 3) uint8 array as the bytes of a JPEG; ``quality`` up to 100.
+
+    Raises ValueError for other arrays.
+    """
+    return _encoded(picture, "JPEG", f"QUALITY={quality}")
+
+
+def _encoded(picture: NDArray[Any], driver: str, option: str) -> bytes:
     planes = picture[..., None] if picture.ndim == 2 else picture
     if picture.dtype != np.uint8 or planes.ndim != 3 or picture.size == 0 or planes.shape[2] > 4:
         raise ValueError(f"A picture must be uint8 (rows, columns[, 1..4]), not {picture.dtype} {picture.shape}.")
@@ -132,12 +144,12 @@ def png_bytes(picture: NDArray[Any]) -> bytes:
     memory = gdal.GetDriverByName("MEM").Create("", columns, rows, bands, gdal.GDT_Byte)
     for index in range(bands):
         memory.GetRasterBand(index + 1).WriteArray(planes[..., index])
-    name = f"/vsimem/repm_{uuid.uuid4().hex}.png"
+    name = f"/vsimem/repm_{uuid.uuid4().hex}"
     try:
-        copy = gdal.GetDriverByName("PNG").CreateCopy(name, memory, options=[_PNG_LEVEL])
+        copy = gdal.GetDriverByName(driver).CreateCopy(name, memory, options=[option])
         if copy is None:
-            remedy = "check that its PNG driver is there (gdalinfo --formats)"
-            raise ImageError(f"GDAL could not make a PNG in memory: {remedy}.")
+            remedy = f"check that its {driver} driver is there (gdalinfo --formats)"
+            raise ImageError(f"GDAL could not make a {driver} in memory: {remedy}.")
         copy = None  # noqa: F841 - closes and flushes the file
         stream = gdal.VSIFOpenL(name, "rb")
         data = bytes(gdal.VSIFReadL(1, gdal.VSIStatL(name).size, stream))

@@ -85,7 +85,7 @@ def style_text(
         values, band = (np.empty(0, np.float32), 1) if limits and kind in ("ept", "mesh") else _shown(style, path)
         if kind == "differences":  # those before have the same colours
             values = preview(path, _SAMPLE_PX)[0]
-        low, high = limits or _value_range(kind, values)
+        low, high = limits or value_range(kind, values)
         text = _filled(text, style, low, high).replace("@band@", str(band))
     elif style.template == "palette":
         text = text.replace("@items@", "\n".join(_entries(style, path))).replace("@band@", str(style.band))
@@ -107,7 +107,7 @@ def _said(style: str) -> str:
 
 def height_limits(dsm: str) -> Tuple[float, float]:
     """The range of heights over which a DSM's style spreads its colours."""
-    return _value_range("dsm", preview(dsm, _SAMPLE_PX)[0])
+    return value_range("dsm", preview(dsm, _SAMPLE_PX)[0])
 
 
 def _shown(style: Style, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]:
@@ -117,7 +117,8 @@ def _shown(style: Style, path: str | os.PathLike[str]) -> Tuple[FloatImage, int]
     return preview(path, _SAMPLE_PX, band)[0], band
 
 
-def _value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
+def value_range(kind: str, values: FloatImage) -> Tuple[float, float]:
+    """The range of a raster's values over which a kind of layer spreads its colours."""
     low, high = percentile_range(values)
     if kind in _AROUND_ZERO:
         limit = max(abs(low), abs(high))

@@ -19,7 +19,7 @@ RESOURCES = Path(__file__).resolve().parents[2] / "resources"
 
 
 class Drawing(str):
-    """SVG that a template made: text whose content is escaped already."""
+    """SVG that a template made, or a script or style of resources: text that needs no escaping."""
 
     def __html__(self) -> str:
         return self
@@ -35,11 +35,13 @@ def _environment() -> Environment:
             f"Reports are written with the Python package 'jinja2', which is not installed ({error}): run "
             "repm:environment, which shows the command that installs it, or leave REPORT empty."
         ) from error
-    loader = FileSystemLoader(str(RESOURCES / "templates"))
+    loader = FileSystemLoader([str(RESOURCES / "templates"), str(RESOURCES / "viewer")])
     found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     found.filters["fixed"] = lambda value, decimals: f"{value:.{decimals}f}"
     # A filter without the context is applied to constants once: these would stay in the language of the first page.
     in_context = getattr(jinja2, "pass_context" if hasattr(jinja2, "pass_context") else "contextfilter")  # before 3.0
+    # Scripts and styles, as they are: their signs would mean something to the template.
+    found.globals["asset"] = lambda name: Drawing(loader.get_source(found, name)[0])
     found.filters["said"] = in_context(lambda context, value: said(value))
     return found
 

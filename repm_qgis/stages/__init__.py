@@ -34,6 +34,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "mosaic": _options.MosaicOptions,
     "comparedsm": _options.CompareDsmOptions,
     "checkgcps": _options.CheckGcpsOptions,
+    "viewer": _options.ViewerOptions,
     "sampledata": _options.SampleDataOptions,
     "environment": _options.EnvironmentOptions,
 }

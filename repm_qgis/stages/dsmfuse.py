@@ -6,9 +6,10 @@ import math
 import re
 import shutil
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..disk_space import fusion_needs, require_space
 from ..dsm.coarse_means import CoarseMeans
@@ -25,7 +26,7 @@ from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import raster_identity
 from ..memory import fusing_mib, tile_work, workers_within
-from ..options import DsmFuseOptions
+from ..options import DsmFuseOptions, ViewerOptions
 from ..parallel import run_tasks, run_whole
 from ..products import not_requested, paths_of, products_of
 from ..progress import Part, Progress, counted
@@ -33,10 +34,13 @@ from ..records import DemOffset, FusionFacts, ViewPair
 from ..registration.dem_offset import dem_offset
 from ..registration.laying import prior_of
 from ..scene import Scene
-from ..workspace import ensure_folder, fingerprint
+from ..workspace import ensure_folder, fingerprint, temporary_folder
+from . import viewer
 from .early import require_cell
 from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
+
+_DRAPED = ("ortho", "confidence")
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = reconstructed(options.scene)
-    if options.ortho:
+    if options.ortho or options.viewer:
         scene.require_images()
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
@@ -80,24 +84,38 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
     require_space("fusion", fusion_needs(scene, _matched(scene), options, cell), progress)
-    with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept:
-        fusion = _Fusion(options, parameters, scene, layout, _folder_of(kept, options, scene, layout, parameters))
+    made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
+    with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
+        fusion = _Fusion(draped, parameters, scene, layout, _folder_of(kept, draped, scene, layout, parameters))
         drop_others(kept, fusion.folder)
         facts, needed = _fused(fusion, Part(progress, 0.0, share))
         cloud = cloud_of(options, str(fusion.folder)) if facts.points else None
-        made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
         finished = FinishedDsm(options, cloud, datum.file_crs(crs), parameters.fusion)
         for product, path, file in make_derived(finished, progress):
             made[product.option] = path if file else None
             if file and product.style:
                 write_style(product.style, file, height_limits(options.output))
+        if options.viewer:
+            shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
+            run_whole(viewer.written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         for index, pair in enumerate(pairs):
             low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
             _one_pair(fusion, pair, Part(progress, low, high))
-    _log(fusion, facts, needed, progress)
+    _log(replace(fusion, options=options), facts, needed, progress)
     progress.step(1.0, "DSM fused")
     seconds = round(time.monotonic() - start, 3)
     return {**made, "vertical_datum": datum.name, "seconds": seconds, **facts.to_mapping()}
+
+
+@contextmanager
+def _draped(options: DsmFuseOptions, folder: Path) -> Iterator[DsmFuseOptions]:
+    """The options with all rasters that a page drapes, where one is asked for: temporary ones if nobody keeps them."""
+    if not options.viewer:
+        yield options
+        return
+    with temporary_folder(str(folder / "draped")) as name:
+        ortho, confidence = (getattr(options, each) or f"{name}/{each}.tif" for each in _DRAPED)
+        yield replace(options, ortho=ortho, confidence=confidence)
 
 
 def reconstructed(path: str) -> Scene:

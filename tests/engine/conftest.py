@@ -80,6 +80,7 @@ class Pipeline:
             "cloud": str(folder / "cloud.laz"),
             "ept": str(folder / "ept"),
             "mesh": str(folder / "mesh.ply"),
+            "viewer": str(folder / "viewer.html"),
             **options,
         }
         self.result = run_stage("pipeline", self.options, self.said)

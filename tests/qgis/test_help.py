@@ -17,7 +17,7 @@ from qgis.core import QgsApplication
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
 IN_ORDER = "environment sampledata inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
-IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic"]
+IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer"]
 
 
 def help_page(name):
@@ -115,5 +115,16 @@ def test_the_examples_of_help_work_one_after_the_other_from_the_zip(headless, tm
             assert done.returncode == 0, f"{example}\n{done.stdout}{done.stderr}"
             for word in words:
                 key, _, value = word.partition("=")
-                if key in ("OUTPUT", "OUTPUT_SCENE", "REPORT", "CLOUD", "MESH", "EPT", "ERROR", "FOLDER", "SOURCES"):
+                if key in (
+                    "OUTPUT",
+                    "OUTPUT_SCENE",
+                    "REPORT",
+                    "CLOUD",
+                    "MESH",
+                    "EPT",
+                    "ERROR",
+                    "FOLDER",
+                    "SOURCES",
+                    "VIEWER",
+                ):
                     assert (folder / value).exists(), f"{example}: no {key}"
