@@ -1218,6 +1218,30 @@
         <translation>Hat das DOM mehr Zellen, nimmt das Netz jede zweite (dritte, ...) Zeile und Spalte.</translation>
     </message>
     <message>
+        <source>Colours of orthophoto, point cloud and mesh</source>
+        <translation>Farben von Orthophoto, Punktwolke und Netz</translation>
+    </message>
+    <message>
+        <source>auto: natural colours where the images or the multispectral images have them, else greys; greys: one band; all: all bands, near infrared too.</source>
+        <translation>auto: natürliche Farben, wo die Bilder oder die Multispektralbilder sie haben, sonst Grautöne; greys: ein Kanal; all: alle Kanäle, auch nahes Infrarot.</translation>
+    </message>
+    <message>
+        <source>Multispectral images (XS) of the panchromatic ones</source>
+        <translation>Multispektralbilder (XS) zu den panchromatischen</translation>
+    </message>
+    <message>
+        <source>In any order, each with its own RPC: they are paired with the panchromatic images by their line of sight and time. Empty: those that lie beside the images under their vendors' names.</source>
+        <translation>In beliebiger Reihenfolge, jedes mit eigenem RPC: Sie werden den panchromatischen Bildern nach Blickrichtung und Zeit zugeordnet. Leer: die, die unter den Namen der Anbieter neben den Bildern liegen.</translation>
+    </message>
+    <message>
+        <source>Pansharpening of multispectral images</source>
+        <translation>Pansharpening der Multispektralbilder</translation>
+    </message>
+    <message>
+        <source>On: colours with the detail of the panchromatic images. Off: the multispectral pixels as they are.</source>
+        <translation>An: Farben mit den Einzelheiten der panchromatischen Bilder. Aus: die Multispektralpixel, wie sie sind.</translation>
+    </message>
+    <message>
         <source>Scene</source>
         <translation>Szene</translation>
     </message>
@@ -1318,16 +1342,16 @@
         <translation>Orthophoto</translation>
     </message>
     <message>
-        <source>The images in map geometry, on the cells of the DSM.</source>
-        <translation>Die Bilder in Kartengeometrie, auf den Zellen des DOM.</translation>
+        <source>The images in map geometry, on the cells of the DSM, in colour where the images have colours.</source>
+        <translation>Die Bilder in Kartengeometrie, auf den Zellen des DOM, farbig, wo die Bilder Farben haben.</translation>
     </message>
     <message>
         <source>Point cloud</source>
         <translation>Punktwolke</translation>
     </message>
     <message>
-        <source>One point for each matched pixel, for exchange with other programs.</source>
-        <translation>Ein Punkt für jedes zugeordnete Pixel, zum Austausch mit anderen Programmen.</translation>
+        <source>One point for each matched pixel, with its colour, for exchange with other programs.</source>
+        <translation>Ein Punkt für jedes zugeordnete Pixel, mit seiner Farbe, zum Austausch mit anderen Programmen.</translation>
     </message>
     <message>
         <source>Point cloud for display (EPT)</source>
@@ -1342,8 +1366,8 @@
         <translation>Netz</translation>
     </message>
     <message>
-        <source>The surface as triangles, which QGIS and 3D programs show.</source>
-        <translation>Die Oberfläche als Dreiecke, die QGIS und 3D-Programme zeigen.</translation>
+        <source>The surface as triangles, which QGIS and 3D programs show, the latter in colour.</source>
+        <translation>Die Oberfläche als Dreiecke, die QGIS und 3D-Programme zeigen, letztere farbig.</translation>
     </message>
     <message>
         <source>DSM of each pair alone</source>

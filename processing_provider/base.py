@@ -186,7 +186,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         name = definition.name()
         if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES", "SCENES"):
             return self._check_files(name, value, context)
-        if name == "IMAGES":
+        if name in ("IMAGES", "XS"):
             return self._check_images(name, value, context)
         if name == "BACKEND":
             return self._check_backend(definition, value)

@@ -30,6 +30,7 @@ class DsmFuse(RepmAlgorithm):
             parameters.crs(),
             parameters.vertical_datum(),
             *parameters.fusion(),
+            *parameters.colours(),
             parameters.cluster(),
             *parameters.dsm_products(),
         ]

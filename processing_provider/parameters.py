@@ -558,6 +558,45 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
     ]
 
 
+def colours() -> list[QgsProcessingParameterDefinition]:
+    """The colours of orthophoto, clouds and mesh."""
+    return [
+        choice(
+            DsmFuseOptions,
+            "colour",
+            tr("Colours of orthophoto, point cloud and mesh"),
+            tr(
+                "auto: natural colours where the images or the multispectral images have them, else greys; greys: one "
+                "band; all: all bands, near infrared too."
+            ),
+        ),
+        advanced(
+            helped(
+                Images(
+                    "XS",
+                    tr("Multispectral images (XS) of the panchromatic ones"),
+                    QgsProcessing.SourceType.TypeRaster,
+                    optional=True,
+                ),
+                tr(
+                    "In any order, each with its own RPC: they are paired with the panchromatic images by their line "
+                    "of sight and time. Empty: those that lie beside the images under their vendors' names."
+                ),
+            )
+        ),
+        advanced(
+            switch(
+                DsmFuseOptions,
+                "pansharpen",
+                tr("Pansharpening of multispectral images"),
+                tr(
+                    "On: colours with the detail of the panchromatic images. Off: the multispectral pixels as they are."
+                ),
+            )
+        ),
+    ]
+
+
 def scene(label: Optional[str] = None) -> QgsProcessingParameterDefinition:
     return helped(
         QgsProcessingParameterFile(

@@ -54,6 +54,7 @@ class Pipeline(RepmAlgorithm):
             parameters.advanced(parameters.backend()),
             *parameters.patch_match(),
             *parameters.fusion(),
+            *map(parameters.advanced, parameters.colours()),
             parameters.cluster(),
             dsm,
             *(parameters.product(self.ID, name) for name in ("workspace", "report", "tiles", "tie_points")),

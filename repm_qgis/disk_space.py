@@ -26,6 +26,7 @@ _HEIGHT_MAP = 6.5  # bytes for each pixel of ground that a pair sees: three band
 _REFINED_IMAGE = 1.2  # for each pixel of 16 bits, compressed
 _FUSED_CELL, _FUSED_ORTHO, _FUSED_POINT = 18.0, 4.0, 32.0  # between the two halves of fusion, not compressed
 _RASTERS = {"output": 3.2, "confidence": 12.0, "ortho": 3.5}  # for each cell, with overviews
+_COLOURED = 2.0  # for each cell and band of 16 bits
 _ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
 _MOSAIC_CELL, _MOSAIC_SOURCES = 16.0, 1.5  # of a block, not compressed, and of the sources, with overviews
 _LAZ, _LAS, _EPT = 4.2, 30.0, 14.0  # for each point; EPT: while it is built
@@ -60,15 +61,23 @@ def heights_need(scene: Scene, pairs: Sequence[ViewPair], folder: str) -> Need:
     return _need(folder, _HEIGHT_MAP * seen_px(scene, pairs) * grown, size_of(folder))
 
 
-def fusion_needs(scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOptions, cell: float) -> List[Need]:
-    """Fused tiles and products on cells of a side (m), without what an earlier run has left of the tiles."""
+def fusion_needs(
+    scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOptions, cell: float, bands: int = 0
+) -> List[Need]:
+    """Fused tiles and products on cells of a side (m), without what an earlier run has left of the tiles.
+
+    ``bands`` are those of an orthophoto in colour, 0 for greys.
+    """
     cells, points = _area(scene) / cell**2, seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
-    between = cells * (_FUSED_CELL + (_FUSED_ORTHO if options.ortho or options.viewer else 0.0)) + points * _FUSED_POINT
+    ortho = bands * _COLOURED if bands else _FUSED_ORTHO if options.ortho or options.viewer else 0.0
+    between = cells * (_FUSED_CELL + ortho) + points * _FUSED_POINT
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":
         needs.append(_need(folder, cells * _ALL_HEIGHTS))
     rasters = {**_RASTERS, "output": 2 * _RASTERS["output"]}  # the last to be copied in its final form
+    if bands:
+        rasters["ortho"] = bands * _COLOURED
     needs += [_need(getattr(options, name), cells * size) for name, size in rasters.items() if getattr(options, name)]
     if options.viewer:  # what it drapes is temporary where nobody keeps it
         temporary = [name for name in ("ortho", "confidence") if not getattr(options, name)]

@@ -160,6 +160,15 @@ def fusing_mib(pixels: Sequence[int], cells: int) -> float:
     return 105.0 + (read + 45.0 * len(pixels) * min(cells, _PART_CELLS) + 30.0 * cells) / _MIB
 
 
+def colouring_mib(cells: int, around: int, views: int, bands: int) -> float:
+    """Peak memory of a worker that colours a block of so many cells with so many views (dsm/colour_ortho.py), MiB.
+
+    ``around`` are the cells that may hide one of them. Held to measured peaks as :func:`matching_mib`.
+    """
+    each = 4.0 * views * (3.0 * bands + 2.0 * views + 6.0) + 80.0
+    return _PROCESS_MIB + (each * cells + 40.0 * around) / _MIB
+
+
 def largest_tile(tile_px: int, each_mib: float, budget_mib: float) -> int:
     """The side of the largest tile that fits, px, in whole tens; not less than the smallest that can be set."""
     room = max(budget_mib - _PROCESS_MIB, 0.0) / max(each_mib - _PROCESS_MIB, 1.0)

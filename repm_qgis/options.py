@@ -28,6 +28,7 @@ SHIFTS = ("shift", "tilt")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
+COLOURS = ("auto", "greys", "all")
 
 TERRAIN_TILE_PX = 1300
 """Side of automatic tiles with the model terrain: its error does not grow with the tile, only the memory does."""
@@ -388,7 +389,10 @@ class DsmFuseOptions(Options):
     background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
     None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser):
     files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone.
-    ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``memory`` and ``cluster`` as in
+    ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``,
+    the natural ones where the images or ``xs`` have them; ``greys``; ``all``, all their bands. ``xs`` are multispectral
+    images beside panchromatic ones, in any order; empty: those that lie beside the images under the vendors' names.
+    ``pansharpen`` gives them the detail of the panchromatic images. ``memory`` and ``cluster`` as in
     ``ReconstructOptions``.
     """
 
@@ -411,11 +415,18 @@ class DsmFuseOptions(Options):
     mesh_vertices: int = whole(500_000, 0, 2**31 - 1)  # a PLY's indices
     view_heights: Optional[str] = None
     viewer: Optional[str] = None
+    colour: str = choice("auto", COLOURS)
+    xs: Tuple[str, ...] = read(())
+    pansharpen: bool = switch(True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.viewer:
             require_page("VIEWER", self.viewer)
+        if not all(self.xs) or len(set(self.xs)) != len(self.xs):
+            raise OptionError("XS", list(self.xs), "must be a list of multispectral images, each named once")
+        if self.xs and self.colour == "greys":
+            raise OptionError("COLOUR", self.colour, "must be auto or all where there are XS, whose colours are wanted")
         if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
         if self.mesh and not self.mesh.lower().endswith(".ply"):

@@ -24,7 +24,8 @@ class Style:
     ``ramp`` are the colours that are spread over the values of a ``band``, with their ``unit`` in the legend;
     ``classes`` are the names of values 0, 1, ... of a discrete one. ``template`` is the file's name where that is not
     the kind's. ``off``: the layer hides others, so it is not switched on where there is a DSM to look at. ``plain``: it
-    has no template, and looks as QGIS shows such a file. ``view_of``: not a layer of its own but one more style of the
+    has no template, and looks as QGIS shows such a file. ``coloured`` is the template of files that have red, green and
+    blue. ``view_of``: not a layer of its own but one more style of the
     layers of that kind, with its ``title``.
     """
 
@@ -33,6 +34,7 @@ class Style:
     off: bool = False
     plain: bool = False
     template: str = ""
+    coloured: str = ""
     unit: str = ""
     band: int = 1
     classes: Tuple[str, ...] = ()
@@ -59,8 +61,8 @@ STYLES = (
         view_of="differences",
         title="Before the registration",
     ),
-    Style("ept", "elevation", off=True, unit=" m"),
-    Style("ortho", "grey", off=True),
+    Style("ept", "elevation", off=True, coloured="ept_colours", unit=" m"),
+    Style("ortho", "grey", off=True, coloured="ortho_colours"),
     Style("confidence", "viridis", off=True, template="ramp", unit=" m", band=5),
     Style("confidence_count", template="palette", view_of="confidence", title="Height maps that agree"),
     Style(
@@ -114,11 +116,11 @@ _TIES = "Points on the ground that two or more images show, with their residuals
 _HEIGHTS = "A folder for one height map of each pair and tile, from which the DSM is made."
 _DSM = "Heights in metres as a GeoTIFF; where nothing was matched, there is no height."
 _CONFIDENCE = "For each height: its expected error in metres, how many pairs agree, and how it was found."
-_ORTHO = "The images in map geometry, on the cells of the DSM."
+_ORTHO = "The images in map geometry, on the cells of the DSM, in colour where the images have colours."
 _DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
 _OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."
-_CLOUD = "One point for each matched pixel, for exchange with other programs."
-_MESH = "The surface as triangles, which QGIS and 3D programs show."
+_CLOUD = "One point for each matched pixel, with its colour, for exchange with other programs."
+_MESH = "The surface as triangles, which QGIS and 3D programs show, the latter in colour."
 _ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
 _EXPORTED = "A folder that gets one model for each tile, with its images and cameras."
 _RPCS = (

@@ -15,12 +15,14 @@ from .parameters import FusionParameters
 
 @dataclass(frozen=True)
 class FinishedDsm:
-    """The written DSM with the options of its run, the file of its points (None: there are none), and its CRS."""
+    """The written DSM with the options of its run, the file of its points (None: there are none), its CRS, and the
+    orthophoto in colour, None where there are only greys."""
 
     options: DsmFuseOptions
     cloud: Optional[str]
     crs: str
     parameters: FusionParameters
+    ortho: Optional[str] = None
 
 
 def make_derived(finished: FinishedDsm, progress: Progress) -> Iterator[Tuple[Product, str, Optional[str]]]:

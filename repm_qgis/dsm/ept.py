@@ -32,7 +32,7 @@ from .derived import FinishedDsm
 from .parameters import FUSION, EptParameters
 
 Points = NDArray[Any]
-"""Records of the type ``_RECORD``."""
+"""Records of the type ``_RECORD`` or ``_COLOURED``."""
 Codes = NDArray[np.uint64]
 """Morton codes."""
 Node = Tuple[int, int]
@@ -41,8 +41,9 @@ Node = Tuple[int, int]
 _SPAN_BITS = 7  # 128 voxels a side of a node
 _CODE_BITS = 21  # a side, of a Morton code of 63 bits: 14 levels of nodes
 _RECORD = np.dtype([("xyz", "<i4", 3), ("intensity", "<u2")])
+_COLOURED = np.dtype([*_RECORD.descr, ("colour", "<u2", 3)])
 _ENTRIES = ("ept.json", "ept.qml", "ept-data", "ept-hierarchy")
-_DIMENSIONS = ("X", "Y", "Z", "Intensity")
+_DIMENSIONS = ("X", "Y", "Z", "Intensity", "Red", "Green", "Blue")
 
 
 @dataclass(frozen=True)
@@ -88,31 +89,36 @@ class _Cube:
 
 @dataclass
 class _Statistics:
-    """The statistics of each dimension that the schema states."""
+    """The statistics of each dimension that the schema states, colours only where the points have them."""
 
-    low: FloatArray = field(default_factory=lambda: np.full(4, np.inf))
-    high: FloatArray = field(default_factory=lambda: np.full(4, -np.inf))
-    total: FloatArray = field(default_factory=lambda: np.zeros(4))
-    squares: FloatArray = field(default_factory=lambda: np.zeros(4))
+    low: FloatArray = field(default_factory=lambda: np.full(len(_DIMENSIONS), np.inf))
+    high: FloatArray = field(default_factory=lambda: np.full(len(_DIMENSIONS), -np.inf))
+    total: FloatArray = field(default_factory=lambda: np.zeros(len(_DIMENSIONS)))
+    squares: FloatArray = field(default_factory=lambda: np.zeros(len(_DIMENSIONS)))
     count: int = 0
 
     def add(self, points: Points, cube: _Cube) -> None:
         """Sums are relative to the cube's corner: sums of whole coordinates would lose small differences."""
         columns = [(points["xyz"][:, axis] - cube.corner[axis]) * cube.scale for axis in range(3)]
-        for axis, values in enumerate((*columns, points["intensity"].astype(np.float64))):
+        columns += [points["intensity"].astype(np.float64)]
+        if points.dtype == _COLOURED:
+            columns += list(points["colour"].T.astype(np.float64))
+        for axis, values in enumerate(columns):
             self.low[axis], self.high[axis] = min(self.low[axis], values.min()), max(self.high[axis], values.max())
             self.total[axis] += values.sum()
             self.squares[axis] += (values * values).sum()
         self.count += len(points)
 
     def schema(self, cube: _Cube) -> List[Dict[str, Any]]:
-        corner = [*cube.metres(cube.corner), 0.0]
+        corner = [*cube.metres(cube.corner), 0.0, 0.0, 0.0, 0.0]
         mean = self.total / self.count
         variance = np.maximum(self.squares / self.count - mean * mean, 0.0)
         dimensions: List[Dict[str, Any]] = []
         for axis, name in enumerate(_DIMENSIONS):
+            if not np.isfinite(self.low[axis]):
+                continue
             entry: Dict[str, Any] = {"name": name, "type": "unsigned", "size": 2}
-            if name != "Intensity":
+            if name in "XYZ":
                 entry.update({"type": "signed", "size": 4, "scale": cube.scale, "offset": float(cube.offset[axis])})
             ends = {"minimum": self.low[axis], "maximum": self.high[axis], "mean": mean[axis]}
             entry["count"] = self.count
@@ -161,8 +167,9 @@ def write_ept(
         ends = np.rint((corners - header.offsets) / header.scales).astype(np.int64)
         cube = _Cube.around(ends[0], ends[1], float(header.scales[0]), np.asarray(header.offsets, dtype=np.float64))
         with whole_folder(folder) as whole:
-            tree = _Tree(cube, whole, progress, parameters)
-            tree.partition(_chunks(reader, parameters.chunk), header.point_count)
+            kind = _COLOURED if "red" in header.point_format.dimension_names else _RECORD
+            tree = _Tree(cube, kind, whole, progress, parameters)
+            tree.partition(_chunks(reader, kind, parameters.chunk), header.point_count)
             tree.build()
             return tree.describe(crs, ends)
 
@@ -178,12 +185,14 @@ def require_ept_place(path: str) -> None:
         raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for EPT.")
 
 
-def _chunks(reader: Any, count: int) -> Iterator[Points]:
+def _chunks(reader: Any, kind: "np.dtype[Any]", count: int) -> Iterator[Points]:
     for points in reader.chunk_iterator(count):
-        records = np.empty(len(points), _RECORD)
+        records = np.empty(len(points), kind)
         for axis, name in enumerate("XYZ"):
             records["xyz"][:, axis] = points[name]
         records["intensity"] = points["intensity"]
+        if kind is _COLOURED:
+            records["colour"] = np.column_stack([points[name] for name in ("red", "green", "blue")])
         yield records
 
 
@@ -194,8 +203,10 @@ class _Tree:
     smaller, down to seven levels below the root: so each part chooses its share of the upper nodes on its own, too.
     """
 
-    def __init__(self, cube: _Cube, folder: Path, progress: Progress, parameters: EptParameters) -> None:
-        self._cube, self._folder, self._progress, self._p = cube, folder, progress, parameters
+    def __init__(
+        self, cube: _Cube, kind: "np.dtype[Any]", folder: Path, progress: Progress, parameters: EptParameters
+    ) -> None:
+        self._cube, self._kind, self._folder, self._progress, self._p = cube, kind, folder, progress, parameters
         self._parts_folder = folder / "parts"
         self._parts: Dict[Node, int] = {}
         self._upper: Dict[Node, int] = {}
@@ -217,7 +228,7 @@ class _Tree:
             node = large.pop()
             path = self._path("part", node)
             del self._parts[node]
-            new = self._divide(_read_chunks(path, self._p.chunk), node[0] + 1)
+            new = self._divide(_read_chunks(path, self._kind, self._p.chunk), node[0] + 1)
             path.unlink()
             large += [child for child in new if self._parts[child] > batch and child[0] < limit]
 
@@ -239,12 +250,12 @@ class _Tree:
         for node, parts in _batches(self._parts, (0, 0), self._p.batch):
             self._progress.check_cancelled()
             paths = [self._path("part", part) for part in parts]
-            self._finish(node[0], np.concatenate([np.fromfile(path, _RECORD) for path in paths]))
+            self._finish(node[0], np.concatenate([np.fromfile(path, self._kind) for path in paths]))
             for path in paths:
                 path.unlink()
         for node in sorted(self._upper):
             path = self._path("upper", node)
-            self._write(node[0], np.fromfile(path, _RECORD))
+            self._write(node[0], np.fromfile(path, self._kind))
             path.unlink()
         self._parts_folder.rmdir()
 
@@ -355,9 +366,9 @@ def _append(path: Path, points: Points) -> None:
         stream.write(points.tobytes())
 
 
-def _read_chunks(path: Path, count: int) -> Iterator[Points]:
+def _read_chunks(path: Path, kind: "np.dtype[Any]", count: int) -> Iterator[Points]:
     with open(path, "rb") as stream:
-        while len(points := np.fromfile(stream, _RECORD, count)):
+        while len(points := np.fromfile(stream, kind, count)):
             yield points
 
 
@@ -371,6 +382,9 @@ def _write_node(path: str, points: Points, cube: _Cube) -> None:
     for axis, name in enumerate("XYZ"):
         records[name] = points["xyz"][:, axis]
     records["intensity"] = points["intensity"]
+    if points.dtype == _COLOURED:
+        for axis, name in enumerate(("red", "green", "blue")):
+            records[name] = points["colour"][:, axis]
     records["return_number"] = records["number_of_returns"] = np.ones(len(points), dtype=np.uint8)
     with laspy.open(path, mode="w", header=header, do_compress=True, laz_backend=laspy.LazBackend.Lazrs) as writer:
         writer.write_points(records)

@@ -108,6 +108,11 @@ class StoredTile(Record):
         ortho, points, own = (part.get(name) for name in ("ortho", "points", "own"))
         return FusedTile(fused, ortho, points, self.removed, self.needed, self.wide(), own)
 
+    def points(self) -> Optional[FloatArray]:
+        """The points alone; None where no cloud was wanted."""
+        with np.load(self.path, allow_pickle=False) as kept:
+            return kept["points"] if "points" in kept.files else None
+
     def wide(self) -> Floats:
         """The heights with the margin; they are read from the file only where they are used."""
         heights: Floats = np.load(wide_file(self.path), mmap_mode="r", allow_pickle=False)

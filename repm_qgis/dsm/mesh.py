@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Iterator, Optional, Tuple
@@ -18,8 +19,10 @@ from ..imagery.raster import opened, read
 from ..progress import Progress, Silent
 from ..workspace import whole_file
 from .derived import FinishedDsm
+from .painting import Colours, Paint, opened_paint
 from .parameters import FUSION, FusionParameters
 
+_COLOURED = np.dtype([("place", "<f8", 3), ("colour", "u1", 3)])
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
 # Corners of the square between four cells, as (row, column): triangles counter-clockwise, seen from above.
 _A, _B, _C, _D = (0, 0), (0, 1), (1, 0), (1, 1)
@@ -43,6 +46,7 @@ class _Lattice:
     step: int
     block_cells: int
     progress: Progress
+    paint: Optional[Paint] = None
 
     def rows(self) -> Iterator[Tuple[int, FloatImage]]:
         """Blocks of rows with the number of their first; memory does not grow with the DSM."""
@@ -72,6 +76,16 @@ class _Lattice:
         x, y = x0 + (column * self.step + 0.5) * cell_x, y0 + ((row + first) * self.step + 0.5) * cell_y
         return np.column_stack([x, y, block[row, column]])
 
+    def colours(self, first: int, block: FloatImage) -> Optional[Colours]:
+        """(N, 3) colours of these cells; None without an orthophoto in colour."""
+        if self.paint is None:
+            return None
+        width = self.dataset.RasterXSize
+        rows = min((len(block) - 1) * self.step + 1, self.dataset.RasterYSize - first * self.step)
+        cells = self.paint.cells(Window(0, first * self.step, width, rows))
+        painted: Colours = cells[:: self.step, :: self.step][np.isfinite(block)]
+        return painted
+
     def vertices(self) -> int:
         return sum(int(np.isfinite(block).sum()) for _, block in self.rows())
 
@@ -79,7 +93,7 @@ class _Lattice:
 def make(finished: FinishedDsm, path: str, progress: Progress) -> Optional[str]:
     """The surface of a finished DSM as a PLY; gives its path."""
     options = finished.options
-    mesh = write_mesh(options.output, path, options.mesh_vertices, progress, finished.parameters)
+    mesh = write_mesh(options.output, path, options.mesh_vertices, progress, finished.parameters, finished.ortho)
     thinned = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
     progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{thinned}.")
     return path
@@ -91,13 +105,14 @@ def write_mesh(
     max_vertices: int = 0,
     progress: Optional[Progress] = None,
     parameters: FusionParameters = FUSION,
+    ortho: Optional[str] = None,
 ) -> MeshFacts:
     """Write a DSM's surface as a binary PLY, completely or not at all.
 
     Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where these are more than
     ``max_vertices`` (0: no limit), only every second, third, ... row and column is used. Triangles join three
     neighbours that have a height, so holes stay open; of a square's two diagonals the flatter one is taken, which keeps
-    edges of roofs straight.
+    edges of roofs straight. Vertices have the colours of ``ortho``, an orthophoto in colour on the DSM's cells.
 
     Raises OptionError for another extension, EmptyResultError for a DSM without heights, WorkspaceError where the file
     cannot be written.
@@ -105,11 +120,14 @@ def write_mesh(
     if Path(path).suffix.lower() != ".ply":
         raise OptionError("MESH", path, "must end with .ply")
     progress = progress or Silent()
-    with opened(dsm) as dataset:
+    with ExitStack() as stack:
+        dataset = stack.enter_context(opened(dsm))
         lattice, vertices = _thinned(dataset, max_vertices, parameters.mesh_block_cells, progress)
         if not vertices:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
         faces = sum(len(_cells(heights)[0]) for heights, _ in lattice.squares())
+        if ortho:
+            lattice = replace(lattice, paint=stack.enter_context(opened_paint(ortho, parameters.colour)))
         with whole_file(path) as temporary:
             _write(temporary, lattice, vertices, faces)
     return MeshFacts(vertices, faces, lattice.step)
@@ -129,19 +147,29 @@ def _thinned(dataset: gdal.Dataset, max_vertices: int, block_cells: int, progres
 
 def _write(path: str, lattice: _Lattice, vertices: int, faces: int) -> None:
     with open(path, "wb") as stream:
-        stream.write(_header(lattice.dataset, vertices, faces))
+        stream.write(_header(lattice.dataset, vertices, faces, lattice.paint is not None))
         for first, block in lattice.rows():
-            stream.write(lattice.places(first, block).astype("<f8").tobytes())
+            stream.write(_vertices(lattice.places(first, block), lattice.colours(first, block)))
         for heights, numbers in lattice.squares():
             stream.write(_faces(heights, numbers).tobytes())
 
 
-def _header(dataset: gdal.Dataset, vertices: int, faces: int) -> bytes:
+def _vertices(places: FloatArray, colours: Optional[Colours]) -> bytes:
+    if colours is None:
+        return places.astype("<f8").tobytes()
+    records = np.empty(len(places), _COLOURED)
+    records["place"], records["colour"] = places, colours >> 8
+    return records.tobytes()
+
+
+def _header(dataset: gdal.Dataset, vertices: int, faces: int, coloured: bool) -> bytes:
     """MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT"."""
     heights = dataset.GetMetadataItem(TAG) or ELLIPSOID
     lines = ["ply", "format binary_little_endian 1.0", f"comment crs: {dataset.GetProjection()}"]
     lines += [f"comment heights: metres above the {heights}", f"element vertex {vertices}"]
-    lines += [*(f"property double {axis}" for axis in "xyz"), f"element face {faces}"]
+    lines += [f"property double {axis}" for axis in "xyz"]
+    lines += [f"property uchar {colour}" for colour in ("red", "green", "blue") if coloured]
+    lines.append(f"element face {faces}")
     return "\n".join([*lines, "property list uchar int vertex_indices", "end_header", ""]).encode("utf-8")
 
 

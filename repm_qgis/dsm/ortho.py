@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import List, Sequence
+from typing import List, Protocol, Sequence
 
 import numpy as np
 
@@ -17,6 +17,12 @@ from ..imagery.raster import opened_masked
 from ..imagery.warping import sample_source
 from ..scene import Scene, View
 from .parameters import FUSION, OrthophotoParameters
+
+
+class Camera(Protocol):
+    """What takes longitude, latitude and height (..., 3) to an image's column and row (..., 2)."""
+
+    def project(self, lon_lat_h: FloatArray) -> FloatArray: ...
 
 
 def nadir_first(scene: Scene) -> List[View]:
@@ -41,29 +47,29 @@ def orthophoto(
         open_cells = np.isnan(result) & np.isfinite(height)
         if not open_cells.any():
             break
-        seen = open_cells & ~_blocked(view, grid, height, crs, parameters.clearance_m)
+        seen = open_cells & ~blocked(view, grid, height, crs, parameters.clearance_m)
         with opened_masked(view.image, view.mask) as dataset:
-            pixels = _pixels(view, grid, height, crs, parameters.nodes)
+            pixels = pixels_on(view, grid, height, crs, parameters.nodes)
             values = sample_source(dataset, view.band, pixels, "bilinear")
         result = np.where(seen, values, result)
     return result
 
 
-def _pixels(view: View, grid: CellGrid, height: Floats, crs: str, nodes: int) -> FloatArray:
+def pixels_on(camera: Camera, grid: CellGrid, height: Floats, crs: str, nodes: int) -> FloatArray:
     """(H, W, 2) pixels of the cells: exact on a lattice at two heights, linear between."""
     low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
 
     def project(xy: FloatArray, altitude: float) -> FloatArray:
         lon_lat = geodetic_from_projected(crs, xy)
-        return view.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1))
+        return camera.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1))
 
     at_low, at_high = (on_lattice(*grid.centres(), partial(project, altitude=z), (nodes, nodes)) for z in (low, high))
     share: FloatArray = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
     return at_low + share * (at_high - at_low)
 
 
-def _blocked(view: View, grid: CellGrid, height: Floats, crs: str, clearance_m: float) -> Mask:
-    """Cells whose ray to the satellite meets a higher part of the surface on its way up."""
+def blocked(view: View, grid: CellGrid, height: Floats, crs: str, clearance_m: float) -> Mask:
+    """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up."""
     xs, ys = grid.centres()
     centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
     slope = ray_slope(view, centre, float(np.nanmedian(height)))

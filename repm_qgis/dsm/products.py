@@ -1,4 +1,4 @@
-"""The products of fusion: DSM, confidence and orthophoto as rasters, and the points of the cloud."""
+"""The products of fusion: DSM, confidence and grey orthophoto as rasters, and the points of the cloud."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ from .expected_error import expected_error
 from .feathering import feathered
 from .fusion import FusedTile, StoredTile
 from .holes import fill_holes
+from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
-from .point_cloud import PointCloudWriter, created_cloud
+from .point_cloud import created_cloud
 
 CONFIDENCE_BANDS = (
     "height maps that agree",
@@ -87,7 +88,6 @@ class _Products:
     confidence: Optional[RasterWriter]
     ortho: Optional[RasterWriter]
     whole: Optional[RasterWriter]
-    cloud: Optional[PointCloudWriter]
 
     @classmethod
     def opened(
@@ -107,14 +107,11 @@ class _Products:
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", file_crs)
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
-        whole = cloud = None
+        whole = None
         if options.fill == "all":
             heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
             whole = stack.enter_context(heights)
-        path = cloud_of(options, folder)
-        if path:
-            cloud = stack.enter_context(created_cloud(path, file_crs, (layout.grid.west, layout.grid.north, 0.0)))
-        return cls(crop, dsm, confidence, ortho, whole, cloud)
+        return cls(crop, dsm, confidence, ortho, whole)
 
     def write_tile(self, tile: FusedTile, error: Floats, height: Floats, window: Window) -> None:
         """Write a tile's cells, with ``height`` as the final one, as far as they lie in the crop."""
@@ -145,7 +142,7 @@ def write_products(
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
 ) -> FusionFacts:
-    """Write DSM, confidence, orthophoto and cloud from the fused tiles; gives what was counted.
+    """Write DSM, confidence and grey orthophoto from the fused tiles; gives what was counted, without a cloud's points.
 
     ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
     Raises EmptyResultError where no cell has a height, WorkspaceError where a file cannot be written.
@@ -172,19 +169,31 @@ def write_products(
                 height = height - layout.undulation(layout.grid.part(window))
             error = expected_error(result.fused, tile.metres_per_px, parameters.error)
             products.write_tile(result, error, height, window)
-            if products.cloud is not None and result.points is not None:
-                x, y, z, score = result.points.T
-                below = layout.datum.undulation(layout.crs, np.column_stack([x, y]))
-                products.cloud.write(x, y, z - below, score)
         interpolated = 0
         if products.whole is not None:
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
-        points = products.cloud.count if products.cloud is not None else 0
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
     overlap = overlap_m2(scene, float(np.median(levels)))
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
-    counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, points, removed)
+    counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, 0, removed)
     return FusionFacts(*counts, layout.grid.cell, layout.crs)
+
+
+def write_cloud(path: str, layout: DsmLayout, stored: Sequence[StoredTile], ortho: Optional[str] = None) -> int:
+    """Write the points of the fused tiles, with the colours of the orthophoto ``ortho`` if there is one; gives their
+    number. Raises WorkspaceError where the file cannot be written."""
+    origin = layout.grid.west, layout.grid.north, 0.0
+    with ExitStack() as stack:
+        paint = stack.enter_context(opened_paint(ortho)) if ortho else None
+        frame = layout.datum.file_crs(layout.crs), origin, paint is not None
+        cloud = stack.enter_context(created_cloud(path, *frame))
+        for tile in stored:
+            points = tile.points()
+            if points is not None and len(points):
+                x, y, z, score = points.T
+                below = layout.datum.undulation(layout.crs, np.column_stack([x, y]))
+                cloud.write(x, y, z - below, score, paint.points(x, y) if paint else None)
+        return cloud.count
 
 
 def overlap_m2(scene: Scene, level: float) -> float:

@@ -123,6 +123,29 @@ def shaded_relief(heights: Floats, cell: float, low: Optional[float] = None, hig
     return out
 
 
+def colour_limits(path: str | os.PathLike[str], band: int, max_px: int = 1200) -> Tuple[float, float]:
+    """The values of a colour image's band that are shown as black and as white: of 8 bits all, else 2 to 98 %."""
+    with raster.opened(os.fspath(path)) as dataset:
+        byte = dataset.GetRasterBand(band).DataType == gdal.GDT_Byte
+    return (0.0, 255.0) if byte else percentile_range(preview(path, max_px, band)[0])
+
+
+def photograph(path: str | os.PathLike[str], max_px: int) -> ByteImage:
+    """An orthophoto in its colours, or in greys where it has fewer than three bands, (rows, columns, 4); transparent
+    where it shows nothing. Raises ImageError where it cannot be read."""
+    with raster.opened(os.fspath(path)) as dataset:
+        bands = (1, 2, 3) if dataset.RasterCount >= 3 else (1, 1, 1)
+    planes = []
+    for band in bands:
+        low, high = colour_limits(path, band)
+        planes.append((preview(path, max_px, band)[0] - low) / (high - low))
+    values = np.stack(planes, axis=-1)
+    out = np.empty(values.shape[:2] + (4,), np.uint8)
+    out[..., :3] = (255 * np.clip(np.nan_to_num(values), 0, 1)).round()
+    out[..., 3] = np.where(np.isfinite(values).all(axis=-1), 255, 0)
+    return out
+
+
 def png_bytes(picture: NDArray[Any]) -> bytes:
     """A (rows, columns), (..., 3) or (..., 4) uint8 array as the bytes of a PNG. Raises ValueError for other arrays."""
     return _encoded(picture, "PNG", _PNG_LEVEL)

@@ -100,6 +100,9 @@ def pipeline_report(
     facts = FusionFacts.from_mapping(products)
     _verdict(report, scene, facts)
     _surface(report, products["output"], products["vertical_datum"], facts)
+    if products.get("ortho"):
+        picture = pictures.png_bytes(pictures.photograph(products["ortho"], 800))
+        report.png(picture, "The orthophoto, north up. White: no image shows the ground there, or it has no height.")
     _warnings(report, scene)
     _inputs(report, scene)
     _errors(report, scene)

@@ -10,11 +10,11 @@ and later; what an older QGIS does not know (the elevation of 3.26) it passes ov
 | hillshade | QGIS's own hillshade, multiplied with the ``dsm`` that it lies over | none |
 | error | equivalent error in px, from dark (none) to bright | 0..98 % |
 | dsm_error | DSM - reference, blue (too low), white, red (too high) | symmetric about 0 |
-| ept, mesh | elevation colours of the DSM that comes with them, in 3-D too | given |
+| ept, mesh | elevation colours of the DSM that comes with them, in 3-D too; an ept with colours has these | given |
 | confidence | the expected error in m, from dark (none) to bright | 0..98 % |
 | confidence_count, confidence_source | the same raster's other bands: each value has its colour and name | all |
 | sources | the number of the DSM that a height of a mosaic comes from, each with its colour and name | all |
-| ortho | grey; it has the time of its images | 2..98 % |
+| ortho | grey, or red, green and blue; it has the time of its images | 2..98 %, of colours of 8 bits all |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
 | tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
 | differences, differences_before | reference - surface, m, as dsm_error | that of the differences before |
@@ -25,6 +25,7 @@ and later; what an older QGIS does not know (the elevation of 3.26) it passes ov
 from __future__ import annotations
 
 import html
+import json
 import math
 import os
 import re
@@ -39,7 +40,7 @@ from ..imagery.raster import opened
 from ..products import STYLES, Style
 from ..translation import SOURCE_LANGUAGE, reader, said
 from ..workspace import write_text
-from .pictures import CLASSES, RAMPS, percentile_range, preview, ramp_table, rgb
+from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, ramp_table, rgb
 from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
@@ -80,8 +81,12 @@ def style_text(
     if kind not in styles:
         raise OptionError("kind", kind, f"must be one of {', '.join(sorted(styles))}")
     style = styles[kind]
-    text = (RESOURCES / "styles" / f"{style.template or kind}.qml").read_text(encoding="utf-8")
-    if style.ramp:
+    coloured = bool(style.coloured) and _has_colours(path)
+    template = style.coloured if coloured else style.template or kind
+    text = (RESOURCES / "styles" / f"{template}.qml").read_text(encoding="utf-8")
+    if coloured:
+        text = _stretched(text, path) if kind == "ortho" else text
+    elif style.ramp:
         values, band = (np.empty(0, np.float32), 1) if limits and kind in ("ept", "mesh") else _shown(style, path)
         if kind == "differences":  # those before have the same colours
             values = preview(path, _SAMPLE_PX)[0]
@@ -95,6 +100,23 @@ def style_text(
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
     text = text.replace("@elevation@", str(int(kind == "dsm"))).replace("@temporal@", _temporal(kind, taken))
     return _said(text)
+
+
+def _has_colours(path: str | os.PathLike[str]) -> bool:
+    """Whether a raster has three bands or more, or the points of an EPT have colours."""
+    if Path(path).name == "ept.json":
+        schema = json.loads(Path(path).read_text(encoding="utf-8"))["schema"]
+        return any(dimension["name"] == "Red" for dimension in schema)
+    with opened(os.fspath(path)) as dataset:
+        return int(dataset.RasterCount) >= 3
+
+
+def _stretched(template: str, path: str | os.PathLike[str]) -> str:
+    """The template of colours with the range of each band; those of 8 bits are shown as they are."""
+    for band, colour in enumerate(("red", "green", "blue"), start=1):
+        low, high = colour_limits(path, band, _SAMPLE_PX)
+        template = template.replace(f"@{colour}_min@", f"{low:.10g}").replace(f"@{colour}_max@", f"{high:.10g}")
+    return template
 
 
 def _said(style: str) -> str:

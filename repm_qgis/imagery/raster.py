@@ -24,7 +24,7 @@ NODATA = -9999.0
 
 _NO_OVERVIEWS = ["OVERVIEW_LEVEL=NONE"] if int(gdal.VersionInfo()) >= 3030000 else []  # older: the first overview alone
 
-_COLOURS = (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand)
+COLOURS = (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand)
 _RED, _BLUE = np.float32(0.299), np.float32(0.114)  # of the grey; green has the rest
 
 
@@ -154,8 +154,8 @@ def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: O
     if isinstance(dataset, MaskedImage):
         return np.where(dataset.excluded(window, size), np.float32(np.nan), read(dataset.image, window, band, size))
     if band == 0:
-        meanings = _meanings(dataset)
-        red, green, blue = (read(dataset, window, meanings.index(colour) + 1, size) for colour in _COLOURS)
+        meanings = colour_interpretations(dataset)
+        red, green, blue = (read(dataset, window, meanings.index(colour) + 1, size) for colour in COLOURS)
         grey: FloatImage = green + _RED * (red - green) + _BLUE * (blue - green)  # equal colours are that grey exactly
         return grey
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
@@ -244,6 +244,12 @@ class RasterWriter:
     def set_metadata(self, tags: Mapping[str, str], domain: str = "") -> None:
         """Metadata of one of GDAL's domains, such as "RPC"."""
         self._dataset.SetMetadata(dict(tags), domain)
+
+    def set_natural_colours(self) -> None:
+        """Say that the first three bands are red, green and blue; before anything is written."""
+        for band in range(self._dataset.RasterCount):
+            meaning = COLOURS[band] if band < len(COLOURS) else gdal.GCI_Undefined
+            self._dataset.GetRasterBand(band + 1).SetColorInterpretation(meaning)
 
     def flush(self) -> None:
         """Write GDAL's cache to the file, so that memory does not grow. Raises WorkspaceError."""
@@ -354,7 +360,7 @@ def _create(
     return dataset
 
 
-def _meanings(dataset: gdal.Dataset) -> List[int]:
+def colour_interpretations(dataset: gdal.Dataset) -> List[int]:
     """Each band's colour interpretation, in order."""
     return [dataset.GetRasterBand(i).GetColorInterpretation() for i in range(1, dataset.RasterCount + 1)]
 
@@ -364,8 +370,8 @@ def grey_band(dataset: gdal.Dataset) -> int:
 
     Alpha and palette bands have none.
     """
-    meanings = _meanings(dataset)
-    if all(colour in meanings for colour in _COLOURS):
+    meanings = colour_interpretations(dataset)
+    if all(colour in meanings for colour in COLOURS):
         return 0
     for band, meaning in enumerate(meanings, start=1):
         if meaning not in (gdal.GCI_AlphaBand, gdal.GCI_PaletteIndex):

@@ -72,7 +72,7 @@ def _files(name: str, path: str, stage: str) -> List[str]:
         return _files_of_scene(path, stage)
     if name in ("gcps", "profiles", "rpcs"):
         return [file_and_layer(path)[0]]
-    return files_of(path) + (rpc_sidecars(path) if name == "images" else [])
+    return files_of(path) + (rpc_sidecars(path) if name in ("images", "xs") else [])
 
 
 def _files_of_scene(path: str, stage: str) -> List[str]:

@@ -1,4 +1,4 @@
-"""Fuse height maps into a DSM with confidence, orthophoto and point cloud."""
+"""Fuse height maps into a DSM with confidence, orthophoto, point cloud and mesh."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..disk_space import fusion_needs, require_space
 from ..dsm.coarse_means import CoarseMeans
+from ..dsm.colour_ortho import make_colour_ortho
+from ..dsm.colour_sources import ColourPlan, colour_plan
 from ..dsm.derived import FinishedDsm, make_derived
 from ..dsm.ept import require_ept_place
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
-from ..dsm.products import DsmLayout, cloud_of, write_products
+from ..dsm.products import DsmLayout, cloud_of, write_cloud, write_products
 from ..errors import EmptyResultError, RepmError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
@@ -28,7 +30,7 @@ from ..imagery.raster import raster_identity
 from ..memory import fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions, ViewerOptions
 from ..parallel import run_tasks, run_whole
-from ..products import not_requested, paths_of, products_of
+from ..products import not_requested, paths_of, product, products_of
 from ..progress import Part, Progress, counted
 from ..records import DemOffset, FusionFacts, ViewPair
 from ..registration.dem_offset import dem_offset
@@ -83,25 +85,39 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         )
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     share = 1.0 / (1.0 + 0.7 * len(pairs))
-    require_space("fusion", fusion_needs(scene, _matched(scene), options, cell), progress)
+    plan = colours_of(scene, options, progress, parameters)
+    bands = len(plan.names) if plan else 0
+    require_space("fusion", fusion_needs(scene, _matched(scene), options, cell, bands), progress)
     made: Dict[str, Any] = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
     with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
-        fusion = _Fusion(draped, parameters, scene, layout, _folder_of(kept, draped, scene, layout, parameters))
+        grey = draped if plan is None else replace(draped, ortho=None)
+        fusion = _Fusion(grey, parameters, scene, layout, _folder_of(kept, grey, scene, layout, parameters))
         drop_others(kept, fusion.folder)
-        facts, needed = _fused(fusion, Part(progress, 0.0, share))
-        cloud = cloud_of(options, str(fusion.folder)) if facts.points else None
-        finished = FinishedDsm(options, cloud, datum.file_crs(crs), parameters.fusion)
-        for product, path, file in make_derived(finished, progress):
-            made[product.option] = path if file else None
-            if file and product.style:
-                write_style(product.style, file, height_limits(options.output))
+        end = 0.8 * share if plan else share
+        facts, stored = _fused(fusion, Part(progress, 0.0, end))
+        ortho = None
+        if plan is not None:
+            ortho = draped.ortho or f"{fusion.folder}/colours.tif"
+            place = options, ortho, layout, str(fusion.folder)
+            make_colour_ortho(plan, *place, Part(progress, end, share), parameters.fusion)
+            if options.ortho:
+                write_style(product("dsmfuse", "ortho").style, options.ortho, taken=scene.taken())
+        cloud = cloud_of(options, str(fusion.folder))
+        if cloud:
+            points = run_whole(_cloud_written, (cloud, layout, stored, ortho), progress, "writing the cloud")
+            facts = replace(facts, points=points)
+        finished = FinishedDsm(options, cloud if facts.points else None, datum.file_crs(crs), parameters.fusion, ortho)
+        for each, path, file in make_derived(finished, progress):
+            made[each.option] = path if file else None
+            if file and each.style:
+                write_style(each.style, file, height_limits(options.output))
         if options.viewer:
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
             run_whole(viewer.written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         for index, pair in enumerate(pairs):
             low, high = (share + (1 - share) * i / len(pairs) for i in (index, index + 1))
             _one_pair(fusion, pair, Part(progress, low, high))
-    _log(replace(fusion, options=options), facts, needed, progress)
+    _log(replace(fusion, options=options), facts, [tile.needed for tile in stored], progress)
     progress.step(1.0, "DSM fused")
     seconds = round(time.monotonic() - start, 3)
     return {**made, "vertical_datum": datum.name, "seconds": seconds, **facts.to_mapping()}
@@ -127,6 +143,17 @@ def reconstructed(path: str) -> Scene:
     return scene
 
 
+def colours_of(
+    scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE
+) -> Optional[ColourPlan]:
+    """The colours of what is asked for; None where there are none, or where nothing shows them."""
+    shown = options.ortho, options.cloud, options.ept, options.mesh, options.viewer
+    if not any(shown) or options.colour == "greys":
+        return None
+    scene.require_images()
+    return colour_plan(scene, options, progress, parameters.fusion)
+
+
 def _matched(scene: Scene) -> List[ViewPair]:
     """The pairs that the height maps were matched from; the first views of a tile where all were matched together."""
     made = {record.pair for tile in scene.tiles for record in tile.heights}
@@ -146,8 +173,8 @@ def _folder_of(
     )
 
 
-def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]:
-    """Fuse tile by tile and write the products; gives what was counted, and how many neighbours each tile asked for."""
+def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredTile]]:
+    """Fuse tile by tile and write the products, but for the cloud; gives what was counted, and the tiles."""
     options, parameters, scene, layout = fusion.options, fusion.parameters, fusion.scene, fusion.layout
     task = FuseTask(
         scene=scene.lean(),
@@ -178,7 +205,7 @@ def _fused(fusion: _Fusion, progress: Progress) -> Tuple[FusionFacts, List[int]]
     if reused:
         progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
     facts: FusionFacts = run_whole(_written, (fusion, stored), progress, "writing the products")
-    return facts, [tile.needed for tile in stored]
+    return facts, stored
 
 
 def _written(task: Tuple[_Fusion, List[StoredTile]], progress: Progress) -> FusionFacts:
@@ -189,10 +216,16 @@ def _written(task: Tuple[_Fusion, List[StoredTile]], progress: Progress) -> Fusi
     facts = write_products(options, fusion.scene, layout, stored, folder, numbers.fusion, means)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
-    for product, path in paths_of("dsmfuse", options):
-        if product.style and not product.maker:
-            write_style(product.style, path, taken=fusion.scene.taken())
+    for each, path in paths_of("dsmfuse", options):
+        if each.style and not each.maker:
+            write_style(each.style, path, taken=fusion.scene.taken())
     return facts
+
+
+def _cloud_written(task: Tuple[str, DsmLayout, List[StoredTile], Optional[str]], progress: Progress) -> int:
+    """The number of points that were written, with the colours of an orthophoto where there is one."""
+    path, layout, stored, ortho = task
+    return write_cloud(path, layout, stored, ortho)
 
 
 def _dem_offset(fusion: _Fusion, means: CoarseMeans, progress: Progress) -> Optional[DemOffset]:

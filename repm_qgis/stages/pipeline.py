@@ -17,7 +17,7 @@ from ..matching.backends import matched_pairs, require, resolve
 from ..options import PRESETS, PipelineOptions
 from ..parallel import kept_workers
 from ..products import FOLDER, paths_of
-from ..progress import Part, Progress
+from ..progress import Part, Progress, Silent
 from ..records import ViewPair
 from ..run_estimate import estimate_run
 from ..scene import Scene
@@ -94,8 +94,9 @@ def _needs(
 ) -> List[Need]:
     """The disk space of all stages to come."""
     cell = options.fuse.resolution or parameters.tiles.cell_gsd * scene.gsd_m
+    colours = dsmfuse.colours_of(scene, options.fuse, Silent(), parameters)  # which refuses unfit XS now
     heights = heights_need(scene, matched, reconstruct.heights_folder(options.reconstruct))
-    return [heights, *fusion_needs(scene, matched, options.fuse, cell)]
+    return [heights, *fusion_needs(scene, matched, options.fuse, cell, len(colours.names) if colours else 0)]
 
 
 def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None:

@@ -44,7 +44,8 @@ def test_an_option_is_the_same_kind_of_place_in_every_stage():
 
 def test_every_style_has_its_template_and_every_template_its_style():
     templates = {name[:-4] for name in os.listdir(os.path.join(ROOT, "resources", "styles")) if name.endswith(".qml")}
-    assert {style.template or style.kind for style in STYLES if not style.plain} == templates
+    used = {name for style in STYLES if not style.plain for name in (style.template or style.kind, style.coloured)}
+    assert used - {""} == templates
     layers = {style.kind for style in STYLES if not style.view_of and not style.plain}
     assert {product.style for product in PRODUCTS if product.style} == layers - {"hillshade"}
     assert {style.view_of for style in STYLES if style.view_of} < layers
