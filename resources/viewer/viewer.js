@@ -11,12 +11,13 @@
   const middle = [(columns - 1) / 2, (rows - 1) / 2];
   const canvas = $("view"), message = $("message");
   const say = text => { message.hidden = !text; message.textContent = text; };
+  const giveUp = text => { say(text); document.body.classList.add("empty"); };
 
   const gl = canvas.getContext("webgl2", {antialias: true, alpha: false});
   if (!gl || typeof DecompressionStream === "undefined" || gl.getParameter(gl.MAX_TEXTURE_SIZE) < Math.max(columns, rows)) {
-    return say(words.webgl);
+    return giveUp(words.webgl);
   }
-  canvas.addEventListener("webglcontextlost", () => say(words.lost));
+  canvas.addEventListener("webglcontextlost", () => giveUp(words.lost));
 
   // What the page holds ---------------------------------------------------------------------------------------------
 
@@ -64,7 +65,7 @@
       drapes.push(drape);
     }
   } catch (error) {
-    return say(words.damaged);
+    return giveUp(words.damaged);
   }
   for (const name of ["facts", "words"]) $(name).remove(); // the text is no longer needed
 
@@ -410,8 +411,13 @@
     const marks = $("marks");
     marks.replaceChildren();
     const thin = profile.points.filter((_, i) => i % Math.ceil(profile.points.length / 600) === 0);
-    const line = thin.map(p => onScreen(p.column, p.row)).filter(Boolean).map(p => p.map(v => v.toFixed(1)).join()).join(" ");
-    if (line) for (let i = 0; i < 2; i++) marks.append(element("polyline", {points: line}));
+    let line = "", pen = "M";
+    for (const point of thin) {
+      const place = isNaN(point.z) ? null : onScreen(point.column, point.row);
+      line += place ? `${pen}${place[0].toFixed(1)} ${place[1].toFixed(1)}` : "";
+      pen = place ? "L" : "M";
+    }
+    if (line) for (let i = 0; i < 2; i++) marks.append(element("path", {d: line}));
     for (const end of [...profile.ends, ...(profile.at ? [profile.at] : [])]) {
       const place = onScreen(end.column, end.row);
       if (place) marks.append(element("circle", {cx: place[0], cy: place[1], r: 5}));

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import os
 import pathlib
 import shutil
@@ -47,6 +48,7 @@ def test_images_and_products_of_the_worst_names(load, town, tmp_path):
             "REPORT": name("r.html"),
             "EPT": name("ept"),
             "MESH": name("m.ply"),
+            "VIEWER": name("v.html"),
         },
         {
             "OUTPUT": name("d.tif"),
@@ -64,6 +66,8 @@ def test_images_and_products_of_the_worst_names(load, town, tmp_path):
     )
     page = checked(pathlib.Path(results["REPORT"]).read_text(encoding="utf-8"))
     assert WORST in "".join(page.text)
+    page = pathlib.Path(results["VIEWER"]).read_text(encoding="utf-8")
+    assert WORST not in page and html.unescape(page).count(f">{WORST}d</") == 2  # the title and the heading
     checks, _ = load(
         "checkgcps",
         {"SCENE": results["SCENE"], "GCPS": str(points), "REPORT": name("g.html")},

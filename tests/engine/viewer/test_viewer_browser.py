@@ -188,7 +188,7 @@ def test_two_clicks_make_a_profile_of_the_dsm(shown, made):
     shown.click(640, 430)
     path = shown.evaluate("document.querySelector('#chart path').getAttribute('d')")
     assert path.startswith("M") and path.count("L") > 50
-    assert shown.evaluate("document.querySelectorAll('#marks polyline').length") == 2
+    assert shown.evaluate("document.querySelectorAll('#marks path').length") == 2
     box = shown.evaluate(
         "(r => [r.left, r.top, r.width, r.height])(document.querySelector('#chart svg').getBoundingClientRect())"
     )
@@ -202,6 +202,12 @@ def test_two_clicks_make_a_profile_of_the_dsm(shown, made):
         distance = float(re.search(r"distance ([\d.]+) m", said).group(1))
         assert distance > far
         far = distance
+    shown.key("t")
+    shown.click(300, 220)  # across the hole, where neither line nor chart has anything
+    shown.click(440, 225)
+    for name in ("#marks", "#chart"):
+        drawn = shown.evaluate(f"document.querySelector('{name} path').getAttribute('d')")
+        assert drawn.count("M") == 2, name
     shown.key("Escape")
     assert shown.evaluate("document.getElementById('chart').hidden")
 
@@ -230,6 +236,7 @@ def test_exaggeration_sun_mouse_and_touch_change_the_view(shown, tmp_path):
     shown.drag((450, 420), (520, 440), 2)
     assert (np.abs(pixels(shown, tmp_path) - turned).max(axis=2) > 10).mean() > 0.05
     shown.evaluate("document.getElementById('reset').click()")
+    shown.frame()
     assert text(shown, "#scale span") == text_before
 
 
