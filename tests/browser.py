@@ -131,7 +131,8 @@ class Browser:
         self.frame()
 
     def picture(self, path):
-        """A screenshot as a PNG."""
+        """A screenshot as a PNG, of what the page shows once it rests: while it moves it may be coarse."""
+        time.sleep(0.5)
         self.frame()
         with open(path, "wb") as stream:
             stream.write(base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"]))

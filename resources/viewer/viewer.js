@@ -266,7 +266,7 @@
       const length = Math.hypot(plane[0], plane[1], plane[2]);
       return plane.map(value => value / length);
     }));
-    const ratio = Math.min(window.devicePixelRatio || 1, 2), k = view.exaggeration;
+    const ratio = detail(), k = view.exaggeration;
     for (const chunk of chunks) {
       const z = (chunk.low + chunk.high) / 2 * k;
       const radius = Math.hypot(chunk.half[0], chunk.half[1], (chunk.high - chunk.low) / 2 * k);
@@ -287,7 +287,7 @@
 
   function paint() {
     waiting = false;
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const ratio = detail();
     const size = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
     if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
     look();
@@ -320,7 +320,14 @@
     $("scale").lastElementChild.style.width = `${nice * pixelsPerMetre(camera.distance)}px`;
     drawMarks();
   }
+  // Without a graphics card the surface moves coarsely, and is drawn finely once it rests.
+  let slow = false, moving = 0;
+  const detail = () => Math.min(window.devicePixelRatio || 1, 2) * (slow && moving ? 0.4 : 1);
   function draw() {
+    if (slow) {
+      clearTimeout(moving);
+      moving = setTimeout(() => { moving = 0; requestAnimationFrame(paint); }, 300);
+    }
     if (!waiting) {
       waiting = true;
       requestAnimationFrame(paint);
@@ -669,8 +676,14 @@
   say("");
   reset();
   show(0);
+  const drawn = () => gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits for the picture
   requestAnimationFrame(() => {
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+    drawn();
     document.documentElement.dataset.ready = Math.round(performance.now());
+    requestAnimationFrame(begin => { // the first one has compiled the program, too
+      paint();
+      drawn();
+      slow = performance.now() - begin > 80;
+    });
   });
 })();

@@ -269,7 +269,7 @@ def test_a_browser_without_webgl_is_said_what_to_do(made, tmp_path):
 
 
 def test_four_million_cells_open_in_seconds(browser, tmp_path):
-    """Without a graphics card; the benchmark has the figures of a machine that does nothing else: 2 s."""
+    """Without a graphics card; the benchmark has the figures of a machine that does little else: 3 s."""
     dsm = put(
         tmp_path / "large.tif", surface(2000) + np.random.default_rng(0).normal(0, 0.1, (2000, 2000)).astype("f4")
     )
