@@ -282,6 +282,73 @@
     </message>
 </context>
 <context>
+    <name>Dtm</name>
+    <message>
+        <source>Find the terrain below houses and trees (DTM)</source>
+        <translation>Gelände unter Häusern und Bäumen finden (DGM)</translation>
+    </message>
+    <message>
+        <source>Bare earth from a DSM, with the heights of what stands on it and a mask of objects.</source>
+        <translation>Der nackte Boden aus einem DOM, mit den Höhen dessen, was darauf steht, und einer Maske der Objekte.</translation>
+    </message>
+    <message>
+        <source>Scene (instead of the DSM)</source>
+        <translation>Szene (anstelle des DOM)</translation>
+    </message>
+    <message>
+        <source>DSM with houses and trees</source>
+        <translation>DOM mit Häusern und Bäumen</translation>
+    </message>
+    <message>
+        <source>A surface model of this plugin or of others, in a projected CRS; heights in metres.</source>
+        <translation>Ein Oberflächenmodell dieses Plugins oder anderer Programme, in einem projizierten KBS; Höhen in Metern.</translation>
+    </message>
+    <message>
+        <source>A reconstructed scene (reconstructed.json): it is fused to a DSM first, with its confidence.</source>
+        <translation>Eine rekonstruierte Szene (reconstructed.json): Sie wird zuerst zu einem DOM fusioniert, mit seiner Konfidenz.</translation>
+    </message>
+    <message>
+        <source>Confidence of the DSM</source>
+        <translation>Konfidenz des DOM</translation>
+    </message>
+    <message>
+        <source>The raster that was written with the DSM: heights that were interpolated do not count as ground, and those with a wide expected error count for less.</source>
+        <translation>Das Raster, das mit dem DOM geschrieben wurde: Interpolierte Höhen zählen nicht als Boden, und solche mit großem erwartetem Fehler zählen weniger.</translation>
+    </message>
+    <message>
+        <source>Largest object (m)</source>
+        <translation>Größtes Objekt (m)</translation>
+    </message>
+    <message>
+        <source>The width of the widest building, across its narrower side: what is wider is taken as ground. A smaller value takes less time.</source>
+        <translation>Die Breite des breitesten Gebäudes, über seine schmalere Seite: Was breiter ist, gilt als Boden. Ein kleinerer Wert kostet weniger Zeit.</translation>
+    </message>
+    <message>
+        <source>Steepest ground (%)</source>
+        <translation>Steilster Boden (%)</translation>
+    </message>
+    <message>
+        <source>What is steeper around something is its wall. Choose more where hill tops are gone, such as 100 in mountains, and less where low buildings stay in the terrain.</source>
+        <translation>Was um etwas herum steiler ist, ist seine Wand. Mehr wählen, wo Hügelkuppen fehlen, etwa 100 im Gebirge, und weniger, wo niedrige Gebäude im Gelände stehen bleiben.</translation>
+    </message>
+    <message>
+        <source>Terrain where the DSM has no height</source>
+        <translation>Gelände, wo das DOM keine Höhe hat</translation>
+    </message>
+    <message>
+        <source>inside: where heights surround the void, and it is no wider than the largest object; none: nowhere.</source>
+        <translation>inside: wo Höhen die Lücke umgeben und sie nicht breiter als das größte Objekt ist; none: nirgends.</translation>
+    </message>
+    <message>
+        <source>Heights that belong to objects (%)</source>
+        <translation>Höhen, die zu Objekten gehören (%)</translation>
+    </message>
+    <message>
+        <source>Cells with a terrain (%)</source>
+        <translation>Zellen mit Gelände (%)</translation>
+    </message>
+</context>
+<context>
     <name>Environment</name>
     <message>
         <source>Report the environment</source>
@@ -1398,6 +1465,30 @@
         <translation>Die Nummer des DOM, aus dem jede Höhe stammt, wie viele DOM dort eine haben, und ihre Streuung.</translation>
     </message>
     <message>
+        <source>Terrain (DTM)</source>
+        <translation>Gelände (DGM)</translation>
+    </message>
+    <message>
+        <source>Heights of the bare ground in metres as a GeoTIFF, above what the DSM's heights refer to.</source>
+        <translation>Höhen des nackten Bodens in Metern als GeoTIFF, mit dem Höhenbezug des DOM.</translation>
+    </message>
+    <message>
+        <source>Heights above the terrain</source>
+        <translation>Höhen über dem Gelände</translation>
+    </message>
+    <message>
+        <source>The DSM minus the terrain in metres: how high houses and trees are.</source>
+        <translation>Das DOM minus das Gelände in Metern: wie hoch Häuser und Bäume sind.</translation>
+    </message>
+    <message>
+        <source>Objects</source>
+        <translation>Objekte</translation>
+    </message>
+    <message>
+        <source>1 where something stands on the ground, 0 where the DSM shows the ground, 255 where it has no height.</source>
+        <translation>1, wo etwas auf dem Boden steht; 0, wo das DOM den Boden zeigt; 255, wo es keine Höhe hat.</translation>
+    </message>
+    <message>
         <source>Equivalent error</source>
         <translation>Äquivalenter Fehler</translation>
     </message>
@@ -1472,6 +1563,10 @@
     <message>
         <source>Report of the mosaic</source>
         <translation>Bericht über das Mosaik</translation>
+    </message>
+    <message>
+        <source>Report of the terrain</source>
+        <translation>Bericht über das Gelände</translation>
     </message>
     <message>
         <source>Report of the equivalent error</source>

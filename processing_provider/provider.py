@@ -15,6 +15,7 @@ from .base import PLUGIN_FOLDER, RepmAlgorithm, group_title, numbered, resource
 from .checkgcps import CheckGcps
 from .comparedsm import CompareDsm
 from .dsmfuse import DsmFuse
+from .dtm import Dtm
 from .environment import Environment
 from .epmfit import EpmFit
 from .errormap import ErrorMap
@@ -40,6 +41,7 @@ ALGORITHMS = (
     Register,
     DsmFuse,
     Mosaic,
+    Dtm,
     Pipeline,
     CompareDsm,
     CheckGcps,

@@ -13,7 +13,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
 from osgeo import ogr
 
 from .errors import WorkspaceError
-from .options import VIEWER_CELLS, DsmFuseOptions, MosaicOptions
+from .options import VIEWER_CELLS, DsmFuseOptions, DtmOptions, MosaicOptions
 from .products import tiles_folder
 from .progress import Progress
 from .records import ViewPair
@@ -29,6 +29,7 @@ _RASTERS = {"output": 3.2, "confidence": 12.0, "ortho": 3.5}  # for each cell, w
 _COLOURED = 2.0  # for each cell and band of 16 bits
 _ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
 _MOSAIC_CELL, _MOSAIC_SOURCES = 16.0, 1.5  # of a block, not compressed, and of the sources, with overviews
+_TERRAIN_CELL, _TERRAIN_MASK = 9.0, 0.05  # of a block, not compressed; of the mask, of a raster of heights
 _LAZ, _LAS, _EPT = 4.2, 30.0, 14.0  # for each point; EPT: while it is built
 _VERTEX = 48.0  # with its two triangles
 _PAGE_CELL = 3.0  # heights, an orthophoto and the expected error
@@ -104,6 +105,13 @@ def mosaic_needs(options: MosaicOptions, cells: int, folder: str) -> List[Need]:
             copies = 1 if tiles_folder(path) else 2  # a GeoTIFF is copied in its final form
             needs.append(_need(path, cells * copies * each))
     return needs
+
+
+def terrain_needs(options: DtmOptions, cells: int, folder: str) -> List[Need]:
+    """Blocks in a folder, and products of a terrain of so many cells; each is copied in its final form."""
+    needs = [_need(folder, cells * _TERRAIN_CELL)]
+    rasters = ((options.output, 1.0), (options.heights, 1.0), (options.mask, _TERRAIN_MASK))
+    return needs + [_need(path, 2 * share * cells * _RASTERS["output"]) for path, share in rasters if path]
 
 
 def _area(scene: Scene) -> float:

@@ -25,6 +25,7 @@ METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
 ALIGNMENTS = ("none", "vertical", "3d")
 SHIFTS = ("shift", "tilt")
+VOIDS = ("inside", "none")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
 BIT_DEPTHS = ("8", "16")
 KINDS = ("urban", "mountains")
@@ -596,6 +597,41 @@ class ViewerOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_page("VIEWER", self.viewer)
+
+
+@dataclass(frozen=True)
+class DtmOptions(Options):
+    """Find the terrain below the houses and trees of a DSM.
+
+    ``dsm``, or a reconstructed ``scene`` that is fused first. ``confidence`` is the DSM's raster of expected errors,
+    None where there is none; a scene's is made. ``largest`` is the width of the largest object, ``slope`` the steepest
+    ground. ``voids``: ``inside``, cells without a height that heights surround get a terrain, or ``none``. ``heights``
+    is the DSM minus the terrain, ``mask`` where objects stand; None = not wanted. ``workers``, ``memory`` and
+    ``cluster`` as in ``ReconstructOptions``.
+    """
+
+    output: str = given()
+    dsm: Optional[str] = read(None)
+    scene: Optional[str] = read(None)
+    confidence: Optional[str] = read(None)
+    largest: float = number(150.0, 2, 500, "m")
+    slope: float = number(40.0, 5, 300, "%")
+    voids: str = choice("inside", VOIDS)
+    heights: Optional[str] = None
+    mask: Optional[str] = None
+    report: Optional[str] = None
+    workers: int = whole(0, 0, 1024)
+    memory: int = whole(0, 0, 1 << 24, "MiB")
+    cluster: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if bool(self.dsm) == bool(self.scene):
+            many = "must be given, or SCENE, and not both: one surface has one terrain"
+            raise OptionError("DSM", self.dsm, many)
+        if self.scene and self.confidence:
+            reason = "must be empty where SCENE is given: a scene's confidence is made with its DSM"
+            raise OptionError("CONFIDENCE", self.confidence, reason)
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,8 @@ STYLES = (
     Style("sources", off=True, template="palette"),
     Style("mesh", "elevation", off=True, unit=" m"),
     Style("image", plain=True),
+    Style("objects", template="palette", classes=("Ground", "Object"), off=True),
+    Style("object_heights", "viridis", off=True, template="ramp", unit=" m"),
     Style("hillshade"),
     Style("dsm", "elevation", template="ramp", unit=" m"),
 )
@@ -140,6 +142,9 @@ _VIEWER = "The surface in 3-D, with rasters draped over it and profiles: a page 
 
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
+_TERRAIN = "Heights of the bare ground in metres as a GeoTIFF, above what the DSM's heights refer to."
+_OBJECT_HEIGHTS = "The DSM minus the terrain in metres: how high houses and trees are."
+_OBJECTS = "1 where something stands on the ground, 0 where the DSM shows the ground, 255 where it has no height."
 _REPORTS = {
     "inspect": "Report of the images",
     "epmfit": "Report of the cameras",
@@ -147,6 +152,7 @@ _REPORTS = {
     "register": "Report of the registration",
     "pipeline": "Report of the run",
     "mosaic": "Report of the mosaic",
+    "dtm": "Report of the terrain",
     "errormap": "Report of the equivalent error",
     "comparedsm": "Report of the comparison",
     "checkgcps": "Report of the control points",
@@ -183,6 +189,11 @@ PRODUCTS = (
     Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),
     Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
+    Product("dtm", "output", "Terrain (DTM)", RASTER, ALWAYS, "dsm", help=_TERRAIN),
+    Product(
+        "dtm", "heights", "Heights above the terrain", RASTER, UNLESS_SKIPPED, "object_heights", help=_OBJECT_HEIGHTS
+    ),
+    Product("dtm", "mask", "Objects", RASTER, style="objects", help=_OBJECTS),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS, help=_EXPORTED),
     Product("exportrpc", "rpc_folder", "Folder for the corrected RPCs", BUILT_FOLDER, ALWAYS, help=_RPCS),

@@ -41,8 +41,8 @@ CONFIDENCE_BANDS = (
     "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM",
     "expected error (m): two thirds are within",
 )
-_SOURCE_BAND = 4
-_INTERPOLATED, _INTERPOLATED_ON_DEM = 2, 3
+SOURCE_BAND = 4
+INTERPOLATED, _INTERPOLATED_ON_DEM = 2, 3
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,8 @@ def _write_filled(
         height, filled = (values[own.inside(wide)] for values in fill_holes(heights, base, parameters.holes))
         products.dsm.write((height - layout.undulation(grid.part(own))).astype(np.float32), own.col, own.row)
         if products.confidence is not None and filled.any():
-            source = np.where(filled, np.float32(_INTERPOLATED if base is None else _INTERPOLATED_ON_DEM), np.nan)
-            products.confidence.write(source.astype(np.float32), own.col, own.row, _SOURCE_BAND, keep=True)
+            source = np.where(filled, np.float32(INTERPOLATED if base is None else _INTERPOLATED_ON_DEM), np.nan)
+            products.confidence.write(source.astype(np.float32), own.col, own.row, SOURCE_BAND, keep=True)
         count += int(filled.sum())
     return count
 

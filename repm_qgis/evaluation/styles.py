@@ -13,6 +13,8 @@ and later; what an older QGIS does not know (the elevation of 3.26) it passes ov
 | ept, mesh | elevation colours of the DSM that comes with them, in 3-D too; an ept with colours has these | given |
 | confidence | the expected error in m, from dark (none) to bright | 0..98 % |
 | confidence_count, confidence_source | the same raster's other bands: each value has its colour and name | all |
+| objects | ground and objects, each with its colour and name | both |
+| object_heights | heights of objects, from dark (none) to bright | 0..98 % |
 | sources | the number of the DSM that a height of a mosaic comes from, each with its colour and name | all |
 | ortho | grey, or red, green and blue; it has the time of its images | 2..98 %, of colours of 8 bits all |
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
@@ -44,7 +46,7 @@ from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, 
 from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
-_FROM_ZERO = ("error", "confidence")
+_FROM_ZERO = ("error", "confidence", "object_heights")
 _AROUND_ZERO = ("dsm_error", "differences", "differences_before")
 
 

@@ -71,7 +71,9 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class _Found:
+class Found:
+    """A DSM's frame, and what its heights refer to (None: it does not say)."""
+
     grid: Grid
     datum: Optional[HeightDatum]
 
@@ -82,7 +84,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
     for surface in surfaces:
         progress.check_cancelled()
         with opened(surface.path) as dataset:
-            found.append(_looked_at(dataset, surface))
+            found.append(looked_at(dataset, surface.name))
     datum = _common_datum([surface.name for surface in surfaces], found, progress)
     crs, cell, corner = _frame(options, found[0].grid)
     ratio = max(_ratio(each.grid, cell) for each in found)  # by the finest of all
@@ -97,7 +99,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
     dsms = tuple(
         Dsm(
             **vars(surface),
-            band=_error_band(surface.confidence) if surface.confidence else 0,
+            band=error_band(surface.confidence, "CONFIDENCES") if surface.confidence else 0,
             window=grid.window(box),
             ratio=_ratio(each.grid, cell),
         )
@@ -112,8 +114,9 @@ def require_datum_of_scenes(options: MosaicOptions, layout: Layout) -> None:
         _require_one_datum([(options.dsms[0], layout.datum), (options.scenes[0], HeightDatum("", ELLIPSOID))])
 
 
-def _looked_at(dataset: gdal.Dataset, surface: Surface) -> _Found:
-    path = surface.name
+def looked_at(dataset: gdal.Dataset, path: str) -> Found:
+    """A DSM's frame and what its heights refer to; ``path`` is how messages name it. Raises ImageError where it has no
+    place on the ground, or heights in another unit than metres."""
     grid = replace(Grid.of(dataset), path=path)
     if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
         raise ImageError(f"The DSM '{path}' is not georeferenced: give it a place on the ground first.")
@@ -126,13 +129,13 @@ def _looked_at(dataset: gdal.Dataset, surface: Surface) -> _Found:
     vertical = vertical_part(crs)
     if vertical is None:
         name = dataset.GetMetadataItem(TAG) or ""
-        return _Found(grid, HeightDatum("", name) if name else None)
+        return Found(grid, HeightDatum("", name) if name else None)
     if crs.is_compound:
-        return _Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")))
-    return _Found(grid, HeightDatum("", ELLIPSOID if "WGS 84" in vertical else vertical))
+        return Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")))
+    return Found(grid, HeightDatum("", ELLIPSOID if "WGS 84" in vertical else vertical))
 
 
-def _common_datum(paths: Sequence[str], found: Sequence[_Found], progress: Progress) -> Optional[HeightDatum]:
+def _common_datum(paths: Sequence[str], found: Sequence[Found], progress: Progress) -> Optional[HeightDatum]:
     """What all heights refer to; raises ImageError where two DSMs say otherwise."""
     known = [(path, each.datum) for path, each in zip(paths, found) if each.datum is not None]
     _require_one_datum(known)
@@ -193,8 +196,9 @@ def _ratio(grid: Grid, cell: float) -> float:
     return cell / own
 
 
-def _error_band(path: str) -> int:
-    """The band with the expected error, m: the one of that name, or the only one."""
+def error_band(path: str, option: str) -> int:
+    """The band of a raster of this option with the expected error, m: the one of that name, or the only one; raises
+    ImageError where there is neither."""
     with opened(path) as dataset:
         names: List[str] = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
         Grid.of(dataset).crs  # noqa: B018 - raises ImageError where there is none
@@ -204,4 +208,4 @@ def _error_band(path: str) -> int:
     if len(names) == 1:
         return 1
     what = f"has {len(names)} bands, and none is called '{_ERROR_BAND}'"
-    raise ImageError(f"'{path}' of CONFIDENCES {what}: give the confidence raster of the DSM, or one band of errors.")
+    raise ImageError(f"'{path}' of {option} {what}: give the confidence raster of the DSM, or one band of errors.")

@@ -32,6 +32,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "dsmfuse": _options.DsmFuseOptions,
     "pipeline": _options.PipelineOptions,
     "mosaic": _options.MosaicOptions,
+    "dtm": _options.DtmOptions,
     "comparedsm": _options.CompareDsmOptions,
     "checkgcps": _options.CheckGcpsOptions,
     "viewer": _options.ViewerOptions,

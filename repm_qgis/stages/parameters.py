@@ -13,6 +13,7 @@ from ..mosaic.parameters import MosaicParameters
 from ..parameters import Parameters
 from ..registration.parameters import RegistrationParameters
 from ..sfm.parameters import PointingParameters
+from ..terrain.parameters import TerrainParameters
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class EngineParameters(Parameters):
     fusion: FusionParameters = FusionParameters()
     registration: RegistrationParameters = RegistrationParameters()
     mosaic: MosaicParameters = MosaicParameters()
+    terrain: TerrainParameters = TerrainParameters()
 
     def in_fingerprint(self) -> List[Any]:
         """What a fingerprint has of the parameters: nothing of the defaults."""

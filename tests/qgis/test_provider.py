@@ -31,6 +31,7 @@ PARAMETERS = {
     "BACKEND GEOMETRIC COLMAP_FUSION WINDOW_RADIUS GPU_MEMORY METHOD FILL OUTLIER_RADIUS MESH_VERTICES COLOUR XS "
     "PANSHARPEN CLUSTER OUTPUT WORKSPACE REPORT TILES "
     "TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VIEWER",
+    "dtm": "DSM SCENE CONFIDENCE LARGEST SLOPE VOIDS CLUSTER OUTPUT HEIGHTS MASK REPORT",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES CLUSTER ERROR REPORT",
     "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "viewer": "DSM ORTHO CONFIDENCE DIFFERENCE CELLS VIEWER",
@@ -50,6 +51,7 @@ OUTPUTS = {
     "mosaic": "OUTPUT SOURCES REPORT VALID_PERCENT SEAM",
     "pipeline": "OUTPUT SCENE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VIEWER WORKSPACE "
     "N_TIE_POINTS VALID_PERCENT",
+    "dtm": "OUTPUT HEIGHTS MASK REPORT OBJECTS_PERCENT VALID_PERCENT",
     "comparedsm": "ERROR REPORT RMSE ME MAE NMAD COMPLETENESS",
     "checkgcps": "OUTPUT REPORT "
     + " ".join(f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM") for figure in ("ME", "RMSE", "MAX")),
@@ -126,7 +128,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "exportcameras",
         "exportrpc",
     )
-    work += ("reconstruct", "dsmfuse", "mosaic", "comparedsm", "checkgcps", "viewer")
+    work += ("reconstruct", "dsmfuse", "mosaic", "dtm", "comparedsm", "checkgcps", "viewer")
     assert [name for name in shown if name in work] == list(work)
     assert len({entry.displayName().split(" ")[0] for entry in provider.algorithms()}) == len(shown)
 

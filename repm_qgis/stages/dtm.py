@@ -1,0 +1,150 @@
+"""Bare earth from a DSM: the terrain without houses and trees, how high these are, and where they stand."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from typing import Any, Callable, Dict, List, Sequence, Tuple
+
+import numpy as np
+
+from ..disk_space import require_space, terrain_needs
+from ..evaluation.styles import write_style
+from ..imagery.raster import NODATA, created
+from ..memory import Work, workers_within
+from ..options import DsmFuseOptions, DtmOptions
+from ..parallel import kept_workers, run_tasks, run_whole
+from ..products import product
+from ..progress import Part, Progress, Recorder
+from ..terrain import blocks
+from ..terrain.inputs import Surface, surface_of
+from ..terrain.page import terrain_page
+from ..terrain.whole import coarse_of
+from ..workspace import temporary_folder
+from . import dsmfuse
+from .parameters import ENGINE, EngineParameters
+
+_FUSION_SHARE = 0.5  # of the progress, where the DSM is made of a scene
+_RASTERS = {  # option: the name of the band, and its unit
+    "output": ("height of the terrain (m)", "m"),
+    "heights": ("height above the terrain (m)", "m"),
+    "mask": ("0 ground, 1 object", ""),
+}
+
+
+def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+    """Find the ground, and write the terrain and what stands on it; gives the products' paths and shares of cells.
+
+    Raises ImageError for a DSM or a confidence raster that cannot be used, SceneError for such a scene,
+    EmptyResultError where no ground is left, WorkspaceError, OutOfMemoryError and ClusterError.
+    """
+    start, progress = time.monotonic(), Recorder(progress)
+    with kept_workers(), temporary_folder(options.output) as folder:
+        if options.scene:
+            fused = f"{folder}/dsm.tif", f"{folder}/confidence.tif"
+            share = _FUSION_SHARE
+            made = DsmFuseOptions(
+                scene=options.scene,
+                output=fused[0],
+                confidence=fused[1],
+                workers=options.workers,
+                memory=options.memory,
+            )
+            dsmfuse.run(made, Part(progress, 0.0, share), parameters)
+            surface = surface_of(*fused)
+        else:
+            share, surface = 0.0, surface_of(str(options.dsm), options.confidence)
+        return {**_made(options, surface, folder, progress, share, parameters), "seconds": _since(start)}
+
+
+def _since(start: float) -> float:
+    return round(time.monotonic() - start, 3)
+
+
+def _made(
+    options: DtmOptions,
+    surface: Surface,
+    folder: str,
+    progress: Recorder,
+    share: float,
+    parameters: EngineParameters,
+) -> Dict[str, Any]:
+    search = blocks.Search(surface, options.largest, options.slope / 100.0, parameters.terrain)
+    columns, rows = surface.size
+    progress.info(
+        f"Terrain of {columns} x {rows} cells of {surface.cell:g} m: objects of up to {options.largest:g} m in width, "
+        f"ground of up to {options.slope:g} %."
+    )
+    require_space("the terrain", terrain_needs(options, columns * rows, folder), progress)
+    margins = [blocks.search_margin(search), blocks.finishing_margin(search)]
+    searched, finished = (blocks.windows(search, margin) for margin in margins)
+    widest = max((wide for _, wide in (*searched, *finished)), key=lambda wide: wide.width * wide.height)
+    work = Work("a block of the DSM", blocks.block_mib(search, widest), lambda _: "choose a smaller LARGEST")
+    workers = workers_within(options.workers, work, options.memory, progress)
+
+    def step(low: float, high: float, text: str, make: Callable[..., Any], tasks: Sequence[Any]) -> List[Any]:
+        part = Part(progress, share + (1 - share) * low, share + (1 - share) * high)
+        return run_tasks(make, tasks, workers, part, lambda task: text)
+
+    ground, level = parameters.terrain.ground, search.level
+    tasks = [blocks.BlockTask(own, wide, search) for own, wide in searched]
+    parts = step(0.0, 0.5, "looking for objects", blocks.first_ground, tasks)
+    coarse = coarse_of(search, parts, ground.first_stiffness, options.voids)
+    for low in (0.5, 0.6):  # the ground that is near the first surface, and the surface of that ground
+        before = coarse
+        near = [blocks.NearTask(own, wide, search, before.part(wide, level)) for own, wide in finished]
+        parts = step(low, low + 0.1, "finding the ground", blocks.better_ground, near)
+        coarse = coarse_of(search, parts, ground.stiffness, options.voids)
+    last = [
+        blocks.FinishTask(own, wide, search, before.part(wide, level), coarse.part(wide, level), f"{folder}/{i}.npz")
+        for i, (own, wide) in enumerate(finished)
+    ]
+    made: List[blocks.Block] = step(0.7, 0.9, "making the terrain", blocks.make_block, last)
+    paths = {name: getattr(options, name) for name in _RASTERS if getattr(options, name)}
+    run_whole(_write, (paths, surface, made), Part(progress, 0.9, 0.97), "writing the terrain")
+    known, objects, terrain = (sum(getattr(block, name) for block in made) for name in ("known", "objects", "terrain"))
+    facts = {
+        "objects_percent": 100.0 * objects / max(known, 1),
+        "valid_percent": 100.0 * terrain / (rows * columns),
+        "vertical_datum": surface.datum.name if surface.datum else None,
+    }
+    progress.info(
+        f"{facts['objects_percent']:.1f} % of the DSM's heights belong to objects; {facts['valid_percent']:.1f} % of "
+        "the cells have a terrain."
+    )
+    if options.report:
+        terrain_page(options, surface, facts, progress.warnings).write(options.report)
+    progress.step(1.0, "Terrain made")
+    return {**{name: getattr(options, name) for name in (*_RASTERS, "report")}, **facts}
+
+
+def _write(task: Tuple[Dict[str, str], Surface, List[blocks.Block]], progress: Progress) -> None:
+    """The rasters with their styles; all of them take their names when the last one is whole."""
+    paths, surface, made = task
+    shape = (surface.size[1], surface.size[0])
+    with ExitStack() as stack:
+        files = {}
+        for name, path in paths.items():
+            band, unit = _RASTERS[name]
+            whole = name == "mask"
+            frame = shape, np.dtype(np.uint8 if whole else np.float32), 1, surface.transform, surface.crs
+            raster = created(
+                path,
+                *frame,
+                nodata=blocks.UNKNOWN if whole else NODATA,
+                descriptions=(band,),
+                metadata=surface.tags if name == "output" else {},
+                unit=unit,
+                cog=True,
+                overviews="NEAREST" if whole else "AVERAGE",
+            )
+            files[name] = stack.enter_context(raster)
+        for number, block in enumerate(made):
+            progress.check_cancelled()
+            progress.step(number / len(made), "writing the terrain")
+            with np.load(block.path, allow_pickle=False) as stored:
+                for name, file in files.items():
+                    file.write(stored[name], block.own.col, block.own.row)
+                    file.flush()  # so that GDAL's cache does not grow
+    for name, path in paths.items():
+        write_style(product("dtm", name).style, path)

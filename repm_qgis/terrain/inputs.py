@@ -1,0 +1,98 @@
+"""The DSM whose terrain is searched, and its confidence raster: whether they can be used."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Dict, Optional, Tuple
+
+import numpy as np
+import pyproj
+
+from .. import __version__
+from ..arrays import Size
+from ..dsm.products import CONFIDENCE_BANDS, SOURCE_BAND
+from ..errors import ImageError
+from ..evaluation.grids import Grid, metres_per_unit
+from ..evaluation.pictures import preview
+from ..geometry.frames import flat_crs, utm_crs
+from ..geometry.vertical import TAG, HeightDatum
+from ..imagery.raster import opened
+from ..mosaic.inputs import error_band, looked_at
+
+_SAMPLE_PX = 1000  # of the confidence raster, from which the usual error is
+_SQUARE = 0.01  # share by which the sides of a cell may differ
+_LEAST_ERROR_M = 0.05
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A DSM: its file, cells, frame and datum; ``cell`` is the side of a cell in m. ``confidence`` is the raster of its
+    expected errors, "" for none, with the bands of the error and of the source of each height (0: it has none), and
+    the ``usual_error``, m; 0 where it is not known."""
+
+    path: str
+    size: Size
+    transform: Tuple[float, ...]
+    crs: str
+    datum: Optional[HeightDatum]
+    cell: float
+    confidence: str = ""
+    error_band: int = 0
+    source_band: int = 0
+    usual_error: float = 0.0
+
+    @property
+    def tags(self) -> Dict[str, str]:
+        """Metadata of a raster with heights of the same datum."""
+        return {"REPM_ENGINE": __version__, **({TAG: self.datum.name} if self.datum else {})}
+
+
+def surface_of(path: str, confidence: Optional[str]) -> Surface:
+    """Look at a DSM; raises ImageError for one that cannot be used, or a confidence raster that is not its own."""
+    with opened(path) as dataset:
+        found = looked_at(dataset, path)
+        crs = dataset.GetProjection()
+    grid, cell = found.grid, _cell(found.grid)
+    surface = Surface(path, grid.size, grid.transform, crs, found.datum, cell)
+    if not confidence:
+        return surface
+    with opened(confidence) as dataset:
+        other = Grid.of(dataset)
+        names = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
+    if other.size != grid.size or not np.allclose(other.transform, grid.transform, rtol=0, atol=1e-3 * cell):
+        raise ImageError(
+            f"The confidence raster '{confidence}' does not have the cells of the DSM '{path}': give the one that was "
+            "written with this DSM, or leave CONFIDENCE empty."
+        )
+    band = error_band(confidence, "CONFIDENCE")
+    errors = preview(confidence, _SAMPLE_PX, band)[0]
+    errors = errors[np.isfinite(errors)]
+    usual = max(float(np.median(errors)), _LEAST_ERROR_M) if errors.size else 0.0
+    named = len(names) >= SOURCE_BAND and names[SOURCE_BAND - 1] == CONFIDENCE_BANDS[SOURCE_BAND - 1]
+    source = SOURCE_BAND if named else 0
+    return Surface(
+        path, grid.size, grid.transform, crs, found.datum, cell, confidence if usual else "", band, source, usual
+    )
+
+
+def _cell(grid: Grid) -> float:
+    """The side of a cell, m; raises ImageError for cells that are not squares in metres."""
+    crs = flat_crs(grid.crs)
+    per_unit = metres_per_unit(grid)
+    _, b, c, _, e, f = grid.transform
+    sides = math.hypot(b * per_unit[0], e * per_unit[1]), math.hypot(c * per_unit[0], f * per_unit[1])
+    if crs.is_geographic or abs(sides[0] - sides[1]) > _SQUARE * max(sides):
+        longitude, latitude = _middle(grid)
+        raise ImageError(
+            f"The DSM '{grid.path}' in {crs.name} has no square cells in metres: reproject it first, such as to "
+            f"{utm_crs(longitude, latitude)} (Raster > Projections > Warp)."
+        )
+    return float(f"{sum(sides) / 2:.9g}")
+
+
+def _middle(grid: Grid) -> Tuple[float, float]:
+    xmin, ymin, xmax, ymax = grid.bounds
+    to_degrees = pyproj.Transformer.from_crs(flat_crs(grid.crs), "EPSG:4326", always_xy=True)
+    longitude, latitude = to_degrees.transform((xmin + xmax) / 2, (ymin + ymax) / 2)
+    return float(longitude), float(latitude)

@@ -1,0 +1,79 @@
+"""The HTML page of a terrain."""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Mapping, Sequence
+
+import numpy as np
+
+from ..arrays import FloatImage
+from ..evaluation import charts, pictures
+from ..evaluation.report import Report
+from ..options import DtmOptions
+from .inputs import Surface
+
+_PICTURE_PX = 700
+_TALL_M = 2.0  # what is lower is left out of the histogram: cars, hedges and noise
+
+
+def terrain_page(options: DtmOptions, surface: Surface, facts: Mapping[str, Any], warnings: Sequence[str]) -> Report:
+    """What was found: DSM, terrain and their difference beside each other, figures, and two profiles."""
+    page = Report("Terrain of a DSM", f"{options.output}, of {options.scene or options.dsm}")
+    few = "Most of the heights belong to objects: choose a smaller LARGEST or a larger SLOPE where hills are gone."
+    page.verdict(
+        f"{facts['objects_percent']:.1f} % of the DSM's heights belong to objects.",
+        [*([few] if facts["objects_percent"] > 80 else []), *warnings],
+    )
+    heights: Dict[str, FloatImage] = {}
+    cell = 1.0
+    for name, path in (("DSM", surface.path), ("terrain", options.output)):
+        heights[name], cell = pictures.preview(path, _PICTURE_PX)
+    above = heights["DSM"] - heights["terrain"]
+    low, high = pictures.percentile_range(heights["DSM"])
+    page.section("Pictures")
+    above_datum = f"m above the {surface.datum.name}" if surface.datum else "m"
+    captions = {
+        "DSM": "The DSM, shaded from the north-west, north up. White: no height.",
+        "terrain": "The terrain in the same colours.",
+    }
+    for name, caption in captions.items():
+        page.png(pictures.png_bytes(pictures.shaded_relief(heights[name], cell, low, high)), caption)
+    page.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, above_datum))
+    top = max(pictures.percentile_range(above)[1], 1.0)
+    page.png(
+        pictures.png_bytes(pictures.colour_map(above, 0.0, top, "viridis")),
+        "Heights above the terrain (DSM − terrain), north up. White: the DSM has no height.",
+    )
+    page.svg(charts.colour_bar(pictures.RAMPS["viridis"], 0.0, top, "m above the terrain"))
+    columns, rows = surface.size
+    page.section("Figures").facts(
+        [
+            ("Cells", f"{columns} x {rows} of {surface.cell:g} m"),
+            ("Heights of the DSM that belong to objects", f"{facts['objects_percent']:.1f} %"),
+            ("Cells with a terrain", f"{facts['valid_percent']:.1f} %"),
+            ("Largest object", f"{options.largest:g} m"),
+            ("Steepest ground", f"{options.slope:g} %"),
+            ("Confidence", surface.confidence or "none"),
+        ]
+    )
+    tall = above[np.isfinite(above) & (above > _TALL_M)]
+    if tall.size:
+        title = f"Heights of what stands {_TALL_M:g} m and more above the terrain"
+        page.svg(charts.histogram(tall, "m above the terrain", title))
+    page.section("Profiles")
+    for title, series in _profiles(heights, cell):
+        page.svg(charts.curves(series, "distance (m)", "height (m)", title))
+    return page
+
+
+def _profiles(heights: Mapping[str, FloatImage], cell: float) -> List[Any]:
+    """Both surfaces along the middle row and the middle column."""
+    rows, columns = heights["DSM"].shape
+    ways = (
+        ("west to east through the middle", (rows // 2, slice(None)), columns),
+        ("north to south through the middle", (slice(None), columns // 2), rows),
+    )
+    return [
+        (title, {name: ((np.arange(count) + 0.5) * cell, values[cut]) for name, values in heights.items()})
+        for title, cut, count in ways
+    ]
