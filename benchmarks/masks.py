@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any, List, Tuple
 
 import cv2
@@ -21,8 +22,11 @@ from benchmarks.tables import Section, table
 from benchmarks.water_and_clouds import CLOUD, LAND, WATER, make_pair
 from repm_qgis.evaluation.coregistration import align
 from repm_qgis.evaluation.metrics import height_metrics
+from repm_qgis.matching import sgm
 from repm_qgis.matching.pair_backend import sample_pair
+from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.matching.reliability import mask_unreliable
+from repm_qgis.matching.wide_windows import wide_match
 
 _BANK_M, _CLEAR_M = 2.0, 3.0
 
@@ -38,7 +42,8 @@ def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     seen, geometry = sample_pair(case.task, case.frame, case.geometry), case.geometry
     start = time.process_time()
     images = (seen.first, seen.second, seen.disparities)
-    kept = mask_unreliable(matched, *images, geometry.height_sign, geometry.metres_per_px)
+    wider = partial(wide_match, *images, geometry.height_sign, sgm.match, MATCHING)
+    kept = mask_unreliable(matched, *images, geometry.height_sign, geometry.metres_per_px, wider=wider)
     seconds = time.process_time() - start
     dsms = [case.dsm_of(found) for found in (matched, kept)]
     alignment = align("cells" if case.align else "none", [(dsms[0], case.truth)], (1.0, 1.0))

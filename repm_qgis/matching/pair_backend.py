@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, List, NamedTuple, Optional, Tuple
 
@@ -33,6 +34,7 @@ from .disparity_map import DisparityMap, PairMatcher
 from .disparity_prior import DisparityPrior, find_prior, sampled_on
 from .parameters import MATCHING, MatchingParameters, PriorParameters
 from .reliability import mask_unreliable
+from .wide_windows import wide_match
 
 
 @dataclass(frozen=True)
@@ -187,8 +189,9 @@ def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> D
     if seen.prior is not None:
         matched = replace(matched, disparity=seen.prior.full_disparity(matched.disparity))
     # On full disparities: a prior that lies on a cloud would hide how high the cloud is.
-    metres, reliability = geometry.metres_per_px, parameters.reliability
-    return mask_unreliable(matched, seen.first, seen.second, seen.disparities, sign, metres, reliability)
+    whole = seen.first, seen.second, seen.disparities, sign
+    wider = partial(wide_match, *whole, task.backend.pair_matcher, parameters)
+    return mask_unreliable(matched, *whole, geometry.metres_per_px, parameters.reliability, wider)
 
 
 def _whole_range(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:

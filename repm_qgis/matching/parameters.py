@@ -113,6 +113,23 @@ class ReliabilityParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class WideWindowParameters(Parameters):
+    """Weak texture, matched at a reduced resolution; px are those of the reduced images."""
+
+    factor: int = 4  # fine px for one reduced px, along each side: the noise falls to a quarter
+    contrast_px: float = 4.0  # sigma of the window in which the contrast is made even
+    contrast: float = 0.2  # standard deviation that intensities have then
+    sigma_px: float = 2.0  # of the Gaussian window of the subpixel steps
+    rim_px: int = 1  # of what is missing that has no part in the correlation
+    smooth_px: float = 4.0  # sigma of the mean of the disparities
+    score_window_px: int = 11  # side of a correlation window
+    support_px: int = 15  # window over which correlations are averaged
+    least_support: float = 0.65
+    narrowest_px: int = 9  # what is narrower goes: windows reach from a bank over the water
+    score_loss: Tuple[float, float] = (0.2, 2.2)  # 1 less the score: at full support, and more for each 1 less
+
+
+@dataclass(frozen=True)
 class PriorParameters(Parameters):
     """The disparity prior of the coarse level (docs/method.md, "Coarse to fine"). All values are chosen."""
 
@@ -162,6 +179,7 @@ class MatchingParameters(Parameters):
     occlusions: OcclusionParameters = OcclusionParameters()
     subpixel: SubpixelParameters = SubpixelParameters()
     reliability: ReliabilityParameters = ReliabilityParameters()
+    wide: WideWindowParameters = WideWindowParameters()
     prior: PriorParameters = PriorParameters()
     coarse_surface: CoarseSurfaceParameters = CoarseSurfaceParameters()
     colmap: ColmapParameters = ColmapParameters()

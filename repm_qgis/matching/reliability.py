@@ -14,7 +14,7 @@ questions are asked about each disparity:
 
 from __future__ import annotations
 
-from typing import Tuple
+from typing import Callable, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -34,6 +34,7 @@ def mask_unreliable(
     height_sign: float,
     metres_per_px: float,
     parameters: ReliabilityParameters = MATCHING.reliability,
+    wider: Optional[Callable[[Mask], DisparityMap]] = None,
 ) -> DisparityMap:
     """The disparity map without what the images do not support, and without clouds: NaN there, and not filled either.
 
@@ -41,12 +42,23 @@ def mask_unreliable(
     ----------
     matched, first, second, disparities, height_sign : as of a :class:`repm_qgis.matching.disparity_map.PairMatcher`.
     metres_per_px : of height for a px of disparity.
+    wider : gives the disparities that wide windows support within a mask (H, W): those of large components without
+        support are taken from it.
     """
     disparity = np.where(matched.filled, np.float32(np.nan), matched.disparity)
     side, high = parameters.correlation_px, disparities[1]
     score, known = match_correlation(first, second, disparity, high, side, cv2.BORDER_REFLECT)
     score = np.where(known, np.clip(score, -1, 1), np.float32(0))
-    removed = _unsupported(matched, score, known, _shown_twice(first, second, disparities), parameters)
+    shown = _shown_twice(first, second, disparities)
+    removed = _unsupported(matched, score, known, shown, parameters)
+    if wider is not None:
+        missing = _large(shown & (removed | ~np.isfinite(matched.disparity)), parameters.least_px)
+        if missing.any():
+            wide = wider(missing)
+            taken = missing & np.isfinite(wide.disparity)
+            matched = _replaced(matched, wide, taken)
+            disparity = np.where(taken, wide.disparity, disparity)
+            removed, known = removed & ~taken, known | taken
     height = matched.disparity * np.float32(height_sign * metres_per_px)
     step_m = parameters.cloud_step_px * metres_per_px
     removed |= _clouds(height, first, known & ~removed, step_m, parameters)
@@ -56,6 +68,23 @@ def mask_unreliable(
     removed = np.where(matched.filled, _next_to_removed(matches, matches & removed), removed)
     disparity, score = (np.where(removed, np.float32(np.nan), part) for part in (matched.disparity, matched.score))
     return DisparityMap(disparity, score, matched.filled & ~removed)
+
+
+def _large(mask: Mask, least_px: int) -> Mask:
+    """The mask's components of so many pixels or more."""
+    _, component, facts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    large = facts[:, cv2.CC_STAT_AREA] >= least_px
+    large[0] = False
+    found: Mask = large[component]
+    return found
+
+
+def _replaced(matched: DisparityMap, other: DisparityMap, where: Mask) -> DisparityMap:
+    disparity, score = (
+        np.where(where, theirs, ours)
+        for ours, theirs in ((matched.disparity, other.disparity), (matched.score, other.score))
+    )
+    return DisparityMap(disparity, score, matched.filled & ~where)
 
 
 def _next_to_removed(matches: Mask, removed: Mask) -> Mask:
