@@ -318,9 +318,10 @@ def earlier(folder: Path) -> Optional[Path]:
 
 
 def never_silently_wrong() -> List[str]:
-    from benchmarks import input_heights  # which takes its tools from here
+    from benchmarks import input_heights, input_terrain  # which take their tools from here
 
-    rows, trials = [], sorted([*TRIALS, *input_heights.TRIALS], key=lambda trial: int(trial.point))
+    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS]
+    rows, trials = [], sorted(every, key=lambda trial: int(trial.point))
     with tempfile.TemporaryDirectory() as place:
         before = earlier(Path(place))
         for trial in few(trials):
