@@ -21,7 +21,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks.runner import ROOT, few, say
+from benchmarks.runner import ROOT, earlier, few, say
 from benchmarks.scenes import CACHE, SHARED, Scene, default
 from benchmarks.tables import Section, table
 from repm_qgis.errors import RepmError
@@ -305,25 +305,13 @@ TRIALS: List[Trial] = [
 # --- the table ------------------------------------------------------------------------------------------------------
 
 
-def earlier(folder: Path) -> Optional[Path]:
-    """The files of the earlier revision; None where this is no clone that has it."""
-    packed = subprocess.run(["git", "-C", str(ROOT), "archive", BEFORE], capture_output=True, check=False)
-    if packed.returncode:
-        say(f"the revision {BEFORE} is not here: what was before is not measured")
-        return None
-    tree = folder / "before"
-    tree.mkdir()
-    subprocess.run(["tar", "-x", "-C", str(tree)], input=packed.stdout, check=True)
-    return tree
-
-
 def never_silently_wrong() -> List[str]:
     from benchmarks import input_heights, input_terrain  # which take their tools from here
 
     every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS]
     rows, trials = [], sorted(every, key=lambda trial: int(trial.point))
     with tempfile.TemporaryDirectory() as place:
-        before = earlier(Path(place))
+        before = earlier(BEFORE, Path(place))
         for trial in few(trials):
             say(f"{trial.point}: {trial.what} ...")
             cells = [trial.run(tree) if tree else "not measured" for tree in (before, ROOT)]

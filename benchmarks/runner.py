@@ -43,6 +43,18 @@ def say(text: object) -> None:
     sys.stderr.flush()
 
 
+def earlier(revision: str, folder: Path) -> Optional[Path]:
+    """The files of an earlier revision, in a folder; None where this is no clone that has it."""
+    packed = subprocess.run(["git", "-C", str(ROOT), "archive", revision], capture_output=True, check=False)
+    if packed.returncode:
+        say(f"the revision {revision} is not here: what was before is not measured")
+        return None
+    tree = folder / "before"
+    tree.mkdir()
+    subprocess.run(["tar", "-x", "-C", str(tree)], input=packed.stdout, check=True)
+    return tree
+
+
 # In this process --------------------------------------------------------------------------------------------------
 
 

@@ -1,22 +1,31 @@
-"""Real towns of many dates against airborne lidar: nineteen WorldView-3 images of one of the DFC2019 sites."""
+"""Towns of many dates: nineteen WorldView-3 images of one of the DFC2019 sites, and a simulated town like it.
+
+The simulated town is made with all that images of different dates differ by, then without one after the other. Its
+rows are also those of an earlier revision's engine, that of REPM_BENCH_TOWNS_BEFORE.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
+import os
 import sys
 import tempfile
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.runner import ROOT, few, measured, stage
-from benchmarks.scenes import SHARED
+from benchmarks.runner import ROOT, earlier, few, measured, say, stage
+from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened, read
+from repm_qgis.progress import Silent
+from repm_qgis.simulation.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
+from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters
 
 _FOLDER = SHARED / "jax_068"
 _CLASSES = {"ground": 2, "trees": 5, "buildings": 6}
@@ -27,6 +36,10 @@ _PUBLISHED = (
     "0.74 / 1.91; the paper's REPM RMSE 3.75, ME 0.26, C1 72.5 %. They are for the whole square, with other choices of "
     "images, other alignments and filled DSMs, and take minutes to hours of a GPU: the rows *FILL = all* are the ones "
     "to look at beside them, and none of the differences below 0.2 m means much."
+)
+_FIGURES = (
+    "valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | ground, % | trees, % | buildings, % | walls off, m | "
+    "wider, m | CPU s"
 )
 _STEP_M, _WINDOW_M = 3.0, 2.5  # a wall: the truth's heights differ by so much within a window of this side
 
@@ -58,24 +71,39 @@ def _walls(dsm: np.ndarray, truth: np.ndarray, cell: float) -> Tuple[float, floa
     return float(distance[borders[1]].mean()), float(wider)
 
 
+@dataclass(frozen=True)
+class Truth:
+    """Heights of lidar, or simulated, and the classes of its cells."""
+
+    heights: str
+    classes: str
+
+
+_LIDAR = Truth(str(_FOLDER / "truth_west.tif"), str(_FOLDER / "classes_west.tif"))
+
+
+def _made(images: Sequence[str], folder: str, tree: Path = ROOT) -> Tuple[str, float]:
+    """The DSM that a checkout's pipeline makes, and its CPU seconds."""
+    dsm, job = f"{folder}/dsm.tif", Path(folder, "job.json")
+    made = {"images": list(images), "workspace": f"{folder}/w", "output": dsm, "resolution": 0.5}
+    job.write_text(json.dumps(made), encoding="utf-8")
+    return dsm, measured([sys.executable, "-m", "repm_qgis", "pipeline", str(job)], str(tree))[1].cpu_s
+
+
 def _rows(label: str, names: Sequence[str]) -> List[List[Any]]:
     """The DSM of some images with its holes, and with holes interpolated."""
     images = [str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in names]
     with tempfile.TemporaryDirectory() as folder:
-        dsm = f"{folder}/dsm.tif"
-        made = {"images": images, "workspace": f"{folder}/w", "output": dsm, "resolution": 0.5}
-        job = Path(folder, "job.json")
-        job.write_text(json.dumps(made), encoding="utf-8")
-        cost = measured([sys.executable, "-m", "repm_qgis", "pipeline", str(job)], str(ROOT))[1]
+        dsm, cost = _made(images, folder)
         full = stage("dsmfuse", scene=f"{folder}/w/reconstructed.json", output=f"{folder}/full.tif", fill="all")[
             "output"
         ]
-        return [[label, "", *_scores(dsm), cost.cpu_s], [label, "FILL = all", *_scores(full), ""]]
+        return [[label, "", *_scores(dsm, _LIDAR), cost], [label, "FILL = all", *_scores(full, _LIDAR), ""]]
 
 
-def _scores(dsm: str) -> List[float]:
-    found = score_files(dsm, str(_FOLDER / "truth_west.tif"), "3d")
-    with opened(str(_FOLDER / "truth_west.tif")) as dataset, opened(str(_FOLDER / "classes_west.tif")) as kinds:
+def _scores(dsm: str, truth: Truth) -> List[float]:
+    found = score_files(dsm, truth.heights, "3d")
+    with opened(truth.heights) as dataset, opened(truth.classes) as kinds:
         heights, kind, cell = read(dataset), read(kinds), dataset.GetGeoTransform()[1]
     within = np.abs(found.error) < 1.0
     m = found.metrics
@@ -89,10 +117,6 @@ def towns() -> List[str]:
         return [f"jax_068 was not measured: absent from '{SHARED}'."]
     names = _names()
     sets = [(str(count), names[:count]) for count in _COUNTS] + [("3, January", list(_JANUARY))]
-    headers = (
-        "images | holes | valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | ground, % | trees, % | "
-        "buildings, % | walls off, m | wider, m | CPU s"
-    )
     return [
         "WorldView-3, 0.3 m, 8 bit, pansharpened, October 2014 to November 2015, against the airborne lidar of the "
         "western half of `jax_068`, in cells of 0.5 m, default settings, aligned in 3-D (the images have no ground "
@@ -100,9 +124,74 @@ def towns() -> List[str]:
         "cells of the lidar within 1 m, and the same for cells of three classes; ME is the median of absolute errors; "
         "*walls off*: mean distance of the DSM's walls of 3 m and more from the lidar's; *wider*: how much wider "
         "objects are, on each side.",
-        table(headers, [row for label, chosen in few(sets) for row in _rows(label, chosen)]),
+        table(f"images | holes | {_FIGURES}", [row for label, chosen in few(sets) for row in _rows(label, chosen)]),
         _PUBLISHED,
     ]
 
 
-SECTIONS = [Section("towns", "A real town of many dates against lidar", "make bench-towns", {"towns": towns})]
+# The simulated town -----------------------------------------------------------------------------------------------
+
+BEFORE = os.environ.get("REPM_BENCH_TOWNS_BEFORE", "8cf13de")
+_SIMULATED_SETS = {"2": (0, 1), "3, January": (7, 8, 9), "6": range(6), "12": range(12)}
+_OFF = EffectParameters()
+_WITHOUT: Dict[str, Dict[str, Any]] = {
+    "all effects": {},
+    "one sun": {"moving_sun": False},
+    "crisp shadows": {"sun_disc_deg": _OFF.sun_disc_deg},
+    "no seasons": {"seasons": _OFF.seasons},
+    "smooth crowns": {"rough_crowns": False},
+    "no gloss": {"gloss": _OFF.gloss},
+    "the same cars": {"moving_cars": False},
+    "colours as sharp as the panchromatic band": {"colour_ratio": 1, "chip_blur_px": 0.0},
+    "12 bits, no tone curve": {"tone_curve": False},
+    "no effect at all": {field.name: getattr(_OFF, field.name) for field in fields(_OFF)},
+}
+
+
+def _simulated_scene(name: str, changes: Dict[str, Any]) -> Path:
+    """The folder of the simulated town, with the real effects but for changes: of twelve dates, or six with changes."""
+    spec = DatedSpec(acquisitions=WORLDVIEW3_JACKSONVILLE[: 6 if changes else 12])
+    every = replace(SIMULATION, effects=replace(REAL, **changes))
+    folder = CACHE / f"district_{name.replace(' ', '_').replace(',', '')}"
+    return made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), every))
+
+
+def _simulated_row(labels: Sequence[str], scene: Path, chosen: Sequence[int], tree: Path = ROOT) -> List[Any]:
+    say(f"{' '.join(labels)} ...")
+    images = [str(scene / f"img_{number + 1:02d}.tif") for number in chosen]
+    with tempfile.TemporaryDirectory() as folder:
+        dsm, cost = _made(images, folder, tree)
+        return [*labels, *_scores(dsm, Truth(str(scene / "truth.tif"), str(scene / "classes.tif"))), cost]
+
+
+def simulated() -> List[str]:
+    scene = _simulated_scene("all effects", {})
+    sets = few(list(_SIMULATED_SETS.items()))
+    with tempfile.TemporaryDirectory() as place:
+        trees = [(f"before ({BEFORE})", earlier(BEFORE, Path(place))), ("now", ROOT)]
+        compared = [
+            _simulated_row((label, when), scene, chosen, tree)
+            for label, chosen in sets
+            for when, tree in trees
+            if tree is not None
+        ]
+    single = [
+        _simulated_row((label, name), _simulated_scene(name, changes), _SIMULATED_SETS[label])
+        for label in few(("2", "6"))
+        for name, changes in few(list(_WITHOUT.items()))
+    ]
+    return [
+        "A simulated town of large flat buildings, car parks and trees, with the suns, times and view angles of the "
+        "first twelve images of `jax_068`, the true surface as lidar has it (crowns in leaf, cars of another day); "
+        "columns as above. *before*: the engine before its detail filter and its choice of pairs by sun and time.",
+        table(f"images | engine | {_FIGURES}", compared),
+        "What each effect costs: the same town with all effects, then without one of them.",
+        table(f"images | effects | {_FIGURES}", single),
+    ]
+
+
+SECTIONS = [
+    Section(
+        "towns", "A real town of many dates against lidar", "make bench-towns", {"towns": towns, "simulated": simulated}
+    )
+]

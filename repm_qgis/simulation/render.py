@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Iterator, List, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,9 +128,9 @@ class RayCaster:
         depth: FloatArray = self._surface.heights(*rays.at(height, which)) - height
         return depth
 
-    def radiance(self, rays: Rays, height: FloatArray) -> FloatArray:
-        """(R, C) digital numbers of what rays meet at heights."""
-        surface, flat, heights = self._surface, rays.flat(), height.reshape(-1)
+    def radiance(self, rays: Rays, height: FloatArray, band: Optional[SimulatedSurface] = None) -> FloatArray:
+        """(R, C) digital numbers of what rays meet at heights; ``band`` is the surface in another colour's light."""
+        surface, flat, heights = band or self._surface, rays.flat(), height.reshape(-1)
         x, y = flat.at(heights, slice(None))
         seen = interpolate(surface.radiance, x, y)
         if math.isfinite(surface.wall_m):

@@ -168,11 +168,13 @@ def slopes(height: FloatImage, cell: float, edges: bool) -> Tuple[FloatImage, Fl
     return result[0], result[1]
 
 
-def illuminate(
-    ground: Ground, sun: Sun, wall_m: float, light: LightParameters
+def irradiance(
+    height: FloatImage, cell: float, sun: Sun, wall_m: float, light: LightParameters
 ) -> Tuple[FloatImage, FloatImage, FloatImage]:
-    """Radiance, shade and facade of a :class:`SimulatedSurface` with given albedos (0..1), all (R, C) float32."""
-    height, cell = ground.height, ground.cell
+    """Light that reaches the nodes, as shares of the sun's on a surface that faces it: (R, C) float32 each.
+
+    Returns the sun's, the sky's, and the shade of a :class:`SimulatedSurface`.
+    """
     east, north, up = map(np.float32, sun.direction())
     walls = math.isfinite(wall_m)
     right, down = slopes(height, cell, walls)
@@ -181,17 +183,51 @@ def illuminate(
     del right, down
     np.maximum(facing, 0, out=facing)
     shade = shadow_height(height, cell, sun)
-    lit = np.clip((height - shade) / np.float32(light.penumbra_m if walls else cell), 0, 1)
+    if light.sun_disc_deg is not None:
+        lit = _lit_by_disc(height, cell, sun, light.sun_disc_deg)
+    else:
+        lit = np.clip((height - shade) / np.float32(light.penumbra_m if walls else cell), 0, 1)
     # The sky seen from a node: less of it where the surroundings stand higher.
     surroundings = ndimage.uniform_filter(height, max(int(light.sky_window_m / cell) | 1, 3), mode="nearest")
     sky = np.clip(1.0 - light.sky_loss_per_m * np.maximum(surroundings - height, 0), light.least_sky, 1)
-    sun_dn, haze_dn = np.float32(light.sun_dn), np.float32(light.haze_dn)
-    radiance = ground.albedo * (lit * facing + np.float32(light.sky_share) * sky.astype(np.float32)) * sun_dn + haze_dn
-    if not walls:
-        return radiance, shade, np.zeros((1, 1), np.float32)
+    return lit * facing, np.float32(light.sky_share) * sky.astype(np.float32), shade
+
+
+def _lit_by_disc(height: FloatImage, cell: float, sun: Sun, diameter_deg: float) -> FloatImage:
+    """The share (R, C) of the sun's disc that each node sees, from nine suns on it; one for a point."""
+    lit = np.zeros_like(height)
+    ring = np.arange(8 if diameter_deg else 0) * math.pi / 4
+    # Eight ninths of a disc's area lie beyond a third of its radius, and half of them within 0.745 of it.
+    places = [(0.0, 0.0)] + [(0.3725 * math.cos(a), 0.3725 * math.sin(a)) for a in ring]
+    for right, up in places:
+        turn = right * diameter_deg / math.cos(math.radians(sun.elevation_deg))
+        part = Sun(sun.azimuth_deg + turn, sun.elevation_deg + up * diameter_deg)
+        # The shade of level ground is so far below it, because it is looked for half a cell away.
+        free = 0.5 * cell * math.tan(math.radians(part.elevation_deg))
+        lit += np.clip((height - shadow_height(height, cell, part)) / np.float32(free), 0, 1)
+    return lit / np.float32(len(places))
+
+
+def wall_light(height: FloatImage, cell: float, sun: Sun) -> FloatImage:
+    """How much of the sun the walls near the nodes face, 0..1 (R, C)."""
+    east, north, _ = map(np.float32, sun.direction())
     soft = ndimage.gaussian_filter(height, max(1.5 / cell, 1.0), mode="nearest")
     right, down = slopes(soft, cell, False)
-    facing = np.maximum(-(east * right - north * down), 0) / np.sqrt(right * right + down * down + np.float32(1e-6))
+    facing: FloatImage = np.maximum(-(east * right - north * down), 0)
+    facing /= np.sqrt(right * right + down * down + np.float32(1e-6))
+    return facing
+
+
+def illuminate(
+    ground: Ground, sun: Sun, wall_m: float, light: LightParameters
+) -> Tuple[FloatImage, FloatImage, FloatImage]:
+    """Radiance, shade and facade of a :class:`SimulatedSurface` with given albedos (0..1), all (R, C) float32."""
+    direct, sky, shade = irradiance(ground.height, ground.cell, sun, wall_m, light)
+    sun_dn, haze_dn = np.float32(light.sun_dn), np.float32(light.haze_dn)
+    radiance = ground.albedo * (direct + sky) * sun_dn + haze_dn
+    if not math.isfinite(wall_m):
+        return radiance, shade, np.zeros((1, 1), np.float32)
+    facing = wall_light(ground.height, ground.cell, sun)
     return radiance, shade, (ground.wall_albedo * facing * sun_dn).astype(np.float32)
 
 
