@@ -2,5 +2,5 @@
 
 What -> file: the ground -> ``surface``, ``mountains``, ``town``; orbit, attitude and detectors -> ``sensor``; pixels ->
 ``render``; the RPC that a vendor would deliver -> ``rpc_fit``; all of it as files on disk -> ``scene``. Scenes of many
-dates: what stays and what each date changes -> ``district``; a vendor's colour chips -> ``chips``; on disk -> ``dates``.
+dates: what stays, and what each date changes -> ``district``; colour chips -> ``chips``; on disk -> ``dates``.
 """
