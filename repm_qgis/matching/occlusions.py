@@ -23,35 +23,39 @@ def fill_occlusions(
 ) -> FloatImage:
     """Gaps that a step in height explains, filled with the lower surface beside them.
 
-    Along a row, a step hides about as many pixels of the ground behind it as the disparity jumps; gaps that are much
-    longer are no occlusions and stay. Matching also leaves narrow gaps where edges run along the rows. Gaps take the
-    lower of the surfaces at their two ends in the row. Between two roofs that is still a roof, so they take the second
-    lowest of all four ends (left, right, up, down) if that is lower.
+    Along a row, a step hides about as many pixels of the ground behind it as the disparity rises; gaps that are much
+    longer are no occlusions and stay: they lie in shadows, say. Matching also leaves narrow gaps where edges run along
+    the rows. Gaps take the lower of the surfaces at their two ends in the row. Between two roofs that is still a roof,
+    so they take the second lowest of all four ends (left, right, up, down) if that is lower.
 
     Parameters
     ----------
     height_sign, relief_displacement : as of a :class:`repm_qgis.matching.disparity_map.PairMatcher`. A first image
         that looks from the side shows walls that the second does not show: the part of a gap between a step's upper
         end and the foot of the vertical below it. That is no ground, and stays empty.
-    unchecked : the disparities of the first image before the consistency check. Where the first image hides the
-        ground, the two surfaces meet in it and the second shows both: a gap there is a failure of the check, and each
-        pixel takes the end that its unchecked disparity is nearer to.
+    unchecked : the disparities of the first image before the consistency check. Where the disparity falls along the
+        row, the first image hides the ground, the two surfaces meet in it and the second shows both: a gap there is a
+        failure of the check, and each pixel takes the end that its unchecked disparity is nearer to. In a long gap it
+        must be that surface's.
     """
     sign = np.float32(height_sign)
     known = np.isfinite(disparity)
     left, right, length = _ends(sign * disparity, known)
     up, down, rows = (part.T for part in _ends(sign * disparity.T, known.T))
     with np.errstate(invalid="ignore"):
-        occluded = length <= np.abs(left - right) * parameters.factor + parameters.slack_px
+        rise = sign * (right - left)
+        explained = length <= np.abs(rise) * parameters.factor + parameters.slack_px
+        long = (rise < 0) & (length > parameters.slack_px) & (rows > parameters.narrow_px)
         wall = _on_wall(known, left, right, height_sign * relief_displacement)
-    gap = ~known & (occluded | (rows <= parameters.narrow_px)) & ~wall
+    gap = ~known & (explained | (rows <= parameters.narrow_px)) & ~wall
     ends = np.stack([end[gap] for end in (left, right, up, down)])
     chosen = np.fmin(np.fmin(ends[0], ends[1]), np.sort(ends, axis=0)[1])
-    if unchecked is not None:
-        upper, own = np.fmax(ends[0], ends[1]), sign * unchecked[gap]
-        with np.errstate(invalid="ignore"):
-            meet = (sign * (ends[1] - ends[0]) < -parameters.step_px) & (upper - own < own - chosen)
+    own = np.full_like(chosen, np.nan) if unchecked is None else sign * unchecked[gap]
+    upper = np.fmax(ends[0], ends[1])
+    with np.errstate(invalid="ignore"):
+        meet = (rise[gap] < -parameters.step_px) & (upper - own < own - chosen)
         chosen = np.where(meet, upper, chosen)
+        chosen[long[gap] & ~(np.abs(own - chosen) <= parameters.step_px)] = np.nan
     filled = disparity.copy()
     filled[gap] = sign * chosen
     return filled

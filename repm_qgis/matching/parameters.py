@@ -2,7 +2,7 @@
 
 "Chosen" means that no experiment is recorded. "Matching table" is the one of docs/benchmarks.md that changes one
 choice of the matcher at a time (``make bench-matching``); "subpixel table" is ``make bench-subpixel``, "masks table"
-``make bench-masks``. Intensities are 0..1.
+``make bench-masks``, "towns table" ``make bench-towns``. Intensities are 0..1.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class EdgeParameters(Parameters):
 
 @dataclass(frozen=True)
 class OcclusionParameters(Parameters):
-    """Which gaps are occlusions. An occlusion is as long as the disparity jumps (geometry of a pair)."""
+    """Which gaps are occlusions. An occlusion is as long as the disparity rises (geometry of a pair)."""
 
     step_px: float = 1.5  # of disparity: a smaller difference is a slope; as at depth edges
     slack_px: float = 6.0  # by which a gap may be longer than the jump of disparity; chosen
-    factor: float = 1.6  # and by which factor; chosen
+    factor: float = 1.2  # and by which factor; towns table
     narrow_px: int = 8  # rows of a gap that matching leaves along edges in the rows' direction; matching table
 
 

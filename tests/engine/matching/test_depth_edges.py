@@ -144,17 +144,31 @@ def test_gaps_take_the_background():
     plain = np.full((40, 80), 3.0, np.float32)
     plain[10:30, 30:45] = 12.0
     surface = plain.copy()
-    surface[10:30, 45:54] = np.nan  # hidden behind the roof: as long as its jump
+    surface[10:30, 21:30] = np.nan  # hidden behind the roof: as long as the rise to it
     surface[2:5] = np.nan  # a narrow band along a row
     surface[33:38, 0:30] = np.nan  # open to the image's border, and narrow
     filled = fill_occlusions(surface, 1.0)
     np.testing.assert_array_equal(filled, plain)
     wide = plain.copy()
-    wide[10:30, 45:70] = np.nan  # far longer than the jump explains
-    wide[10:30, :20] = np.nan  # no other end
-    assert np.isnan(fill_occlusions(wide, 1.0)[10:30, 45:70]).all()
-    assert np.isnan(fill_occlusions(wide, 1.0)[10:30, :20]).all()
-    np.testing.assert_array_equal(fill_occlusions(-surface, -1.0), -plain)
+    wide[10:30, 10:30] = np.nan  # far longer than the rise explains
+    wide[10:30, 50:] = np.nan  # no other end
+    assert np.isnan(fill_occlusions(wide, 1.0)[10:30, 10:30]).all()
+    assert np.isnan(fill_occlusions(wide, 1.0)[10:30, 50:]).all()
+    np.testing.assert_array_equal(fill_occlusions(-surface[:, ::-1], -1.0), -plain[:, ::-1])
+
+
+def test_a_long_gap_over_which_disparities_fall_is_filled_only_with_what_its_pixels_say():
+    """The first image hides the ground there and shows none of it, so no occlusion explains the gap."""
+    plain = np.full((40, 80), 3.0, np.float32)
+    plain[:, 30:45] = 12.0
+    rising, falling, short = plain.copy(), plain.copy(), plain.copy()
+    rising[:, 20:30] = falling[:, 45:55] = short[:, 45:50] = np.nan
+    for surface in (rising, short):
+        np.testing.assert_array_equal(fill_occlusions(surface, 1.0), plain)
+    assert np.isnan(fill_occlusions(falling, 1.0)[:, 45:55]).all()
+    own = np.where(np.arange(80) < 50, np.float32(4.0), np.float32(6.0)) * np.ones_like(plain)
+    filled = fill_occlusions(falling, 1.0, 0.0, own)
+    assert (filled[:, 45:50] == 3.0).all() and np.isnan(filled[:, 50:55]).all()
 
 
 def test_an_alley_between_two_roofs_takes_the_street():

@@ -69,5 +69,8 @@ def test_where_surfaces_meet_a_gap_takes_what_its_pixels_say():
     gappy[5:25, edge - 3 : edge + 4] = np.nan
     own = true + np.float32(0.8)
     np.testing.assert_array_equal(fill_occlusions(gappy, 1.0, 1.0, own), true)
+    short = true.copy()
+    short[5:25, edge - 3 : edge + 3] = np.nan
     unknown = np.full_like(true, np.nan)
-    assert (fill_occlusions(gappy, 1.0, 1.0, unknown)[5:25, edge - 3 : edge + 4] == 0).all()
+    assert (fill_occlusions(short, 1.0, 1.0, unknown)[5:25, edge - 3 : edge + 3] == 0).all()
+    assert np.isnan(fill_occlusions(gappy, 1.0, 1.0, unknown)[5:25, edge - 3 : edge + 4]).all()
