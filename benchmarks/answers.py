@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List
 
-from benchmarks import answers_viewer
+from benchmarks import answers_change, answers_viewer
 from benchmarks.tables import Section
 
 PARTS: Dict[str, Callable[[], List[str]]] = {
+    "change": answers_change.change,
     "viewer": answers_viewer.pages,
 }
 

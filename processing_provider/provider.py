@@ -12,6 +12,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from . import settings
 from .base import PLUGIN_FOLDER, RepmAlgorithm, group_title, numbered, resource
+from .change import Change
 from .checkgcps import CheckGcps
 from .comparedsm import CompareDsm
 from .dsmfuse import DsmFuse
@@ -46,6 +47,7 @@ ALGORITHMS = (
     CompareDsm,
     CheckGcps,
     Viewer,
+    Change,
     SampleData,
     Environment,
     ExportCameras,

@@ -579,6 +579,39 @@ class MosaicOptions(Options):
 
 
 @dataclass(frozen=True)
+class ChangeOptions(Options):
+    """Find what changed between the DSMs of two dates.
+
+    ``before_confidence`` and ``after_confidence`` are rasters with the expected error of each height; both or none are
+    used. ``align`` moves ``after`` onto ``before`` by what did not change. ``min_area`` in m2: smaller changes are left
+    out. ``output`` is the difference, after minus before; ``significant`` and ``volumes`` are the raster and the
+    polygons of significant changes, ``report`` the HTML page, None = not wanted. ``cluster`` as in
+    ``ReconstructOptions``.
+    """
+
+    before: str = read()
+    after: str = read()
+    output: str = given()
+    before_confidence: Optional[str] = read(None)
+    after_confidence: Optional[str] = read(None)
+    align: str = choice("3d", ALIGNMENTS)
+    min_area: float = number(50.0, 0, 1e9, "m2")
+    significant: Optional[str] = None
+    volumes: Optional[str] = None
+    report: Optional[str] = None
+    cluster: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if os.path.realpath(self.before) == os.path.realpath(self.after):
+            raise OptionError("AFTER", self.after, "is the same file as BEFORE: give the DSM of another date")
+        if bool(self.before_confidence) != bool(self.after_confidence):
+            lacking = "AFTER" if self.before_confidence else "BEFORE"
+            both = "must be given where the other date's is: give both, or none"
+            raise OptionError(f"{lacking}_CONFIDENCE", None, both)
+
+
+@dataclass(frozen=True)
 class ViewerOptions(Options):
     """Show a DSM in 3-D in a page for the browser.
 

@@ -51,6 +51,18 @@ STYLES = (
     Style("overlaps"),
     Style("error", "viridis", off=True, template="ramp", unit=" px"),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
+    Style("volumes"),
+    Style("significant", "diverging", template="ramp", unit=" m"),
+    Style(
+        "significant_level",
+        "viridis",
+        template="ramp",
+        unit=" m",
+        band=2,
+        view_of="significant",
+        title="Level of detection",
+    ),
+    Style("change", "diverging", template="ramp", unit=" m"),
     Style("offsets"),
     Style("differences", "diverging", template="ramp", unit=" m", band=2, title="After the registration"),
     Style(
@@ -129,6 +141,9 @@ _RPCS = (
     "A folder of its own: for each image a VRT with its pixels and the corrected RPC, and the RPC as two text files."
 )
 _HEIGHT_ERROR = "The DSM minus the reference in metres, cell by cell."
+_CHANGE = "AFTER minus BEFORE in metres, cell by cell, after the alignment."
+_SIGNIFICANT = "Band 1: what changed by more than the errors of both DSMs, m. Band 2: the level of detection, m."
+_VOLUMES = "Outlines of the significant changes, with area, heights, and volume with its uncertainty."
 _CHECKED = "The control points, with how far each of them is from where the RPCs, the scene and the DSM put it."
 _SAMPLES = "A folder for the images, the true surface (a DSM) and the ground control points."
 _REPORT = "A page for the browser with figures, pictures and warnings, in one file."
@@ -155,6 +170,7 @@ _REPORTS = {
     "dtm": "Report of the terrain",
     "errormap": "Report of the equivalent error",
     "comparedsm": "Report of the comparison",
+    "change": "Report of the change",
     "checkgcps": "Report of the control points",
     "exportrpc": "Report of the corrected RPCs",
 }
@@ -208,6 +224,9 @@ PRODUCTS = (
         "Ground control points",
         help=_CHECKED,
     ),
+    Product("change", "output", "Difference of the dates", RASTER, ALWAYS, "change", help=_CHANGE),
+    Product("change", "significant", "Significant change", RASTER, UNLESS_SKIPPED, "significant", help=_SIGNIFICANT),
+    Product("change", "volumes", "Volumes of the changes", POLYGONS, UNLESS_SKIPPED, "volumes", help=_VOLUMES),
     Product("viewer", "viewer", "Surface in the browser (3-D)", FILE, ALWAYS, filter=_HTML, help=_VIEWER),
     Product("sampledata", "folder", "Folder", FOLDER, ALWAYS, help=_SAMPLES),
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),

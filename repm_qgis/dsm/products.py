@@ -20,6 +20,7 @@ from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import TAG, HeightDatum
+from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import RasterWriter, created
 from ..options import DsmFuseOptions
@@ -34,14 +35,6 @@ from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
 
-CONFIDENCE_BANDS = (
-    "height maps that agree",
-    "spread between them (m)",
-    "mean matching score",
-    "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM",
-    "expected error (m): two thirds are within",
-)
-SOURCE_BAND = 4
 INTERPOLATED, _INTERPOLATED_ON_DEM = 2, 3
 
 

@@ -9,14 +9,14 @@ from typing import Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, FloatImage, IntArray, Window
-from ..errors import EmptyResultError, ImageError
+from ..arrays import Bounds, FloatArray, FloatImage, IntArray, Size, Window
+from ..errors import EmptyResultError
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..progress import Part, Progress
 from .classes import ErrorsByClass
 from .coregistration import Alignment, Patch, align, block_means
-from .grids import Grid, HeightWarper, metres_per_unit, overlap, read_heights
+from .grids import Grid, HeightWarper, cell_metres, overlap, read_heights
 from .metrics import ErrorCollector, HeightMetrics
 from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters
 from .profiles import Profile, ProfileLine, middle_lines, sample_profile
@@ -68,7 +68,7 @@ def compare(
     (nothing to compare).
     """
     grid, source = Grid.of(reference), Grid.of(dsm)
-    cell, common = _cell_metres(grid), overlap(source, grid)
+    cell, common = cell_metres(grid), overlap(source, grid)
     warper = HeightWarper(dsm, grid, parameters.comparison)
     alignment = Alignment("none")
     if method != "none":
@@ -91,16 +91,35 @@ def compare(
     slopes = [(f"{low:g}–{high:g}°", collector.metrics()) for low, high, collector in work.by_slope]
     kinds = by_class.metrics() if by_class is not None else []
     profiles = [sample_profile(line, warper, along, grid, alignment) for line in lines or middle_lines(common)]
-    drawn = profiles, work.histogram, work.thumbnails, work.factor
+    drawn = profiles, work.histogram, work.thumbnails.pictures, work.thumbnails.factor
     return Comparison(source, grid, cell, alignment, metrics, work.total.exact, slopes, kinds, *drawn, warper.warnings)
 
 
-def slope_degrees(heights: FloatImage, cell: Tuple[float, float]) -> FloatImage:
-    """Slope by central differences (rows - 2, columns - 2) of (rows, columns) heights; NaN beside holes."""
+def gradient(heights: FloatImage, cell: Tuple[float, float]) -> FloatImage:
+    """The steepest rise, m per m, by central differences (rows - 2, columns - 2) of (rows, columns) heights in cells of
+    a width and height (m); NaN beside holes."""
     across = (heights[1:-1, 2:] - heights[1:-1, :-2]) / (2 * abs(cell[0]))
     along = (heights[2:, 1:-1] - heights[:-2, 1:-1]) / (2 * abs(cell[1]))
-    slope: FloatImage = np.degrees(np.arctan(np.hypot(across, along)))
-    return slope
+    rise: FloatImage = np.hypot(across, along)
+    return rise
+
+
+class Thumbnails:
+    """Small pictures of large rasters that are gone over in blocks: ``pictures`` by their names, each (rows, columns)
+    means of ``factor``² cells, NaN = none. The factor is a power of two, and so must the blocks' side be."""
+
+    def __init__(self, size: Size, names: Sequence[str]) -> None:
+        columns, rows = size
+        self.factor = 1 << max(0, math.ceil(math.log2(max(columns, rows) / _THUMBNAIL_PX)))
+        shape = (-(-rows // self.factor), -(-columns // self.factor))
+        self.pictures = {name: np.full(shape, np.nan, np.float32) for name in names}
+
+    def draw(self, window: Window, **parts: FloatImage) -> None:
+        """Put the blocks' values into the pictures of these names."""
+        row, column = window.row // self.factor, window.col // self.factor
+        for name, values in parts.items():
+            small = block_means(values, self.factor)
+            self.pictures[name][row : row + small.shape[0], column : column + small.shape[1]] = small
 
 
 class _Blocks:
@@ -122,10 +141,7 @@ class _Blocks:
         edges = parameters.slope_edges_deg
         self.by_slope = [(low, high, ErrorCollector.of_part(thresholds)) for low, high in zip(edges, edges[1:])]
         self.histogram = np.zeros(2 * _HISTOGRAM_HALF, np.int64)
-        columns, rows = self._grid.size
-        self.factor = 1 << max(0, math.ceil(math.log2(max(columns, rows) / _THUMBNAIL_PX)))
-        shape = (-(-rows // self.factor), -(-columns // self.factor))
-        self.thumbnails = {name: np.full(shape, np.nan, np.float32) for name in ("dsm", "reference", "error")}
+        self.thumbnails = Thumbnails(self._grid.size, ("dsm", "reference", "error"))
 
     def run(self, progress: Progress, error: Optional[raster.RasterWriter]) -> None:
         windows = [window for window, _ in overlapping_blocks(self._grid.size, self._side())]
@@ -136,10 +152,10 @@ class _Blocks:
             reference, cells = outer[1:-1, 1:-1], self._grid.window(window)
             dsm = self._warper.read(cells, self._alignment)
             difference = dsm - reference
-            self._collect(difference, reference, slope_degrees(outer, self._cell))
+            self._collect(difference, reference, np.degrees(np.arctan(gradient(outer, self._cell))))
             if self._by_class is not None:
                 self._by_class.add(cells, difference, np.isfinite(reference))
-            self._draw(window, dsm=dsm, reference=reference, error=difference)
+            self.thumbnails.draw(window, dsm=dsm, reference=reference, error=difference)
             if error is not None:
                 error.write(difference, window.col, window.row)
             if window.col + window.width == self._grid.size[0]:
@@ -150,7 +166,7 @@ class _Blocks:
         """Cells of a block's side: powers of two cut neither thumbnail cells nor a GeoTIFF's tiles."""
         most = math.log2(self._parameters.block_cells)
         power = np.clip(math.log2(self._parameters.source_cells / self._warper.cells_ratio), 6, most)
-        return max(self.factor, 1 << int(power))
+        return max(self.thumbnails.factor, 1 << int(power))
 
     def _reference_with_margin(self, window: Window) -> FloatImage:
         """The reference's heights in a window and one cell around it, NaN outside the raster."""
@@ -170,12 +186,6 @@ class _Blocks:
             inside = known & (slope >= low) & (slope < high)
             collector.add(difference[inside], int(inside.sum()))
 
-    def _draw(self, window: Window, **parts: FloatImage) -> None:
-        row, column = window.row // self.factor, window.col // self.factor
-        for name, values in parts.items():
-            small = block_means(values, self.factor)
-            self.thumbnails[name][row : row + small.shape[0], column : column + small.shape[1]] = small
-
 
 def _flush(error: Optional[raster.RasterWriter], *datasets: gdal.Dataset) -> None:
     """Let GDAL drop blocks that are done: its cache may otherwise take 5 % of the machine's memory."""
@@ -191,7 +201,7 @@ def _patches(
     """Parts of both surfaces that the alignment is estimated from."""
     found: List[Patch] = []
     grid = Grid.of(reference)
-    windows = _sample_windows(grid, common, parameters)
+    windows = sample_windows(grid, common, parameters)
     for index, window in enumerate(windows):
         progress.check_cancelled()
         progress.step(0.5 * index / len(windows), f"reading part {index + 1} of {len(windows)}")
@@ -224,7 +234,7 @@ def _require_filled(
         )
 
 
-def _sample_windows(grid: Grid, common: Bounds, parameters: ComparisonParameters) -> List[Window]:
+def sample_windows(grid: Grid, common: Bounds, parameters: ComparisonParameters) -> List[Window]:
     """The overlap in one window, or where that is large, patches at full resolution spread evenly over it."""
     x, y = common[::2] * 2, np.repeat(common[1::2], 2)
     places = grid.to_cells(np.array(x), y)
@@ -242,15 +252,3 @@ def _starts(low: int, length: int, side: int, most: int) -> List[int]:
     last = max(length - side, 0)
     count = max(1, min(most, length // side))
     return sorted({round(low + last * (i + 0.5) / count) for i in range(count)})
-
-
-def _cell_metres(grid: Grid) -> Tuple[float, float]:
-    """Width and height of a cell in metres; the height is positive where row 0 is in the north."""
-    _, b, c, _, e, f = grid.transform
-    if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
-        raise ImageError(f"The reference '{grid.path}' is not georeferenced: give it a place on the ground first.")
-    if abs(c) > 1e-9 * abs(b) or abs(e) > 1e-9 * abs(f):
-        rotated = f"The reference '{grid.path}' has a rotated grid"
-        raise ImageError(f"{rotated}: bring it north up first (Raster > Projections > Warp).")
-    per_unit = metres_per_unit(grid)
-    return b * per_unit[0], -f * per_unit[1]

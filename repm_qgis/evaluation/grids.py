@@ -24,6 +24,7 @@ from .parameters import COMPARISON, ComparisonParameters
 
 _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 """Heights that writers mean as "none" although the file declares no nodata value."""
+_METRES = ("", "m", "metre", "metres", "meter", "meters")
 _NO_ALIGNMENT = Alignment("none")
 _KERNEL_MARGIN = 3  # cells of the source around a window; bilinear needs one at its scale, the rest is for curvature
 
@@ -123,6 +124,37 @@ def metres_per_unit(grid: Grid) -> Tuple[float, float]:
     return factor * a * math.cos(latitude) / w, factor * a * (1 - e2) / w**3
 
 
+def require_place(grid: Grid) -> None:
+    """Raise ImageError for a raster that has no place on the ground."""
+    if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
+        raise ImageError(f"The DSM '{grid.path}' is not georeferenced: give it a place on the ground first.")
+
+
+def require_metres(dataset: gdal.Dataset, grid: Grid) -> None:
+    """Raise ImageError for heights in another unit than the metre, as the band or the vertical CRS states it."""
+    units = [dataset.GetRasterBand(1).GetUnitType()]
+    units += [axis.unit_name for part in grid.crs.sub_crs_list if part.is_vertical for axis in part.axis_info]
+    for unit in units:
+        if unit.lower() not in _METRES:
+            raise ImageError(
+                f"The DSM '{grid.path}' has heights in '{unit}': convert them to metres first (gdal_calc)."
+            )
+
+
+def cell_metres(grid: Grid) -> Tuple[float, float]:
+    """Width and height of a cell in metres; the height is positive where row 0 is in the north.
+
+    Raises ImageError for a raster without a place on the ground, or with a rotated grid.
+    """
+    require_place(grid)
+    _, b, c, _, e, f = grid.transform
+    if abs(c) > 1e-9 * abs(b) or abs(e) > 1e-9 * abs(f):
+        rotated = f"The DSM '{grid.path}' has a rotated grid"
+        raise ImageError(f"{rotated}: bring it north up first (Raster > Projections > Warp).")
+    per_unit = metres_per_unit(grid)
+    return b * per_unit[0], -f * per_unit[1]
+
+
 def overlap(dsm: Grid, reference: Grid) -> Bounds:
     """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
     to_reference = Transformer.from_crs(flat_crs(dsm.crs), flat_crs(reference.crs), always_xy=True)
@@ -134,9 +166,9 @@ def overlap(dsm: Grid, reference: Grid) -> Bounds:
     both = Bounds(*(max(a, b) for a, b in zip(ours[:2], theirs)), *(min(a, b) for a, b in zip(ours[2:], theirs[2:])))
     if not (both.xmin < both.xmax and both.ymin < both.ymax):
         raise OverlapError(
-            f"The DSM '{dsm.path}' and the reference '{reference.path}' do not overlap. In "
-            f"{flat_crs(reference.crs).name} the DSM lies at {_text(ours)} and the reference at {_text(theirs)}: "
-            "choose a reference of the same place, or correct a wrongly assigned CRS."
+            f"The DSMs '{dsm.path}' and '{reference.path}' do not overlap. In {flat_crs(reference.crs).name} the first "
+            f"lies at {_text(ours)} and the second at {_text(theirs)}: choose DSMs of the same place, or correct a "
+            "wrongly assigned CRS."
         )
     return both
 

@@ -21,6 +21,9 @@ and later; what an older QGIS does not know (the elevation of 3.26) it passes ov
 | tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
 | differences, differences_before | reference - surface, m, as dsm_error | that of the differences before |
 | offsets | arrows of the shift that each part of a scene asks for, labelled with that of the height | given |
+| change, significant | AFTER - BEFORE of two dates, m, as dsm_error; where it is significant | symmetric about 0 |
+| significant_level | the level of detection in m, from dark (none) to bright | 0..98 % |
+| volumes | polygons by gain and loss, labelled with their volume in m3 | none |
 | gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |
 """
 
@@ -46,8 +49,8 @@ from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, 
 from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
-_FROM_ZERO = ("error", "confidence", "object_heights")
-_AROUND_ZERO = ("dsm_error", "differences", "differences_before")
+_FROM_ZERO = ("error", "confidence", "object_heights", "significant_level")
+_AROUND_ZERO = ("dsm_error", "differences", "differences_before", "change", "significant")
 
 
 def write_style(

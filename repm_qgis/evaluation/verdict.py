@@ -187,6 +187,33 @@ def of_comparison(metrics: HeightMetrics, bounds: VerdictParameters = VERDICT) -
     return found
 
 
+def of_change(
+    changed_share: float, dz: float, level_m: float, warnings: Sequence[str], bounds: VerdictParameters = VERDICT
+) -> List[str]:
+    """The findings of the change between two dates: the changed share of what was compared, the vertical shift that
+    was removed and the median level of detection, m."""
+    found = []
+    if changed_share > bounds.most_changed_share:
+        found.append(
+            f"{100 * changed_share:.0f} % of the ground changed (usual: at most "
+            f"{100 * bounds.most_changed_share:.0f} %): the alignment takes most of the ground as stable, so "
+            "align both DSMs before, and set ALIGN to none."
+        )
+    if abs(dz) > bounds.most_offset_m:
+        found.append(
+            f"The DSMs differ by {dz:+.1f} m as a whole, which the alignment removed: check that both have the same "
+            "vertical datum."
+        )
+    if level_m > bounds.most_level_m:
+        found.append(
+            f"Only changes of more than {level_m:.1f} m can be told from errors (usual: at most "
+            f"{bounds.most_level_m:g} m): see 'Stable ground'."
+        )
+    if warnings:
+        found.append(f"Warnings, which stand below: {len(warnings)}.")
+    return found
+
+
 def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VERDICT) -> List[str]:
     """The findings of a registration to references."""
     found = []

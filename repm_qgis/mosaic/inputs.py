@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import List, Optional, Sequence, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -12,20 +12,17 @@ from osgeo import gdal
 from pyproj.exceptions import ProjError
 
 from ..arrays import Bounds, Window
-from ..dsm.products import CONFIDENCE_BANDS
 from ..errors import ImageError, OptionError
-from ..evaluation.grids import Grid, metres_per_unit
+from ..evaluation.grids import Grid, metres_per_unit, require_metres, require_place
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, projected_crs_at, utm_crs, vertical_part
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
+from ..imagery.confidence import confidence_bands
 from ..imagery.raster import opened
 from ..options import MosaicOptions
 from ..progress import Progress
 from .parameters import MOSAIC
-
-_METRES = ("", "m", "metre", "metres", "meter", "meters")
-_ERROR_BAND = CONFIDENCE_BANDS[-1].split(" (")[0]
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
     dsms = tuple(
         Dsm(
             **vars(surface),
-            band=error_band(surface.confidence, "CONFIDENCES") if surface.confidence else 0,
+            band=_error_band(surface.confidence) if surface.confidence else 0,
             window=grid.window(box),
             ratio=_ratio(each.grid, cell),
         )
@@ -118,14 +115,9 @@ def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     """A DSM's frame and what its heights refer to; ``path`` is how messages name it. Raises ImageError where it has no
     place on the ground, or heights in another unit than metres."""
     grid = replace(Grid.of(dataset), path=path)
-    if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):
-        raise ImageError(f"The DSM '{path}' is not georeferenced: give it a place on the ground first.")
+    require_place(grid)
+    require_metres(dataset, grid)
     crs = grid.crs
-    units = [dataset.GetRasterBand(1).GetUnitType()]
-    units += [axis.unit_name for part in crs.sub_crs_list if part.is_vertical for axis in part.axis_info]
-    for unit in units:
-        if unit.lower() not in _METRES:
-            raise ImageError(f"The DSM '{path}' has heights in '{unit}': convert them to metres first (gdal_calc).")
     vertical = vertical_part(crs)
     if vertical is None:
         name = dataset.GetMetadataItem(TAG) or ""
@@ -196,16 +188,8 @@ def _ratio(grid: Grid, cell: float) -> float:
     return cell / own
 
 
-def error_band(path: str, option: str) -> int:
-    """The band of a raster of this option with the expected error, m: the one of that name, or the only one; raises
-    ImageError where there is neither."""
+def _error_band(path: str) -> int:
+    """The band with the expected error, m."""
     with opened(path) as dataset:
-        names: List[str] = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
         Grid.of(dataset).crs  # noqa: B018 - raises ImageError where there is none
-    for band, name in enumerate(names, start=1):
-        if name.startswith(_ERROR_BAND):
-            return band
-    if len(names) == 1:
-        return 1
-    what = f"has {len(names)} bands, and none is called '{_ERROR_BAND}'"
-    raise ImageError(f"'{path}' of {option} {what}: give the confidence raster of the DSM, or one band of errors.")
+        return confidence_bands(dataset, "CONFIDENCES").error

@@ -34,6 +34,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "mosaic": _options.MosaicOptions,
     "dtm": _options.DtmOptions,
     "comparedsm": _options.CompareDsmOptions,
+    "change": _options.ChangeOptions,
     "checkgcps": _options.CheckGcpsOptions,
     "viewer": _options.ViewerOptions,
     "sampledata": _options.SampleDataOptions,

@@ -11,14 +11,14 @@ import pyproj
 
 from .. import __version__
 from ..arrays import Size
-from ..dsm.products import CONFIDENCE_BANDS, SOURCE_BAND
 from ..errors import ImageError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..evaluation.pictures import preview
 from ..geometry.frames import flat_crs, utm_crs
 from ..geometry.vertical import TAG, HeightDatum
+from ..imagery.confidence import confidence_bands
 from ..imagery.raster import opened
-from ..mosaic.inputs import error_band, looked_at
+from ..mosaic.inputs import looked_at
 
 _SAMPLE_PX = 1000  # of the confidence raster, from which the usual error is
 _SQUARE = 0.01  # share by which the sides of a cell may differ
@@ -59,21 +59,17 @@ def surface_of(path: str, confidence: Optional[str]) -> Surface:
         return surface
     with opened(confidence) as dataset:
         other = Grid.of(dataset)
-        names = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
+        bands = confidence_bands(dataset, "CONFIDENCE")
     if other.size != grid.size or not np.allclose(other.transform, grid.transform, rtol=0, atol=1e-3 * cell):
         raise ImageError(
             f"The confidence raster '{confidence}' does not have the cells of the DSM '{path}': give the one that was "
             "written with this DSM, or leave CONFIDENCE empty."
         )
-    band = error_band(confidence, "CONFIDENCE")
-    errors = preview(confidence, _SAMPLE_PX, band)[0]
+    errors = preview(confidence, _SAMPLE_PX, bands.error)[0]
     errors = errors[np.isfinite(errors)]
     usual = max(float(np.median(errors)), _LEAST_ERROR_M) if errors.size else 0.0
-    named = len(names) >= SOURCE_BAND and names[SOURCE_BAND - 1] == CONFIDENCE_BANDS[SOURCE_BAND - 1]
-    source = SOURCE_BAND if named else 0
-    return Surface(
-        path, grid.size, grid.transform, crs, found.datum, cell, confidence if usual else "", band, source, usual
-    )
+    known = confidence if usual else ""
+    return Surface(path, grid.size, grid.transform, crs, found.datum, cell, known, bands.error, bands.source, usual)
 
 
 def _cell(grid: Grid) -> float:

@@ -33,7 +33,9 @@ def test_every_module_imports_without_qgis():
     assert done.stdout == "" and "Error" not in done.stderr
 
 
-LIGHT = [f"stages.{name}" for name in ("epmfit", "errormap", "exportrpc", "comparedsm", "checkgcps", "environment")]
+LIGHT = [
+    f"stages.{name}" for name in ("epmfit", "errormap", "exportrpc", "comparedsm", "change", "checkgcps", "environment")
+]
 
 
 @pytest.mark.parametrize("module", (*LIGHT, "matching.backends"))

@@ -33,6 +33,8 @@ PARAMETERS = {
     "TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VIEWER",
     "dtm": "DSM SCENE CONFIDENCE LARGEST SLOPE VOIDS CLUSTER OUTPUT HEIGHTS MASK REPORT",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES CLUSTER ERROR REPORT",
+    "change": "BEFORE AFTER BEFORE_CONFIDENCE AFTER_CONFIDENCE ALIGN MIN_AREA CLUSTER "
+    "OUTPUT SIGNIFICANT VOLUMES REPORT",
     "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "viewer": "DSM ORTHO CONFIDENCE DIFFERENCE CELLS VIEWER",
     "sampledata": "KIND SIZE SEED FOLDER",
@@ -53,6 +55,8 @@ OUTPUTS = {
     "N_TIE_POINTS VALID_PERCENT",
     "dtm": "OUTPUT HEIGHTS MASK REPORT OBJECTS_PERCENT VALID_PERCENT",
     "comparedsm": "ERROR REPORT RMSE ME MAE NMAD COMPLETENESS",
+    "change": "OUTPUT SIGNIFICANT VOLUMES REPORT CHANGES GAINED_M3 GAINED_DEVIATION_M3 LOST_M3 LOST_DEVIATION_M3 "
+    "LEVEL_M",
     "checkgcps": "OUTPUT REPORT "
     + " ".join(f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM") for figure in ("ME", "RMSE", "MAX")),
     "viewer": "VIEWER",
@@ -128,7 +132,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "exportcameras",
         "exportrpc",
     )
-    work += ("reconstruct", "dsmfuse", "mosaic", "dtm", "comparedsm", "checkgcps", "viewer")
+    work += ("reconstruct", "dsmfuse", "mosaic", "dtm", "comparedsm", "checkgcps", "viewer", "change")
     assert [name for name in shown if name in work] == list(work)
     assert len({entry.displayName().split(" ")[0] for entry in provider.algorithms()}) == len(shown)
 

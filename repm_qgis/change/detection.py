@@ -1,0 +1,101 @@
+"""Which cells changed: every rule looks at a cell's neighbourhood only, so that blocks give what the whole would.
+
+A change has a core, which stands out by more than errors of heights, of edges and of hidden ground explain, and all
+around it what goes with it. See docs/algorithms/change.md for the rules and their sources.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatImage, Mask
+from ..imagery.sampling import box_mean
+from .errors import ErrorModel
+from .parameters import CHANGE, DetectionParameters
+from .surfaces import Cells
+
+_FAR = np.float32(-1e9)  # lower than all heights
+
+
+@dataclass(frozen=True)
+class Detected:
+    """What a window shows, (rows, columns) each.
+
+    ``level`` of detection, m, NaN where a height is missing or interpolated. ``change`` in m, 0 where there is none,
+    NaN where it is not known. ``core``: cells that are significant by themselves. ``error`` of the difference, m.
+    """
+
+    level: FloatImage
+    change: FloatImage
+    core: Mask
+    error: FloatImage
+
+
+def detect(
+    cells: Cells, model: ErrorModel, cell_m: float, stated: bool, parameters: DetectionParameters = CHANGE.detection
+) -> Detected:
+    """The changes in a window; those nearer to its edge than ``halo_cells`` may be cut.
+
+    ``stated``: confidence rasters say how well each height is known.
+    """
+    error = model.of_cells(cells)
+    level = np.float32(parameters.level) * error
+    flat = np.float32(parameters.level) * model.of_heights(cells)
+    change = np.where(np.isfinite(cells.difference) & np.isfinite(level), np.float32(0), np.float32(np.nan))
+    core = np.zeros(change.shape, bool)
+    for sign, lower, higher in ((1, cells.before, cells.after), (-1, cells.after, cells.before)):
+        rise = higher - lower
+        top, bottom = _extreme(lower, parameters.reach_cells), -_extreme(-higher, parameters.reach_cells)
+        seen = _with_hidden(top, cell_m, parameters)
+        with np.errstate(invalid="ignore"):
+            most = np.float32(parameters.core if stated else parameters.core_alone) * flat
+            own = cells.measured & (rise > level) & (higher - seen > most) & (bottom - lower > most)
+            # A new house rises above all around it, a pit lies below; where only an edge has moved, neither holds.
+            near = (rise > flat) & ((higher > top) | (bottom > lower))
+        agree = box_mean(own.astype(np.float32), parameters.coherent_radius) >= parameters.coherent_share
+        grown = own = own & agree
+        for _ in range(parameters.grown_cells):
+            grown = own | (_extreme(np.where(grown, np.float32(1), _FAR), 1) > 0) & near
+        # At an edge that one DSM shows farther out, the difference is the object's whole height; what changed is not.
+        most = _extreme(np.where(own, rise, _FAR), parameters.grown_cells)
+        change = np.where(grown, np.float32(sign) * np.minimum(rise, most), change)
+        core |= own
+    return Detected(level, change, core, error)
+
+
+def _extreme(values: FloatImage, reach: int) -> FloatImage:
+    """The highest known value within ``reach`` cells along both axes; very low where none is known."""
+    result = np.where(np.isfinite(values), values, _FAR)
+    for axis in (0, 1):
+        source = result
+        result = source.copy()
+        for by in range(1, reach + 1):
+            _raise(result, source, by if axis == 0 else 0, by if axis == 1 else 0, 0.0)
+    return result
+
+
+def _with_hidden(top: FloatImage, cell_m: float, parameters: DetectionParameters) -> FloatImage:
+    """The surface with a slope at the foot of every wall: in the strip that it hides, heights are not reliable.
+
+    A dilation by a cone, along the axes and both diagonals, each by doubled steps.
+    """
+    drop = parameters.hidden_gradient * cell_m
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        length = math.hypot(down, right)
+        for power in range(parameters.hidden_steps if length == 1 else parameters.hidden_steps - 1):
+            source, by = top, 1 << power
+            top = source.copy()
+            _raise(top, source, down * by, right * by, drop * by * length)
+    return top
+
+
+def _raise(result: FloatImage, source: FloatImage, down: int, right: int, drop: float) -> None:
+    """Raise a result to its source ``down, right`` cells away on both sides, less a drop."""
+    rows, columns = result.shape
+    for dr, dc in ((down, right), (-down, -right)):
+        to = slice(max(dr, 0), rows + min(dr, 0)), slice(max(dc, 0), columns + min(dc, 0))
+        come = slice(max(-dr, 0), rows + min(-dr, 0)), slice(max(-dc, 0), columns + min(-dc, 0))
+        np.maximum(result[to], source[come] - np.float32(drop), out=result[to])

@@ -1,0 +1,178 @@
+"""Two DSMs on one grid: what is read of them in a window."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import List, Optional, Tuple
+
+import numpy as np
+
+from ..arrays import FloatImage, Mask, Window
+from ..errors import EmptyResultError
+from ..evaluation.comparison import gradient, sample_windows
+from ..evaluation.coregistration import Alignment, align
+from ..evaluation.grids import Grid, HeightWarper, cell_metres, overlap, require_metres
+from ..evaluation.parameters import EVALUATION
+from ..geometry.frames import flat_crs
+from ..imagery.confidence import confidence_bands
+from ..imagery.raster import opened
+from ..options import ChangeOptions
+from ..progress import Progress
+from .parameters import CHANGE, DetectionParameters
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A window of both DSMs, (rows, columns) each.
+
+    ``before``, ``after`` in m, NaN = none. ``error`` is the expected error of their difference as the confidence
+    rasters state it, m, 1 everywhere without these, NaN where a height is interpolated. ``measured``: both heights are
+    matched, not filled in. ``witnessed``: in both as many height maps agree as is usual there. ``gradient`` is that of
+    the steeper one, m per m, NaN beside holes.
+    """
+
+    before: FloatImage
+    after: FloatImage
+    error: FloatImage
+    measured: Mask
+    witnessed: Mask
+    gradient: FloatImage
+
+    @property
+    def difference(self) -> FloatImage:
+        return self.after - self.before
+
+    def inner(self, part: Tuple[slice, slice]) -> Cells:
+        """A part of the window."""
+        return Cells(*(values[part] for values in vars(self).values()))
+
+
+class Surfaces:
+    """Both DSMs and their confidences, opened on the grid of the coarser one, cut to what both cover.
+
+    ``alignment`` is what AFTER is moved by. Close it with the stack that it was given.
+    """
+
+    def __init__(self, options: ChangeOptions, stack: ExitStack, parameters: DetectionParameters = CHANGE.detection):
+        """Raises ImageError (no CRS, rotated, other units than metres, no vertical transformation), OverlapError."""
+        datasets = [stack.enter_context(opened(path)) for path in (options.before, options.after)]
+        grids = [Grid.of(dataset) for dataset in datasets]
+        sides = [max(map(abs, cell_metres(grid))) for grid in grids]
+        for dataset, grid in zip(datasets, grids):
+            require_metres(dataset, grid)
+        coarser, finer = (grids[1], grids[0]) if sides[1] > sides[0] * 1.001 else (grids[0], grids[1])
+        self.grid = _cut(coarser, finer)
+        self.cell = cell_metres(self.grid)
+        self.alignment = Alignment("none")
+        self._parameters = parameters
+        self._warpers = [HeightWarper(dataset, self.grid) for dataset in datasets]
+        flat = replace(self.grid, wkt=flat_crs(self.grid.crs).to_wkt())  # errors have no vertical datum
+        self._errors: List[Optional[HeightWarper]] = [None, None]
+        self._sources: List[Optional[HeightWarper]] = [None, None]
+        self._counts: List[Optional[HeightWarper]] = [None, None]
+        self._least_counts = [0.0, 0.0]
+        named = (options.before_confidence, "BEFORE_CONFIDENCE"), (options.after_confidence, "AFTER_CONFIDENCE")
+        for index, (path, option) in enumerate(named):
+            if path:
+                dataset = stack.enter_context(opened(path))
+                bands = confidence_bands(dataset, option)
+                self._errors[index] = HeightWarper(dataset, flat, band=bands.error)
+                if bands.source:
+                    self._sources[index] = HeightWarper(dataset, flat, band=bands.source)
+                if bands.maps:
+                    self._counts[index] = HeightWarper(dataset, flat, band=bands.maps)
+        self._least_counts = [parameters.witnesses * self._usual(each) for each in self._counts]
+
+    @property
+    def warnings(self) -> List[str]:
+        return list(dict.fromkeys(text for warper in self._warpers for text in warper.warnings))
+
+    @property
+    def stated(self) -> bool:
+        """Whether confidence rasters state the errors of both DSMs."""
+        return None not in self._errors
+
+    @property
+    def cell_m2(self) -> float:
+        return abs(self.cell[0] * self.cell[1])
+
+    def read(self, window: Window) -> Cells:
+        """A window of the grid; beyond its edge there is no gradient."""
+        cells = self.grid.window(window)
+        moves = Alignment("none"), self.alignment
+        before, after = (warper.read(cells, move) for warper, move in zip(self._warpers, moves))
+        steep = np.full(before.shape, np.nan, np.float32)
+        steep[1:-1, 1:-1] = np.fmax(gradient(before, self.cell), gradient(after, self.cell))
+        measured = np.isfinite(before) & np.isfinite(after)
+        error = np.ones(before.shape, np.float32)
+        if self.stated:
+            parts = [self._read(each, cells, move) for each, move in zip(self._errors, moves)]
+            error = np.hypot(*parts)
+        for source, move in zip(self._sources, moves):
+            if source is not None:
+                measured &= self._read(source, cells, move) < self._parameters.filled
+        witnessed = np.ones(before.shape, bool)
+        for count, least, move in zip(self._counts, self._least_counts, moves):
+            if count is not None:
+                witnessed &= self._read(count, cells, move) >= least
+        return Cells(before, after, error, measured, witnessed, steep)
+
+    def _usual(self, count: Optional[HeightWarper]) -> float:
+        """The median of how many height maps agree."""
+        if count is None:
+            return 0.0
+        known = [values[np.isfinite(values)] for values in (count.read(self.grid.window(w)) for w in self.samples())]
+        return float(np.median(np.concatenate(known))) if any(each.size for each in known) else 0.0
+
+    @staticmethod
+    def _read(warper: Optional[HeightWarper], cells: Grid, move: Alignment) -> FloatImage:
+        if warper is None:
+            return np.zeros(cells.size[::-1], np.float32)
+        return warper.read(cells, replace(move, dz=0.0))
+
+    def samples(self) -> List[Window]:
+        """The overlap as one window, or patches that are spread evenly over it where it is large."""
+        return sample_windows(self.grid, self.grid.bounds, EVALUATION.comparison)
+
+
+def lay_on(surfaces: Surfaces, method: str, stable: float, progress: Progress) -> Alignment:
+    """What lays AFTER onto BEFORE: found from all cells, then again from those that did not change.
+
+    ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`; ``stable`` are the standard deviations
+    beyond which a difference is no longer one of stable ground. Raises EmptyResultError.
+    """
+    patches = []
+    for window in surfaces.samples():
+        progress.check_cancelled()
+        cells = surfaces.read(window)
+        before = np.where(cells.measured, cells.before, np.float32(np.nan))
+        patches.append((cells.after, before))
+    if not any((np.isfinite(before) & np.isfinite(after)).any() for after, before in patches):
+        raise EmptyResultError(
+            "No cell has a height in both DSMs: choose DSMs of the same ground, or with fewer holes (FILL)."
+        )
+    found = align(method, patches, surfaces.cell, progress.check_cancelled)
+    if method == "none":
+        return found
+    steady = [(after, _steady(found.applied(after, surfaces.cell), before, stable)) for after, before in patches]
+    again = align(method, steady, surfaces.cell, progress.check_cancelled)
+    return replace(again, nmad_before=found.nmad_before)
+
+
+def _steady(after: FloatImage, before: FloatImage, stable: float) -> FloatImage:
+    """BEFORE without the cells in which the difference is far from what is usual."""
+    away = np.abs(after - before)
+    known = away[np.isfinite(away)]
+    most = stable * 1.4826 * float(np.median(known)) if known.size else math.inf
+    return np.where(away <= most, before, np.float32(np.nan))
+
+
+def _cut(coarser: Grid, finer: Grid) -> Grid:
+    """The cells of a grid that another one covers, at least one."""
+    common = overlap(finer, coarser)
+    columns, rows = coarser.to_cells(np.array(common[::2]), np.array(common[1::2]))
+    low = (max(0, math.floor(min(place) + 1e-6)) for place in (columns, rows))
+    high = (min(most, math.ceil(max(place) - 1e-6)) for most, place in zip(coarser.size, (columns, rows)))
+    return coarser.window(Window.spanning(*low, *high))

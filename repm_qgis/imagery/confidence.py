@@ -1,0 +1,45 @@
+"""What the bands of a confidence raster are, of ours and of rasters from elsewhere."""
+
+from __future__ import annotations
+
+from typing import List, NamedTuple
+
+from osgeo import gdal
+
+from ..errors import ImageError
+
+CONFIDENCE_BANDS = (
+    "height maps that agree",
+    "spread between them (m)",
+    "mean matching score",
+    "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM",
+    "expected error (m): two thirds are within",
+)
+SOURCE_BAND = 4
+_SOURCE, _ERROR = CONFIDENCE_BANDS[SOURCE_BAND - 1].split(":")[0], CONFIDENCE_BANDS[-1].split(" (")[0]
+
+
+class ConfidenceBands(NamedTuple):
+    """The bands of a file, from 1: the expected error of each height in metres, its source, and how many height maps
+    agree; 0 where that is not stated."""
+
+    error: int
+    source: int
+    maps: int
+
+
+def confidence_bands(dataset: gdal.Dataset, option: str) -> ConfidenceBands:
+    """The bands by their names; a raster of one band is one of errors.
+
+    Raises ImageError, with the option's name, where there are several bands and none has the name of the errors.
+    """
+    names: List[str] = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
+    places = [
+        next((band for band, name in enumerate(names, start=1) if name.startswith(wanted)), 0)
+        for wanted in (_ERROR, _SOURCE, CONFIDENCE_BANDS[0])
+    ]
+    if not places[0] and len(names) > 1:
+        what = f"has {len(names)} bands, and none is called '{_ERROR}'"
+        remedy = "give the confidence raster of the DSM, or one band of errors"
+        raise ImageError(f"'{dataset.GetDescription()}' of {option} {what}: {remedy}.")
+    return ConfidenceBands(places[0] or 1, *places[1:])

@@ -1,0 +1,72 @@
+"""Find what changed between the DSMs of two dates: a difference raster, significant changes, volumes and a report."""
+
+from __future__ import annotations
+
+from typing import Any, Dict
+
+from ..change.finding import Found, find_changes
+from ..change.page import change_page
+from ..evaluation.styles import write_style
+from ..options import ChangeOptions
+from ..parallel import run_whole
+from ..products import products_of
+from ..progress import Part, Progress, counted
+
+
+def run(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
+    """Compare the dates; see :mod:`repm_qgis.change.detection` for what is significant.
+
+    Raises ImageError, OverlapError, OptionError, EmptyResultError, WorkspaceError.
+    """
+    result: Dict[str, Any] = run_whole(_changed, options, progress, "comparing two dates")
+    return result
+
+
+def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
+    found = find_changes(options, Part(progress, 0.0, 0.9))
+    for text in found.warnings:
+        progress.warn(text)
+    for product in products_of("change"):
+        path = getattr(options, product.option)
+        if product.style and path:
+            write_style(product.style, path)
+    if options.report:
+        progress.step(0.92, "Report")
+        change_page(options, found).write(options.report)
+    _log(found, progress)
+    progress.step(1.0, "Done")
+    gains, losses = found.total(True), found.total(False)
+    return {
+        "output": options.output,
+        "significant": options.significant,
+        "volumes": options.volumes,
+        "report": options.report,
+        "changes": len(found.changes),
+        "gained_m3": gains.volume,
+        "gained_deviation_m3": gains.deviation,
+        "lost_m3": -losses.volume,
+        "lost_deviation_m3": losses.deviation,
+        "level_m": found.level_m,
+        "dx": found.alignment.dx,
+        "dy": found.alignment.dy,
+        "dz": found.alignment.dz,
+    }
+
+
+def _log(found: Found, progress: Progress) -> None:
+    moved = found.alignment
+    if moved.method != "none":
+        progress.info(
+            f"AFTER was moved by {moved.dx:+.3f} m to the east, {moved.dy:+.3f} m to the north and {moved.dz:+.3f} m "
+            f"up, so that stable ground agrees: NMAD {moved.nmad_before:.3f} m before, {moved.nmad_after:.3f} m after."
+        )
+    progress.info(
+        f"The level of detection is {found.level_m:.2f} m (median of all cells); it is higher where the ground is "
+        "steep and where heights are uncertain."
+    )
+    for gain, word in ((True, "gained"), (False, "lost")):
+        total = found.total(gain)
+        progress.info(
+            f"{counted(total.count, 'change')} {word} {abs(total.volume):.0f} m3 (standard deviation "
+            f"{total.deviation:.0f} m3) on {total.area:.0f} m2."
+        )
