@@ -2,85 +2,6 @@
 <!DOCTYPE TS>
 <TS version="2.1" language="de" sourcelanguage="en">
 <context>
-    <name>Change</name>
-    <message>
-        <source>Find changes between two dates</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>What was built, removed or dug away between two DSMs, with volumes and their uncertainty.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>DSM of the first date</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>A raster of heights in metres, in any CRS.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>DSM of the second date</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>A raster of heights in metres, in any CRS; it may have other cells than that of the first date.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Confidence of the first date</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>The confidence raster that was made with the DSM, or one band with the expected error in metres. Give both dates', or none: then the errors are estimated from ground that did not change.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Confidence of the second date</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>As for the first date.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Alignment on stable ground</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>3d: the second DSM is moved in all three axes until the ground that did not change agrees; vertical: it is moved up or down only; none: both already fit.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Smallest change (m²)</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Smaller changes are left out: 50 m² keeps small houses and drops cars and single trees.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Number of significant changes</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Volume gained (m³)</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Its standard deviation (m³)</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Volume lost (m³)</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Level of detection, median (m)</source>
-        <translation type="unfinished"></translation>
-    </message>
-</context>
-<context>
     <name>CheckGcps</name>
     <message>
         <source>Check against ground control points</source>
@@ -1608,30 +1529,6 @@
         <translation>Die Passpunkte, jeder mit dem Abstand von der Stelle, an die ihn RPC, Szene und DOM setzen.</translation>
     </message>
     <message>
-        <source>Difference of the dates</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>AFTER minus BEFORE in metres, cell by cell, after the alignment.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Significant change</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Band 1: what changed by more than the errors of both DSMs, m. Band 2: the level of detection, m.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Volumes of the changes</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
-        <source>Outlines of the significant changes, with area, heights, and volume with its uncertainty.</source>
-        <translation type="unfinished"></translation>
-    </message>
-    <message>
         <source>A folder for the images, the true surface (a DSM) and the ground control points.</source>
         <translation>Ein Ordner für die Bilder, die wahre Oberfläche (ein DOM) und die Passpunkte.</translation>
     </message>
@@ -1678,10 +1575,6 @@
     <message>
         <source>Report of the comparison</source>
         <translation>Bericht über den Vergleich</translation>
-    </message>
-    <message>
-        <source>Report of the change</source>
-        <translation type="unfinished"></translation>
     </message>
     <message>
         <source>Report of the control points</source>

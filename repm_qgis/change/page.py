@@ -23,7 +23,8 @@ def change_page(options: ChangeOptions, found: Found) -> Report:
     page = Report("Change between two dates", f"{options.before}, then {options.after}")
     gains, losses = found.total(True), found.total(False)
     good = (
-        f"{len(found.changes)} significant changes: {gains.volume:.0f} m3 gained, {abs(losses.volume):.0f} m3 lost."
+        f"Significant changes: {len(found.changes)}, with {gains.volume:.0f} m3 gained and "
+        f"{abs(losses.volume):.0f} m3 lost."
         if found.changes
         else "Nothing changed significantly between the two dates."
     )

@@ -39,7 +39,8 @@ def confidence_bands(dataset: gdal.Dataset, option: str) -> ConfidenceBands:
         for wanted in (_ERROR, _SOURCE, CONFIDENCE_BANDS[0])
     ]
     if not places[0] and len(names) > 1:
-        what = f"has {len(names)} bands, and none is called '{_ERROR}'"
-        remedy = "give the confidence raster of the DSM, or one band of errors"
-        raise ImageError(f"'{dataset.GetDescription()}' of {option} {what}: {remedy}.")
+        raise ImageError(
+            f"'{dataset.GetDescription()}' of {option} has {len(names)} bands, and none is called '{_ERROR}': give the "
+            "confidence raster of the DSM, or one band of errors."
+        )
     return ConfidenceBands(places[0] or 1, *places[1:])

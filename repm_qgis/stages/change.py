@@ -44,7 +44,7 @@ def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
         "changes": len(found.changes),
         "gained_m3": gains.volume,
         "gained_deviation_m3": gains.deviation,
-        "lost_m3": -losses.volume,
+        "lost_m3": abs(losses.volume),
         "lost_deviation_m3": losses.deviation,
         "level_m": found.level_m,
         "dx": found.alignment.dx,
@@ -64,9 +64,12 @@ def _log(found: Found, progress: Progress) -> None:
         f"The level of detection is {found.level_m:.2f} m (median of all cells); it is higher where the ground is "
         "steep and where heights are uncertain."
     )
-    for gain, word in ((True, "gained"), (False, "lost")):
-        total = found.total(gain)
-        progress.info(
-            f"{counted(total.count, 'change')} {word} {abs(total.volume):.0f} m3 (standard deviation "
-            f"{total.deviation:.0f} m3) on {total.area:.0f} m2."
-        )
+    gains, losses = found.total(True), found.total(False)
+    progress.info(
+        f"Gained: {gains.volume:.0f} m3 (standard deviation {gains.deviation:.0f} m3) on {gains.area:.0f} m2, in "
+        f"{counted(gains.count, 'change')}."
+    )
+    progress.info(
+        f"Lost: {abs(losses.volume):.0f} m3 (standard deviation {losses.deviation:.0f} m3) on {losses.area:.0f} m2, in "
+        f"{counted(losses.count, 'change')}."
+    )
