@@ -82,8 +82,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_eleven_tasks():
-    assert sorted(TASKS) == list(range(1, 12))
+def test_the_book_has_thirteen_tasks():
+    assert sorted(TASKS) == list(range(1, 14))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -176,6 +176,16 @@ def test_11_the_right_place(cook):
     assert "determined" in page and "not determined" not in page
     assert len(list((folder / "rpcs").glob("*.vrt"))) == 2 and "4.5 m" in TASKS[11]
     assert f"{np.linalg.norm(found):.1f}" == "4.5"
+
+
+def test_13_two_dates_of_a_quarry(cook):
+    folder, said = cook(13)
+    found = {name: float(value) for name, value in re.findall(r"(\w+_M3|CHANGES):\t([-\d.]+)", said)}
+    assert found["CHANGES"] == 1 and found["GAINED_M3"] == 0
+    dug = 8.0 * (heights(folder / "later.tif") - heights(folder / "quarry.tif") > 4).sum()
+    dug *= gdal.Open(str(folder / "quarry.tif")).GetGeoTransform()[1] ** 2
+    assert abs(found["LOST_M3"] - dug) < min(3 * found["LOST_DEVIATION_M3"], 0.1 * dug)
+    assert (folder / "change.html").exists() and "10,000 m³" in TASKS[13]
 
 
 def test_the_whole_book_is_quick():
