@@ -2,6 +2,85 @@
 <!DOCTYPE TS>
 <TS version="2.1" language="de" sourcelanguage="en">
 <context>
+    <name>Change</name>
+    <message>
+        <source>Find changes between two dates</source>
+        <translation>Änderungen zwischen zwei Zeitpunkten finden</translation>
+    </message>
+    <message>
+        <source>What was built, removed or dug away between two DSMs, with volumes and their uncertainty.</source>
+        <translation>Was zwischen zwei DOM gebaut, entfernt oder abgetragen wurde, mit Volumen und deren Unsicherheit.</translation>
+    </message>
+    <message>
+        <source>DSM of the first date</source>
+        <translation>DOM des ersten Zeitpunkts</translation>
+    </message>
+    <message>
+        <source>A raster of heights in metres, in any CRS.</source>
+        <translation>Ein Raster mit Höhen in Metern, in beliebigem KBS.</translation>
+    </message>
+    <message>
+        <source>DSM of the second date</source>
+        <translation>DOM des zweiten Zeitpunkts</translation>
+    </message>
+    <message>
+        <source>A raster of heights in metres, in any CRS; it may have other cells than that of the first date.</source>
+        <translation>Ein Raster mit Höhen in Metern, in beliebigem KBS; es darf andere Zellen haben als das des ersten Zeitpunkts.</translation>
+    </message>
+    <message>
+        <source>Confidence of the first date</source>
+        <translation>Konfidenz des ersten Zeitpunkts</translation>
+    </message>
+    <message>
+        <source>The confidence raster that was made with the DSM, or one band with the expected error in metres. Give both dates', or none: then the errors are estimated from ground that did not change.</source>
+        <translation>Das Konfidenzraster, das mit dem DOM entstanden ist, oder ein Kanal mit dem erwarteten Fehler in Metern. Für beide Zeitpunkte angeben oder für keinen: dann werden die Fehler aus unverändertem Boden geschätzt.</translation>
+    </message>
+    <message>
+        <source>Confidence of the second date</source>
+        <translation>Konfidenz des zweiten Zeitpunkts</translation>
+    </message>
+    <message>
+        <source>As for the first date.</source>
+        <translation>Wie beim ersten Zeitpunkt.</translation>
+    </message>
+    <message>
+        <source>Alignment on stable ground</source>
+        <translation>Ausrichtung auf stabilem Boden</translation>
+    </message>
+    <message>
+        <source>3d: the second DSM is moved in all three axes until the ground that did not change agrees; vertical: it is moved up or down only; none: both already fit.</source>
+        <translation>3d: Das zweite DOM wird in allen drei Achsen verschoben, bis der unveränderte Boden übereinstimmt; vertical: nur nach oben oder unten; none: beide passen schon.</translation>
+    </message>
+    <message>
+        <source>Smallest change (m²)</source>
+        <translation>Kleinste Änderung (m²)</translation>
+    </message>
+    <message>
+        <source>Smaller changes are left out: 50 m² keeps small houses and drops cars and single trees.</source>
+        <translation>Kleinere Änderungen werden weggelassen: 50 m² behält kleine Häuser und lässt Autos und einzelne Bäume weg.</translation>
+    </message>
+    <message>
+        <source>Number of significant changes</source>
+        <translation>Anzahl signifikanter Änderungen</translation>
+    </message>
+    <message>
+        <source>Volume gained (m³)</source>
+        <translation>Gewonnenes Volumen (m³)</translation>
+    </message>
+    <message>
+        <source>Its standard deviation (m³)</source>
+        <translation>Dessen Standardabweichung (m³)</translation>
+    </message>
+    <message>
+        <source>Volume lost (m³)</source>
+        <translation>Verlorenes Volumen (m³)</translation>
+    </message>
+    <message>
+        <source>Level of detection, median (m)</source>
+        <translation>Nachweisgrenze, Median (m)</translation>
+    </message>
+</context>
+<context>
     <name>CheckGcps</name>
     <message>
         <source>Check against ground control points</source>
@@ -1529,6 +1608,30 @@
         <translation>Die Passpunkte, jeder mit dem Abstand von der Stelle, an die ihn RPC, Szene und DOM setzen.</translation>
     </message>
     <message>
+        <source>Difference of the dates</source>
+        <translation>Differenz der Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>AFTER minus BEFORE in metres, cell by cell, after the alignment.</source>
+        <translation>AFTER minus BEFORE in Metern, Zelle für Zelle, nach der Ausrichtung.</translation>
+    </message>
+    <message>
+        <source>Significant change</source>
+        <translation>Signifikante Änderung</translation>
+    </message>
+    <message>
+        <source>Band 1: what changed by more than the errors of both DSMs, m. Band 2: the level of detection, m.</source>
+        <translation>Kanal 1: was sich um mehr als die Fehler beider DOM geändert hat, m. Kanal 2: die Nachweisgrenze, m.</translation>
+    </message>
+    <message>
+        <source>Volumes of the changes</source>
+        <translation>Volumen der Änderungen</translation>
+    </message>
+    <message>
+        <source>Outlines of the significant changes, with area, heights, and volume with its uncertainty.</source>
+        <translation>Umrisse der signifikanten Änderungen, mit Fläche, Höhen und Volumen samt Unsicherheit.</translation>
+    </message>
+    <message>
         <source>A folder for the images, the true surface (a DSM) and the ground control points.</source>
         <translation>Ein Ordner für die Bilder, die wahre Oberfläche (ein DOM) und die Passpunkte.</translation>
     </message>
@@ -1575,6 +1678,10 @@
     <message>
         <source>Report of the comparison</source>
         <translation>Bericht über den Vergleich</translation>
+    </message>
+    <message>
+        <source>Report of the change</source>
+        <translation>Bericht über die Änderung</translation>
     </message>
     <message>
         <source>Report of the control points</source>
