@@ -16,7 +16,7 @@ import numpy as np
 from osgeo import osr
 
 from ..arrays import FloatArray, FloatImage
-from ..geometry.frames import ecef_from_geodetic, utm_crs
+from ..geometry.frames import ecef_from_geodetic, projected_from_geodetic, utm_crs
 from ..imagery.raster import created, write
 from ..progress import Progress
 from ..rpc.model import Rpc
@@ -84,7 +84,11 @@ WORLDVIEW3 = Sensor("WORLDVIEW3", 617e3, (), detectors=35840, read_noise_dn=1.5,
 
 @dataclass(frozen=True)
 class DatedSpec:
-    """What to simulate: a square of a district, at Jacksonville's place and height."""
+    """What to simulate: a square of a district, at Jacksonville's place and height.
+
+    The district fills the ground that the views see, and its plan follows from the size of that: other acquisitions see
+    another district.
+    """
 
     seed: int = 1
     side_m: float = 256.0
@@ -253,13 +257,17 @@ def _write_chip(path: str, bands: Sequence[FloatImage], utc: str, rpc: Rpc) -> N
 def _write_truth(
     spec: DatedSpec, folder: str, ground: Ground, district: District, parameters: SimulationParameters
 ) -> Dict[str, str]:
-    """Heights and classes of the square in the middle; a cell's value is that of the node at its middle."""
+    """Heights and classes of the square about the target, which all images see; a cell has the value at its middle."""
     height, classes = district.truth(_LIDAR, parameters.effects)
     cell, step = spec.cell_m / spec.surface_step, spec.surface_step
     count = int(spec.side_m / spec.cell_m)
-    row, col = (n // 2 - count // 2 * step for n in height.shape)
+    crs = utm_crs(spec.lon, spec.lat)
+    # The grid's middle is not the target: it follows from what slanted views see at all heights.
+    east, north = projected_from_geodetic(crs, np.array([[spec.lon, spec.lat, spec.base_m]]))[0][:2]
+    row = int(round((ground.north - north) / cell)) - count // 2 * step
+    col = int(round((east - ground.west) / cell)) - count // 2 * step
     reference = osr.SpatialReference()
-    reference.SetFromUserInput(utm_crs(spec.lon, spec.lat))
+    reference.SetFromUserInput(crs)
     west, north = ground.west + col * cell - spec.cell_m / 2, ground.north - row * cell + spec.cell_m / 2
     frame = (west, spec.cell_m, 0.0, north, 0.0, -spec.cell_m), reference.ExportToWkt()
     nodes = (slice(row, row + count * step, step), slice(col, col + count * step, step))

@@ -9,6 +9,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.arrays import Bounds
+from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.acquisition import acquired
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.chips import pansharpened, toned
@@ -203,6 +204,10 @@ def test_a_scene_on_disk_is_whole_and_the_same_again(tmp_path):
         assert dataset.RasterCount == 3 and dataset.GetMetadata("RPC")
         assert np.array_equal(dataset.ReadAsArray(), gdal.Open(again).ReadAsArray())
         assert acquired(dataset, first).startswith("2014-10-05T16:01")
-    assert gdal.Open(made[0]["truth"]).RasterXSize == 120
+    truth = gdal.Open(made[0]["truth"])
+    assert truth.RasterXSize == 120
+    west, cell, _, north, _, _ = truth.GetGeoTransform()
+    target = projected_from_geodetic("EPSG:32617", np.array([[spec.lon, spec.lat, 0.0]]))[0]
+    assert np.abs(np.array([west + 60 * cell, north - 60 * cell]) - target[:2]).max() < 0.5  # all images see the square
     plain = make_dated_scene(spec, str(tmp_path / "c"), Silent())
     assert gdal.Open(plain["images"][0]).GetRasterBand(1).DataType == gdal.GDT_UInt16
