@@ -157,3 +157,15 @@ def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
     # The tool leaves a margin around the line that it has drawn; without heights it shows 0 to 100 m.
     margin = 0.2 * (high - low)
     assert low - margin <= found["heights"][0] < found["heights"][1] <= high + margin
+
+
+def test_the_terrain_of_a_town_in_the_desktop(desktop, town, tmp_path):
+    given = {"DSM": town["truth"], "LARGEST": 60, "MASK": "TEMPORARY_OUTPUT", "REPORT": str(tmp_path / "dtm.html")}
+    found = desktop("Find the terrain", given)
+    assert (found["chosen"], found["success"]) == ("repm:dtm", True)
+    renderers = [layer["renderer"] for layer in found["layers"]]
+    ramps = ["QgsSingleBandPseudoColorRenderer"] * 2
+    assert sorted(renderers) == ["QgsHillshadeRenderer", "QgsPalettedRasterRenderer", *ramps]
+    assert all(layer["valid"] for layer in found["layers"])
+    assert [layer["shown"] for layer in found["layers"]].count(True) == 2  # the terrain and its hillshade
+    assert "DSM − terrain" in (tmp_path / "dtm.html").read_text(encoding="utf-8")
