@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List
 
-from benchmarks import answers_change, answers_dtm, answers_viewer
+from benchmarks import answers_change, answers_colour, answers_dtm, answers_viewer
 from benchmarks.tables import Section
 
 PARTS: Dict[str, Callable[[], List[str]]] = {
     "change": answers_change.change,
+    "colour": answers_colour.colours,
     "dtm": answers_dtm.terrain,
     "heights": answers_dtm.heights,
     "viewer": answers_viewer.pages,

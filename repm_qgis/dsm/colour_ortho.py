@@ -191,36 +191,43 @@ def _block(task: ColourTask) -> str:
     height = task.heights(wide)
     inner = task.own.inside(wide)
     found = np.full((len(task.plan.names), *height.shape), np.nan, np.float32)
-    chosen, colours = _candidates(task, wide, height)
+    chosen, colours, others = _candidates(task, wide, height) if np.isfinite(height).any() else ([], [], found)
     if chosen:
         middle = geodetic_from_projected(task.layout.crs, np.array(task.grid.part(wide).middle))
         level = float(np.nanmedian(height))
         steepness = [float(np.linalg.norm(ray_slope(source.view, middle, level))) for source in chosen]
         stack, contrast, seams = np.stack(colours), np.array(task.contrast), task.parameters.seams
         found = feathered_colours(stack, chosen_views(stack, steepness, contrast, seams), contrast, seams)
+        found = np.where(np.isfinite(found), found, others)
     with writing(task.path):
         np.save(task.path, task.plan.stored(found[(slice(None), *inner)]))
     return task.path
 
 
-def _candidates(task: ColourTask, window: Window, height: Floats) -> Tuple[List[ColourSource], List[FloatImage]]:
-    """The views of a block, from the most vertical one on, with their colours: as many as show what others do not."""
+def _candidates(
+    task: ColourTask, window: Window, height: Floats
+) -> Tuple[List[ColourSource], List[FloatImage], FloatImage]:
+    """The views of a block among which each cell can choose, from the most vertical one on, with their colours; and
+    (B, H, W) the colours of cells that none of these sees, but another view does."""
     numbers = task.parameters.colour
     missing = np.isfinite(height)
     worthwhile = numbers.worthwhile * missing.sum()
     chosen: List[ColourSource] = []
     colours: List[FloatImage] = []
-    for source in task.plan.sources if missing.any() else ():
-        if len(chosen) == numbers.most_views or (len(chosen) >= numbers.least_views and not missing.any()):
+    others = np.full((len(task.plan.names), *height.shape), np.nan, np.float32)
+    for source in task.plan.sources:
+        if len(chosen) >= numbers.least_views and not missing.any():
             break
         found = task.colours(source, window, height)
         shown = np.isfinite(found[0])
-        if not shown.any() or (len(chosen) >= numbers.least_views and (shown & missing).sum() < worthwhile):
-            continue
-        chosen.append(source)
-        colours.append(found)
+        few = len(chosen) < numbers.least_views and shown.any()
+        if few or (len(chosen) < numbers.most_views and (shown & missing).sum() > worthwhile):
+            chosen.append(source)
+            colours.append(found)
+        else:
+            others = np.where(shown & missing, found, others)
         missing &= ~shown
-    return chosen, colours
+    return chosen, colours, others
 
 
 def _write(path: str, plan: ColourPlan, grid: CellGrid, dsm: str, tasks: List[ColourTask]) -> None:

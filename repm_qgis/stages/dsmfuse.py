@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 import time
@@ -21,7 +22,7 @@ from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
 from ..dsm.outliers import automatic_radius
 from ..dsm.products import DsmLayout, cloud_of, write_cloud, write_products
-from ..errors import EmptyResultError, RepmError, SceneError
+from ..errors import EmptyResultError, OptionError, RepmError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
@@ -151,7 +152,13 @@ def colours_of(
     if not any(shown) or options.colour == "greys":
         return None
     scene.require_images()
-    return colour_plan(scene, options, progress, parameters.fusion)
+    plan = colour_plan(scene, options, progress, parameters.fusion)
+    files = {os.path.realpath(path) for path in (plan.files if plan else ())}
+    for each, path in paths_of("dsmfuse", options):
+        if os.path.realpath(path) in files:
+            reason = "is also an image that is read for its colours, which would be lost: choose another name"
+            raise OptionError(each.option.upper(), path, reason)
+    return plan
 
 
 def _matched(scene: Scene) -> List[ViewPair]:

@@ -315,6 +315,21 @@ def test_an_xs_of_another_acquisition_is_refused(town, tmp_path, told, urban):
         colour_plan(alone, options, told(), ENGINE.fusion)
 
 
+def test_an_xs_that_lies_beside_its_image_is_used_and_not_overwritten(town, tmp_path, told):
+    scene = Scene.load(town["scene"])
+    beside = Path(scene.views[0].image).with_name("img_01_XS.tif")
+    beside.write_bytes(Path(town["xs"][0]).read_bytes())
+    try:
+        with pytest.raises(OptionError, match="ORTHO is '.*img_01_XS.tif': it is also an image that is read"):
+            fused(town, tmp_path, told, xs=[], ortho=str(beside))
+        assert beside.read_bytes() == Path(town["xs"][0]).read_bytes()
+        result, said = fused(town, tmp_path, told, xs=[])
+    finally:
+        beside.unlink()
+    assert gdal.Open(result["ortho"]).RasterCount == 3
+    assert any("Colours of 'img_01' from" in text for text in said.notes)
+
+
 @pytest.mark.parametrize(
     ("pan", "xs"),
     [
