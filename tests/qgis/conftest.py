@@ -20,9 +20,12 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 pytest.importorskip("qgis.core", reason="QGIS's Python modules are not visible here: run 'make setup'")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="session", autouse=True)
 def plugin(tmp_path_factory):
-    """The plugin, loaded and registered without a desktop; unloaded, and QGIS ended, at the end."""
+    """The plugin, loaded and registered without a desktop; unloaded, and QGIS ended, at the end.
+
+    Every test has it: where a layer is made before QGIS has started, QGIS never finds its providers (no mesh is valid).
+    """
     from qgis.core import QgsApplication
 
     profile = tmp_path_factory.mktemp("profile")
