@@ -307,6 +307,21 @@ def pointing() -> QgsProcessingParameterDefinition:
     )
 
 
+def quality() -> QgsProcessingParameterDefinition:
+    return advanced(
+        choice(
+            ReconstructOptions,
+            "quality",
+            tr("Quality of the matching"),
+            tr(
+                "fast: only as many pairs as connect all images, a fifth less time with three images, half of it with "
+                "many, and more gaps; best: semi-global matching in eight directions instead of three, a third more "
+                "time and more memory, for mountains, low suns and oblique views; default: between the two."
+            ),
+        )
+    )
+
+
 def pairs() -> QgsProcessingParameterDefinition:
     return advanced(
         choice(

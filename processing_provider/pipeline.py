@@ -44,6 +44,7 @@ class Pipeline(RepmAlgorithm):
             parameters.gcp_datum(),
             parameters.reference_datum(),
             parameters.stable(),
+            parameters.quality(),
             parameters.pairs(),
             parameters.pointing(),
             parameters.adjustment(),

@@ -32,6 +32,7 @@ class Reconstruct(RepmAlgorithm):
             parameters.backend(),
             parameters.gcps(),
             parameters.gcp_datum(),
+            parameters.quality(),
             parameters.pairs(),
             parameters.pointing(),
             parameters.adjustment(),

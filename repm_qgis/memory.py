@@ -126,20 +126,24 @@ _PROCESS_MIB = 125.0  # a worker with its libraries, before it does anything
 _BYTES_PER_PX = 115.0  # of the rectified tile
 _RECTIFIED = 1.2  # side of a rectified tile by that of its ground, where memory is planned
 _BYTES_PER_REFINED_PX = 30_000.0  # of a refined image's width: it is made in strips of 512 rows
+_BYTES_PER_COST = 4.0  # of a cost and its sum over eight directions, which OpenCV keeps for the whole tile
 _BYTES_PER_STRIP_PX = 16.0  # of the second image's strip that only far disparities reach
 
 
-def matching_mib(width: float, height: float, disparities: float) -> float:
+def matching_mib(width: float, height: float, disparities: float, paths: int = 3) -> float:
     """Peak memory of a worker that matches a rectified tile of width x height px over so many disparities, MiB.
 
-    Fitted to measured peaks of 0.2 to 2.1 Mpx; tests/engine/test_memory.py holds it to them within a factor of 1.5.
+    ``paths`` are the directions of aggregation: with 8, the costs of all these disparities are kept. Fitted to measured
+    peaks of 0.2 to 2.1 Mpx; tests/engine/test_memory.py holds it to them within a factor of 1.5.
     """
-    return _PROCESS_MIB + (_BYTES_PER_PX * width * height + _BYTES_PER_STRIP_PX * disparities * height) / _MIB
+    volume = _BYTES_PER_COST * (width + disparities) * height * disparities if paths == 8 else 0.0
+    frame = _BYTES_PER_PX * width * height + _BYTES_PER_STRIP_PX * disparities * height
+    return _PROCESS_MIB + (frame + volume) / _MIB
 
 
-def planned_mib(side: float, disparities: float) -> float:
+def planned_mib(side: float, disparities: float, paths: int = 3) -> float:
     """:func:`matching_mib` of a square of ground ``side`` px wide, before its rectification is known."""
-    return matching_mib(_RECTIFIED * side, _RECTIFIED * side, disparities)
+    return matching_mib(_RECTIFIED * side, _RECTIFIED * side, disparities, paths)
 
 
 def refining_mib(width: float) -> float:

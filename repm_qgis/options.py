@@ -20,6 +20,7 @@ KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm", "colmap")
 POINTINGS = ("auto", "shift", "affine")
 PAIRS = ("best", "fewest")
+QUALITIES = ("fast", "default", "best")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
@@ -41,7 +42,7 @@ PRESETS: Dict[str, Dict[str, Any]] = {
     "none": {},
     "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
     "mountains": {"model": "polynomial", "method": "mean", "fill": "all"},
-    "fast": {"pairs": "fewest", "pointing": "shift", "fill": "none", "outlier_radius": 0.0},
+    "fast": {"quality": "fast", "pointing": "shift", "fill": "none", "outlier_radius": 0.0},
 }
 """Values that go together, for options of the pipeline that are not given; docs/algorithms/pipeline.md has what each
 costs and gives."""
@@ -312,6 +313,8 @@ class ReconstructOptions(Options):
     ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
     colmap's.
     ``pairs``: ``best``, each view's best ones, or ``fewest``, those that connect all views.
+    ``quality``: what matching costs and gives, ``fast``, ``default`` or ``best`` (stages/parameters.py); ``fast``
+    takes the fewest pairs, too.
     ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
     """
 
@@ -333,6 +336,7 @@ class ReconstructOptions(Options):
     gpu_memory: float = number(0.0, 0, 1024, "GiB")
     own_surface: bool = switch(False)
     pairs: str = choice("best", PAIRS)
+    quality: str = choice("default", QUALITIES)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -110,7 +110,7 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
     slope = max(pair.base_to_height for pair in job.pairs)
     disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.gsd_m
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
-    each = matching_mib(*frame_size(task), disparities)
+    each = matching_mib(*frame_size(task), disparities, task.parameters.sgm.paths)
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 

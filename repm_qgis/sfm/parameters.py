@@ -6,7 +6,7 @@ really look".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Tuple
 
 from ..parameters import Parameters
@@ -54,6 +54,10 @@ class PairParameters(Parameters):
     season_cost: float = 0.5  # of the opposite season
     sun_cost_deg: float = 10.0  # angle between two suns that is as bad as an angle of convergence wrong by a factor e
     least_share: float = 0.01  # of the area: smaller overlaps cost as much as this one
+
+    def fewest(self) -> "PairParameters":
+        """Only as many pairs as connect all views."""
+        return replace(self, all_up_to=2, per_view=1)
 
 
 @dataclass(frozen=True)

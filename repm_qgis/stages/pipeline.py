@@ -66,7 +66,8 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     backend = resolve(options.reconstruct.backend)[0]
     if backend.name == "sgm" and not options.reconstruct.cluster:  # others were not measured
         own_surface, workers = options.reconstruct.own_surface, options.reconstruct.workers
-        progress.info(estimate_run(scene, pairs, own_surface, workers).sentence())
+        paths = parameters.of_quality(options.reconstruct.quality).matching.sgm.paths
+        progress.info(estimate_run(scene, pairs, own_surface, workers, paths).sentence())
     require_space("this run", _needs(options, scene, matched_pairs(pairs, backend), parameters), progress)
     stage("refine", "Refinement", refine.run, options.refine)
     heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)

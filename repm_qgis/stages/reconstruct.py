@@ -46,7 +46,7 @@ Stretches = Dict[str, Stretch]  # by the views' names
 
 def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
-    start = time.monotonic()
+    start, parameters = time.monotonic(), parameters.of_quality(options.quality)
     backends = resolve(options.backend)
     scene = Scene.load(options.scene)
     scene.require_images()
@@ -100,10 +100,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
 
 def pairs_of(scene: Scene, options: ReconstructOptions, parameters: EngineParameters = ENGINE) -> List[ViewPair]:
     """The pairs that are matched, best first; raises EmptyResultError where no pair is usable."""
-    numbers = parameters.pointing.pairs
-    if options.pairs == "fewest":
-        numbers = replace(numbers, all_up_to=2, per_view=1)
-    return choose_pairs(scene, numbers)
+    numbers = parameters.of_quality(options.quality).pointing.pairs
+    return choose_pairs(scene, numbers.fewest() if options.pairs == "fewest" else numbers)
 
 
 def heights_folder(options: ReconstructOptions) -> str:

@@ -90,6 +90,18 @@ def test_the_estimate_of_matching_is_right_within_a_half(measured, side, extra):
 
 
 @linux
+def test_the_estimate_knows_that_eight_directions_keep_all_costs(measured):
+    code = MATCHING.replace("task = PairTask(", "task = replace(PairTask(").replace(
+        '"key")', '"key"), parameters=BEST)'
+    )
+    best = "from dataclasses import replace\nfrom repm_qgis.stages.parameters import ENGINE\n"
+    best += 'BEST = ENGINE.of_quality("best").matching\n'
+    peak, *facts = measured(best + code, 1350, 0.0)  # a side of its own: a map that is there is reused
+    assert peak / 1.5 < matching_mib(*facts, paths=8) < 1.5 * peak
+    assert peak > 1.2 * matching_mib(*facts)
+
+
+@linux
 @pytest.mark.parametrize("cell, maps", ((1.0, 1), (0.5, 6), (0.25, 3)))
 def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
     peak, *facts = measured(FUSING, cell, maps)

@@ -101,6 +101,8 @@ def test_more_workers_take_less_time_and_more_memory(runs):
     assert one.wall_s > 1.4 * two.wall_s and one.mib < two.mib and one.core_s == two.core_s
     assert estimate_run(scene, scene.pairs, workers=1000).workers == len(scene.tiles) * len(scene.pairs)
     assert estimate_run(scene, scene.pairs, own_surface=True).core_s > one.core_s
+    best = estimate_run(scene, scene.pairs, workers=1, paths=8)
+    assert best.core_s > 1.2 * one.core_s and best.mib > one.mib
     words = {12: "10 s", 150: "2 minutes", 9000: "2.5 hours"}
     assert all(f"about {text} with" in one._replace(wall_s=seconds).sentence() for seconds, text in words.items())
 
@@ -111,13 +113,13 @@ def test_a_preset_is_recorded_and_takes_less_time(runs):
     assert (len(plain.pairs), len(fast.pairs)) == (3, 2)
     assert fast.record_of("reconstruct").options["pointing"] == "shift"
     assert runs["fast"][2] < 0.9 * runs["none"][2]
-    assert "Preset fast: PAIRS fewest" in runs["fast"][1] and "Preset" not in runs["none"][1]
+    assert "Preset fast: QUALITY fast" in runs["fast"][1] and "Preset" not in runs["none"][1]
 
 
 def test_what_is_given_goes_before_the_preset():
     files = {"images": ["a.tif", "b.tif"], "workspace": "w", "output": "d.tif"}
     made = PipelineOptions.from_json({**files, "preset": "fast", "pointing": "auto"})
-    assert (made.preset, made.reconstruct.pointing, made.reconstruct.pairs) == ("fast", "auto", "fewest")
+    assert (made.preset, made.reconstruct.pointing, made.reconstruct.quality) == ("fast", "auto", "fast")
     assert (made.fuse.fill, made.fuse.outlier_radius) == ("none", 0.0)
     assert PipelineOptions.from_json(files).fuse.fill == "occlusions"
     with pytest.raises(OptionError, match="PRESET is 'slow'"):
