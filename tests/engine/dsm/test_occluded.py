@@ -107,4 +107,4 @@ def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, cap
             f"\n{filled.sum()} cells filled, {100 * right:.1f} % right within 2.5 m; valid {found['valid']:.2f} %, "
             f"RMSE {found['rmse']:.3f} m"
         )
-    assert filled.sum() > 3000 and right > 0.7 and found["valid"] > 98
+    assert filled.sum() > 3000 and right > 0.7 and found["valid"] > 97

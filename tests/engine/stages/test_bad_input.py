@@ -268,7 +268,7 @@ def test_absurd_crss(bench, crs, words):
         ({"method": "mode"}, "METHOD"),
         ({"outlier_radius": float("nan")}, "OUTLIER_RADIUS"),
         ({"workers": -1}, "WORKERS"),
-        ({"colour": "red"}, "not an option of this stage"),
+        ({"paint": "red"}, "not an option of this stage"),
         ({"workspace": ""}, "WORKSPACE"),
         ({"output": ""}, "OUTPUT"),
         ({"error_budget": 0}, "ERROR_BUDGET"),
