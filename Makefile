@@ -14,8 +14,10 @@ setup: ## install what the plugin needs here (QGIS by apt on Debian and Ubuntu, 
 demo: setup ## simulated tri-stereo images to a DSM, its accuracy against the known surface, and the time of each stage
 	@$(PYTHON) scripts/demo demo
 
-test: setup ## the whole test suite (TESTS=tests/engine for a part)
-	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(TESTS)
+# Whole files go to the two, in order: QGIS is not started before the engine's tests, and modules' fixtures are made once.
+SHARED := --numprocesses logical --maxprocesses 2 --dist loadfile --no-loadscope-reorder
+test: setup ## the whole test suite, shared by two processes where there are two cores (TESTS=tests/engine for a part)
+	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(SHARED) $(TESTS)
 
 bench: setup ## DSMs of truth scenes and real images, beside S2P's and CARS's where these are on PATH (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks dsm --write
