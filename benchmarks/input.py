@@ -329,5 +329,11 @@ def calibration() -> List[str]:
     return input_heights.calibration()
 
 
-PARTS = {"trials": never_silently_wrong, "calibration": calibration}
+def along_parallax() -> List[str]:
+    from benchmarks import input_heights
+
+    return input_heights.along_parallax()
+
+
+PARTS = {"trials": never_silently_wrong, "parallax": along_parallax, "calibration": calibration}
 SECTIONS = [Section("input", "Bad input", "make bench-input", PARTS)]

@@ -3,7 +3,9 @@ fine. benchmarks/input.py runs the trials, and has the calibration as a part of 
 
 from __future__ import annotations
 
+import os
 import re
+import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,26 +13,31 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 import pyproj
+from osgeo import gdal
 
 from benchmarks.input import Ended, Job, Trial, off, pipeline, pixels_of, say_of, town, true_views, write_plain
 from benchmarks.pointing_case import fitted, pointed, truth_scene
 from benchmarks.runner import few, is_quick, say
-from benchmarks.scenes import CACHE, real
+from benchmarks.scenes import CACHE, SHARED, real
 from benchmarks.tables import table
+from repm_qgis.errors import EmptyResultError
 from repm_qgis.imagery.raster import opened, read, write
 from repm_qgis.records import PointingFigures
+from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene as SceneFile
-from repm_qgis.scene import View
+from repm_qgis.scene import View, load_views
 from repm_qgis.sfm.adjustment import Adjustment, Track, adjust
 from repm_qgis.sfm.height_uncertainty import height_uncertainty, usual_height_deviation
 from repm_qgis.sfm.pair_selection import choose_pairs
 from repm_qgis.sfm.parameters import POINTING
+from repm_qgis.sfm.pointing import Pointing, ground_heights
 from repm_qgis.sfm.promises import promise_of
 from repm_qgis.sfm.vertical_parallax import tracks_of_pair
 
 _DEM_CELLS = 20  # of the true surface in one of the DEM's
 _STATED = "The absolute height is uncertain by"
 _MOST_PX = 50.0  # the largest pointing error that is drawn
+_SIZES_PX = (10, 20, 30, 40, 60, 100, 200)
 _PLACES = 12  # drawn errors with which tie points are found anew
 
 
@@ -70,8 +77,6 @@ def moved_real(rows: float, dem: bool, folder: Path) -> List[Job]:
 
 def with_tags(image: str, tags: Dict[str, str]) -> None:
     """Give an image RPC tags as they are."""
-    from osgeo import gdal
-
     dataset = gdal.Open(image, gdal.GA_Update)
     dataset.SetMetadata(tags, "RPC")
     dataset = None
@@ -103,6 +108,7 @@ def _s2p() -> str:
 
 
 _ABOUT_DEM = (_STATED, "above the DEM", "below the DEM")
+_ABOUT_RPC = (_STATED, "its RPCs were made for")
 TRIALS: List[Trial] = [
     Trial(
         "3",
@@ -120,13 +126,14 @@ TRIALS: List[Trial] = [
         )
         for _ in real("pleiades_pair")
     ),
-    Trial("4", "RPCs that agree", partial(moved_rows, 0.0, False), partial(judged, _town_truth, (_STATED,))),
+    Trial("4", "RPCs that agree", partial(moved_rows, 0.0, False), partial(judged, _town_truth, _ABOUT_RPC)),
+    Trial("4", "an RPC 60 rows off", partial(moved_rows, 60.0, False), partial(judged, _town_truth, _ABOUT_RPC)),
     *(
         Trial(
             "4",
             "the real Pleiades pair, an RPC 200 rows off (the truth is S2P's DSM)",
             partial(moved_real, 200.0, False),
-            partial(judged, _s2p, (_STATED,)),
+            partial(judged, _s2p, _ABOUT_RPC),
         )
         for _ in real("pleiades_pair")
     ),
@@ -137,17 +144,78 @@ TRIALS: List[Trial] = [
 ]
 
 
+# --- sizes of an error along the parallax -----------------------------------------------------------------------------
+
+
+def along_parallax() -> List[str]:
+    """What is stated and said where one RPC of a pair is wrong along the parallax by known sizes, both ways."""
+    cases = [("simulated town, as Pleiades 1A", true_views(2), "PHR1A_")]
+    cases += [("real Pleiades pair", list(load_views(scene.images)), "") for scene in real("pleiades_pair")]
+    jax = [str(SHARED / "jax_068" / f"JAX_068_00{number}_RGB.tif") for number in (2, 3)]
+    cases += [("`jax_068`, WorldView-3", list(load_views(jax)), "") for _ in (1,) if all(map(os.path.exists, jax))]
+    rows = []
+    for name, views, prefix in few(cases):
+        true, (low, high) = _pointed_as(views, prefix, 0.0), views[0].rpc.height_range
+        for size in few(_SIZES_PX):
+            say(f"{name}: {size} px ...")
+            tried = [_along(views, prefix, sign * size, true) for sign in (1, -1)]
+            rows.append([name, f"{low:.0f} to {high:.0f}", size, *map(" / ".join, zip(*tried))])
+    headers = (
+        "pair | heights of its RPCs, m | RPC wrong along the parallax by, px | heights wrong by, m | stated deviation "
+        "without the RPCs' heights, m | wrong by so many of them | stated deviation now, m | wrong by so many | warned"
+    )
+    return [
+        "**An RPC that is wrong along the parallax** makes wrong heights and leaves no other trace in a pair, unless "
+        "the ground then lies outside the heights that its RPCs were made for. Each row has an error up and one down; "
+        "heights are compared over the tie points. Stops: too few tie points.",
+        table(headers, rows),
+    ]
+
+
+def _along(views: Sequence[View], prefix: str, size_px: float, true: Pointing) -> List[str]:
+    """The cells of one error: how wrong the heights are; what is stated without and with the RPCs' heights, and how
+    many of these they are wrong by; whether it is warned of."""
+    try:
+        found = _pointed_as(views, prefix, size_px)
+    except EmptyResultError:
+        return ["stops"] * 6
+    new, old = ((each.tracks, each.adjusted) for each in (found, true))
+    up = up_between(new, old, prefix + views[0].name)
+    before = height_uncertainty(found.views, replace(found.figures, ground_m=None)).deviation_m
+    now = height_uncertainty(found.views, found.figures)
+    stated = before, abs(up) / before, now.deviation_m, abs(up) / now.deviation_m
+    return [f"{up:+.0f}", *(f"{figure:.1f}" for figure in stated), "yes" if now.outside else "no"]
+
+
+def _pointed_as(views: Sequence[View], prefix: str, size_px: float) -> Pointing:
+    """The pointing of a pair whose second RPC is so many px off in the direction in which heights move its pixels.
+
+    The images are written anew with names that begin with ``prefix``, which may name a satellite.
+    """
+    first, second = views
+    middle = (np.array(first.size) - 1) / 2
+    ends = [second.project(first.localise(middle, second.rpc.height_off + up)) for up in (0.0, 10.0)]
+    shift = size_px * (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    with tempfile.TemporaryDirectory() as folder:
+        images = []
+        for view, rpc in ((first, first.rpc), (second, second.rpc.shifted(*map(float, shift)))):
+            images.append(str(Path(folder) / f"{prefix}{Path(view.image).name}"))
+            gdal.Translate(images[-1], view.image)
+            with_tags(images[-1], rpc_tags(rpc))
+        return pointed(fitted(images, Path(folder) / "w"), "shift")
+
+
 # --- the calibration ------------------------------------------------------------------------------------------------
 
 
 def figures_of(views: Sequence[View], tracks: Sequence[Track], adjusted: Adjustment, like: PointingFigures) -> Any:
-    """A scene's figures with the shifts and the vertical parallax of another adjustment."""
+    """A scene's figures with the shifts, the vertical parallax and the heights of another adjustment."""
     of = {view.name: view for view in views}
     pairs = [pair for pair in like.pairs if {*pair.pair} <= {*of}]
     parallax = (tracks_of_pair((of[p.pair[0]], of[p.pair[1]]), tracks, adjusted.ground)[1] for p in pairs)
     shifts = {name: (float(shift[0]), float(shift[1])) for name, shift in adjusted.shifts.items()}
     seen = tuple(replace(pair, before_px=float(np.median(found))) for pair, found in zip(pairs, parallax))
-    return replace(like, shifts_px=shifts, pairs=seen)
+    return replace(like, shifts_px=shifts, pairs=seen, ground_m=ground_heights(adjusted))
 
 
 def drawn(views: Sequence[View], scatter: bool, rng: np.random.Generator) -> Tuple[List[View], float]:
@@ -220,10 +288,16 @@ def up_with_new_ties(scene: SceneFile, tracks: Sequence[Track], true: Adjustment
     """The error of the height where tie points are found anew: the median over ties of like places in the first
     image."""
     found = pointed(scene, "shift")
-    first = scene.views[0].name
-    old = np.array([[*t.pixels[first], h] for t, h in zip(tracks, true.ground[:, 2]) if first in t.pixels])
-    new = np.array(
-        [[*t.pixels[first], h] for t, h in zip(found.tracks, found.adjusted.ground[:, 2]) if first in t.pixels]
+    return up_between((found.tracks, found.adjusted), (tracks, true), scene.views[0].name)
+
+
+def up_between(
+    found: Tuple[Sequence[Track], Adjustment], true: Tuple[Sequence[Track], Adjustment], first: str
+) -> float:
+    """By how much heights are too great: the median over ties of like places in the image ``first``."""
+    new, old = (
+        np.array([[*t.pixels[first], h] for t, h in zip(tracks, adjusted.ground[:, 2]) if first in t.pixels])
+        for tracks, adjusted in (found, true)
     )
     away = np.hypot(*(new[:, None, :2] - old[None, :, :2]).transpose(2, 0, 1))
     nearest = away.argmin(axis=1)

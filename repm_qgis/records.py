@@ -218,7 +218,8 @@ class PointingFigures(Record):
     the images' centres. ``ties_by_tile`` and ``ties_by_part`` (north-west, north, ...) count ties on the ground.
     ``control_noise_px`` is the control points' standard deviation, None where it cannot be estimated;
     ``control_information`` (3, 3) is what they know of a shift of the whole (east, north, up), 1 / m²;
-    ``height_uncertainty_m`` is two standard deviations of the absolute height, None with ground control.
+    ``height_uncertainty_m`` is two standard deviations of the absolute height, None with ground control. ``ground_m``
+    are heights of the ground (low, middle, high) that nothing but the RPCs gives, None with a DEM or ground control.
     """
 
     count: Count
@@ -234,6 +235,7 @@ class PointingFigures(Record):
     control_noise_px: Optional[float] = None
     control_information: Optional[Annotated[FloatArray, Array((3, 3), most=1e12)]] = None
     height_uncertainty_m: Optional[float] = None
+    ground_m: Optional[Tuple[float, float, float]] = None
     ties_by_tile: Dict[str, Count] = dataclasses.field(default_factory=dict)
     ties_by_part: Dict[str, Count] = dataclasses.field(default_factory=dict)
 

@@ -61,7 +61,7 @@ def advice(
     texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, spare, parameters)]
     texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, spare, limits)
     texts += _dates(pairs, spare, limits) + _thin(scene, figures, limits)
-    texts += _beyond_promise(scene, figures, parameters)
+    texts += _beyond_promise(scene, figures, parameters) + _outside(scene, figures, parameters)
     return texts
 
 
@@ -84,11 +84,12 @@ def absolute_height(
             f"{height}, if the images' errors have nothing in common."
         )
     known = height_uncertainty(views, figures, parameters)
+    outside = "" if known.outside is None else "; the ground lies outside the heights that they were made for"
     uncertain = (
         f"The absolute height is uncertain by {figures.height_uncertainty_m:.1f} m (two standard deviations): by "
         f"{2.0 * known.promised_m:.1f} m if the RPCs are as wrong as is promised or assumed; they disagree by "
-        f"{apart:.2f} px across the parallax, {known.disagreement:.2f} times as much as that lets expect; relative "
-        "heights are not affected."
+        f"{apart:.2f} px across the parallax, {known.disagreement:.2f} times as much as that lets expect{outside}; "
+        "relative heights are not affected."
     )
     return [uncertain, promise]
 
@@ -123,6 +124,23 @@ def _beyond_promise(scene: Scene, figures: PointingFigures, parameters: Pointing
         f"absolute height is uncertain by {figures.height_uncertainty_m:.1f} m; check that each RPC belongs to its "
         f"image{culprit}, give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
         "reference', ALIGN=3d)."
+    ]
+
+
+def _outside(scene: Scene, figures: PointingFigures, parameters: PointingParameters) -> List[str]:
+    """Ground outside the heights that the RPCs were made for, where nothing else gives its height."""
+    if figures.height_uncertainty_m is None:
+        return []
+    found = height_uncertainty(scene.views, figures, parameters).outside
+    if found is None:
+        return []
+    ground, rpc = ("{:.0f} to {:.0f} m".format(*ends) for ends in (found.ground, found.rpc))
+    return [
+        f"The ground is found at {ground}, but its RPCs were made for {rpc}: one of them is probably wrong along the "
+        "parallax, which makes wrong heights and leaves no other trace; the absolute height is uncertain by "
+        f"{figures.height_uncertainty_m:.1f} m; check that each RPC belongs to its image, give ground control points "
+        "(GCPS) or a DEM of this place (DEM), or lay the scene on known heights with 'Register to a reference' "
+        "(REFERENCE)."
     ]
 
 

@@ -4,14 +4,15 @@ The errors of the images' lines of sight on the ground are taken as normal and d
 promise their deviation; by how many times it is wrong in a scene (its factor) has a prior distribution: the root of a
 scaled inverse chi-square around one (Gelman et al., Bayesian Data Analysis, 2013, section 2.6), and in a few scenes,
 with an RPC of another image or a gross error, anything above one. The disagreement of the RPCs is evidence of the
-factor, and the height is distributed as a mixture of normal distributions over it.
+factor, and the height is distributed as a mixture of normal distributions over it. Ground outside the heights that
+the RPCs were made for tells of a gross error, and bounds it from both sides.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -22,12 +23,14 @@ from ..scene import View, middle_of
 from .graph import components
 from .parameters import POINTING, PointingParameters, PromiseParameters
 from .promises import promise_of, published_vertical
+from .rpc_heights import OutsideRpcHeights, outside_rpc_heights
 
 
 @dataclass(frozen=True)
 class HeightUncertainty:
     """Standard deviations of the absolute height, m: ``promised_m`` by the vendors' promise alone, ``deviation_m`` with
-    what the RPCs' disagreement adds to it: 95 % of the errors lie within two of these.
+    what the RPCs' disagreement and ground ``outside`` their heights add to it: 95 % of the errors lie within two of
+    these.
 
     ``disagreement`` is how large the observed disagreement is, as a share of what the promise lets expect (root mean
     square of ``freedom`` independent parts: one for a pair, 2 n - 3 for n images).
@@ -37,6 +40,7 @@ class HeightUncertainty:
     disagreement: float
     freedom: int
     deviation_m: float
+    outside: Optional[OutsideRpcHeights] = None
 
 
 def height_uncertainty(
@@ -52,27 +56,38 @@ def height_uncertainty(
     found = [_of_group([v for v in views if v.name in group], figures.shifts_px, parameters) for group in groups]
     promised_m = max(height for height, _, _ in found)
     square, freedom = sum(each for _, each, _ in found), sum(each for _, _, each in found)
-    deviation_m = promised_m * _stated(square, freedom, parameters.promises)
-    return HeightUncertainty(promised_m, math.sqrt(square / freedom), freedom, deviation_m)
+    outside = outside_rpc_heights(views, figures, parameters.rpc_heights)
+    error = (0.0, math.inf) if outside is None else (outside.least_m / promised_m, outside.most_m / promised_m)
+    deviation_m = promised_m * _stated(square, freedom, error, parameters.promises)
+    return HeightUncertainty(promised_m, math.sqrt(square / freedom), freedom, deviation_m, outside)
 
 
-def _stated(square: float, freedom: int, parameters: PromiseParameters) -> float:
+def _stated(square: float, freedom: int, error: Tuple[float, float], parameters: PromiseParameters) -> float:
     """Half of what holds 95 % of the errors of a height whose promised deviation is one, given the sum of squares of
-    so many independent disagreements, in promised deviations."""
+    so many independent disagreements, and the least and most that the error can be, in promised deviations.
+
+    A least error that is not zero is a gross one: ground does not lie outside of its RPCs' heights where they are as
+    promised.
+    """
     factors = np.geomspace(0.05, 20.0 * parameters.gross_most, 1200)
     chi = factors**-parameters.freedom * np.exp(-parameters.freedom / (2.0 * factors**2))
     gross = ((factors >= 1.0) & (factors <= parameters.gross_most)).astype(np.float64)
-    share = parameters.gross_share
+    share = 1.0 if error[0] > 0 else parameters.gross_share
     prior = (1.0 - share) * chi / chi.sum() + share * gross / gross.sum()
     # The logarithm, because a gross disagreement is all but impossible with most factors.
     evidence = -freedom * np.log(factors) - square / (2.0 * factors**2)
     posterior = prior * np.exp(evidence - evidence[prior > 0].max())
-    posterior /= posterior.sum()
-    low, high = 0.0, 10.0 * float(factors[-1])
+    low, high = least, most = error[0], min(error[1], 10.0 * float(factors[-1]))
+
+    def between(most: float) -> float:
+        """How probable an error from ``least`` to ``most`` is; complements, because both may be far out."""
+        beyond = np.array([[math.erfc(end / (math.sqrt(2.0) * each)) for each in factors] for end in (least, most)])
+        return float(posterior @ (beyond[0] - beyond[1]))
+
+    every = between(most)
     while high - low > 1e-6 * high:
         middle = (low + high) / 2.0
-        within = np.array([math.erf(middle / (math.sqrt(2.0) * factor)) for factor in factors])
-        low, high = (middle, high) if float(posterior @ within) < 0.95 else (low, middle)
+        low, high = (middle, high) if between(middle) < 0.95 * every else (low, middle)
     return high / 2.0
 
 

@@ -199,6 +199,15 @@ class PromiseParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class RpcHeightParameters(Parameters):
+    """When the ground lies outside the heights that the RPCs were made for."""
+
+    tail_percent: float = 5.0  # of the good ties' heights, at either end, that may be wrong; chosen
+    room_m: float = 30.0  # of good ground outside: errors of SRTM (LE90 16 m, Farr 2007), trees, pits; chosen
+    default_scale_m: Tuple[float, float] = (500.0, 501.0)  # of WorldView's RPCs, whatever the relief
+
+
+@dataclass(frozen=True)
 class PlaceParameters(Parameters):
     """How far control points may be from where the vendors' RPCs put their pixels, beyond the vendors' promise."""
 
@@ -250,6 +259,7 @@ class PointingParameters(Parameters):
     adjustment: AdjustmentParameters = AdjustmentParameters()
     control: ControlParameters = ControlParameters()
     promises: PromiseParameters = PromiseParameters()
+    rpc_heights: RpcHeightParameters = RpcHeightParameters()
     places: PlaceParameters = PlaceParameters()
     colmap: ColmapAdjustmentParameters = ColmapAdjustmentParameters()
     advice: AdviceParameters = AdviceParameters()

@@ -109,11 +109,23 @@ def point_views(
         ties_by_part=ties_by_part(scene, xy, parameters.advice),
     )
     if not controlled:
-        figures = replace(
-            figures, height_uncertainty_m=2.0 * height_uncertainty(views, figures, parameters).deviation_m
-        )
+        figures = replace(figures, ground_m=None if scene.dem else ground_heights(adjusted, parameters))
+        uncertain_m = 2.0 * height_uncertainty(views, figures, parameters).deviation_m
+        figures = replace(figures, height_uncertainty_m=uncertain_m)
     _log(scene.views, figures, parameters, progress)
     return Pointing(views, tracks, adjusted, xy, figures)
+
+
+def ground_heights(
+    adjusted: Adjustment, parameters: PointingParameters = POINTING
+) -> Optional[Tuple[float, float, float]]:
+    """Between which heights nearly all good ties lie, and the one in their middle, m; None where they are too few."""
+    heights = adjusted.ground[adjusted.residual_px < parameters.good_px, 2]
+    if len(heights) < parameters.least_tracks:
+        return None
+    tail = parameters.rpc_heights.tail_percent
+    low, middle, high = np.percentile(heights, (tail, 50.0, 100.0 - tail))
+    return float(low), float(middle), float(high)
 
 
 def _parallax(
