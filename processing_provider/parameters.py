@@ -314,9 +314,9 @@ def quality() -> QgsProcessingParameterDefinition:
             "quality",
             tr("Quality of the matching"),
             tr(
-                "fast: only as many pairs as connect all images, a fifth less time with three images, half of it with "
-                "many, and more gaps; best: semi-global matching in eight directions instead of three, a third more "
-                "time and more memory, for mountains, low suns and oblique views; default: between the two."
+                "fast: only as many pairs as connect all images, a fifth to a third less time, and more gaps; best: "
+                "semi-global matching in eight directions instead of three, up to two fifths more time and more "
+                "memory, for mountains, low suns and oblique views; default: between the two."
             ),
         )
     )
