@@ -1,11 +1,19 @@
-"""The package laspy, and how it compresses LAZ."""
+"""Point clouds as LAS and LAZ: their extensions, the package laspy, and how it compresses LAZ."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from .containers import own_rest
 from .errors import INSTALL_REMEDY, MissingPackageError
+
+EXTENSIONS = (".laz", ".las")
+
+
+def is_cloud(path: str) -> bool:
+    """Whether a file is a point cloud, by its extension."""
+    return Path(path).suffix.lower() in EXTENSIONS
 
 
 def required_laspy(option: str) -> Any:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Dict, List, Mapping, Optional, Tupl
 
 from .checks import Choice, Given, Number, Rectangle, Switch, types_of, unfit
 from .errors import OptionError
+from .las import is_cloud
 
 MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
@@ -25,6 +26,7 @@ ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
 ALIGNMENTS = ("none", "vertical", "3d")
+COMPARED_ALIGNMENTS = (*ALIGNMENTS, "icp")
 SHIFTS = ("shift", "tilt")
 VOIDS = ("inside", "none")
 CAMERA_FORMATS = ("colmap", "mvsnet", "whutlc", "nerfstudio")
@@ -432,7 +434,7 @@ class DsmFuseOptions(Options):
             raise OptionError("XS", list(self.xs), "must be a list of multispectral images, each named once")
         if self.xs and self.colour == "greys":
             raise OptionError("COLOUR", self.colour, "must be auto or all where there are XS, whose colours are wanted")
-        if self.cloud and not self.cloud.lower().endswith((".laz", ".las")):
+        if self.cloud and not is_cloud(self.cloud):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
         if self.mesh and not self.mesh.lower().endswith(".ply"):
             raise OptionError("MESH", self.mesh, "must end with .ply")
@@ -510,15 +512,16 @@ class PipelineOptions(Options):
 class CompareDsmOptions(Options):
     """Compare a DSM with a reference, on the reference's grid.
 
-    ``align`` removes a vertical offset, or a 3-D shift, first. ``thresholds`` in metres, for the completeness.
-    ``others`` are further DSMs for the same table, each aligned for itself; ``classes`` is a raster whose values errors
-    are grouped by; ``profiles`` is a line layer along which all surfaces are shown, None = two lines through the
-    middle. ``cluster`` as in ``ReconstructOptions``.
+    ``dsm``, ``reference`` and ``others`` are rasters, or point clouds, which become rasters of their first returns.
+    ``align`` removes a vertical offset, or a 3-D shift, first: ``3d`` by the slopes of cells, ``icp`` by points.
+    ``thresholds`` in metres, for the completeness. ``others`` are further DSMs for the same table, each aligned for
+    itself; ``classes`` is a raster whose values errors are grouped by; ``profiles`` is a line layer along which all
+    surfaces are shown, None = two lines through the middle. ``cluster`` as in ``ReconstructOptions``.
     """
 
     dsm: str = read()
     reference: str = read()
-    align: str = choice("none", ALIGNMENTS)
+    align: str = choice("none", COMPARED_ALIGNMENTS)
     thresholds: Tuple[float, ...] = (1.0, 2.5, 5.0)
     others: Tuple[str, ...] = read(())
     classes: Optional[str] = read(None)
@@ -530,7 +533,7 @@ class CompareDsmOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not all(self.others):
-            raise OptionError("OTHERS", self.others, "must be a list of rasters")
+            raise OptionError("OTHERS", self.others, "must be a list of rasters or clouds")
         if not self.thresholds or any(Number(1e-6, 10000).problem(height) for height in self.thresholds):
             raise OptionError("THRESHOLDS", self.thresholds, "must be heights in metres up to 10000, such as 1; 2.5; 5")
 

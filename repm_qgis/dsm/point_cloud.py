@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Iterator, Optional, Sequence
 
 import numpy as np
@@ -11,7 +10,7 @@ import pyproj
 
 from ..arrays import FloatArray
 from ..errors import OptionError
-from ..las import laz_backend, required_laspy
+from ..las import is_cloud, laz_backend, required_laspy
 from ..workspace import whole_file
 from .painting import Colours
 
@@ -48,7 +47,7 @@ def created_cloud(path: str, crs: str, origin: Sequence[float], coloured: bool =
     Coordinates are stored to the millimetre, relative to ``origin`` (x, y, height). Raises OptionError for another
     extension, MissingPackageError without laspy, WorkspaceError where the file cannot be written.
     """
-    if Path(path).suffix.lower() not in (".las", ".laz"):
+    if not is_cloud(path):
         raise OptionError("CLOUD", path, "must end with .laz or .las")
     laspy = required_laspy("CLOUD")
     header = laspy.LasHeader(point_format=7 if coloured else 6, version="1.4")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -15,8 +15,10 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..progress import Part, Progress
 from .classes import ErrorsByClass
-from .coregistration import Alignment, Patch, align, block_means
+from .clouds import Surface
+from .coregistration import Alignment, Patch, align, block_means, moved_by
 from .grids import Grid, HeightWarper, cell_metres, overlap, read_heights
+from .icp import shift_onto
 from .metrics import ErrorCollector, HeightMetrics
 from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters
 from .profiles import Profile, ProfileLine, middle_lines, sample_profile
@@ -58,14 +60,16 @@ def compare(
     error: Optional[raster.RasterWriter] = None,
     classes: Optional[gdal.Dataset] = None,
     lines: Sequence[ProfileLine] = (),
+    clouds: Tuple[str, str] = ("", ""),
     parameters: EvaluationParameters = EVALUATION,
 ) -> Comparison:
     """Compare two open rasters; ``error``, where given, takes DSM - reference on the reference's grid.
 
-    ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`. ``classes`` is a raster for whose values
-    errors are also counted apart, ``lines`` those to cut profiles along (none: two through the middle). Raises
-    OverlapError, ImageError (no CRS, no vertical transformation, unreadable, no class raster) and EmptyResultError
-    (nothing to compare).
+    ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`, or ``icp``, which goes on from ``3d``
+    with the cells of both as points, or with those of the ``clouds`` that they are rasters of ("" = none).
+    ``classes`` is a raster for whose values errors are also counted apart, ``lines`` those to cut profiles along
+    (none: two through the middle). Raises OverlapError, ImageError (no CRS, no vertical transformation, unreadable,
+    no class raster) and EmptyResultError (nothing to compare).
     """
     grid, source = Grid.of(reference), Grid.of(dsm)
     cell, common = cell_metres(grid), overlap(source, grid)
@@ -76,7 +80,13 @@ def compare(
         patches = _patches(warper, reference, common, part, parameters.comparison)
         if not _any_in_both(patches):
             _require_filled(dsm, reference, cell, common, progress, parameters.comparison)
-        alignment = align(method, patches, cell, progress.check_cancelled, parameters.coregistration)
+        by_slopes = "3d" if method == "icp" else method
+        alignment = align(by_slopes, patches, cell, progress.check_cancelled, parameters.coregistration)
+        if method == "icp":
+            sides = Surface(warper, grid, clouds[0]), Surface(HeightWarper(reference, grid), grid, clouds[1])
+            windows = sample_windows(grid, common, parameters.comparison)
+            shift = _shift_of_points(*sides, windows, alignment, progress.check_cancelled, parameters)
+            alignment = moved_by(method, patches, cell, shift, parameters.coregistration)
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
     work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
@@ -93,6 +103,20 @@ def compare(
     profiles = [sample_profile(line, warper, along, grid, alignment) for line in lines or middle_lines(common)]
     drawn = profiles, work.histogram, work.thumbnails.pictures, work.thumbnails.factor
     return Comparison(source, grid, cell, alignment, metrics, work.total.exact, slopes, kinds, *drawn, warper.warnings)
+
+
+def _shift_of_points(
+    dsm: Surface,
+    reference: Surface,
+    windows: Sequence[Window],
+    start: Alignment,
+    check: Callable[[], None],
+    parameters: EvaluationParameters,
+) -> FloatArray:
+    """What lays the DSM's points onto the reference's (3,), from a shift that is nearly right."""
+    points = dsm.points(windows, 0, check)
+    around = reference.points(windows, parameters.coregistration.search, check)
+    return shift_onto(points, around, np.array([start.dx, start.dy, start.dz]), check, parameters.icp)
 
 
 def gradient(heights: FloatImage, cell: Tuple[float, float]) -> FloatImage:

@@ -19,6 +19,7 @@ _METHODS = {
     "none": "none: the rasters are compared as they are",
     "vertical": "vertical: median height difference",
     "3d": "3d: Nuth and Kääb, by the cells' slopes",
+    "icp": "icp: the nearest points of both, point to plane (Chen and Medioni)",
 }
 
 

@@ -83,6 +83,20 @@ def align(
     return Alignment(method, east, north, up, nmad(before), nmad(after), after.size)
 
 
+def moved_by(
+    method: str,
+    patches: Sequence[Patch],
+    cell: Tuple[float, float],
+    shift_m: FloatArray,
+    parameters: CoregistrationParameters = COREGISTRATION,
+) -> Alignment:
+    """The alignment of a shift (3,), metres to the east, to the north and up, that was found in another way."""
+    before = _differences(patches, np.zeros(2), parameters)
+    east, north, up = map(float, shift_m)
+    after = _differences(patches, np.array([east / cell[0], -north / cell[1]]), parameters)
+    return Alignment(method, east, north, up, nmad(before), nmad(after), after.size)
+
+
 def shifted(array: Floats, columns: float, rows: float) -> Floats:
     """The surface displaced by a number of cells to the right and down, same shape, NaN where nothing came from.
 

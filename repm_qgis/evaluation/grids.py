@@ -242,6 +242,24 @@ class HeightWarper:
             warped = (warped * scale + offset).astype(np.float32)
         return warped + np.float32(alignment.dz)
 
+    def own_cells(self, cells: Grid) -> Grid:
+        """The DSM's own cells over a part of the target grid's ground, or, where the two have different CRS, cells of
+        their size."""
+        if self._source_flat == self._target_flat:
+            window = self._source_window(cells) or Window(0, 0, 0, 0)
+            return replace(self._source.window(window), wkt=self._target.wkt)
+        x, b, c, y, e, f = cells.transform
+        columns, rows = (max(1, round(side * self.cells_ratio)) for side in cells.size)
+        right, down = cells.size[0] / columns, cells.size[1] / rows
+        return replace(cells, size=(columns, rows), transform=(x, b * right, c * down, y, e * right, f * down))
+
+    def heights_of(self, xyz: FloatArray) -> FloatArray:
+        """(N,) heights in the target's vertical datum of (N, 3) points in its CRS with heights in the DSM's."""
+        if self.vertical is None or not len(xyz):
+            return xyz[:, 2]
+        x, y = self._to_source.transform(xyz[:, 0], xyz[:, 1])
+        return np.asarray(self.vertical.transform(x, y, xyz[:, 2])[2])
+
     def along(self, cells: Grid, alignment: Alignment = _NO_ALIGNMENT) -> FloatImage:
         """The aligned DSM at the centres of one row of cells in any direction: (columns,), NaN = no height.
 

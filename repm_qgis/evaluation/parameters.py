@@ -40,6 +40,24 @@ class CoregistrationParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class IcpParameters(Parameters):
+    """How points are laid onto points (evaluation/icp.py); chosen by `make bench-answers`. Its robust weights and its
+    least certainty are those of :class:`CoregistrationParameters`."""
+
+    points: int = 200_000  # of the DSM, at most
+    reference_points: int = 1_000_000  # and of the reference
+    least_points: int = 100  # that lie on flat parts near each other: fewer are refused
+    neighbours: int = 12  # whose plane a point's normal is taken from
+    at_once: int = 50_000  # points whose planes are found at once; bounds the memory
+    flat_medians: float = 3.0  # times the median distance of neighbours from their plane: rougher places do not count
+    least_rough_m: float = 0.001  # of that median, and of the scale of Tukey's weights: simulated planes are exact
+    alike: float = 0.9  # cosine of the angle between the planes of both sides
+    reaches: Tuple[float, ...] = (8.0, 4.0, 2.0)  # for the nearest point, in distances between points: one by one
+    iterations: int = 20  # for each reach, at most
+    converged_m: float = 0.0005  # a step as small as this is the last
+
+
+@dataclass(frozen=True)
 class ComparisonParameters(Parameters):
     """How surfaces are resampled, and how errors are sampled and divided. All values are chosen."""
 
@@ -87,6 +105,7 @@ class EvaluationParameters(Parameters):
     """The choices of all comparisons."""
 
     coregistration: CoregistrationParameters = field(default_factory=CoregistrationParameters)
+    icp: IcpParameters = field(default_factory=IcpParameters)
     comparison: ComparisonParameters = field(default_factory=ComparisonParameters)
     gcps: GcpParameters = field(default_factory=GcpParameters)
     verdict: VerdictParameters = field(default_factory=VerdictParameters)
@@ -94,4 +113,4 @@ class EvaluationParameters(Parameters):
 
 EVALUATION = EvaluationParameters()
 COREGISTRATION, COMPARISON, GCPS = EVALUATION.coregistration, EVALUATION.comparison, EVALUATION.gcps
-VERDICT = EVALUATION.verdict
+ICP, VERDICT = EVALUATION.icp, EVALUATION.verdict

@@ -1,14 +1,16 @@
-"""Point clouds (LAS, LAZ) as references: means over cells, as a raster of them would have."""
+"""Point clouds (LAS, LAZ): their points in parts; as references, means over cells, as a raster of them would have."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Optional
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Callable, Iterator, Optional
 
 import numpy as np
 import pyproj
 
-from ..arrays import Bounds, FloatArray
+from ..arrays import Bounds, FloatArray, Mask
 from ..errors import ImageError, RepmError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs
@@ -41,27 +43,83 @@ def read_cloud(
     Raises ImageError for a file that cannot be read, or has no CRS; OverlapError where it has no
     points within the bounds; MissingPackageError without laspy.
     """
-    laspy, wrong = required_laspy("REFERENCE"), distrust(path)
+    with opened_cloud(path) as cloud:
+        common = cloud.common(crs, bounds)
+        area = (common.xmax - common.xmin) * (common.ymax - common.ymin)
+        grid = CellGrid.covering(common, max(least_m, math.sqrt(area / parameters.cloud_cells)))
+        ground, others = CellSums(grid), CellSums(grid)
+        for part in cloud.parts(crs, common, check):
+            others.add(part.xyz)
+            ground.add(part.xyz[part.ground])
+        system = cloud.system
+    if ground.any():
+        others = ground
+    return others.found(path, parameters.cloud_points, system)
+
+
+@dataclass(frozen=True)
+class CloudPart:
+    """(N, 3) points in the CRS that was asked for, heights in metres; which are ground, and which the first return of
+    their pulse: what a DSM shows."""
+
+    xyz: FloatArray
+    ground: Mask
+    first: Mask
+
+
+@dataclass(frozen=True)
+class OpenedCloud:
+    """A LAS or LAZ file that is open; ``system`` is its CRS."""
+
+    path: str
+    reader: Any
+    system: pyproj.CRS
+
+    def common(self, crs: str, bounds: Bounds) -> Bounds:
+        """Bounds in a projected CRS, cut to what the cloud says it covers; raises OverlapError where nothing is left.
+
+        Cells need not be larger for what lies around it.
+        """
+        header = self.reader.header
+        forth = pyproj.Transformer.from_crs(flat_crs(self.system), crs, always_xy=True)
+        west, south, east, north = forth.transform_bounds(*header.mins[:2], *header.maxs[:2])
+        low = max(west - _MARGIN_M, bounds.xmin), max(south - _MARGIN_M, bounds.ymin)
+        high = min(east + _MARGIN_M, bounds.xmax), min(north + _MARGIN_M, bounds.ymax)
+        if not (low[0] < high[0] and low[1] < high[1]):
+            raise no_heights(self.path)
+        return Bounds(*low, *high)
+
+    def parts(self, crs: str, bounds: Bounds, check: Callable[[], None] = lambda: None) -> Iterator[CloudPart]:
+        """The points within bounds of a projected CRS, but for noise and those that are withheld, some at a time."""
+        unit, within = metres_per_unit(self.system) or 1.0, Within(flat_crs(self.system), crs, bounds)
+        for points in self.reader.chunk_iterator(max(1, min(_POINTS, _BYTES // self.reader.header.point_format.size))):
+            check()
+            x, y = np.asarray(points.x), np.asarray(points.y)
+            kind = np.asarray(points.classification)
+            use = within.near(x, y) & ~np.isin(kind, _NOISE) & (np.asarray(points.withheld) == 0)
+            xy, inside = within.places(x[use], y[use])
+            xyz = np.column_stack([xy, np.asarray(points.z)[use] * unit])[inside]
+            if len(xyz):
+                first = np.asarray(points.return_number)[use][inside] <= 1
+                yield CloudPart(xyz, kind[use][inside] == _GROUND, first)
+
+
+@contextmanager
+def opened_cloud(path: str, option: str = "REFERENCE") -> Iterator[OpenedCloud]:
+    """A point cloud opened for reading; ``option`` is the one that names it.
+
+    Raises ImageError for a file that cannot be read or has no CRS, in the block too, MissingPackageError without laspy.
+    """
+    laspy, wrong = required_laspy(option), distrust(path)
     if wrong:
         raise ImageError(f"'{path}' {wrong}")
     try:
         with laspy.open(path) as reader:
-            system = _system(path, reader.header)
-            common = _common(path, flat_crs(system), reader.header, crs, bounds)
-            unit, within = metres_per_unit(system) or 1.0, Within(flat_crs(system), crs, common)
-            area = (common.xmax - common.xmin) * (common.ymax - common.ymin)
-            grid = CellGrid.covering(common, max(least_m, math.sqrt(area / parameters.cloud_cells)))
-            ground, others = _Sums(grid), _Sums(grid)
-            for points in reader.chunk_iterator(max(1, min(_POINTS, _BYTES // reader.header.point_format.size))):
-                check()
-                _take(points, unit, within, ground, others)
+            yield OpenedCloud(path, reader, _system(path, reader.header))
     except RepmError:
         raise
     except (OSError, ValueError, RuntimeError, LookupError, EOFError, laspy.errors.LaspyException) as error:
         raise _unreadable(path, error) from error
-    if ground.any():
-        others = ground
-    return others.found(path, parameters.cloud_points, system)
 
 
 def _unreadable(path: str, reason: object) -> ImageError:
@@ -79,31 +137,7 @@ def _system(path: str, header: Any) -> pyproj.CRS:
     return system
 
 
-def _common(path: str, system: pyproj.CRS, header: Any, crs: str, bounds: Bounds) -> Bounds:
-    """Bounds of the scene, cut to what the cloud says it covers: cells need not be larger for what lies around it."""
-    forth = pyproj.Transformer.from_crs(system, crs, always_xy=True)
-    west, south, east, north = forth.transform_bounds(*header.mins[:2], *header.maxs[:2])
-    low = max(west - _MARGIN_M, bounds.xmin), max(south - _MARGIN_M, bounds.ymin)
-    high = min(east + _MARGIN_M, bounds.xmax), min(north + _MARGIN_M, bounds.ymax)
-    if not (low[0] < high[0] and low[1] < high[1]):
-        raise no_heights(path)
-    return Bounds(*low, *high)
-
-
-def _take(points: Any, unit: float, within: Within, ground: "_Sums", others: "_Sums") -> None:
-    x, y = np.asarray(points.x), np.asarray(points.y)
-    kind = np.asarray(points.classification)
-    use = within.near(x, y) & ~np.isin(kind, _NOISE) & (np.asarray(points.withheld) == 0)
-    xy, inside = within.places(x[use], y[use])
-    xyz = np.column_stack([xy, np.asarray(points.z)[use] * unit])[inside]
-    if not len(xyz):
-        return
-    lowest = kind[use][inside] == _GROUND
-    others.add(xyz)
-    ground.add(xyz[lowest])
-
-
-class _Sums:
+class CellSums:
     """Sums of the places and heights of points in the cells of a grid."""
 
     def __init__(self, grid: CellGrid) -> None:
@@ -120,6 +154,13 @@ class _Sums:
         for sums, values in zip(self._sums, (away[:, 0], away[:, 1], xyz[:, 2])):
             sums += np.bincount(cell, values, len(sums))
 
+    def means(self, least: int = 1) -> FloatArray:
+        """(rows, columns) mean heights of the cells with at least so many points, NaN in the others."""
+        heights = np.full(len(self._count), np.nan)
+        known = self._count >= least
+        heights[known] = self._sums[2, known] / self._count[known]
+        return heights.reshape(self._grid.shape)
+
     def any(self) -> bool:
         """Whether there is any point."""
         return bool(self._count.any())
@@ -130,9 +171,7 @@ class _Sums:
         if not known.any():
             raise no_heights(path)
         x, y, height = self._sums[:, known] / self._count[known]
-        all_heights = np.full(grid.shape, np.nan)
-        all_heights.ravel()[known] = height
-        slopes = slopes_of(all_heights, np.diag([grid.cell, -grid.cell])).reshape(-1, 2)[known]
+        slopes = slopes_of(self.means(least), np.diag([grid.cell, -grid.cell])).reshape(-1, 2)[known]
         xy = np.column_stack([x + grid.west, y + grid.north])
         width, said = (grid.cell, grid.cell), (stated_datum(system), places_unit(system))
         return FoundHeights(path, xy, height, width, False, slopes, *said)

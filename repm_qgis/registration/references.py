@@ -9,6 +9,7 @@ import numpy as np
 
 from ..arrays import Bounds
 from ..geometry.vertical import HeightDatum
+from ..las import is_cloud
 from ..vector import file_and_layer, open_vector
 from .clouds import read_cloud
 from .found import FoundHeights
@@ -19,7 +20,7 @@ from .surfaces import Reference
 
 __all__ = ["FoundHeights", "in_datum", "read_reference"]
 
-_CLOUDS, _LASERS = (".las", ".laz"), (".h5", ".hdf5", ".he5")
+_LASERS = (".h5", ".hdf5", ".he5")
 
 
 def read_reference(
@@ -36,7 +37,7 @@ def read_reference(
     """
     file, layer = file_and_layer(path)
     suffix = Path(file).suffix.lower()
-    if suffix in _CLOUDS:
+    if is_cloud(file):
         return read_cloud(file, crs, bounds, least_m, check)
     if suffix in _LASERS:
         return read_lasers(file, crs, bounds, check)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
-from typing import Any, Dict
+from typing import Any, Dict, Tuple
 
 import numpy as np
 from osgeo import gdal
 
+from ..evaluation.clouds import raster_of_cloud
 from ..evaluation.comparison import Comparison, compare
 from ..evaluation.comparison_page import comparison_page
 from ..evaluation.grids import Grid
@@ -16,6 +17,7 @@ from ..evaluation.metrics import HeightMetrics
 from ..evaluation.profiles import read_lines
 from ..evaluation.styles import write_style
 from ..imagery import raster
+from ..las import is_cloud
 from ..options import CompareDsmOptions
 from ..parallel import run_whole
 from ..progress import Part, Progress
@@ -59,16 +61,26 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, A
 def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comparison:
     """One DSM against the reference; the first one's errors go into the error raster."""
     with ExitStack() as stack:
-        dsm = stack.enter_context(raster.opened(path))
-        reference = stack.enter_context(raster.opened(options.reference))
+        dsm, reference = _rasters(stack, path, options.reference, progress)
         classes = stack.enter_context(raster.opened(options.classes)) if options.classes else None
         lines = read_lines(options.profiles, Grid.of(reference)) if options.profiles else ()
         target = options.error if path == options.dsm else None
         error = stack.enter_context(_error_raster(target, reference)) if target else None
-        found = compare(dsm, reference, options.align, options.thresholds, progress, error, classes, lines)
+        clouds = path if is_cloud(path) else "", options.reference if is_cloud(options.reference) else ""
+        found = compare(dsm, reference, options.align, options.thresholds, progress, error, classes, lines, clouds)
         if error is not None:
             error.flush()
         return found
+
+
+def _rasters(stack: ExitStack, dsm: str, reference: str, progress: Progress) -> Tuple[gdal.Dataset, gdal.Dataset]:
+    """Both as rasters: a cloud takes the cells of the raster beside it."""
+    opened = {path: stack.enter_context(raster.opened(path)) for path in (dsm, reference) if not is_cloud(path)}
+    for path, option, other in ((reference, "REFERENCE", dsm), (dsm, "DSM", reference)):
+        if path not in opened:
+            beside = Grid.of(opened[other]) if other in opened else None  # of two clouds the DSM takes the reference's
+            opened[path] = raster_of_cloud(path, option, beside, progress.check_cancelled)
+    return opened[dsm], opened[reference]
 
 
 def _error_raster(path: str, reference: gdal.Dataset) -> Any:
