@@ -142,24 +142,24 @@
         <translation>Zu prüfendes DOM</translation>
     </message>
     <message>
-        <source>A raster of heights in metres, in any CRS; it is resampled to the reference's cells.</source>
-        <translation>Ein Raster mit Höhen in Metern, in einem beliebigen KBS; es wird auf die Zellen der Referenz umgerechnet.</translation>
+        <source>A raster of heights in metres, in any CRS, which is resampled to the reference's cells; or a point cloud (LAZ, LAS).</source>
+        <translation>Ein Raster von Höhen in Metern in beliebigem KBS, das auf die Zellen der Referenz umgerechnet wird; oder eine Punktwolke (LAZ, LAS).</translation>
     </message>
     <message>
         <source>Reference DSM</source>
         <translation>Referenz-DOM</translation>
     </message>
     <message>
-        <source>A raster of heights in metres that are taken as right, such as one from lidar.</source>
-        <translation>Ein Raster mit Höhen in Metern, die als richtig gelten, zum Beispiel aus Lidar.</translation>
+        <source>A raster of heights in metres that are taken as right, such as one from lidar; or a point cloud (LAZ, LAS), whose first returns become means on the DSM's cells.</source>
+        <translation>Ein Raster von Höhen in Metern, die als richtig gelten, etwa aus Lidar; oder eine Punktwolke (LAZ, LAS), deren erste Echos auf den Zellen des DOM gemittelt werden.</translation>
     </message>
     <message>
         <source>Alignment before the comparison</source>
         <translation>Ausrichtung vor dem Vergleich</translation>
     </message>
     <message>
-        <source>none: no alignment; vertical: a constant offset in height is removed; 3d: a shift in all three axes is removed.</source>
-        <translation>none: keine Ausrichtung; vertical: ein konstanter Höhenversatz wird entfernt; 3d: eine Verschiebung in allen drei Achsen wird entfernt.</translation>
+        <source>none: no alignment; vertical: a constant offset in height is removed; 3d: a shift in all three axes is removed, found by the slopes of cells; icp: such a shift, found by the nearest points of flat parts, which is more repeatable against point clouds and takes longer.</source>
+        <translation>none: keine Ausrichtung; vertical: ein konstanter Höhenversatz wird entfernt; 3d: eine Verschiebung in allen drei Achsen wird entfernt, aus den Neigungen der Zellen bestimmt; icp: eine solche Verschiebung, aus den nächsten Punkten ebener Stellen bestimmt, was bei Punktwolken besser wiederholbar ist und länger dauert.</translation>
     </message>
     <message>
         <source>Thresholds of the completeness (m)</source>

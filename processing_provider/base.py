@@ -14,6 +14,7 @@ from typing import Any, Mapping
 from qgis.core import (
     QgsApplication,
     QgsMapLayer,
+    QgsProcessing,
     QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingFeedback,
@@ -60,6 +61,14 @@ def _place(group: str) -> int:
 def resource(*parts: str) -> str:
     """The path of a file in resources/."""
     return os.path.join(PLUGIN_FOLDER, "resources", *parts)
+
+
+def _taken_kinds(definition: QgsProcessingParameterDefinition) -> list[QgsProcessing.SourceType]:
+    """The kinds of layers that a parameter takes; ``TypeMapLayer`` is any."""
+    kinds = QgsProcessing.SourceType
+    if definition.type() == "layer":
+        return list(definition.dataTypes()) or [kinds.TypeMapLayer]
+    return [definition.layerType() if definition.type() == "multilayer" else kinds.TypeRaster]
 
 
 def _is_raster(path: str) -> bool:
@@ -192,8 +201,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self._check_backend(definition, value)
         if definition.type() == "file" and definition.behavior() == QgsProcessingParameterFile.Behavior.File:
             return self._check_file(definition, value)
-        if definition.type() in ("raster", "multilayer") and not is_empty(value):
-            return self._check_raster(name, value, context)
+        if definition.type() in ("raster", "multilayer", "layer") and not is_empty(value):
+            return self._check_raster(definition, value, context)
         return ""
 
     def validateInputCrs(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> bool:
@@ -238,12 +247,21 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                 )
         return ""
 
-    def _check_raster(self, name: str, value: object, context: QgsProcessingContext) -> str:
-        for item in raster_items(value, context):
-            if isinstance(item, str) and not os.path.exists(item):
+    def _check_raster(
+        self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
+    ) -> str:
+        """Files must be there, and be rasters where nothing else is taken; the engine names what is wrong in others."""
+        from ..repm_qgis.las import is_cloud
+        from ..repm_qgis.vector import file_and_layer
+
+        name, kinds = definition.name(), _taken_kinds(definition)
+        for item in (each for each in raster_items(value, context) if isinstance(each, str)):
+            path = item if kinds == [QgsProcessing.SourceType.TypeRaster] else file_and_layer(item)[0]
+            if not os.path.exists(path):
                 return self.tr("{name} '{path}' is not there: check its path.").format(name=name, path=item)
-            scene = name == "FIXED" and str(item).lower().endswith(".json")
-            if isinstance(item, str) and not scene and not _is_raster(item):
+            scene = name == "FIXED" and item.lower().endswith(".json")
+            cloud = QgsProcessing.SourceType.TypePointCloud in kinds and is_cloud(item)
+            if QgsProcessing.SourceType.TypeRaster in kinds and not (scene or cloud or _is_raster(item)):
                 return self.tr("{name} '{path}' cannot be read as a raster: check that the file is complete.").format(
                     name=name, path=item
                 )
@@ -331,8 +349,12 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         """The engine's options out of the parameters' values, where these are not the same."""
         return options
 
+    def runs_apart(self, options: Mapping[str, Any]) -> bool:
+        """Whether a run takes a process of its own, with the engine's own packages."""
+        return self.HEAVY or bool(options.get("cluster"))
+
     def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
-        run = engine.run_apart if self.HEAVY or options.get("cluster") else engine.run_here
+        run = engine.run_apart if self.runs_apart(options) else engine.run_here
         with engine.sigterm_cancels(feedback):
             return run(self.ID, options, feedback)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, Mapping
 
 from qgis.core import (
     QgsProcessing,
@@ -11,6 +11,7 @@ from qgis.core import (
     QgsProcessingParameterString,
 )
 
+from ..repm_qgis.las import is_cloud
 from ..repm_qgis.options import CompareDsmOptions
 from . import parameters
 from .base import RepmAlgorithm
@@ -41,13 +42,21 @@ class CompareDsm(RepmAlgorithm):
 
     def parameters(self) -> list:
         return [
-            parameters.helped(
-                parameters.Raster("DSM", self.tr("DSM to measure")),
-                self.tr("A raster of heights in metres, in any CRS; it is resampled to the reference's cells."),
+            parameters.surface_or_cloud(
+                "DSM",
+                self.tr("DSM to measure"),
+                self.tr(
+                    "A raster of heights in metres, in any CRS, which is resampled to the reference's cells; or a "
+                    "point cloud (LAZ, LAS)."
+                ),
             ),
-            parameters.helped(
-                parameters.Raster("REFERENCE", self.tr("Reference DSM")),
-                self.tr("A raster of heights in metres that are taken as right, such as one from lidar."),
+            parameters.surface_or_cloud(
+                "REFERENCE",
+                self.tr("Reference DSM"),
+                self.tr(
+                    "A raster of heights in metres that are taken as right, such as one from lidar; or a point cloud "
+                    "(LAZ, LAS), whose first returns become means on the DSM's cells."
+                ),
             ),
             parameters.choice(
                 CompareDsmOptions,
@@ -55,7 +64,8 @@ class CompareDsm(RepmAlgorithm):
                 self.tr("Alignment before the comparison"),
                 self.tr(
                     "none: no alignment; vertical: a constant offset in height is removed; 3d: a shift in all three "
-                    "axes is removed."
+                    "axes is removed, found by the slopes of cells; icp: such a shift, found by the nearest points of "
+                    "flat parts, which is more repeatable against point clouds and takes longer."
                 ),
             ),
             parameters.helped(
@@ -109,6 +119,11 @@ class CompareDsm(RepmAlgorithm):
                 ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),
             )
         ]
+
+    def runs_apart(self, options: Mapping[str, Any]) -> bool:
+        """Points need packages that QGIS's own Python may lack."""
+        surfaces = (options["dsm"], options["reference"], *options["others"])
+        return super().runs_apart(options) or options["align"] == "icp" or any(map(is_cloud, surfaces))
 
     def complete(self, options: dict[str, Any]) -> dict[str, Any]:
         return {**options, "thresholds": thresholds(options["thresholds"])}

@@ -148,6 +148,12 @@ class Layer(QgsProcessingParameterMapLayer):
         return Layer(self)
 
 
+def surface_or_cloud(name: str, label: str, text: str) -> QgsProcessingParameterDefinition:
+    """A raster of heights, or a point cloud."""
+    kinds = QgsProcessing.SourceType
+    return helped(Layer(name, label, types=[kinds.TypeRaster, kinds.TypePointCloud]), text)
+
+
 class Points(QgsProcessingParameterVectorLayer):
     """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and names what is
     wrong in them."""

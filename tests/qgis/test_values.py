@@ -281,6 +281,30 @@ def test_a_raster_that_is_not_there_or_damaged_is_named(plugin, context, rasters
     assert not fine and f"REFERENCE '{damaged}' cannot be read" in text
 
 
+def test_clouds_and_points_are_taken_where_they_are_read(plugin, context, rasters, tmp_path):
+    cloud, table, scene = (tmp_path / name for name in ("cloud.laz", "points.csv", "scene.json"))
+    for path in (cloud, table):
+        path.write_text("x,y,z\n")  # what is in it is the engine's to judge
+    scene.write_text("{}")
+    compared = {"DSM": rasters[0], "REFERENCE": str(cloud), "ALIGN": "icp", "THRESHOLDS": "1"}
+    assert check("comparedsm", compared, context) == (True, "")
+    assert check("comparedsm", {**compared, "DSM": str(cloud)}, context) == (True, "")
+    assert not check("comparedsm", {**compared, "REFERENCE": str(table)}, context)[0]
+    gone = str(tmp_path / "gone.laz")
+    assert f"REFERENCE '{gone}' is not there" in check("comparedsm", {**compared, "REFERENCE": gone}, context)[1]
+    for reference in (cloud, table):
+        given = {"SCENE": str(scene), "REFERENCE": [str(reference)], "OUTPUT_SCENE": str(tmp_path / "r.json")}
+        assert "cannot be read as a raster" not in check("register", given, context)[1]
+    assert "cannot be read as a raster" in check("mosaic", {"DSMS": [rasters[0], str(cloud)]}, context)[1]
+
+
+def test_what_needs_packages_runs_with_the_engines_own(plugin):
+    plain = {"dsm": "a.tif", "reference": "b.tif", "others": [], "align": "3d"}
+    apart = algorithm("comparedsm").runs_apart
+    assert not apart(plain)
+    assert all(apart({**plain, **more}) for more in ({"align": "icp"}, {"reference": "b.laz"}, {"others": ["c.LAS"]}))
+
+
 @pytest.mark.parametrize("text", ["", "high", "1; -2", "0", "nan", "inf"])
 def test_thresholds_must_be_heights(plugin, context, rasters, text):
     fine, problem = check("comparedsm", {"DSM": rasters[0], "REFERENCE": rasters[1], "THRESHOLDS": text}, context)
