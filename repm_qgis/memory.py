@@ -167,7 +167,7 @@ def fusing_mib(pixels: Sequence[int], cells: int) -> float:
 def colouring_mib(cells: int, around: int, views: int, bands: int) -> float:
     """Peak memory of a worker that colours a block of so many cells with so many views (dsm/colour_ortho.py), MiB.
 
-    ``around`` are the cells that may hide one of them. Held to measured peaks as :func:`matching_mib`.
+    ``around`` are the cells that may hide one of them. Estimated from the arrays that it holds; not measured.
     """
     each = 4.0 * views * (3.0 * bands + 2.0 * views + 6.0) + 80.0
     return _PROCESS_MIB + (each * cells + 40.0 * around) / _MIB

@@ -142,7 +142,7 @@ def finishing_margin(search: Search) -> int:
 
 
 def block_mib(search: Search, wide: Window) -> float:
-    """Peak memory of a worker, MiB; measured (`make bench-answers`)."""
+    """Peak memory of a worker, MiB: estimated from the arrays that it holds."""
     return 130.0 + 60.0 * wide.width * wide.height / 2**20
 
 
