@@ -1520,8 +1520,8 @@
         <translation>Netz</translation>
     </message>
     <message>
-        <source>The surface as triangles, which QGIS and 3D programs show, the latter in colour.</source>
-        <translation>Die Oberfläche als Dreiecke, die QGIS und 3D-Programme zeigen, letztere farbig.</translation>
+        <source>The surface as triangles: PLY for QGIS and 3-D programs, or GLB with the orthophoto as picture, not for QGIS.</source>
+        <translation>Die Oberfläche als Dreiecke: PLY für QGIS und 3D-Programme, oder GLB mit dem Orthophoto als Bild, nicht für QGIS.</translation>
     </message>
     <message>
         <source>DSM of each pair alone</source>

@@ -161,6 +161,17 @@ def require_page(name: str, path: str) -> None:
         raise OptionError(name, path, "must end with .html")
 
 
+def is_glb(path: str) -> bool:
+    """Whether a mesh is to be glTF, in one binary file, by its extension."""
+    return path.lower().endswith(".glb")
+
+
+def require_mesh(path: str) -> None:
+    """Raise OptionError for a mesh of a kind that is not written."""
+    if not (is_glb(path) or path.lower().endswith(".ply")):
+        raise OptionError("MESH", path, "must end with .ply or .glb")
+
+
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
     """Raise OptionError for a list of images that is none, or lists of files ``beside`` them that do not fit it."""
     if not all(images):
@@ -436,8 +447,8 @@ class DsmFuseOptions(Options):
             raise OptionError("COLOUR", self.colour, "must be auto or all where there are XS, whose colours are wanted")
         if self.cloud and not is_cloud(self.cloud):
             raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
-        if self.mesh and not self.mesh.lower().endswith(".ply"):
-            raise OptionError("MESH", self.mesh, "must end with .ply")
+        if self.mesh:
+            require_mesh(self.mesh)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import raster_identity
 from ..memory import fusing_mib, tile_work, workers_within
-from ..options import DsmFuseOptions, ViewerOptions
+from ..options import DsmFuseOptions, ViewerOptions, is_glb
 from ..parallel import run_tasks, run_whole
 from ..products import not_requested, paths_of, product, products_of
 from ..progress import Part, Progress, counted
@@ -110,7 +110,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         finished = FinishedDsm(options, cloud if facts.points else None, datum.file_crs(crs), parameters.fusion, ortho)
         for each, path, file in make_derived(finished, progress):
             made[each.option] = path if file else None
-            if file and each.style:
+            if file and each.style and not is_glb(file):
                 write_style(each.style, file, height_limits(options.output))
         if options.viewer:
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import struct
 
 import numpy as np
+import pyproj
 import pytest
+from osgeo import gdal
 
 from repm_qgis.dsm.mesh import write_mesh
 from repm_qgis.dsm.parameters import FusionParameters
 from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
-from repm_qgis.imagery.raster import write
+from repm_qgis.imagery.raster import created, write
 
 TRANSFORM = (500000.0, 0.5, 0.0, 4800000.0, 0.0, -0.5)
 
 
 def dsm_of(path, heights, **options):
-    import pyproj
-
     return write(
         str(path), [np.asarray(heights, dtype=np.float32)], TRANSFORM, pyproj.CRS("EPSG:32631").to_wkt(), **options
     )
@@ -134,7 +136,7 @@ def test_the_datum_is_named(tmp_path):
 
 def test_what_cannot_be_written_leaves_nothing(tmp_path, told):
     dsm = dsm_of(tmp_path / "d.tif", np.ones((9, 9)))
-    with pytest.raises(OptionError, match="must end with .ply"):
+    with pytest.raises(OptionError, match="must end with .ply or .glb"):
         write_mesh(dsm, str(tmp_path / "m.obj"))
     with pytest.raises(EmptyResultError, match="no heights"):
         write_mesh(dsm_of(tmp_path / "e.tif", np.full((9, 9), np.nan)), str(tmp_path / "m.ply"))
@@ -144,3 +146,82 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path, told):
     with pytest.raises(WorkspaceError):
         write_mesh(dsm, str(tmp_path / "folder.ply"))
     assert sorted(os.listdir(tmp_path)) == ["d.tif", "e.tif", "folder.ply"]
+
+
+def read_glb(path):
+    """The JSON part, (N, 3) positions, (N, 2) places in the picture or None, (M, 3) triangles, and the picture."""
+    data = path.read_bytes()
+    magic, version, length, size, kind = struct.unpack("<4sIII4s", data[:20])
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON") and size % 4 == 0
+    document = json.loads(data[20 : 20 + size])
+    rest, kind = struct.unpack("<I4s", data[20 + size : 28 + size])
+    body = data[28 + size :]
+    assert kind == b"BIN\0" and rest == len(body) and rest % 4 == 0
+    views = [body[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    (primitive,) = document["meshes"][0]["primitives"]
+
+    def values(accessor, kind, width):
+        found = document["accessors"][accessor]
+        array = np.frombuffer(views[found["bufferView"]], kind).reshape(-1, width)
+        assert array.size == found["count"] * {"VEC3": 3, "VEC2": 2, "SCALAR": 1}[found["type"]]
+        return array
+
+    attributes = primitive["attributes"]
+    places = values(attributes["TEXCOORD_0"], "<f4", 2) if "TEXCOORD_0" in attributes else None
+    picture = views[document["images"][0]["bufferView"]] if "images" in document else None
+    triangles = values(primitive["indices"], "<u4", 3) if "indices" in primitive else None
+    return document, values(attributes["POSITION"], "<f4", 3), places, triangles, picture
+
+
+def test_gltf_has_the_same_surface_as_the_ply(tmp_path):
+    heights = np.random.default_rng(0).uniform(100, 130, (40, 61))
+    heights[5:9, 20:30] = np.nan
+    dsm = dsm_of(tmp_path / "d.tif", heights)
+    facts = write_mesh(dsm, str(tmp_path / "m.glb"))
+    assert facts == write_mesh(dsm, str(tmp_path / "m.ply"))
+    _, vertices, faces = read_ply(tmp_path / "m.ply")
+    document, positions, places, triangles, picture = read_glb(tmp_path / "m.glb")
+    assert places is None and picture is None
+    np.testing.assert_array_equal(triangles, faces)
+    about = document["asset"]["extras"]
+    back = np.column_stack([positions[:, 0], -positions[:, 2], positions[:, 1]]) + about["origin"]
+    assert np.abs(back - vertices).max() < 1e-5 and np.abs(positions[:, [0, 2]]).max() < 20
+    assert "WGS 84 / UTM zone 31N" in about["crs"] and about["heights"] == "metres above the WGS 84 ellipsoid"
+    accessor = document["accessors"][0]
+    np.testing.assert_array_equal([accessor["min"], accessor["max"]], [positions.min(axis=0), positions.max(axis=0)])
+    a, b, c = (positions[triangles[:, i]] for i in range(3))
+    assert (np.cross(b - a, c - a)[:, 1] > 0).all()  # turned up
+
+
+def test_gltf_has_the_orthophoto_in_its_place(tmp_path):
+    rows, columns = np.mgrid[0:60, 0:90]
+    dsm = dsm_of(tmp_path / "d.tif", 10 + 0.1 * rows)
+    colours = [np.where(columns < 45, 200, 20), np.where(rows < 30, 180, 30), np.full(rows.shape, 90)]
+    wkt, ortho = pyproj.CRS("EPSG:32631").to_wkt(), str(tmp_path / "o.tif")
+    with created(ortho, rows.shape, np.dtype(np.uint8), 3, TRANSFORM, wkt) as raster:
+        for band, values in enumerate(colours, start=1):
+            raster.write(values.astype(np.uint8), 0, 0, band)
+    write_mesh(dsm, str(tmp_path / "m.glb"), ortho=ortho)
+    document, positions, places, _, picture = read_glb(tmp_path / "m.glb")
+    (tmp_path / "p.jpg").write_bytes(picture)
+    pixels = gdal.Open(str(tmp_path / "p.jpg")).ReadAsArray()
+    column, row = (places * [pixels.shape[2], pixels.shape[1]]).astype(int).T
+    np.testing.assert_array_equal(column, columns.ravel())
+    np.testing.assert_array_equal(row, rows.ravel())
+    shown = pixels[:, row, column].reshape(3, *rows.shape).astype(int)
+    inner = (np.abs(columns - 44.5) > 16) & (np.abs(rows - 29.5) > 16)  # JPEG blurs edges
+    assert all(np.abs(band - true)[inner].max() < 6 for band, true in zip(shown, colours))
+    assert document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+
+
+def test_gltf_in_blocks_thinned_and_of_single_cells(tmp_path):
+    heights = np.random.default_rng(2).uniform(0, 9, (50, 70))
+    dsm = dsm_of(tmp_path / "d.tif", heights)
+    write_mesh(dsm, str(tmp_path / "whole.glb"), 1000)
+    write_mesh(dsm, str(tmp_path / "blocks.glb"), 1000, parameters=FusionParameters(mesh_block_cells=300))
+    assert (tmp_path / "whole.glb").read_bytes() == (tmp_path / "blocks.glb").read_bytes()
+    alone = np.full((5, 5), np.nan)
+    alone[1, 1] = alone[3, 3] = 4.0
+    write_mesh(dsm_of(tmp_path / "a.tif", alone), str(tmp_path / "a.glb"))
+    document, positions, _, triangles, _ = read_glb(tmp_path / "a.glb")
+    assert len(positions) == 2 and triangles is None and document["meshes"][0]["primitives"][0]["mode"] == 0
