@@ -38,13 +38,14 @@ Job = Tuple[str, Dict[str, Any]]
 
 @dataclass
 class Ended:
-    """How a stage ended: its result, or its error; what it said, and its folder."""
+    """How a stage ended: its result, or its error; what it said, its folder, and the CPU seconds it took."""
 
     folder: Path
     result: Dict[str, Any] = field(default_factory=dict)
     error: str = ""
     said: List[str] = field(default_factory=list)
     warned: List[str] = field(default_factory=list)
+    cpu_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,10 @@ def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path) -> End
     job, ended = folder / "job.json", Ended(folder)
     job.write_text(json.dumps(options))
     command = [sys.executable, "-m", "repm_qgis", stage, str(job)]
+    started = os.times()
     done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
+    over = os.times()
+    ended.cpu_s = sum(over[2:4]) - sum(started[2:4])  # of children, with those that they have waited for
     for line in done.stdout.splitlines():
         message = json.loads(line)
         kind, text = message["type"], message.get("text", "").replace(f"{folder}/", "").replace(f"{CACHE}/", "")

@@ -168,7 +168,8 @@ def refined(ended: Ended) -> str:
     scene = json.loads((ended.folder / "refined.json").read_text())
     tiles, seconds, result = len(scene["tiles"]), scene["history"][-1]["seconds"], ended.result
     return (
-        f"exit 0: {tiles} tiles in {seconds:.0f} s; RMSE {result['rmse']:.4f} px, largest {result['max_error']:.3f} px"
+        f"exit 0: {tiles} tiles in {seconds:.0f} s, {ended.cpu_s:.0f} s of CPU; RMSE {result['rmse']:.4f} px, largest "
+        f"{result['max_error']:.3f} px"
     )
 
 
