@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Callable, Dict, List
 
-from benchmarks import answers_change, answers_colour, answers_dtm, answers_viewer
+from benchmarks import answers_change, answers_colour, answers_dtm, answers_solids, answers_viewer
 from benchmarks.tables import Section
 
 PARTS: Dict[str, Callable[[], List[str]]] = {
@@ -12,6 +12,7 @@ PARTS: Dict[str, Callable[[], List[str]]] = {
     "colour": answers_colour.colours,
     "dtm": answers_dtm.terrain,
     "heights": answers_dtm.heights,
+    "solids": answers_solids.solids,
     "viewer": answers_viewer.pages,
 }
 
