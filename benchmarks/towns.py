@@ -39,9 +39,8 @@ _PUBLISHED = (
     "to look at beside them, and none of the differences below 0.2 m means much."
 )
 _FIGURES = (
-    "valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | C1 without mid-air, % | "
-    "ground, % | trees, % | buildings, % | walls off, m | "
-    "wider, m | CPU s"
+    "valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | C1 without mid-air, % | ground, % | trees, % | "
+    "buildings, % | walls off, m | wider, m | CPU s"
 )
 _STEP_M, _WINDOW_M = 3.0, 2.5  # a wall: the truth's heights differ by so much within a window of this side
 
@@ -52,14 +51,19 @@ def _names() -> List[str]:
         return [row["image"].split("_")[2] for row in csv.DictReader(stream)]
 
 
+def _surroundings(truth: np.ndarray, cell: float) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The truth with its median in its gaps, and the highest and lowest of it in a wall's window around each cell."""
+    side = int(round(_WINDOW_M / cell)) | 1
+    filled = np.where(np.isfinite(truth), truth, np.nanmedian(truth))
+    return filled, ndimage.maximum_filter(filled, side), ndimage.minimum_filter(filled, side)
+
+
 def _walls(dsm: np.ndarray, truth: np.ndarray, cell: float) -> Tuple[float, float]:
     """How far the DSM's walls are from the truth's (mean, m), and by how much objects are too wide on each side (m).
 
     A wall is the border between what lies above and below the middle of the truth's heights around it.
     """
-    side = int(round(_WINDOW_M / cell)) | 1
-    filled = np.where(np.isfinite(truth), truth, np.nanmedian(truth))
-    top, bottom = ndimage.maximum_filter(filled, side), ndimage.minimum_filter(filled, side)
+    _, top, bottom = _surroundings(truth, cell)
     near = (top - bottom > _STEP_M) & np.isfinite(truth) & np.isfinite(dsm)
     middle = (top + bottom) / 2
     high = [np.where(near, values > middle, False) for values in (truth, dsm)]
@@ -105,9 +109,7 @@ def _rows(label: str, names: Sequence[str]) -> List[List[Any]]:
 
 def _mid_air(truth: np.ndarray, cell: float) -> np.ndarray:
     """Cells beside walls whose height is neither the upper nor the lower surface's: more than 1 m from both."""
-    side = int(round(_WINDOW_M / cell)) | 1
-    filled = np.where(np.isfinite(truth), truth, np.nanmedian(truth))
-    top, bottom = ndimage.maximum_filter(filled, side), ndimage.minimum_filter(filled, side)
+    filled, top, bottom = _surroundings(truth, cell)
     between: np.ndarray = (top - bottom > _STEP_M) & (filled - bottom > 1.0) & (top - filled > 1.0)
     return between & np.isfinite(truth)
 

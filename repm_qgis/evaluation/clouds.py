@@ -65,8 +65,7 @@ def _cells(cloud: OpenedCloud, beside: Optional[Grid]) -> Tuple[CellGrid, str]:
 
 def _is_plain(grid: Grid) -> bool:
     """Whether a raster has square cells, north up, in a projected CRS."""
-    _, b, c, _, e, f = grid.transform
-    return b > 0 and b == -f and c == e == 0 and flat_crs(grid.crs).is_projected
+    return grid.is_north_up and grid.transform[1] == -grid.transform[5] and flat_crs(grid.crs).is_projected
 
 
 class Surface:

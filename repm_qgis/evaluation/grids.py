@@ -66,6 +66,12 @@ class Grid:
         x, y = self.to_ground(np.array([0, width, 0, width]), np.array([0, 0, height, height]))
         return Bounds(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
+    @property
+    def is_north_up(self) -> bool:
+        """Whether columns run east and rows run south, neither turned nor mirrored."""
+        _, b, c, _, e, f = self.transform
+        return c == 0 and e == 0 and b > 0 > f
+
     def to_ground(self, column: Any, row: Any) -> Tuple[Any, Any]:
         """Ground x, y of places (numbers or arrays): (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
         a, b, c, d, e, f = self.transform

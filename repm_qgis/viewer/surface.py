@@ -24,7 +24,7 @@ def page_grid(grid: Grid, most_cells: int, parameters: ViewerParameters = VIEWER
     xmin, ymin, xmax, ymax = grid.bounds
     _, b, c, _, e, f = grid.transform
     width, height = grid.size
-    if not _is_north_up(grid):
+    if not grid.is_north_up:
         cell = math.sqrt(abs(b * f - c * e))
         width, height = (max(round(side / cell), 1) for side in (xmax - xmin, ymax - ymin))
     factor = max(1.0, math.sqrt(width * height / most_cells), max(width, height) / parameters.most_side)
@@ -92,14 +92,9 @@ def without_holes(values: FloatImage) -> FloatImage:
     return np.where(good, values, around)
 
 
-def _is_north_up(grid: Grid) -> bool:
-    _, b, c, _, e, f = grid.transform
-    return c == 0 and e == 0 and b > 0 > f
-
-
 def _same_ground(own: Grid, cells: Grid) -> bool:
     """Whether two rasters that lie north up cover the same ground; one without a CRS is taken to have the other's."""
     tolerance = _NEAR * abs(cells.transform[1])
-    if not _is_north_up(own) or any(abs(a - b) > tolerance for a, b in zip(own.bounds, cells.bounds)):
+    if not own.is_north_up or any(abs(a - b) > tolerance for a, b in zip(own.bounds, cells.bounds)):
         return False
     return not own.wkt or not cells.wkt or flat_crs(own.crs) == flat_crs(cells.crs)
