@@ -57,6 +57,11 @@ class DsmLayout:
         grid = CellGrid.covering(enclosing(boxes), cell)
         return cls(grid, crs, datum, tuple(grid.window(box) for box in boxes))
 
+    @property
+    def file_crs(self) -> str:
+        """The CRS as it is written into files, with the vertical part of the datum."""
+        return self.datum.file_crs(self.crs)
+
     def undulation(self, grid: CellGrid) -> FloatArray:
         """(rows, columns) to take off the ellipsoidal heights of a part of the grid; geoids are smooth."""
         if not self.datum.code or not all(grid.shape):
@@ -87,7 +92,7 @@ class _Products:
         cls, stack: ExitStack, options: DsmFuseOptions, scene: Scene, layout: DsmLayout, crop: Window, folder: str
     ) -> _Products:
         datum, cells, shape = layout.datum, layout.grid.part(crop), (crop.height, crop.width)
-        wkt, file_crs = pyproj.CRS.from_user_input(layout.crs).to_wkt(), datum.file_crs(layout.crs)
+        wkt = pyproj.CRS.from_user_input(layout.crs).to_wkt()
         metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method}
         metadata.update({"REPM_FILL": options.fill, TAG: datum.name})
         kind, place = np.dtype(np.float32), cells.geotransform
@@ -97,7 +102,7 @@ class _Products:
             file = created(path, *frame, descriptions=names, metadata=metadata, unit=unit, cog=True, **more)
             return stack.enter_context(file)
 
-        dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", file_crs)
+        dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", layout.file_crs)
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
         whole = None
@@ -178,7 +183,7 @@ def write_cloud(path: str, layout: DsmLayout, stored: Sequence[StoredTile], orth
     origin = layout.grid.west, layout.grid.north, 0.0
     with ExitStack() as stack:
         paint = stack.enter_context(opened_paint(ortho)) if ortho else None
-        frame = layout.datum.file_crs(layout.crs), origin, paint is not None
+        frame = layout.file_crs, origin, paint is not None
         cloud = stack.enter_context(created_cloud(path, *frame))
         for tile in stored:
             points = tile.points()

@@ -398,7 +398,7 @@ def test_a_cancelled_fusion_keeps_its_tiles_and_a_failed_one_leaves_nothing(agai
     def fail(*arguments):
         raise EmptyResultError("None of 1 cells of the DSM has a height: check the reconstruction's report.")
 
-    monkeypatch.setattr("repm_qgis.stages.dsmfuse.write_products", fail)
+    monkeypatch.setattr("repm_qgis.stages.fusing.write_products", fail)
     with pytest.raises(EmptyResultError):
         run_stage("dsmfuse", {**options, "workers": 1}, told())
     assert not list(folder.glob("*/*"))

@@ -1,0 +1,120 @@
+"""The height maps of a scene fused tile by tile on the DSM's cells, and the rasters that all tiles make."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import List, Optional, Tuple
+
+from ..dsm.coarse_means import CoarseMeans
+from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
+from ..dsm.ortho import nadir_first
+from ..dsm.products import DsmLayout, write_products
+from ..errors import RepmError
+from ..evaluation.styles import write_style
+from ..imagery.raster import raster_identity
+from ..memory import fusing_mib, tile_work, workers_within
+from ..options import DsmFuseOptions
+from ..parallel import run_tasks, run_whole
+from ..products import paths_of
+from ..progress import Progress, counted
+from ..records import DemOffset, FusionFacts
+from ..registration.dem_offset import dem_offset
+from ..registration.laying import prior_of
+from ..scene import Scene
+from ..workspace import ensure_folder, fingerprint
+from .parameters import EngineParameters
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is for fused tiles."""
+
+    options: DsmFuseOptions
+    parameters: EngineParameters
+    scene: Scene
+    layout: DsmLayout
+    folder: Path
+
+    @classmethod
+    def within(
+        cls, kept: Path, options: DsmFuseOptions, parameters: EngineParameters, scene: Scene, layout: DsmLayout
+    ) -> Fusion:
+        """With a folder of its own in ``kept``: another one wherever a fused tile would have other cells."""
+        records = [record.to_mapping() for tile in scene.tiles for record in tile.heights]
+        images = [raster_identity(view.image) for view in scene.views] if options.ortho else []
+        chosen = options.method, options.fill, options.outlier_radius, bool(options.cloud or options.ept)
+        cells = layout.crs, layout.grid.bounds, layout.grid.cell, layout.windows
+        parts = "dsmfuse", scene.fingerprint, records, images, chosen, cells, *parameters.in_fingerprint()
+        return cls(options, parameters, scene, layout, kept / fingerprint(*parts))
+
+
+def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredTile]]:
+    """Fuse tile by tile and write the products, but for the cloud; gives what was counted, and the tiles."""
+    options, parameters, scene, layout = fusion.options, fusion.parameters, fusion.scene, fusion.layout
+    task = FuseTask(
+        scene=scene.lean(),
+        bounds=scene.tiles[0].bounds,
+        records=(),
+        grid=layout.grid,
+        window=layout.windows[0],
+        crs=layout.crs,
+        method=options.method,
+        fill=options.fill,
+        radius=options.outlier_radius or 0.0,
+        ortho_views=tuple(nadir_first(scene)) if options.ortho else (),
+        cloud=bool(options.cloud or options.ept),
+        parameters=parameters.fusion,
+        matching=parameters.matching,
+    )
+    places = zip(scene.tiles, layout.windows)
+    tasks = [replace(task, bounds=tile.bounds, records=tile.heights, window=window) for tile, window in places]
+    ensure_folder(str(fusion.folder))
+    stored: List[StoredTile] = run_tasks(
+        fuse_to_disk,
+        [(task, f"{fusion.folder}/{i}.npz") for i, task in enumerate(tasks)],
+        _workers(fusion, progress),
+        progress,
+        lambda work: f"fusing {work[0].records[0].tile}",
+    )
+    reused = sum(tile.reused for tile in stored)
+    if reused:
+        progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
+    facts: FusionFacts = run_whole(_written, (fusion, stored), progress, "writing the products")
+    return facts, stored
+
+
+def _written(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> FusionFacts:
+    """Write the products of all tiles, with their styles, and compare the heights with the scene's DEM."""
+    fusion, stored = task
+    options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
+    means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
+    facts = write_products(options, fusion.scene, layout, stored, folder, numbers.fusion, means)
+    if means is not None:
+        facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
+    for each, path in paths_of("dsmfuse", options):
+        if each.style and not each.maker:
+            write_style(each.style, path, taken=fusion.scene.taken())
+    return facts
+
+
+def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optional[DemOffset]:
+    """How far the DSM lies above the DEM; None, with the reason in the log, where that cannot be told."""
+    scene, numbers = fusion.scene, fusion.parameters.registration
+    surface = fusion.layout.crs, means.grid, means.means(numbers.covered)
+    prior = prior_of(scene, fusion.parameters.pointing, numbers)
+    try:
+        return dem_offset(scene, *surface, prior, progress.check_cancelled, numbers)
+    except RepmError as error:
+        progress.info(f"The DSM was not compared with the DEM '{scene.dem}': {error}")
+        return None
+
+
+def _workers(fusion: Fusion, progress: Progress) -> int:
+    """How many workers the memory allows, by the tile that takes most."""
+    options, sizes = fusion.options, [[record.pixels for record in tile.heights] for tile in fusion.scene.tiles]
+    each = [fusing_mib(pixels, w.width * w.height) for pixels, w in zip(sizes, fusion.layout.windows)]
+    xmin, ymin, xmax, ymax = fusion.scene.tiles[each.index(max(each))].bounds
+    side = math.ceil(max(xmax - xmin, ymax - ymin) / fusion.scene.gsd_m)
+    return workers_within(options.workers, tile_work(side, max(each)), options.memory, progress)
