@@ -14,7 +14,7 @@ from typing import Any, List, Sequence, Tuple
 
 import numpy as np
 
-from benchmarks import answers_dtm
+from benchmarks import answers_dtm, answers_walls
 from benchmarks.clouds import make, megabytes
 from benchmarks.runner import alone, few, say, stage
 from benchmarks.scenes import SHARED
@@ -37,7 +37,7 @@ print(json.dumps([len(mesh.triangles), mesh.has_textures(), len(other.faces), le
 
 def solids() -> List[str]:
     """All parts of the table."""
-    return [*_shifts(), *_meshes()]
+    return [*answers_walls.walls(), *_shifts(), *_meshes()]
 
 
 def _lidar(reference: str, path: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from dataclasses import dataclass, fields, replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ..scene import Scene, View
 from ..stereo.height_maps import HeightMap, HeightSource, require_whole
 from ..workspace import write_text, writing
 from .aggregation import FusedCells, HeightLayer, aggregate
+from .cloud_points import cloud_points
 from .occluded import occluded_ground
 from .ortho import orthophoto
 from .outliers import radius_outliers, remove_isolated_points
@@ -55,7 +56,7 @@ class FuseTask:
 
 @dataclass(frozen=True)
 class FusedTile:
-    """A tile's own cells, and the points that agree with them (x, y, height, score) if there is a cloud.
+    """A tile's own cells, and the points on them and on their walls (x, y, height, score) if there is a cloud.
 
     ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
     within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.
@@ -188,7 +189,12 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     if own is not None:
         cut = cut.without(~own)
         ortho = None if ortho is None else np.where(own, ortho, np.float32(np.nan))
-    points = _agreeing_points(task, cut.height, sources) if task.cloud else None
+    points = None
+    if task.cloud:
+        here = np.zeros(grid.shape, dtype=bool)
+        here[inner] = True if own is None else own
+        scales = [record.metres_per_px for record in task.records]
+        points = cloud_points(sources, scales, grid, fused.height, here, task.parameters)
     return FusedTile(cut, ortho, points, removed, needed, fused.height, own)
 
 
@@ -262,21 +268,3 @@ def _own_cells(task: FuseTask) -> Optional[Mask]:
     x0, y0, x1, y1 = Bounds(*task.bounds).grown(1e-3)
     own: Mask = (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
     return own
-
-
-def _agreeing_points(task: FuseTask, height: Floats, sources: Sequence[HeightSource]) -> FloatArray:
-    """(N, 4) points of all maps that lie on the fused surface: within a px of disparity of their cell's height."""
-    grid = task.grid.part(task.window)
-    parts: List[FloatArray] = []
-    for source, record in zip(sources, task.records):
-        heights = source.within()
-        known = np.isfinite(heights.height) & ~heights.filled
-        x, y, z, s = heights.x[known], heights.y[known], heights.height[known], heights.score[known]
-        column = np.floor((x - grid.west) / grid.cell).astype(np.int64)
-        row = np.floor((grid.north - y) / grid.cell).astype(np.int64)
-        inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])
-        x, y, z, s, column, row = x[inside], y[inside], z[inside], s[inside], column[inside], row[inside]
-        with np.errstate(invalid="ignore"):
-            agree = np.abs(z - height[row, column]) <= record.metres_per_px
-        parts.append(np.column_stack([x, y, z, s])[agree])
-    return np.concatenate(parts) if parts else np.empty((0, 4))

@@ -132,6 +132,15 @@ class ColourParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class CloudParameters(Parameters):
+    """Which matched points are in the cloud (dsm/cloud_points.py); part "solids" of `make bench-answers`."""
+
+    surface_px: float = 1.0  # of disparity from the height of its own cell: such a point lies on the surface; chosen
+    wall_cells: int = 2  # around a point, whose lowest and highest are the ends of a wall; measured against 1
+    wall_px: float = 0.5  # of disparity from both ends: a point of a wall lies between them; measured against 0 and 1
+
+
+@dataclass(frozen=True)
 class EptParameters(Parameters):
     """Sizes of Entwine Point Tiles, in points."""
 
@@ -155,6 +164,7 @@ class FusionParameters(Parameters):
     balance: BalanceParameters = BalanceParameters()
     seams: SeamParameters = SeamParameters()
     sharpening: PansharpeningParameters = PansharpeningParameters()
+    cloud: CloudParameters = CloudParameters()
     ept: EptParameters = EptParameters()
     step_px: float = MATCHING.occlusions.step_px  # of disparity: higher steps hide ground, as where matching fills it
     covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen
