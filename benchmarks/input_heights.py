@@ -15,7 +15,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks.input import Ended, Job, Trial, off, pipeline, pixels_of, say_of, town, true_views, write_plain
+from benchmarks.input_case import Ended, Job, Trial, off, pipeline, pixels_of, say_of, town, true_views, write_plain
 from benchmarks.pointing_case import fitted, pointed, truth_scene
 from benchmarks.runner import few, is_quick, say
 from benchmarks.scenes import CACHE, SHARED, real

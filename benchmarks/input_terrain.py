@@ -15,7 +15,7 @@ import pyproj
 from osgeo import gdal
 
 from benchmarks.epm import rough_surface, simulated
-from benchmarks.input import Ended, Job, Trial, pipeline
+from benchmarks.input_case import Ended, Job, Trial, pipeline
 from benchmarks.runner import is_quick
 from benchmarks.scenes import CACHE, made_once, quick_size
 from repm_qgis.evaluation.coregistration import align

@@ -25,6 +25,7 @@ from .parameters import COMPARISON, ComparisonParameters
 _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 """Heights that writers mean as "none" although the file declares no nodata value."""
 _METRES = ("", "m", "metre", "metres", "meter", "meters")
+_ROUNDING = 1e-9  # of a cell for each cell along a row: 1e-4 cells over 100,000 of them
 _NO_ALIGNMENT = Alignment("none")
 _KERNEL_MARGIN = 3  # cells of the source around a window; bilinear needs one at its scale, the rest is for curvature
 
@@ -67,10 +68,15 @@ class Grid:
         return Bounds(float(x.min()), float(y.min()), float(x.max()), float(y.max()))
 
     @property
+    def is_turned(self) -> bool:
+        """Whether rows and columns do not run along the axes of the CRS; rounding in a geotransform turns nothing."""
+        _, b, c, _, e, f = self.transform
+        return abs(c) > _ROUNDING * abs(b) or abs(e) > _ROUNDING * abs(f)
+
+    @property
     def is_north_up(self) -> bool:
         """Whether columns run east and rows run south, neither turned nor mirrored."""
-        _, b, c, _, e, f = self.transform
-        return c == 0 and e == 0 and b > 0 > f
+        return not self.is_turned and self.transform[1] > 0 > self.transform[5]
 
     def to_ground(self, column: Any, row: Any) -> Tuple[Any, Any]:
         """Ground x, y of places (numbers or arrays): (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
@@ -153,12 +159,11 @@ def cell_metres(grid: Grid) -> Tuple[float, float]:
     Raises ImageError for a raster without a place on the ground, or with a rotated grid.
     """
     require_place(grid)
-    _, b, c, _, e, f = grid.transform
-    if abs(c) > 1e-9 * abs(b) or abs(e) > 1e-9 * abs(f):
+    if grid.is_turned:
         rotated = f"The DSM '{grid.path}' has a rotated grid"
         raise ImageError(f"{rotated}: bring it north up first (Raster > Projections > Warp).")
     per_unit = metres_per_unit(grid)
-    return b * per_unit[0], -f * per_unit[1]
+    return grid.transform[1] * per_unit[0], -grid.transform[5] * per_unit[1]
 
 
 def overlap(dsm: Grid, reference: Grid) -> Bounds:

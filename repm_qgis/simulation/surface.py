@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from ..arrays import Bounds, FloatArray, FloatImage, IntArray
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..geometry.levels import doubled
 from .parameters import SIMULATION, LightParameters
 
 Area = Tuple[slice, slice]
@@ -90,18 +91,6 @@ def interpolate(values: FloatImage, col: FloatArray, row: FloatArray, wall: floa
     return np.where(spread > wall, nearest, smooth)
 
 
-def _doubled(values: FloatImage, shape: Shape) -> FloatImage:
-    """Twice as many rows and columns by quadratic B-spline subdivision along both axes, cut to ``shape``."""
-    for axis in (0, 1):
-        values = np.moveaxis(values, axis, 0)
-        inner, near, far = values[1:-1], values[:-2], values[2:]
-        fine = np.empty((2 * inner.shape[0],) + values.shape[1:], np.float32)
-        fine[0::2] = 0.75 * inner + 0.25 * near
-        fine[1::2] = 0.75 * inner + 0.25 * far
-        values = np.moveaxis(fine[: shape[axis]], 0, axis)
-    return values
-
-
 def fractal(
     rng: np.random.Generator, shape: Shape, cell: float, longest: float, shortest: float = 0.0, roughness: float = 1.0
 ) -> FloatImage:
@@ -116,7 +105,7 @@ def fractal(
         shapes.append(tuple(n // 2 + 3 for n in shapes[-1]))
     values = rng.standard_normal(shapes[-1], dtype=np.float32)
     for octave in range(octaves - 1, -1, -1):
-        values = _doubled(values, shapes[octave])
+        values = doubled(values, shapes[octave])
         wavelength = 4.0 * cell * 2**octave
         if wavelength >= shortest:
             amplitude = np.float32((wavelength / longest) ** roughness)

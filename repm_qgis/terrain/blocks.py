@@ -16,6 +16,7 @@ from ..arrays import FloatArray, FloatImage, Mask, Window
 from ..dsm.products import INTERPOLATED
 from ..evaluation.grids import read_heights
 from ..geometry.cell_grid import overlapping_blocks
+from ..geometry.levels import halved
 from ..imagery import raster
 from ..workspace import writing
 from . import ground, objects
@@ -226,7 +227,7 @@ def _part(task: BlockTask, height: FloatImage, weight: FloatArray) -> Part:
     known = np.isfinite(height).astype(np.float64)
     sums = (np.where(weight > 0, np.nan_to_num(height), 0.0) * weight, weight)
     for _ in range(task.search.level):
-        sums, known = (ground.halved(sums[0]), ground.halved(sums[1])), ground.halved(known)
+        sums, known = (halved(sums[0]), halved(sums[1])), halved(known)
     return Part(task.own, sums, known)
 
 
@@ -235,7 +236,7 @@ def _means(height: FloatImage, count: int) -> FloatImage:
     known = np.isfinite(height).astype(np.float64)
     total = np.nan_to_num(height).astype(np.float64)
     for _ in range(count.bit_length() - 1):
-        total, known = ground.halved(total), ground.halved(known)
+        total, known = halved(total), halved(known)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(known > 0, total / known, np.nan).astype(np.float32)
 
@@ -243,7 +244,7 @@ def _means(height: FloatImage, count: int) -> FloatImage:
 def _on_cells(coarse: Coarse, values: FloatArray, wide: Window, level: int, to: int) -> FloatArray:
     """Values of the coarse surface on the cells of a window, bilinear; ``to`` is the level of these cells."""
     for _ in range(level - to):
-        values = ground.doubled(values, (2 * values.shape[0], 2 * values.shape[1]))
+        values = ground.finer(values, (2 * values.shape[0], 2 * values.shape[1]))
     scale = level - to
     top, left = (wide.row >> to) - (coarse.row << scale), (wide.col >> to) - (coarse.col << scale)
     return values[top : top + coarser(wide.height, to), left : left + coarser(wide.width, to)]

@@ -13,17 +13,11 @@ from typing import List, Tuple
 import numpy as np
 
 from ..arrays import FloatArray
+from ..geometry.levels import doubled, halved
 from .parameters import TERRAIN, GroundParameters
 
 Sums = Tuple[FloatArray, FloatArray]
 """(rows, columns) of a level: the sum of the weighted heights in each of its cells (m), and that of the weights."""
-
-
-def halved(values: FloatArray) -> FloatArray:
-    """Sums over 2 x 2 cells; a last row or column without a partner stands alone."""
-    rows, columns = values.shape
-    padded = np.pad(values, ((0, rows % 2), (0, columns % 2)))
-    return np.asarray((padded[::2, ::2] + padded[1::2, ::2]) + (padded[::2, 1::2] + padded[1::2, 1::2]))
 
 
 def levels_of(sums: Sums, count: int) -> List[Sums]:
@@ -50,7 +44,7 @@ def finer_surface(
 ) -> FloatArray:
     """The surface on the first of the levels from that on the level that follows the last one."""
     for level in reversed(levels):
-        surface = _relaxed(doubled(surface, level[0].shape), level, stiffness, parameters.relaxations)
+        surface = _relaxed(finer(surface, level[0].shape), level, stiffness, parameters.relaxations)
     return surface
 
 
@@ -59,18 +53,9 @@ def reach(level: int, parameters: GroundParameters = TERRAIN.ground) -> int:
     return sum((parameters.relaxations + 2) << step for step in range(level)) + (2 << level)
 
 
-def doubled(values: FloatArray, shape: Tuple[int, ...]) -> FloatArray:
-    """Values of cells on cells of half the side, bilinear between the cells' centres."""
-    rows = _doubled_rows(values, shape[0])
-    return np.ascontiguousarray(_doubled_rows(rows.T, shape[1]).T)
-
-
-def _doubled_rows(values: FloatArray, count: int) -> FloatArray:
-    padded = np.pad(values, ((1, 1), (0, 0)), mode="edge")
-    both = np.empty((2 * len(values), values.shape[1]))
-    both[::2] = 0.75 * padded[1:-1] + 0.25 * padded[:-2]
-    both[1::2] = 0.75 * padded[1:-1] + 0.25 * padded[2:]
-    return both[:count]
+def finer(values: FloatArray, shape: Tuple[int, ...]) -> FloatArray:
+    """Values of cells on cells of half the side, bilinear between the cells' centres, and level beyond the border."""
+    return np.ascontiguousarray(doubled(np.pad(values, 1, mode="edge"), shape))
 
 
 def _relaxed(surface: FloatArray, sums: Sums, stiffness: float, times: int) -> FloatArray:

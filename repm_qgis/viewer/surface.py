@@ -13,6 +13,7 @@ from ..arrays import FloatImage, Window
 from ..errors import OverlapError
 from ..evaluation.grids import Grid, HeightWarper, read_heights
 from ..geometry.frames import flat_crs
+from ..geometry.levels import halved
 from ..imagery import raster
 from .parameters import VIEWER, ViewerParameters
 
@@ -84,9 +85,7 @@ def without_holes(values: FloatImage) -> FloatImage:
     if min(values.shape) < 1 or not good.any():
         return np.zeros_like(values)
     rows, columns = values.shape
-    padded = np.pad(np.where(good, values, 0.0), ((0, rows % 2), (0, columns % 2)))
-    counted = np.pad(good, ((0, rows % 2), (0, columns % 2))).astype(np.float32)
-    total, count = (each[::2, ::2] + each[1::2, ::2] + each[::2, 1::2] + each[1::2, 1::2] for each in (padded, counted))
+    total, count = halved(np.where(good, values, 0.0)), halved(good.astype(np.float32))
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
     around = without_holes(means).repeat(2, axis=0).repeat(2, axis=1)[:rows, :columns]
     return np.where(good, values, around)

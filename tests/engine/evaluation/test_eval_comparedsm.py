@@ -296,6 +296,23 @@ def test_bad_files(make_raster, tmp_path, terrain):
         compare(str(tmp_path / "cut.tif"), make_raster("large.tif", terrain(400, 400)))
 
 
+@pytest.mark.parametrize("turn, is_turned", ((1e-4, True), (1e-12, False)))
+def test_a_turned_reference_is_refused_and_rounding_turns_nothing(make_raster, terrain, turn, is_turned):
+    dsm, reference = make_raster("dsm.tif", terrain(50, 50)), make_raster("turned.tif", terrain(50, 50))
+    dataset = gdal.Open(reference, gdal.GA_Update)
+    dataset.SetGeoTransform((500000.0, 0.5, turn, 5000000.0, turn, -0.5))
+    grid = Grid.of(dataset)
+    dataset = None
+    assert grid.is_turned == is_turned and grid.is_north_up != is_turned
+    mirrored = replace(grid, transform=(500000.0, 0.5, 0.0, 5000000.0, 0.0, 0.5))
+    assert not mirrored.is_turned and not mirrored.is_north_up
+    if is_turned:
+        with pytest.raises(ImageError, match="turned.tif' has a rotated grid: bring it north up first"):
+            compare(dsm, reference)
+    else:
+        assert compare(dsm, reference)["rmse"] < 1e-3
+
+
 def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
     class Stop(Silent):
         def check_cancelled(self):
