@@ -1396,6 +1396,14 @@
         <translation>An: Farben mit den Einzelheiten der panchromatischen Bilder. Aus: die Multispektralpixel, wie sie sind.</translation>
     </message>
     <message>
+        <source>Normals in the point cloud</source>
+        <translation>Normalen in der Punktwolke</translation>
+    </message>
+    <message>
+        <source>For shading and meshing in CloudCompare and others. The points take three times as long, and a LAZ is 1.6 times as large.</source>
+        <translation>Zum Schattieren und Vernetzen in CloudCompare und anderen Programmen. Die Punkte brauchen dreimal so viel Zeit, und eine LAZ-Datei wird 1,6-mal so groß.</translation>
+    </message>
+    <message>
         <source>Scene</source>
         <translation>Szene</translation>
     </message>
@@ -1504,8 +1512,8 @@
         <translation>Punktwolke</translation>
     </message>
     <message>
-        <source>One point for each matched pixel, with its colour, for exchange with other programs.</source>
-        <translation>Ein Punkt für jedes zugeordnete Pixel, mit seiner Farbe, zum Austausch mit anderen Programmen.</translation>
+        <source>One point for each matched pixel, with its colour: LAZ, LAS, or PLY for 3-D programs without these.</source>
+        <translation>Ein Punkt für jedes zugeordnete Pixel, mit seiner Farbe: LAZ, LAS oder PLY für 3D-Programme, die beides nicht lesen.</translation>
     </message>
     <message>
         <source>Point cloud for display (EPT)</source>

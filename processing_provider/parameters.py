@@ -615,6 +615,17 @@ def colours() -> list[QgsProcessingParameterDefinition]:
                 ),
             )
         ),
+        advanced(
+            switch(
+                DsmFuseOptions,
+                "cloud_normals",
+                tr("Normals in the point cloud"),
+                tr(
+                    "For shading and meshing in CloudCompare and others. The points take three times as long, and a "
+                    "LAZ is 1.6 times as large."
+                ),
+            )
+        ),
     ]
 
 

@@ -30,7 +30,8 @@ _COLOURED = 2.0  # for each cell and band of 16 bits
 _ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
 _MOSAIC_CELL, _MOSAIC_SOURCES = 16.0, 1.5  # of a block, not compressed, and of the sources, with overviews
 _TERRAIN_CELL, _TERRAIN_MASK = 9.0, 0.05  # of a block, not compressed; of the mask, of a raster of heights
-_LAZ, _LAS, _EPT = 4.2, 30.0, 14.0  # for each point; EPT: while it is built
+_LAZ, _LAS, _PLY, _EPT = 4.2, 30.0, 31.0, 14.0  # for each point; EPT: while it is built
+_NORMAL = 12.0  # of a point; LAZ takes less
 _VERTEX = 48.0  # with its two triangles
 _PAGE_CELL = 3.0  # heights, an orthophoto and the expected error
 
@@ -72,7 +73,8 @@ def fusion_needs(
     cells, points = _area(scene) / cell**2, seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
     ortho = bands * _COLOURED if bands else _FUSED_ORTHO if options.ortho or options.viewer else 0.0
-    between = cells * (_FUSED_CELL + ortho) + points * _FUSED_POINT
+    each = _FUSED_POINT + (2 * _NORMAL if options.cloud and options.cloud_normals else 0.0)
+    between = cells * (_FUSED_CELL + ortho) + points * each
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":
         needs.append(_need(folder, cells * _ALL_HEIGHTS))
@@ -87,7 +89,8 @@ def fusion_needs(
     if options.view_heights:
         needs.append(_need(options.view_heights, len(pairs) * cells * (_RASTERS["output"] + _RASTERS["confidence"])))
     if points:
-        each = _LAS if options.cloud and options.cloud.lower().endswith(".las") else _LAZ
+        kind = Path(options.cloud or "").suffix.lower()
+        each = {".las": _LAS, ".ply": _PLY}.get(kind, _LAZ) + (_NORMAL if options.cloud_normals else 0.0)
         needs.append(_need(options.cloud or folder, points * each))
     if options.ept:
         needs.append(_need(options.ept, points * _EPT))

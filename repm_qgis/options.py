@@ -166,9 +166,20 @@ def is_glb(path: str) -> bool:
     return path.lower().endswith(".glb")
 
 
+def is_ply(path: str) -> bool:
+    """Whether a cloud or a mesh is to be PLY, by its extension."""
+    return path.lower().endswith(".ply")
+
+
+def require_cloud(path: str) -> None:
+    """Raise OptionError for a cloud of a kind that is not written."""
+    if not (is_cloud(path) or is_ply(path)):
+        raise OptionError("CLOUD", path, "must end with .laz, .las or .ply")
+
+
 def require_mesh(path: str) -> None:
     """Raise OptionError for a mesh of a kind that is not written."""
-    if not (is_glb(path) or path.lower().endswith(".ply")):
+    if not (is_glb(path) or is_ply(path)):
         raise OptionError("MESH", path, "must end with .ply or .glb")
 
 
@@ -410,7 +421,8 @@ class DsmFuseOptions(Options):
     ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``,
     the natural ones where the images or ``xs`` have them; ``greys``; ``all``, all their bands. ``xs`` are multispectral
     images beside panchromatic ones, in any order; empty: those that lie beside the images under the vendors' names.
-    ``pansharpen`` gives them the detail of the panchromatic images. ``memory`` and ``cluster`` as in
+    ``pansharpen`` gives them the detail of the panchromatic images. ``cloud_normals`` gives the points of ``cloud``
+    normals. ``memory`` and ``cluster`` as in
     ``ReconstructOptions``.
     """
 
@@ -436,6 +448,7 @@ class DsmFuseOptions(Options):
     colour: str = choice("auto", COLOURS)
     xs: Tuple[str, ...] = read(())
     pansharpen: bool = switch(True)
+    cloud_normals: bool = switch(False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -445,8 +458,8 @@ class DsmFuseOptions(Options):
             raise OptionError("XS", list(self.xs), "must be a list of multispectral images, each named once")
         if self.xs and self.colour == "greys":
             raise OptionError("COLOUR", self.colour, "must be auto or all where there are XS, whose colours are wanted")
-        if self.cloud and not is_cloud(self.cloud):
-            raise OptionError("CLOUD", self.cloud, "must end with .laz or .las")
+        if self.cloud:
+            require_cloud(self.cloud)
         if self.mesh:
             require_mesh(self.mesh)
 

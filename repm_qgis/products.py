@@ -133,7 +133,7 @@ _CONFIDENCE = "For each height: its expected error in metres, how many pairs agr
 _ORTHO = "The images in map geometry, on the cells of the DSM, in colour where the images have colours."
 _DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
 _OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."
-_CLOUD = "One point for each matched pixel, with its colour, for exchange with other programs."
+_CLOUD = "One point for each matched pixel, with its colour: LAZ, LAS, or PLY for 3-D programs without these."
 _MESH = "The surface as triangles: PLY for QGIS and 3-D programs, or GLB with the orthophoto as picture, not for QGIS."
 _ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
 _EXPORTED = "A folder that gets one model for each tile, with its images and cameras."
@@ -198,7 +198,7 @@ PRODUCTS = (
     Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm", help=_DSM),
     Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE),
     Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO),
-    Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las)", help=_CLOUD),
+    Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las);;PLY (*.ply)", help=_CLOUD),
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
     Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply);;GLB (*.glb)", maker="mesh", help=_MESH),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),

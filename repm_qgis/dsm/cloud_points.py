@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import FloatArray, Floats, IntArray, Mask
 from ..geometry.cell_grid import CellGrid
 from ..stereo.height_maps import HeightMap, HeightSource
+from .normals import normals
 from .outliers import remove_isolated_points
 from .parameters import FUSION, FusionParameters
 
@@ -24,9 +25,11 @@ def cloud_points(
     grid: CellGrid,
     height: Floats,
     own: Mask,
+    with_normals: bool = False,
     parameters: FusionParameters = FUSION,
 ) -> FloatArray:
-    """(N, 4) x, y, height, score of all matched points that lie on the fused surface or on its walls.
+    """(N, 4) x, y, height, score of all matched points that lie on the fused surface or on its walls; (N, 7) with the
+    unit normal east, north, up where that is wanted.
 
     Parameters
     ----------
@@ -37,15 +40,20 @@ def cloud_points(
 
     Raises SceneError where a height map is missing or damaged.
     """
-    parts = [
-        _of_map(source.within(), scale, grid, height, own, parameters) for source, scale in zip(sources, metres_per_px)
-    ]
-    return np.concatenate(parts) if parts else np.empty((0, 4))
+    parts = [np.empty((0, 7 if with_normals else 4))]
+    for source, scale in zip(sources, metres_per_px):
+        heights = source.within()
+        points, wall = _of_map(heights, scale, grid, height, own, parameters)
+        if with_normals:
+            points = np.column_stack([points, normals(points[:, :3], wall, heights.ray, parameters.cloud)])
+        parts.append(points)
+    return np.concatenate(parts)
 
 
 def _of_map(
     heights: HeightMap, scale: float, grid: CellGrid, height: Floats, own: Mask, parameters: FusionParameters
-) -> FloatArray:
+) -> Tuple[FloatArray, Mask]:
+    """(N, 4) the points of one map that are kept, and which of them lie on walls."""
     matched = np.where(heights.filled, np.nan, heights.height)
     continued = np.isfinite(remove_isolated_points(matched, scale, parameters.isolated))
     known = np.flatnonzero(np.isfinite(matched))
@@ -57,13 +65,14 @@ def _of_map(
     points = np.column_stack([x, y, z, score])[inside]
     z, row, column, continued = z[inside], row[inside], column[inside], continued.ravel()[known][inside]
     with np.errstate(invalid="ignore"):
-        kept = np.abs(z - height[row, column]) <= parameters.cloud.surface_px * scale
-    other = np.flatnonzero(~kept & continued)
+        surface = np.abs(z - height[row, column]) <= parameters.cloud.surface_px * scale
+    other = np.flatnonzero(~surface & continued)
     low, high = _around(height, row[other], column[other], parameters.cloud.wall_cells)
     margin = parameters.cloud.wall_px * scale
-    kept[other] = (z[other] >= low + margin) & (z[other] <= high - margin)
-    found: FloatArray = points[kept]
-    return found
+    wall = np.zeros(len(z), dtype=bool)
+    wall[other] = (z[other] >= low + margin) & (z[other] <= high - margin)
+    kept = surface | wall
+    return points[kept], wall[kept]
 
 
 def _around(height: Floats, row: IntArray, column: IntArray, reach: int) -> Tuple[FloatArray, FloatArray]:

@@ -34,8 +34,8 @@ class FuseTask:
 
     ``scene`` without its tiles; ``bounds`` are the tile's, ``window`` has the tile's cells in the whole ``grid``.
     ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. ``ortho_views`` are
-    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept. Each ``step``-th pixel of
-    the height maps is taken.
+    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept, and ``normals`` whether
+    they have normals. Each ``step``-th pixel of the height maps is taken.
     """
 
     scene: Scene
@@ -49,6 +49,7 @@ class FuseTask:
     radius: float = 0.0
     ortho_views: Tuple[View, ...] = ()
     cloud: bool = False
+    normals: bool = False
     step: int = 1
     parameters: FusionParameters = FUSION
     matching: MatchingParameters = MATCHING
@@ -56,7 +57,8 @@ class FuseTask:
 
 @dataclass(frozen=True)
 class FusedTile:
-    """A tile's own cells, and the points on them and on their walls (x, y, height, score) if there is a cloud.
+    """A tile's own cells, and the points on them and on their walls if there is a cloud: (N, 4)
+    x, y, height, score, and with normals (N, 7) these east, north and up.
 
     ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
     within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.
@@ -194,7 +196,7 @@ def fuse_tile(task: FuseTask) -> FusedTile:
         here = np.zeros(grid.shape, dtype=bool)
         here[inner] = True if own is None else own
         scales = [record.metres_per_px for record in task.records]
-        points = cloud_points(sources, scales, grid, fused.height, here, task.parameters)
+        points = cloud_points(sources, scales, grid, fused.height, here, task.normals, task.parameters)
     return FusedTile(cut, ortho, points, removed, needed, fused.height, own)
 
 

@@ -17,6 +17,7 @@ from ..imagery.raster import opened
 from ..options import is_glb, require_mesh
 from ..progress import Progress, Silent
 from ..workspace import whole_file
+from . import ply
 from .derived import FinishedDsm
 from .gltf import write_glb
 from .lattice import Lattice, thinned
@@ -99,14 +100,9 @@ def _vertices(places: FloatArray, colours: Optional[Colours]) -> bytes:
 
 
 def _header(dataset: gdal.Dataset, vertices: int, faces: int, coloured: bool) -> bytes:
-    """MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT"."""
-    heights = dataset.GetMetadataItem(TAG) or ELLIPSOID
-    lines = ["ply", "format binary_little_endian 1.0", f"comment crs: {dataset.GetProjection()}"]
-    lines += [f"comment heights: metres above the {heights}", f"element vertex {vertices}"]
-    lines += [f"property double {axis}" for axis in "xyz"]
-    lines += [f"property uchar {colour}" for colour in ("red", "green", "blue") if coloured]
-    lines.append(f"element face {faces}")
-    return "\n".join([*lines, "property list uchar int vertex_indices", "end_header", ""]).encode("utf-8")
+    properties = [*ply.PLACE, *(ply.COLOUR if coloured else ())]
+    elements = [("vertex", vertices, properties), ("face", faces, ["property list uchar int vertex_indices"])]
+    return ply.header(dataset.GetProjection(), dataset.GetMetadataItem(TAG) or ELLIPSOID, elements)
 
 
 def _faces(corners: IntArray) -> NDArray[Any]:

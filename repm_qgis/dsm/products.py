@@ -23,6 +23,7 @@ from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import RasterWriter, created
+from ..las import is_cloud
 from ..options import DsmFuseOptions
 from ..records import FusionFacts
 from ..scene import Scene, Tile
@@ -69,9 +70,10 @@ class DsmLayout:
         return on_lattice(*grid.centres(), lambda xy: self.datum.undulation(self.crs, xy))
 
 
-def cloud_of(options: DsmFuseOptions, folder: str) -> Optional[str]:
-    """Where the cloud is written; an EPT is made from a cloud, also where the user does not keep that."""
-    return options.cloud or (f"{folder}/cloud.laz" if options.ept else None)
+def clouds_of(options: DsmFuseOptions, folder: str) -> List[str]:
+    """Where clouds are written; an EPT is made from the last one, which is temporary where the user keeps no LAZ."""
+    wanted = [options.cloud] if options.cloud else []
+    return wanted + ([f"{folder}/cloud.laz"] if options.ept and not any(map(is_cloud, wanted)) else [])
 
 
 @dataclass(frozen=True)
@@ -177,20 +179,23 @@ def write_products(
     return FusionFacts(*counts, layout.grid.cell, layout.crs)
 
 
-def write_cloud(path: str, layout: DsmLayout, stored: Sequence[StoredTile], ortho: Optional[str] = None) -> int:
-    """Write the points of the fused tiles, with the colours of the orthophoto ``ortho`` if there is one; gives their
-    number. Raises WorkspaceError where the file cannot be written."""
-    origin = layout.grid.west, layout.grid.north, 0.0
+def write_cloud(
+    path: str, layout: DsmLayout, stored: Sequence[StoredTile], ortho: Optional[str] = None, normals: bool = False
+) -> int:
+    """Write the points of the fused tiles, with the colours of the orthophoto ``ortho`` if there is one, and with
+    ``normals`` where the tiles have them; gives their number. Raises WorkspaceError where the file cannot be written.
+    """
+    origin, heights = (layout.grid.west, layout.grid.north, 0.0), layout.datum.name
     with ExitStack() as stack:
         paint = stack.enter_context(opened_paint(ortho)) if ortho else None
-        frame = layout.file_crs, origin, paint is not None
-        cloud = stack.enter_context(created_cloud(path, *frame))
+        cloud = stack.enter_context(created_cloud(path, layout.file_crs, origin, paint is not None, normals, heights))
         for tile in stored:
             points = tile.points()
             if points is not None and len(points):
-                x, y, z, score = points.T
+                x, y, z, score = points[:, :4].T
                 below = layout.datum.undulation(layout.crs, np.column_stack([x, y]))
-                cloud.write(x, y, z - below, score, paint.points(x, y) if paint else None)
+                colours = paint.points(x, y) if paint else None
+                cloud.write(x, y, z - below, score, colours, points[:, 4:] if normals else None)
         return cloud.count
 
 

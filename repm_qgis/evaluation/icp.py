@@ -16,6 +16,7 @@ import numpy as np
 
 from ..arrays import FloatArray, Mask
 from ..errors import INSTALL_REMEDY, EmptyResultError, MissingPackageError
+from ..geometry.neighbours import principal_axes
 from ..imagery.sampling import nmad
 from .parameters import COREGISTRATION, ICP, IcpParameters
 
@@ -66,11 +67,7 @@ class _Planes:
             raise _too_few(len(xyz), parameters)
         tree = _tree(xyz)
         normal, rough, beside = np.empty(xyz.shape), np.empty(len(xyz)), np.empty(len(xyz))
-        for first in range(0, len(xyz), parameters.at_once):
-            part = slice(first, first + parameters.at_once)
-            away, near = tree.query(xyz[part], k=parameters.neighbours)
-            around = xyz[near] - xyz[near].mean(axis=1, keepdims=True)
-            values, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / parameters.neighbours)
+        for part, away, values, axes in principal_axes(tree, parameters.neighbours, parameters.at_once):
             normal[part], rough[part], beside[part] = axes[:, :, 0], np.sqrt(np.maximum(values[:, 0], 0)), away[:, 4]
         flat = rough <= parameters.flat_medians * max(float(np.median(rough)), parameters.least_rough_m)
         return cls(xyz, normal, flat, float(np.median(beside)), tree)

@@ -18,7 +18,7 @@ from ..dsm.derived import FinishedDsm, make_derived
 from ..dsm.ept import require_ept_place
 from ..dsm.fusion import StoredTile
 from ..dsm.outliers import automatic_radius
-from ..dsm.products import DsmLayout, cloud_of, write_cloud
+from ..dsm.products import DsmLayout, clouds_of, write_cloud
 from ..errors import EmptyResultError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
@@ -56,11 +56,13 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         drop_others(kept, fusion.folder)
         facts, stored = fused(fusion, Part(progress, 0.0, grey))
         ortho = _coloured(fusion, plan, draped.ortho, Part(progress, grey, whole)) if plan else None
-        cloud = cloud_of(options, str(fusion.folder))
-        if cloud:
-            points = run_whole(_cloud_written, (cloud, layout, stored, ortho), progress, "writing the cloud")
+        clouds = clouds_of(options, str(fusion.folder))
+        for cloud in clouds:
+            normals = options.cloud_normals and cloud == options.cloud
+            parts = cloud, layout, stored, ortho, normals
+            points = run_whole(_cloud_written, parts, progress, "writing the cloud")
             facts = replace(facts, points=points)
-        finished = FinishedDsm(options, cloud if facts.points else None, layout.file_crs, parameters.fusion, ortho)
+        finished = FinishedDsm(options, clouds[-1] if facts.points else None, layout.file_crs, parameters.fusion, ortho)
         made = _derived(finished, progress)
         if options.viewer:
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
@@ -157,10 +159,9 @@ def _coloured(fusion: Fusion, plan: ColourPlan, ortho: Optional[str], progress: 
     return path
 
 
-def _cloud_written(task: Tuple[str, DsmLayout, List[StoredTile], Optional[str]], progress: Progress) -> int:
+def _cloud_written(task: Tuple[str, DsmLayout, List[StoredTile], Optional[str], bool], progress: Progress) -> int:
     """The number of points that were written, with the colours of an orthophoto where there is one."""
-    path, layout, stored, ortho = task
-    return write_cloud(path, layout, stored, ortho)
+    return write_cloud(*task)
 
 
 def _derived(finished: FinishedDsm, progress: Progress) -> Dict[str, Optional[str]]:

@@ -45,8 +45,9 @@ class Fusion:
         records = [record.to_mapping() for tile in scene.tiles for record in tile.heights]
         images = [raster_identity(view.image) for view in scene.views] if options.ortho else []
         chosen = options.method, options.fill, options.outlier_radius, bool(options.cloud or options.ept)
+        normals = bool(options.cloud and options.cloud_normals)
         cells = layout.crs, layout.grid.bounds, layout.grid.cell, layout.windows
-        parts = "dsmfuse", scene.fingerprint, records, images, chosen, cells, *parameters.in_fingerprint()
+        parts = "dsmfuse", scene.fingerprint, records, images, chosen, normals, cells, *parameters.in_fingerprint()
         return cls(options, parameters, scene, layout, kept / fingerprint(*parts))
 
 
@@ -65,6 +66,7 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         radius=options.outlier_radius or 0.0,
         ortho_views=tuple(nadir_first(scene)) if options.ortho else (),
         cloud=bool(options.cloud or options.ept),
+        normals=bool(options.cloud and options.cloud_normals),
         parameters=parameters.fusion,
         matching=parameters.matching,
     )

@@ -75,7 +75,7 @@ def test_the_terrain_model_takes_the_dem_or_finds_its_surface(given, model, surf
         ("pipeline", {"workers": True}, "WORKERS is True"),
         ("pipeline", {"model": "bent"}, "MODEL is 'bent': it must be one of none, homography, polynomial, terrain."),
         ("pipeline", {"altitude_min": 300.0, "altitude_max": 200}, "must be below ALTITUDE_MAX (200 m)"),
-        ("dsmfuse", {"scene": "s.json", "output": "d.tif", "cloud": "c.xyz"}, "must end with .laz or .las"),
+        ("dsmfuse", {"scene": "s.json", "output": "d.tif", "cloud": "c.xyz"}, "must end with .laz, .las or .ply"),
         ("comparedsm", {"dsm": "a", "reference": "b", "thresholds": [1, 0]}, "THRESHOLDS"),
         ("checkgcps", {"gcps": "p.csv"}, "there is nothing to check"),
         ("sampledata", {}, "FOLDER is None: it must be given."),

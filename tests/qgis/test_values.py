@@ -96,6 +96,7 @@ def test_numbers_that_are_not_given_stay_none_and_a_crs_is_named(plugin, context
         "colour": "auto",
         "xs": [],
         "pansharpen": True,
+        "cloud_normals": False,
         "cluster": "",
         "workers": 0,
         "memory": 0,

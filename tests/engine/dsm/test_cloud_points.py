@@ -35,10 +35,10 @@ def source(x, z, rows=range(2, 12)):
     return SimpleNamespace(within=lambda: heights, heights=heights)
 
 
-def kept(*sources, height=None, own=ALL, scale=1.0, **cloud):
+def kept(*sources, height=None, own=ALL, scale=1.0, normals=False, **cloud):
     numbers = replace(FUSION, cloud=replace(FUSION.cloud, **cloud))
     scales = [scale] * len(sources)
-    return cloud_points(sources, scales, GRID, surface() if height is None else height, own, numbers)
+    return cloud_points(sources, scales, GRID, surface() if height is None else height, own, normals, numbers)
 
 
 def profile(points):

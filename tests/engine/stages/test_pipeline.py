@@ -179,6 +179,23 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.qml", "dsm.tif", "ept", "m.ply", "m.qml"]
 
 
+def test_a_cloud_as_ply_with_normals_comes_with_an_ept(urban_run, tmp_path, told):
+    files = {"output": str(tmp_path / "d.tif"), "cloud": str(tmp_path / "c.ply"), "ept": str(tmp_path / "e")}
+    wanted = {"scene": urban_run.result["scene"], "resolution": 0.5, "cloud_normals": True, "workers": 1, **files}
+    fused = run_stage("dsmfuse", wanted, told())
+    assert Path(fused["output"]).read_bytes() == Path(urban_run.result["output"]).read_bytes()
+    assert json.loads((tmp_path / "e" / "ept.json").read_text())["points"] == fused["points"]
+    head, body = (tmp_path / "c.ply").read_bytes().split(b"end_header\n", 1)
+    assert b"element vertex %d\n" % fused["points"] in head
+    names = ["nx", "ny", "nz", "score"]
+    points = np.frombuffer(body, [("xyz", "<f8", 3), *((name, "<f4") for name in names)])
+    las = laspy.read(urban_run.result["cloud"])
+    assert np.abs(points["xyz"] - las.xyz).max() < 0.00051 and (points["score"] > 0).mean() > 0.99
+    assert np.allclose(points["nx"] ** 2 + points["ny"] ** 2 + points["nz"] ** 2, 1, atol=1e-5)
+    assert np.median(points["nz"]) > 0.95 and 0.002 < (points["nz"] == 0).mean() < 0.2  # level ground, and walls
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["c.ply", "d.qml", "d.tif", "e"]
+
+
 def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban):
     """Each cell's brightness is that of the nearest pixel of one of the views that see it there."""
     (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
