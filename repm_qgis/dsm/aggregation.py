@@ -5,19 +5,21 @@ one group is chosen. Matching widens what stands up (a window at a roof's edge c
 true steps the lower group is right; but a failed match also leaves a lower height. Three facts separate the two, all
 taken from the tile itself: the rank of a height's matching score among the cells where the maps agree, whether the
 agreed surface nearby has that height, and how often backgrounds of occlusions are confirmed where others were matched.
+At last all maps are heard about the chosen heights: what they look through is replaced (``sight_lines.py``).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Optional, Sequence, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import ByteImage, Floats, IntArray, Mask
 from .parameters import FUSION, FusionParameters
+from .sight_lines import Counts, Witnesses
 
 _DIRECTIONS = ((0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1))
 
@@ -53,10 +55,16 @@ class FusedCells:
         return FusedCells(height, np.where(cells, 0, self.count).astype(np.uint8), spread, score, self.filled & ~cells)
 
 
-def aggregate(layers: Sequence[HeightLayer], method: str, parameters: FusionParameters = FUSION) -> FusedCells:
+def aggregate(
+    layers: Sequence[HeightLayer],
+    method: str,
+    parameters: FusionParameters = FUSION,
+    witnesses: Optional[Witnesses] = None,
+) -> FusedCells:
     """Fuse height maps cell by cell. Maps that cover a part of a cell do not count where another covers more of it.
 
     ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by metres_per_px ** -0.5 in both.
+    ``witnesses`` are the maps that tell whether they look through a height; None asks nobody.
     """
     heights, scores, backgrounds = (
         np.stack([getattr(layer, name) for layer in layers]).astype(np.float32)
@@ -68,7 +76,7 @@ def aggregate(layers: Sequence[HeightLayer], method: str, parameters: FusionPara
         if _Votes(heights, scores, backgrounds, metres, parameters).check_backgrounds()[1]:
             _drop_partial(layers, heights, backgrounds)
     backgrounds[np.isfinite(heights)] = np.nan
-    return _Votes(heights, scores, backgrounds, metres, parameters).fused(method)
+    return _Votes(heights, scores, backgrounds, metres, parameters).fused(method, witnesses)
 
 
 def _drop_partial(layers: Sequence[HeightLayer], heights: Floats, backgrounds: Optional[Floats] = None) -> None:
@@ -88,12 +96,13 @@ class _Votes:
     def __init__(
         self, heights: Floats, scores: Floats, backgrounds: Floats, metres: Floats, parameters: FusionParameters
     ) -> None:
-        self._p, self._step_px = parameters.aggregation, parameters.step_px
+        self._p, self._step_px, self._sight = parameters.aggregation, parameters.step_px, parameters.sight_lines
         self.heights, self.scores, self.backgrounds = heights, np.nan_to_num(scores), backgrounds
         self.matched, self.sigma = np.isfinite(heights), (self._p.sigma_px * metres).astype(np.float32)
         self.weights = (metres**-self._p.weight_power).astype(np.float32)
         self.mean, self.count = self._mean(self.matched), self.matched.sum(axis=0, dtype=np.uint8)
         self.agreed = (self.count >= 2) & self._within(self.mean)
+        self._usual_scores: Optional[List[Floats]] = None
 
     def _mean(self, members: Mask) -> Floats:
         total, value = np.zeros((2, *members.shape[1:]), np.float32)
@@ -111,23 +120,65 @@ class _Votes:
                 result &= ~matched | (np.abs(height - centre) <= self._p.tolerance * sigma)
         return result
 
-    def fused(self, method: str) -> FusedCells:
-        """The heights of all cells: agreed ones first, then those of one map, then those in conflict."""
+    def fused(self, method: str, witnesses: Optional[Witnesses]) -> FusedCells:
+        """The heights of all cells: agreed ones first, then those of one map, then those in conflict; then witnesses
+        are heard."""
         members = self.matched.copy()
         hidden: Mask = np.isfinite(self.backgrounds).any(axis=0)
         clear = self.agreed | (self.count == 1) & ~hidden
         height = np.where(clear, self.mean, np.float32(np.nan))
-        conflict = np.flatnonzero(~clear & ((self.count > 0) | hidden))
         filled = np.zeros(height.shape, dtype=bool)
-        if conflict.size:
-            chosen, values, from_background = self._resolve(conflict)
-            members.reshape(len(members), -1)[:, conflict] = chosen
-            height.ravel()[conflict] = values
-            filled.ravel()[conflict] = from_background
+
+        def decide(cells: IntArray) -> None:
+            if cells.size:
+                chosen, values, from_background = self._resolve(cells)
+                members.reshape(len(members), -1)[:, cells] = chosen
+                height.ravel()[cells] = values
+                filled.ravel()[cells] = from_background
+
+        decide(np.flatnonzero(~clear & ((self.count > 0) | hidden)))
+        if witnesses is not None:
+            contested = self._heard(witnesses, height, decide)
+            members.reshape(len(members), -1)[:, contested] = False
+            height.ravel()[contested] = np.nan
+            filled.ravel()[contested] = False
         if method == "median" and len(self.heights) > 2:
             several = members.sum(axis=0) > 2
             height[several] = _weighted_median(self.heights[:, several], self.weights[:, None] * members[:, several])
         return self._with_facts(height, members, filled)
+
+    def _heard(self, witnesses: Witnesses, height: Floats, decide: Callable[[IntArray], None]) -> IntArray:
+        """Replace heights that the maps look through by what is left without them; the cells of those that as many
+        maps look through as see them, in the end."""
+        seen, seen_through = np.zeros((2, height.size), np.int16)
+        asked = np.flatnonzero(np.isfinite(height))
+        for _ in range(self._sight.rounds):
+            seen[asked], seen_through[asked] = witnesses.counts(asked, height.ravel()[asked])
+            asked = asked[self._outvoted(seen[asked], seen_through[asked])]
+            if not asked.size:
+                break
+            self._take_away(asked, height.ravel()[asked])
+            decide(asked)
+            seen[asked] = seen_through[asked] = 0
+            asked = asked[np.isfinite(height.ravel()[asked])]
+        seen[asked], seen_through[asked] = witnesses.counts(asked, height.ravel()[asked])
+        return np.flatnonzero((seen_through > 0) & (seen_through >= seen))
+
+    def _outvoted(self, seen: Counts, seen_through: Counts) -> Mask:
+        """Whether a height is replaced: one map that looks through it may be wrong, against one that sees it."""
+        few: Mask = (seen_through >= self._sight.outvoting) & (2 * seen_through > seen)
+        return few | (seen_through > seen)
+
+    def _take_away(self, cells: IntArray, height: Floats) -> None:
+        """Remove what all maps have at these heights (m) of N cells, matched or behind an occlusion."""
+        self.agreed.ravel()[cells] = False
+        parts = (part.reshape(len(self.heights), -1) for part in (self.heights, self.backgrounds, self.matched))
+        for own, background, matched, sigma in zip(*parts, self.sigma):
+            reach = self._sight.through_px * sigma / self._p.sigma_px
+            for values in (own, background):
+                with np.errstate(invalid="ignore"):
+                    values[cells[np.abs(values[cells] - height) <= reach]] = np.nan
+            matched[cells] = np.isfinite(own[cells])
 
     def _with_facts(self, height: Floats, members: Mask, filled: Mask) -> FusedCells:
         weight = self.weights[:, None, None] * members
@@ -172,9 +223,10 @@ class _Votes:
 
     def _ranks(self, cells: IntArray) -> Floats:
         """(maps, N) shares of the agreed cells whose score is no higher: comparable between scenes."""
+        if self._usual_scores is None:
+            self._usual_scores = [np.sort(score[self.agreed & own]) for score, own in zip(self.scores, self.matched)]
         ranks = np.ones((len(self.scores), len(cells)), np.float32)
-        for rank, score, matched in zip(ranks, self.scores, self.matched):
-            usual = np.sort(score[self.agreed & matched])
+        for rank, score, usual in zip(ranks, self.scores, self._usual_scores):
             if usual.size >= self._p.agreed_cells:
                 rank[:] = np.searchsorted(usual, score.ravel()[cells], side="right") / usual.size
         return ranks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from dataclasses import dataclass, fields, replace
-from typing import Any, Dict, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from .occluded import occluded_ground
 from .ortho import orthophoto
 from .outliers import radius_outliers, remove_isolated_points
 from .parameters import FUSION, FusionParameters
+from .sight_lines import SightLines, Witnesses
 
 
 @dataclass(frozen=True)
@@ -208,17 +209,15 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
     for own, wide in overlapping_blocks(grid.size, parameters.block_cells, parameters.aggregation.reach_cells):
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
-        layers = [
-            grid_height_map(
-                part,
-                source.within(bounds, task.step),
-                task.step * record.metres_per_px,
-                task.step * task.scene.gsd_m,
-                parameters,
-            )
-            for source, record in zip(sources, task.records)
-        ]
-        fused = aggregate(layers, task.method, parameters)
+        layers: List[HeightLayer] = []
+        maps: List[SightLines] = []
+        for source, record in zip(sources, task.records):
+            heights, metres_per_px = source.within(bounds, task.step), task.step * record.metres_per_px
+            layers.append(grid_height_map(part, heights, metres_per_px, task.step * task.scene.gsd_m, parameters))
+            sight = SightLines.of(heights, metres_per_px, parameters.sight_lines) if len(sources) > 1 else None
+            maps += [] if sight is None else [sight]
+        witnesses = Witnesses(part, maps, parameters.sight_lines) if maps else None
+        fused = aggregate(layers, task.method, parameters, witnesses)
         for field in fields(fused):
             values = getattr(fused, field.name)
             target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))

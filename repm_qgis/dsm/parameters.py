@@ -48,6 +48,18 @@ class AggregationParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class SightLineParameters(Parameters):
+    """Heights that other maps look through (docs/method.md, "Fusion"; `make bench-towns`, `make bench-views`)."""
+
+    same_px: float = 1.25  # of disparity: a map that is so close to a height sees it
+    through_px: float = 2.0  # of disparity: one that lies farther below, with its neighbours, looks through it
+    outvoting: int = 2  # maps that look through a height replace it if more than half as many see it
+    rounds: int = 3  # of replacing; what is still looked through is dropped
+    least_pixels: int = 100  # matched ones, of a map that is heard
+    fitted_pixels: int = 4000  # of a map from which the course of its lines of sight is found, about
+
+
+@dataclass(frozen=True)
 class HoleParameters(Parameters):
     """Interpolation of holes; both values are chosen."""
 
@@ -158,6 +170,7 @@ class FusionParameters(Parameters):
     isolated: IsolatedPointParameters = IsolatedPointParameters()
     gridding: GriddingParameters = GriddingParameters()
     aggregation: AggregationParameters = AggregationParameters()
+    sight_lines: SightLineParameters = SightLineParameters()
     outliers: OutlierParameters = OutlierParameters()
     holes: HoleParameters = HoleParameters()
     error: ExpectedErrorParameters = ExpectedErrorParameters()
