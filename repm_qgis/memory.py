@@ -158,8 +158,8 @@ def fusing_mib(pixels: Sequence[int], cells: int) -> float:
     """Peak memory of a worker that fuses height maps of so many pixels each into a tile of so many cells, MiB.
 
     Maps are read one after the other, as much of each as a part of the tile needs; their heights stay as witnesses, and
-    where they are in conflict each is compared with each. Fitted to measured peaks of 1 to 26 maps on 0.02 to 6.3 million
-    cells, as :func:`matching_mib`.
+    where they are in conflict each is compared with each. Fitted to measured peaks of 1 to 26 maps on 0.02 to 6.3
+    million cells, as :func:`matching_mib`.
     """
     maps, part = len(pixels), min(cells, _PART_CELLS)
     share = min(1.0, 1.3 * _PART_CELLS / max(cells, 1))
