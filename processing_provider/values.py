@@ -217,7 +217,10 @@ def checked_value(
     if kind in ("extent", "crs"):
         return None
     if definition.isDestination() and (not isinstance(given, str) or given == QgsProcessing.TEMPORARY_OUTPUT):
-        return None if definition.flags() & QgsProcessingParameterDefinition.Flag.FlagOptional else "-"
+        if definition.flags() & QgsProcessingParameterDefinition.Flag.FlagOptional:
+            return None
+        # As QGIS will name it: some stages write only what has the right extension.
+        return "-" if definition.type() == "folderDestination" else f"-.{definition.defaultFileExtension()}"
     return None if is_empty(given) else str(given)
 
 

@@ -69,6 +69,13 @@ class Found:
         """Changed cells, of those that both DSMs have."""
         return sum(each.cells for each in self.changes) / self.compared
 
+    @property
+    def shown_m(self) -> float:
+        """The difference that maps and pictures show in the darkest tone, m: the usual change, or what is none."""
+        size = np.abs(self.pictures["change"])
+        size = size[np.isfinite(size)]
+        return max(float(np.median(size)), self.level_m) if size.size else self.level_m
+
     def histogram_edges(self) -> FloatArray:
         return np.arange(-_HISTOGRAM_HALF, _HISTOGRAM_HALF + 1) * HISTOGRAM_BIN
 

@@ -66,8 +66,7 @@ def _pictures(page: Report, found: Found) -> None:
     page.png(pictures.png_bytes(reliefs[0]), "BEFORE, shaded from the north-west, north up.")
     page.png(pictures.png_bytes(reliefs[1]), "AFTER, moved onto BEFORE, in the same colours.")
     page.svg(charts.colour_bar(pictures.RAMPS["elevation"], low, high, "m"))
-    size = np.abs(change[np.isfinite(change)])
-    limit = max(float(np.median(size)), found.level_m) if size.size else found.level_m  # larger ones have its colour
+    limit = found.shown_m
     light = reliefs[1][..., :3].mean(axis=-1, keepdims=True) * 0.4 + 153.0
     drawn = np.concatenate([np.repeat(light, 3, axis=-1).astype(np.uint8), reliefs[1][..., 3:]], axis=-1)
     coloured = pictures.colour_map(change, -limit, limit, "diverging")

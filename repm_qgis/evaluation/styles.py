@@ -21,7 +21,7 @@ and later; what an older QGIS does not know (the elevation of 3.26) it passes ov
 | tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
 | differences, differences_before | reference - surface, m, as dsm_error | that of the differences before |
 | offsets | arrows of the shift that each part of a scene asks for, labelled with that of the height | given |
-| change, significant | AFTER - BEFORE of two dates, m, as dsm_error; where it is significant | symmetric about 0 |
+| change, significant | AFTER - BEFORE of two dates, m, as dsm_error; where it is significant | the usual change |
 | significant_level | the level of detection in m, from dark (none) to bright | 0..98 % |
 | volumes | polygons by gain and loss, labelled with their volume in m3 | none |
 | gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |

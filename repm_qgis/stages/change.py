@@ -6,14 +6,11 @@ from typing import Any, Dict
 
 from ..change.finding import Found, find_changes
 from ..change.page import change_page
-from ..evaluation.pictures import percentile_range, preview
 from ..evaluation.styles import write_style
 from ..options import ChangeOptions
 from ..parallel import run_whole
 from ..products import products_of
 from ..progress import Part, Progress, counted
-
-_SAMPLE_PX = 1200
 
 
 def run(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
@@ -29,11 +26,10 @@ def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
     found = find_changes(options, Part(progress, 0.0, 0.9))
     for text in found.warnings:
         progress.warn(text)
-    most = max(map(abs, percentile_range(preview(options.output, _SAMPLE_PX)[0])))
     for product in products_of("change"):
         path = getattr(options, product.option)
-        if product.style and path:  # both rasters have the same colours
-            write_style(product.style, path, (-most, most))
+        if product.style and path:  # both rasters have the same colours, in which what is not significant is pale
+            write_style(product.style, path, (-found.shown_m, found.shown_m))
     if options.report:
         progress.step(0.92, "Report")
         change_page(options, found).write(options.report)

@@ -45,6 +45,13 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, A
         progress.step(0.92, "Report")
         comparison_page(found[0], options.error or "", found[1:]).write(options.report)
     for path, one in zip(paths, found):
+        moved = one.alignment
+        if moved.method != "none":
+            progress.info(
+                f"'{path}' was moved by {moved.dx:+.3f} m to the east, {moved.dy:+.3f} m to the north and "
+                f"{moved.dz:+.3f} m up before it was compared: NMAD {moved.nmad_before:.3f} m before, "
+                f"{moved.nmad_after:.3f} m after."
+            )
         progress.info(
             "{}RMSE {rmse:.3f} m, MedAE {me:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, bias {bias:+.3f} m; "
             "{valid:.1f} % of the reference's cells have a height.".format(

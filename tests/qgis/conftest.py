@@ -127,6 +127,8 @@ def load(plugin, feedback):
             **{key: QgsProcessingOutputLayerDefinition(str(path), project) for key, path in layers.items()},
         }
         algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
+        checked, problem = algorithm.checkParameterValues(given, context)
+        assert checked, problem
         results, fine = algorithm.run(given, context, feedback)
         assert fine, feedback.heard["error"]
         gc.collect()  # a post-processor that only QGIS knows would be gone now

@@ -85,10 +85,13 @@ def test_numbers_raster_and_report(make_raster, tmp_path, terrain):
 
 
 @pytest.mark.parametrize("align", ["none", "vertical", "3d"])
-def test_alignment_removes_what_was_put_in(make_raster, align, terrain):
+def test_alignment_removes_what_was_put_in(make_raster, align, terrain, told):
     a = make_raster("dsm.tif", terrain(300, 340), origin=(ORIGIN[0] + 1.8, ORIGIN[1] - 0.9))
     b = make_raster("ref.tif", terrain(300, 340) - 2.0)
-    got = compare(a, b, align=align)
+    said = told()
+    got = compare(a, b, said, align=align)
+    moved = [note for note in said.notes if f"'{a}' was moved by {got['dx']:+.3f} m to the east" in note]
+    assert len(moved) == (align != "none")
     if align == "3d":
         assert (got["dx"], got["dy"], got["dz"]) == pytest.approx((-1.8, 0.9, -2.0), abs=0.025)
         assert got["rmse"] < 0.02
