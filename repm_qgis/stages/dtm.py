@@ -78,8 +78,8 @@ def _made(
     require_space("the terrain", terrain_needs(options, columns * rows, folder), progress)
     margins = [blocks.search_margin(search), blocks.finishing_margin(search)]
     searched, finished = (blocks.windows(search, margin) for margin in margins)
-    widest = max((wide for _, wide in (*searched, *finished)), key=lambda wide: wide.width * wide.height)
-    work = Work("a block of the DSM", blocks.block_mib(search, widest), lambda _: "choose a smaller LARGEST")
+    mib = blocks.block_mib(*([wide for _, wide in windows] for windows in (searched, finished)))
+    work = Work("a block of the DSM", mib, lambda _: "choose a smaller LARGEST")
     workers = workers_within(options.workers, work, options.memory, progress)
 
     def step(low: float, high: float, text: str, make: Callable[..., Any], tasks: Sequence[Any]) -> List[Any]:

@@ -1,7 +1,11 @@
 """The surface of the ground through the cells that show it: smooth where there is none, and by their weights else.
 
-It minimises the sum of w (z - h)^2 over the cells with a height h and weight w, and of s (z - z')^2 over all pairs of
-neighbours: a stretched membrane, which under a building is Laplace's. It is solved on ever finer levels, each from the
+It minimises the sum of w (z - h)^2 over the cells with a height h and weight w, and of s (z - z')^2 + 2 s f z over all
+neighbours z': a stretched membrane, whose Laplacian is f where no height holds it. Where the ground is seen, f is its
+own Laplacian; below a house it goes on and fades away, so that hill tops are not cut off below houses, nor hollows
+filled. This is a spline in tension (Smith and Wessel 1990, Geophysics 55) without a system of the fourth order.
+
+It is solved on ever finer levels, each from the
 one before with a few relaxations (cascadic multigrid: Bornemann and Deuflhard 1996, Numer. Math. 75). The coarse levels
 are those of the whole DSM; on the finer ones a cell depends on few neighbours, so these are done block by block.
 """
@@ -11,8 +15,9 @@ from __future__ import annotations
 from typing import List, Tuple
 
 import numpy as np
+from scipy import ndimage
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Mask
 from ..geometry.levels import doubled, halved
 from .parameters import TERRAIN, GroundParameters
 
@@ -28,24 +33,49 @@ def levels_of(sums: Sums, count: int) -> List[Sums]:
     return found
 
 
-def whole_surface(sums: Sums, stiffness: float, parameters: GroundParameters = TERRAIN.ground) -> FloatArray:
-    """The surface (rows, columns) of a level for all of the ground, m; the weights must not all be zero."""
-    levels = [sums]
-    while max(levels[-1][0].shape) > 4:
+def whole_surface(
+    sums: Sums, laplacian: FloatArray, stiffness: float, parameters: GroundParameters = TERRAIN.ground
+) -> FloatArray:
+    """The surface (rows, columns) of a level for all of the ground, m; the weights must not all be zero.
+
+    ``laplacian`` is what a cell's four neighbours, less four times the cell, should be where no height says, m.
+    """
+    levels, laplacians = [sums], [laplacian]
+    while max(laplacians[-1].shape) > 4:
         levels.append((halved(levels[-1][0]), halved(levels[-1][1])))
-    weighted, weights = levels[-1]
-    start = np.full(weighted.shape, weighted.sum() / weights.sum())
-    surface = _relaxed(start, levels[-1], stiffness, parameters.coarsest_relaxations)
-    return finer_surface(surface, levels[:-1], stiffness, parameters)
+        laplacians.append(halved(laplacians[-1]))  # on twice the distance, four times the mean
+    weighted, weights = levels.pop()
+    surface = np.full(weighted.shape, weighted.sum() / weights.sum())
+    surface = _relaxed(surface, (weighted, weights), laplacians.pop(), stiffness, parameters.coarsest_relaxations)
+    while levels:
+        surface = finer(surface, laplacians[-1].shape)
+        surface = _relaxed(surface, levels.pop(), laplacians.pop(), stiffness, parameters.relaxations)
+    return surface
 
 
 def finer_surface(
-    surface: FloatArray, levels: List[Sums], stiffness: float, parameters: GroundParameters = TERRAIN.ground
+    surface: FloatArray,
+    laplacian: FloatArray,
+    levels: List[Sums],
+    stiffness: float,
+    parameters: GroundParameters = TERRAIN.ground,
 ) -> FloatArray:
-    """The surface on the first of the levels from that on the level that follows the last one."""
+    """The surface on the first of the levels from that, and its Laplacian, on the level that follows the last one."""
     for level in reversed(levels):
-        surface = _relaxed(finer(surface, level[0].shape), level, stiffness, parameters.relaxations)
+        surface, laplacian = (finer(values, level[0].shape) for values in (surface, laplacian))
+        laplacian /= 4
+        surface = _relaxed(surface, level, laplacian, stiffness, parameters.relaxations)
     return surface
+
+
+def laplacian_of(
+    height: FloatArray, seen: Mask, cell: float, parameters: GroundParameters = TERRAIN.ground
+) -> FloatArray:
+    """The Laplacian of a surface (m, see :func:`whole_surface`) where the ground is seen with all four neighbours, and
+    elsewhere that of the ground around, which fades away with the distance; ``cell`` is the side of a cell, m."""
+    known = ndimage.binary_erosion(seen).astype(np.float64)
+    sums = ndimage.laplace(height, mode="nearest") * known, known + (parameters.curved_m / parameters.fading_m) ** 2
+    return whole_surface(sums, np.zeros_like(height), (parameters.curved_m / cell) ** 2, parameters)
 
 
 def reach(level: int, parameters: GroundParameters = TERRAIN.ground) -> int:
@@ -54,16 +84,23 @@ def reach(level: int, parameters: GroundParameters = TERRAIN.ground) -> int:
 
 
 def finer(values: FloatArray, shape: Tuple[int, ...]) -> FloatArray:
-    """Values of cells on cells of half the side, bilinear between the cells' centres, and level beyond the border."""
-    return np.ascontiguousarray(doubled(np.pad(values, 1, mode="edge"), shape))
+    """Values of cells on cells of half the side, bilinear between the cells' centres; beyond the border they go on as
+    steeply as they reach it."""
+    return np.ascontiguousarray(doubled(_with_rim(values), shape))
 
 
-def _relaxed(surface: FloatArray, sums: Sums, stiffness: float, times: int) -> FloatArray:
+def _with_rim(values: FloatArray) -> FloatArray:
+    """With a cell more on each side, which continues the slope: terrain does not become level at the DSM's border."""
+    return np.pad(values, 1, mode="reflect", reflect_type="odd")
+
+
+def _relaxed(surface: FloatArray, sums: Sums, laplacian: FloatArray, stiffness: float, times: int) -> FloatArray:
     """Jacobi's iterations, whose result does not depend on the order of the cells."""
     weighted, weights = sums
-    under = weights + 4 * stiffness
+    pulled, under = weighted.copy(), weights + 4 * stiffness
+    pulled[1:-1, 1:-1] -= stiffness * laplacian[1:-1, 1:-1]  # beyond the border there is nothing to bend towards
     for _ in range(times):
-        padded = np.pad(surface, 1, mode="edge")
+        padded = _with_rim(surface)
         beside = (padded[:-2, 1:-1] + padded[2:, 1:-1]) + (padded[1:-1, :-2] + padded[1:-1, 2:])
-        surface = (weighted + stiffness * beside) / under
+        surface = (pulled + stiffness * beside) / under
     return surface

@@ -31,20 +31,23 @@ def coarse_of(search: Search, parts: Sequence[Part], stiffness: float, voids: st
             "the DSM has heights."
         )
     parameters = search.parameters.ground
-    height = ground.whole_surface((weighted, weights), stiffness, parameters)
     cell = search.surface.cell * (1 << search.level)
+    sums, seen = (weighted, weights), weights >= parameters.seen_share * 4**search.level
+    height = ground.whole_surface(sums, np.zeros_like(weights), stiffness, parameters)
+    laplacian = ground.laplacian_of(height, seen, cell, parameters)
+    height = ground.whole_surface(sums, laplacian, stiffness, parameters)
     across, down = (
         np.minimum(1 << search.level, count - (np.arange(coarse) << search.level))
         for count, coarse in zip(search.surface.size, known.shape[::-1])
     )
     full = known == down[:, None] * across  # others may lie on the border, beyond which there is no terrain
     inside = _inside(full, search.largest / 2 / cell) if voids == "inside" else np.zeros(known.shape, bool)
-    return Coarse(height, _slope(height, cell), inside)
+    return Coarse(height, _slope(height, cell), laplacian, inside)
 
 
 def _slope(height: FloatArray, cell: float) -> FloatArray:
     """The surface's slope, m per m, of means over 3 x 3 cells."""
-    padded = np.pad(height, 2, mode="edge")
+    padded = np.pad(height, 2, mode="reflect", reflect_type="odd")
     rows = (padded[:-2] + padded[1:-1] + padded[2:]) / 3
     smooth = (rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 3
     east, south = smooth[1:-1, 2:] - smooth[1:-1, :-2], smooth[2:, 1:-1] - smooth[:-2, 1:-1]

@@ -178,6 +178,18 @@ def test_11_the_right_place(cook):
     assert f"{np.linalg.norm(found):.1f}" == "4.5"
 
 
+def test_12_bare_earth(cook):
+    folder, said = cook(12)
+    surface, ground, above = (heights(folder / f"{name}.tif") for name in ("dsm", "dtm", "heights"))
+    np.testing.assert_allclose(above, surface - ground, atol=1e-3)
+    mask = gdal.Open(str(folder / "objects.tif")).ReadAsArray()
+    known = np.isfinite(surface)
+    assert abs((mask[known] == 1).mean() * 100 - float(re.findall(r"OBJECTS_PERCENT:\t([\d.]+)", said)[0])) < 0.1
+    assert 0.1 < (mask[known] == 1).mean() < 0.5 and abs(np.median(above[mask == 0])) < 0.1
+    assert np.nanstd(ground) < np.nanstd(surface) / 2  # no towers are left in it
+    assert "Profiles" in (folder / "dtm.html").read_text(encoding="utf-8")
+
+
 def test_13_two_dates_of_a_quarry(cook):
     folder, said = cook(13)
     found = {name: float(value) for name, value in re.findall(r"(\w+_M3|CHANGES):\t([-\d.]+)", said)}
