@@ -8,6 +8,7 @@ import json
 import pathlib
 import re
 import shutil
+from xml.etree import ElementTree
 
 import pytest
 from qgis.core import QgsApplication, QgsProcessingException
@@ -111,8 +112,17 @@ def test_logs_errors_and_reports_of_both_kinds_of_runs_are_german(german, feedba
     assert any("prüfe Pakete und Geräte" in text for text in heard) and not english_in(heard)
 
 
-def test_the_compiled_file_is_in_the_package():
-    assert (ROOT / "i18n" / "repm_de.qm").stat().st_size < 100_000
+def test_the_compiled_file_is_in_the_package_and_has_each_text_once():
+    """QGIS reads it whole at each start: it holds the dialogs' texts, and none of the engine's."""
+    contexts = ElementTree.parse(ROOT / "i18n" / "repm_de.ts").iter("context")
+    texts = [
+        (message.findtext("source").encode(), message.findtext("translation").encode("utf-16-le"))
+        for context in contexts
+        for message in context.iter("message")
+    ]
+    overhead = 48  # of a text in Qt's format: its context's name, hash, place and the lengths of its parts
+    size = (ROOT / "i18n" / "repm_de.qm").stat().st_size
+    assert 0 < size - sum(map(len, (part for text in texts for part in text))) < overhead * len(texts)
     package = (ROOT / "scripts" / "package").read_text(encoding="utf-8")
     assert "i18n" not in package.split("LEFT_OUT_SCRIPTS")[0]
 
