@@ -1368,8 +1368,8 @@
         <translation>Höchstens so viele Netzknoten (0: einer je Zelle)</translation>
     </message>
     <message>
-        <source>Where the DSM has more cells, the mesh takes every second (third, ...) row and column.</source>
-        <translation>Hat das DOM mehr Zellen, nimmt das Netz jede zweite (dritte, ...) Zeile und Spalte.</translation>
+        <source>Where the DSM has more cells, the mesh takes every second (third, ...) row and column. It has about two triangles for each vertex: 500000 make a million.</source>
+        <translation>Hat das DOM mehr Zellen, nimmt das Netz jede zweite (dritte, ...) Zeile und Spalte. Es hat etwa zwei Dreiecke je Knoten: 500000 ergeben eine Million.</translation>
     </message>
     <message>
         <source>Colours of orthophoto, point cloud and mesh</source>
@@ -1528,8 +1528,8 @@
         <translation>Netz</translation>
     </message>
     <message>
-        <source>The surface as triangles: PLY for QGIS and 3-D programs, or GLB with the orthophoto as picture, not for QGIS.</source>
-        <translation>Die Oberfläche als Dreiecke: PLY für QGIS und 3D-Programme, oder GLB mit dem Orthophoto als Bild, nicht für QGIS.</translation>
+        <source>Triangles: PLY for QGIS and 3-D programs, or GLB and OBJ with the orthophoto as picture, not for QGIS.</source>
+        <translation>Dreiecke: PLY für QGIS und 3D-Programme, oder GLB und OBJ mit dem Orthophoto als Bild, nicht für QGIS.</translation>
     </message>
     <message>
         <source>DSM of each pair alone</source>

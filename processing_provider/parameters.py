@@ -573,7 +573,10 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 DsmFuseOptions,
                 "mesh_vertices",
                 tr("Most vertices of the mesh (0: one for each cell)"),
-                tr("Where the DSM has more cells, the mesh takes every second (third, ...) row and column."),
+                tr(
+                    "Where the DSM has more cells, the mesh takes every second (third, ...) row and column. It has "
+                    "about two triangles for each vertex: 500000 make a million."
+                ),
             )
         ),
     ]

@@ -22,7 +22,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
-from ..repm_qgis.options import is_glb
+from ..repm_qgis.options import is_textured
 from ..repm_qgis.products import STYLES
 from ..repm_qgis.translation import written_in
 from .engine import PLUGIN_FOLDER
@@ -289,7 +289,7 @@ def _load_built(context: QgsProcessingContext, path: str, kind: str) -> str:
     """Have a cloud or a mesh loaded; gives QGIS's word for it, "" without a project, where QGIS cannot show it,
     and for glTF, which is for other programs."""
     provider = {"ept": "ept", "mesh": "mdal"}[kind]
-    if is_glb(path) or context.project() is None or provider not in QgsProviderRegistry.instance().providerList():
+    if is_textured(path) or context.project() is None or provider not in QgsProviderRegistry.instance().providerList():
         return ""
     hints = QgsProcessingUtils.LayerHint
     # With its provider's name: QGIS 3.22 takes all point clouds to be PDAL's.

@@ -161,9 +161,9 @@ def require_page(name: str, path: str) -> None:
         raise OptionError(name, path, "must end with .html")
 
 
-def is_glb(path: str) -> bool:
-    """Whether a mesh is to be glTF, in one binary file, by its extension."""
-    return path.lower().endswith(".glb")
+def is_textured(path: str) -> bool:
+    """Whether a mesh is to be one with a picture, glTF or OBJ, by its extension; QGIS shows neither."""
+    return path.lower().endswith((".glb", ".obj"))
 
 
 def is_ply(path: str) -> bool:
@@ -179,8 +179,8 @@ def require_cloud(path: str) -> None:
 
 def require_mesh(path: str) -> None:
     """Raise OptionError for a mesh of a kind that is not written."""
-    if not (is_glb(path) or is_ply(path)):
-        raise OptionError("MESH", path, "must end with .ply or .glb")
+    if not (is_textured(path) or is_ply(path)):
+        raise OptionError("MESH", path, "must end with .ply, .glb or .obj")
 
 
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:

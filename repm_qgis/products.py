@@ -134,7 +134,7 @@ _ORTHO = "The images in map geometry, on the cells of the DSM, in colour where t
 _DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
 _OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."
 _CLOUD = "One point for each matched pixel, with its colour: LAZ, LAS, or PLY for 3-D programs without these."
-_MESH = "The surface as triangles: PLY for QGIS and 3-D programs, or GLB with the orthophoto as picture, not for QGIS."
+_MESH = "Triangles: PLY for QGIS and 3-D programs, or GLB and OBJ with the orthophoto as picture, not for QGIS."
 _ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
 _EXPORTED = "A folder that gets one model for each tile, with its images and cameras."
 _RPCS = (
@@ -200,7 +200,16 @@ PRODUCTS = (
     Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO),
     Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las);;PLY (*.ply)", help=_CLOUD),
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
-    Product("dsmfuse", "mesh", "Mesh", FILE, style="mesh", filter="PLY (*.ply);;GLB (*.glb)", maker="mesh", help=_MESH),
+    Product(
+        "dsmfuse",
+        "mesh",
+        "Mesh",
+        FILE,
+        style="mesh",
+        filter="PLY (*.ply);;GLB (*.glb);;OBJ (*.obj)",
+        maker="mesh",
+        help=_MESH,
+    ),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
     Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),

@@ -11,21 +11,17 @@ Khronos Group, glTF 2.0 Specification, 2021: sections 3.6 (buffers), 3.7 (meshes
 from __future__ import annotations
 
 import json
-import math
 import struct
-from typing import Any, BinaryIO, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
-from osgeo import gdal
 
-from ..arrays import FloatArray, Window
+from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
 from .lattice import Lattice
-from .painting import Colours, Paint
+from .texture import middle, picture, picture_places
 
-_LONGEST_PX = 4096  # of the picture's sides: what graphics cards of phones still take; chosen
-_JPEG_QUALITY = 90  # chosen
 _POSITION, _PLACE, _CORNERS = 12, 8, 12  # bytes: of a vertex, of its place in the picture, of a triangle
 _FLOAT, _UINT = 5126, 5125  # glTF's names of types
 _ARRAY, _ELEMENTS = 34962, 34963  # and of what buffers are for
@@ -36,11 +32,11 @@ def write_glb(path: str, lattice: Lattice, vertices: int, faces: int) -> None:
 
     Memory does not grow with the DSM, but for the picture's. Raises OptionError beyond the 4 GiB that GLB can hold.
     """
-    middle = _middle(lattice)
-    low, high = _ends(lattice, middle)
-    picture = _picture(lattice.dataset, lattice.paint) if lattice.paint is not None else None
-    sizes = [vertices * _POSITION, vertices * _PLACE if picture else 0, faces * _CORNERS, len(picture or b"")]
-    document = _padded(json.dumps(_document(lattice, middle, (low, high), sizes, bool(picture))).encode("ascii"), b" ")
+    origin = middle(lattice)
+    low, high = _ends(lattice, origin)
+    image = picture(lattice.dataset, lattice.paint) if lattice.paint is not None else None
+    sizes = [vertices * _POSITION, vertices * _PLACE if image else 0, faces * _CORNERS, len(image or b"")]
+    document = _padded(json.dumps(_document(lattice, origin, (low, high), sizes, bool(image))).encode("ascii"), b" ")
     body = _even(sum(sizes))
     if body + len(document) + 28 >= 1 << 32:
         raise OptionError("MESH_VERTICES", vertices, "are more than a GLB can hold: choose 50000000, or a PLY")
@@ -48,19 +44,13 @@ def write_glb(path: str, lattice: Lattice, vertices: int, faces: int) -> None:
         stream.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(document) + 8 + body))
         stream.write(struct.pack("<I4s", len(document), b"JSON") + document + struct.pack("<I4s", body, b"BIN\0"))
         for first, block in lattice.rows():
-            stream.write(_turned(lattice.places(first, block) - middle).astype("<f4").tobytes())
-        if picture:
-            _write_places(stream, lattice)
+            stream.write(_turned(lattice.places(first, block) - origin).astype("<f4").tobytes())
+        if image:
+            for first, block in lattice.rows():
+                stream.write(picture_places(lattice, first, block).astype("<f4").tobytes())
         for corners in lattice.triangles():
             stream.write(corners.astype("<u4").tobytes())
-        stream.write((picture or b"") + b"\0" * (body - sum(sizes)))
-
-
-def _middle(lattice: Lattice) -> FloatArray:
-    """(3,) x, y and 0 of the middle of the DSM, in whole metres: heights stay what they are."""
-    x0, cell_x, _, y0, _, cell_y = lattice.dataset.GetGeoTransform()
-    width, height = lattice.dataset.RasterXSize, lattice.dataset.RasterYSize
-    return np.array([round(x0 + cell_x * width / 2), round(y0 + cell_y * height / 2), 0.0])
+        stream.write((image or b"") + b"\0" * (body - sum(sizes)))
 
 
 def _turned(xyz: FloatArray) -> FloatArray:
@@ -68,51 +58,18 @@ def _turned(xyz: FloatArray) -> FloatArray:
     return np.column_stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]])
 
 
-def _ends(lattice: Lattice, middle: FloatArray) -> Tuple[List[float], List[float]]:
+def _ends(lattice: Lattice, origin: FloatArray) -> Tuple[List[float], List[float]]:
     """The least and greatest coordinates, as single precision rounds them: readers compare them."""
     low, high = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
     for first, block in lattice.rows():
-        places = _turned(lattice.places(first, block) - middle).astype(np.float32)
+        places = _turned(lattice.places(first, block) - origin).astype(np.float32)
         if len(places):
             low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     return [float(value) for value in low], [float(value) for value in high]
 
 
-def _write_places(stream: BinaryIO, lattice: Lattice) -> None:
-    """The place of each vertex in the picture, 0..1 to the right and down."""
-    x0, cell_x, _, y0, _, cell_y = lattice.dataset.GetGeoTransform()
-    width, height = lattice.dataset.RasterXSize, lattice.dataset.RasterYSize
-    for first, block in lattice.rows():
-        x, y, _ = lattice.places(first, block).T
-        places = np.column_stack([(x - x0) / (cell_x * width), (y - y0) / (cell_y * height)])
-        stream.write(places.astype("<f4").tobytes())
-
-
-def _picture(dataset: gdal.Dataset, paint: Paint) -> bytes:
-    """The orthophoto as JPEG, every second, third, ... cell of a large one."""
-    width, height = dataset.RasterXSize, dataset.RasterYSize
-    step = max(1, math.ceil(max(width, height) / _LONGEST_PX))
-    parts: List[Colours] = [
-        paint.cells(Window(0, row, width, min(step, height - row)))[:1, ::step] for row in range(0, height, step)
-    ]
-    pixels = (np.concatenate(parts) >> 8).astype(np.uint8)
-    memory = gdal.GetDriverByName("MEM").Create("", pixels.shape[1], pixels.shape[0], 3, gdal.GDT_Byte)
-    for band in range(3):
-        memory.GetRasterBand(band + 1).WriteArray(np.ascontiguousarray(pixels[..., band]))
-    name = f"/vsimem/picture_{id(memory)}.jpg"
-    gdal.GetDriverByName("JPEG").CreateCopy(name, memory, options=[f"QUALITY={_JPEG_QUALITY}"])
-    try:
-        size = gdal.VSIStatL(name).size
-        stream = gdal.VSIFOpenL(name, "rb")
-        data = bytes(gdal.VSIFReadL(1, size, stream))
-        gdal.VSIFCloseL(stream)
-        return data
-    finally:
-        gdal.Unlink(name)
-
-
 def _document(
-    lattice: Lattice, middle: FloatArray, ends: Tuple[List[float], List[float]], sizes: List[int], textured: bool
+    lattice: Lattice, origin: FloatArray, ends: Tuple[List[float], List[float]], sizes: List[int], textured: bool
 ) -> Dict[str, Any]:
     """The JSON part of the file; ``sizes`` are bytes of positions, places in the picture, triangles and picture."""
     starts = [sum(sizes[:n]) for n in range(4)]
@@ -128,7 +85,7 @@ def _document(
     ]
     attributes = {"POSITION": 0}
     matt: Dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
-    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": _extras(lattice, middle)}}
+    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": _extras(lattice, origin)}}
     if textured:
         accessors.append({"bufferView": 1, "componentType": _FLOAT, "count": vertices, "type": "VEC2"})
         attributes["TEXCOORD_0"] = 1
@@ -155,10 +112,10 @@ def _document(
     return document
 
 
-def _extras(lattice: Lattice, middle: FloatArray) -> Dict[str, Any]:
+def _extras(lattice: Lattice, origin: FloatArray) -> Dict[str, Any]:
     heights = lattice.dataset.GetMetadataItem(TAG) or ELLIPSOID
     return {
-        "origin": [float(value) for value in middle],
+        "origin": [float(value) for value in origin],
         "crs": lattice.dataset.GetProjection(),
         "heights": f"metres above the {heights}",
         "axes": "x to the east, y up, z to the south, in metres from the origin",

@@ -1,4 +1,4 @@
-"""The DSM as a triangle mesh: as PLY, which QGIS shows as a mesh layer, or as GLB with a picture on it."""
+"""The DSM as a triangle mesh: as PLY, which QGIS shows as a mesh layer, or as GLB or OBJ with a picture on it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from ..arrays import FloatArray, IntArray
 from ..errors import EmptyResultError
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery.raster import opened
-from ..options import is_glb, require_mesh
+from ..options import is_textured, require_mesh
 from ..progress import Progress, Silent
 from ..workspace import whole_file
 from . import ply
 from .derived import FinishedDsm
 from .gltf import write_glb
 from .lattice import Lattice, thinned
+from .obj import write_obj
 from .painting import Colours, opened_paint
 from .parameters import FUSION, FusionParameters
 
@@ -38,9 +39,9 @@ class MeshFacts:
 
 
 def make(finished: FinishedDsm, path: str, progress: Progress) -> Optional[str]:
-    """The surface of a finished DSM as a PLY or GLB; gives its path."""
+    """The surface of a finished DSM as a PLY, GLB or OBJ; gives its path."""
     options = finished.options
-    ortho = finished.ortho or (options.ortho if is_glb(path) else None)  # greys are no colours, but a picture
+    ortho = finished.ortho or (options.ortho if is_textured(path) else None)  # greys are no colours, but a picture
     mesh = write_mesh(options.output, path, options.mesh_vertices, progress, finished.parameters, ortho)
     fewer = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
     progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{fewer}.")
@@ -55,13 +56,13 @@ def write_mesh(
     parameters: FusionParameters = FUSION,
     ortho: Optional[str] = None,
 ) -> MeshFacts:
-    """Write a DSM's surface as a binary PLY or, where the name ends in .glb, as glTF; completely or not at all.
+    """Write a DSM's surface as a binary PLY or, by the name's end, as glTF (.glb) or OBJ; completely or not at all.
 
     Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where these are more than
     ``max_vertices`` (0: no limit), only every second, third, ... row and column is used. Triangles join three
     neighbours that have a height, so holes stay open; of a square's two diagonals the flatter one is taken, which keeps
     edges of roofs straight. A PLY's vertices have the colours of
-    ``ortho``, an orthophoto on the DSM's cells; a GLB has its picture, and single precision from the DSM's middle.
+    ``ortho``, an orthophoto on the DSM's cells; a GLB and an OBJ have its picture, and places from the DSM's middle.
 
     Raises OptionError for another extension, EmptyResultError for a DSM without heights, WorkspaceError where the file
     cannot be written.
@@ -76,9 +77,13 @@ def write_mesh(
         faces = lattice.faces()
         if ortho:
             lattice = replace(lattice, paint=stack.enter_context(opened_paint(ortho, parameters.colour)))
-        write = write_glb if is_glb(path) else _write
         with whole_file(path) as temporary:
-            write(temporary, lattice, vertices, faces)
+            if path.lower().endswith(".obj"):
+                write_obj(temporary, path, lattice)
+            elif is_textured(path):
+                write_glb(temporary, lattice, vertices, faces)
+            else:
+                _write(temporary, lattice, vertices, faces)
     return MeshFacts(vertices, faces, lattice.step)
 
 

@@ -63,7 +63,7 @@ def created_cloud(
     require_cloud(path)
     if is_ply(path):
         with whole_file(path) as temporary, open(temporary, "wb") as stream:
-            file = _Ply(stream, pyproj.CRS.from_user_input(crs).to_wkt(), heights, coloured, normals)
+            file = _Ply(stream, crs, heights, coloured, normals)
             writer = PointCloudWriter(file)
             yield writer
             file.finish(writer.count)
@@ -106,8 +106,8 @@ class _Las:
 
 
 class _Ply:
-    def __init__(self, stream: BinaryIO, wkt: str, heights: str, coloured: bool, normals: bool) -> None:
-        self._stream, self._wkt, self._heights = stream, wkt, heights
+    def __init__(self, stream: BinaryIO, crs: str, heights: str, coloured: bool, normals: bool) -> None:
+        self._stream, self._crs, self._heights = stream, crs, heights
         self._properties = [*ply.PLACE, *(ply.NORMAL if normals else ()), *(ply.COLOUR if coloured else ())]
         self._properties.append("property float score")
         fields = [("place", "<f8", 3), ("normal", "<f4", 3), ("colour", "u1", 3), ("score", "<f4")]
@@ -116,7 +116,7 @@ class _Ply:
         stream.write(self._header(0))
 
     def _header(self, count: int) -> bytes:
-        return ply.header(self._wkt, self._heights, [("vertex", count, self._properties)])
+        return ply.header(self._crs, self._heights, [("vertex", count, self._properties)])
 
     def write(
         self, xyz: FloatArray, score: FloatArray, colours: Optional[Colours], normals: Optional[FloatArray]

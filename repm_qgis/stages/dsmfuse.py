@@ -24,7 +24,7 @@ from ..evaluation.styles import height_limits, write_style
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
-from ..options import DsmFuseOptions, ViewerOptions, is_glb
+from ..options import DsmFuseOptions, ViewerOptions, is_textured
 from ..parallel import run_whole
 from ..products import not_requested, paths_of, product, products_of
 from ..progress import Part, Progress
@@ -169,7 +169,7 @@ def _derived(finished: FinishedDsm, progress: Progress) -> Dict[str, Optional[st
     made: Dict[str, Optional[str]] = {}
     for each, path, file in make_derived(finished, progress):
         made[each.option] = path if file else None
-        if file and each.style and not is_glb(file):
+        if file and each.style and not is_textured(file):
             write_style(each.style, file, height_limits(finished.options.output))
     return made
 

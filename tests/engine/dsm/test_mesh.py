@@ -136,8 +136,8 @@ def test_the_datum_is_named(tmp_path):
 
 def test_what_cannot_be_written_leaves_nothing(tmp_path, told):
     dsm = dsm_of(tmp_path / "d.tif", np.ones((9, 9)))
-    with pytest.raises(OptionError, match="must end with .ply or .glb"):
-        write_mesh(dsm, str(tmp_path / "m.obj"))
+    with pytest.raises(OptionError, match="must end with .ply, .glb or .obj"):
+        write_mesh(dsm, str(tmp_path / "m.stl"))
     with pytest.raises(EmptyResultError, match="no heights"):
         write_mesh(dsm_of(tmp_path / "e.tif", np.full((9, 9), np.nan)), str(tmp_path / "m.ply"))
     with pytest.raises(Cancelled):
@@ -225,3 +225,69 @@ def test_gltf_in_blocks_thinned_and_of_single_cells(tmp_path):
     write_mesh(dsm_of(tmp_path / "a.tif", alone), str(tmp_path / "a.glb"))
     document, positions, _, triangles, _ = read_glb(tmp_path / "a.glb")
     assert len(positions) == 2 and triangles is None and document["meshes"][0]["primitives"][0]["mode"] == 0
+
+
+def read_obj(path):
+    """The comments' lines, (N, 3) vertices, (N, 2) places in the picture, (M, 3) triangles and (M, 3) their places."""
+    rows = {"v": [], "vt": [], "f": [], "#": [], "mtllib": [], "usemtl": []}
+    for line in path.read_text().splitlines():
+        word, rest = line.split(" ", 1)
+        rows[word].append(rest)
+    corners = [[part.split("/") for part in row.split()] for row in rows["f"]]
+    faces = np.array([[int(part[0]) for part in row] for row in corners]) - 1
+    used = np.array([[int(part[-1]) for part in row] for row in corners]) - 1
+    v, vt = ([[float(part) for part in row.split()] for row in rows[word]] for word in ("v", "vt"))
+    return rows, np.array(v), np.array(vt), faces, used
+
+
+def picture_of(tmp_path, rows, columns):
+    """An orthophoto of a red and a dark half, in the cells of a DSM."""
+    wkt, ortho = pyproj.CRS("EPSG:32631").to_wkt(), str(tmp_path / "o.tif")
+    with created(ortho, (rows, columns), np.dtype(np.uint8), 3, TRANSFORM, wkt) as raster:
+        for band, (left, right) in enumerate(((200, 20), (90, 90), (30, 180)), start=1):
+            values = np.full((rows, columns), left, np.uint8)
+            values[:, columns // 2 :] = right
+            raster.write(values, 0, 0, band)
+    return ortho
+
+
+def test_obj_has_the_same_surface_as_the_ply_and_the_orthophoto_beside_it(tmp_path):
+    heights = np.random.default_rng(0).uniform(100, 130, (40, 64))
+    heights[5:9, 20:30] = np.nan
+    dsm, target = dsm_of(tmp_path / "d.tif", heights), tmp_path / "my mesh.obj"
+    facts = write_mesh(dsm, str(target), ortho=picture_of(tmp_path, 40, 64))
+    assert facts == write_mesh(dsm, str(tmp_path / "m.ply"))
+    _, vertices, faces = read_ply(tmp_path / "m.ply")
+    rows, found, places, triangles, used = read_obj(target)
+    np.testing.assert_array_equal(triangles, faces)
+    np.testing.assert_array_equal(used, faces)
+    origin = np.array(rows["#"][0].split(":")[1].split(",")[0].split(), dtype=float)
+    assert np.abs(found + origin - vertices).max() < 1e-4 and np.abs(found[:, :2]).max() < 20
+    assert rows["#"][1] == "heights: metres above the WGS 84 ellipsoid" and "UTM zone 31N" in rows["#"][2]
+    (material,), (name,) = rows["mtllib"], rows["usemtl"]
+    assert material == "my_mesh.obj.mtl"  # many readers take no spaces
+    lines = (tmp_path / material).read_text().splitlines()
+    assert lines[0] == f"newmtl {name}" and lines[-1] == "map_Kd my_mesh.obj.jpg"
+    pixels = gdal.Open(str(tmp_path / "my_mesh.obj.jpg")).ReadAsArray().astype(int)
+    row, column = ((1 - places[:, 1]) * 40).astype(int), (places[:, 0] * 64).astype(int)
+    known = np.nonzero(np.isfinite(heights))
+    np.testing.assert_array_equal(np.array([row, column]), known)
+    assert (pixels[0, row, column] > 150)[column < 24].all() and (pixels[0, row, column] < 70)[column > 40].all()
+
+
+def test_obj_without_an_orthophoto_is_one_file_and_blocks_do_not_change_it(tmp_path):
+    dsm = dsm_of(tmp_path / "d.tif", np.random.default_rng(1).uniform(0, 9, (30, 30)))
+    write_mesh(dsm, str(tmp_path / "a.obj"), 200)
+    write_mesh(dsm, str(tmp_path / "b.obj"), 200, parameters=FusionParameters(mesh_block_cells=90))
+    assert (tmp_path / "a.obj").read_bytes() == (tmp_path / "b.obj").read_bytes()
+    assert sorted(os.listdir(tmp_path)) == ["a.obj", "b.obj", "d.tif"]
+    rows, vertices, places, triangles, _ = read_obj(tmp_path / "a.obj")
+    assert not len(places) and not rows["mtllib"] and triangles.max() == len(vertices) - 1
+
+
+def test_a_cancelled_obj_leaves_neither_picture_nor_material(tmp_path, told):
+    dsm, ortho = dsm_of(tmp_path / "d.tif", np.ones((9, 8))), picture_of(tmp_path, 9, 8)
+    for check in range(1, 5):
+        with pytest.raises(Cancelled):
+            write_mesh(dsm, str(tmp_path / "m.obj"), 0, told(cancel_at=check), ortho=ortho)
+        assert sorted(os.listdir(tmp_path)) == ["d.tif", "o.tif"]

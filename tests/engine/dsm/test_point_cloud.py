@@ -7,8 +7,10 @@ import sys
 
 import laspy
 import numpy as np
+import pyproj
 import pytest
 
+from repm_qgis.dsm.ply import header
 from repm_qgis.dsm.point_cloud import created_cloud
 from repm_qgis.errors import MissingPackageError, OptionError, WorkspaceError
 
@@ -127,6 +129,24 @@ def test_normals_are_extra_bytes_that_compress(tmp_path, name):
     found = np.column_stack([las[f"Normal{axis}"] for axis in "XYZ"])
     assert np.abs(found - turned).max() <= 0.5 / 256 + 1e-6
     assert (sizes[1] - sizes[0]) / 5000 < (13 if name.endswith("s") else 5)
+
+
+@pytest.mark.parametrize("crs", ("EPSG:32631", "EPSG:32631+5773", "EPSG:6346+6360", "EPSG:25832+7837"))
+def test_no_line_of_a_ply_is_longer_than_readers_take(tmp_path, crs):
+    """CloudCompare 2.11 ends with "buffer overflow detected" at a line of 1024 bytes."""
+    path = str(tmp_path / "a.ply")
+    with created_cloud(path, crs, ORIGIN) as cloud:
+        cloud.write(*points(), np.ones(5000))
+    lines, _ = read_ply(path)
+    assert max(len(line.encode()) for line in lines) < 1024
+    (named,) = (line.split(": ", 1)[1] for line in lines if line.startswith("comment crs: "))
+    assert pyproj.CRS.from_wkt(named).equals(pyproj.CRS(crs), ignore_axis_order=True)
+
+
+def test_a_long_compound_crs_leaves_its_vertical_part_to_the_heights():
+    whole = pyproj.CRS("EPSG:32631+5773").to_wkt().replace("EGM96 height", "EGM96 height" + 600 * "x")
+    line = next(one for one in header(whole, "EGM96 geoid", []).decode().splitlines() if "crs" in one)
+    assert len(line) < 1024 and pyproj.CRS.from_wkt(line.split(": ", 1)[1]).to_epsg() == 32631
 
 
 def test_ply_needs_no_laspy(tmp_path, monkeypatch):

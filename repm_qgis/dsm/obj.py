@@ -1,0 +1,67 @@
+"""The DSM's mesh as OBJ, with its material and the orthophoto as picture in two files beside it.
+
+Coordinates are metres east, north and up from the middle of the DSM: readers of OBJ hold single precision. The middle,
+its CRS and what the heights are above are in comments.
+
+References
+----------
+Wavefront Technologies, Advanced Visualizer manual, appendices B1 (OBJ) and B2 (MTL).
+"""
+
+from __future__ import annotations
+
+import re
+from contextlib import ExitStack
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.vertical import ELLIPSOID, TAG
+from ..workspace import whole_file
+from .lattice import Lattice
+from .texture import middle, picture, picture_places
+
+
+def write_obj(temporary: str, path: str, lattice: Lattice) -> None:
+    """Write the mesh that will be ``path`` into a temporary file; where the lattice has paint, ``path.mtl`` and
+    ``path.jpg`` too, which only belong to it: other files are not replaced. Their names have no spaces, which many
+    readers do not take.
+
+    Memory does not grow with the DSM, but for the picture's.
+    """
+    name = re.sub(r"[^\w.-]", "_", Path(path).name)
+    with ExitStack() as stack:
+        stream = stack.enter_context(open(temporary, "wb"))
+        if lattice.paint is not None:
+            image, material = (
+                stack.enter_context(whole_file(str(Path(path).with_name(f"{name}.{kind}")))) for kind in ("jpg", "mtl")
+            )
+            Path(image).write_bytes(picture(lattice.dataset, lattice.paint))
+            Path(material).write_bytes(f"newmtl orthophoto\nKd 1 1 1\nillum 1\nmap_Kd {name}.jpg\n".encode())
+        _write(stream, lattice, f"mtllib {name}.mtl\nusemtl orthophoto\n" if lattice.paint is not None else "")
+
+
+def _write(stream: BinaryIO, lattice: Lattice, material: str) -> None:
+    origin = middle(lattice)
+    heights = lattice.dataset.GetMetadataItem(TAG) or ELLIPSOID
+    place = f"{origin[0]:.0f} {origin[1]:.0f} 0"
+    stream.write(f"# origin: {place}, of x to the east, y to the north, z up, in metres\n".encode())
+    stream.write(f"# heights: metres above the {heights}\n".encode())
+    stream.write(f"# crs: {lattice.dataset.GetProjection()}\n{material}".encode())
+    for first, block in lattice.rows():
+        stream.write(_lines("v %.4f %.4f %.4f\n", lattice.places(first, block) - origin))
+    if material:
+        for first, block in lattice.rows():
+            right, down = picture_places(lattice, first, block).T
+            stream.write(_lines("vt %.6f %.6f\n", np.column_stack([right, 1.0 - down])))
+    corner = "%d/%d" if material else "%d"
+    for corners in lattice.triangles():
+        numbers = np.repeat(corners + 1, 2 if material else 1, axis=1)
+        stream.write(_lines(f"f {corner} {corner} {corner}\n", numbers))
+
+
+def _lines(form: str, values: NDArray[np.generic]) -> bytes:
+    """A line for each row of values."""
+    return (form * len(values) % tuple(values.ravel().tolist())).encode("ascii")

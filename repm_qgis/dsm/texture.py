@@ -1,0 +1,54 @@
+"""The orthophoto as the picture of a mesh, and coordinates that single precision can hold."""
+
+from __future__ import annotations
+
+import math
+from typing import List
+
+import numpy as np
+from osgeo import gdal
+
+from ..arrays import FloatArray, FloatImage, Window
+from .lattice import Lattice
+from .painting import Colours, Paint
+
+_LONGEST_PX = 4096  # of the picture's sides: what graphics cards of phones still take; chosen
+_JPEG_QUALITY = 90  # chosen
+
+
+def middle(lattice: Lattice) -> FloatArray:
+    """(3,) x, y and 0 of the middle of the DSM, in whole metres: heights stay what they are."""
+    x0, cell_x, _, y0, _, cell_y = lattice.dataset.GetGeoTransform()
+    width, height = lattice.dataset.RasterXSize, lattice.dataset.RasterYSize
+    return np.array([round(x0 + cell_x * width / 2), round(y0 + cell_y * height / 2), 0.0])
+
+
+def picture_places(lattice: Lattice, first: int, block: FloatImage) -> FloatArray:
+    """(N, 2) places of a block's vertices in the picture, 0..1 to the right and down."""
+    x0, cell_x, _, y0, _, cell_y = lattice.dataset.GetGeoTransform()
+    width, height = lattice.dataset.RasterXSize, lattice.dataset.RasterYSize
+    x, y, _ = lattice.places(first, block).T
+    return np.column_stack([(x - x0) / (cell_x * width), (y - y0) / (cell_y * height)])
+
+
+def picture(dataset: gdal.Dataset, paint: Paint) -> bytes:
+    """The orthophoto as JPEG, every second, third, ... cell of a large one."""
+    width, height = dataset.RasterXSize, dataset.RasterYSize
+    step = max(1, math.ceil(max(width, height) / _LONGEST_PX))
+    parts: List[Colours] = [
+        paint.cells(Window(0, row, width, min(step, height - row)))[:1, ::step] for row in range(0, height, step)
+    ]
+    pixels = (np.concatenate(parts) >> 8).astype(np.uint8)
+    memory = gdal.GetDriverByName("MEM").Create("", pixels.shape[1], pixels.shape[0], 3, gdal.GDT_Byte)
+    for band in range(3):
+        memory.GetRasterBand(band + 1).WriteArray(np.ascontiguousarray(pixels[..., band]))
+    name = f"/vsimem/picture_{id(memory)}.jpg"
+    gdal.GetDriverByName("JPEG").CreateCopy(name, memory, options=[f"QUALITY={_JPEG_QUALITY}"])
+    try:
+        size = gdal.VSIStatL(name).size
+        stream = gdal.VSIFOpenL(name, "rb")
+        data = bytes(gdal.VSIFReadL(1, size, stream))
+        gdal.VSIFCloseL(stream)
+        return data
+    finally:
+        gdal.Unlink(name)
