@@ -174,8 +174,8 @@
         <translation>Weitere DOM für dieselbe Tabelle</translation>
     </message>
     <message>
-        <source>Other DSMs of the same ground, such as another program's: the report shows all of them side by side, each aligned on its own.</source>
-        <translation>Weitere DOM desselben Gebiets, etwa von anderen Programmen: Der Bericht zeigt alle nebeneinander, jedes für sich ausgerichtet.</translation>
+        <source>Other DSMs of the same ground, such as another program's, as rasters or point clouds (LAZ, LAS): the report shows all of them side by side, each aligned on its own.</source>
+        <translation>Andere DOM desselben Gebiets, etwa eines anderen Programms, als Raster oder Punktwolken (LAZ, LAS): Der Bericht zeigt alle nebeneinander, jedes für sich ausgerichtet.</translation>
     </message>
     <message>
         <source>Class raster</source>

@@ -80,12 +80,12 @@ class CompareDsm(RepmAlgorithm):
                 parameters.Rasters(
                     "OTHERS",
                     self.tr("Further DSMs for the same table"),
-                    QgsProcessing.SourceType.TypeRaster,
+                    QgsProcessing.SourceType.TypeMapLayer,
                     optional=True,
                 ),
                 self.tr(
-                    "Other DSMs of the same ground, such as another program's: the report shows all of them side by "
-                    "side, each aligned on its own."
+                    "Other DSMs of the same ground, such as another program's, as rasters or point clouds (LAZ, LAS): "
+                    "the report shows all of them side by side, each aligned on its own."
                 ),
             ),
             parameters.helped(

@@ -293,6 +293,8 @@ def test_clouds_and_points_are_taken_where_they_are_read(plugin, context, raster
     assert not check("comparedsm", {**compared, "REFERENCE": str(table)}, context)[0]
     gone = str(tmp_path / "gone.laz")
     assert f"REFERENCE '{gone}' is not there" in check("comparedsm", {**compared, "REFERENCE": gone}, context)[1]
+    assert check("comparedsm", {**compared, "OTHERS": [rasters[0], str(cloud)]}, context) == (True, "")
+    assert f"OTHERS '{gone}' is not there" in check("comparedsm", {**compared, "OTHERS": [gone]}, context)[1]
     for reference in (cloud, table):
         given = {"SCENE": str(scene), "REFERENCE": [str(reference)], "OUTPUT_SCENE": str(tmp_path / "r.json")}
         assert "cannot be read as a raster" not in check("register", given, context)[1]
