@@ -39,7 +39,7 @@ RAISED_M = 3.0
 _AREA_M2 = (60.0, 600.0)  # of buildings that change
 _APART_M = 8.0  # from one to the next
 _BARE_M = 1.0  # of what a building may stand on
-_EDGE = 0.12  # of the ground's side that changes stay away from
+_EDGE = 0.18  # of the ground's side that changes stay away from: all views of both dates see the rest
 _BEFORE = (Look(12.0, 0.5, 1.0), Look(-4.0, 0.5, 2.0), Look(-13.0, 0.5, -1.0), Look(5.0, 0.5, -2.0))
 _AFTER = (Look(11.0, 0.5, -4.0), Look(1.0, 0.5, -3.0), Look(-12.0, 0.5, -5.0))
 _SUNS = (Sun(152.0, 48.0), Sun(165.0, 33.0))
@@ -137,7 +137,7 @@ def spec_of(size: int, seed: int, date: int) -> SceneSpec:
 def dates(size: int, seed: int) -> Dates:
     """The town with its DSMs, in the cache under its seed and size."""
     size = 400 if is_quick() else size
-    folder = CACHE / f"two_dates_{seed}_{size}"
+    folder = CACHE / f"dates_{seed}_{size}"
     images = made_once(folder, lambda: _simulate(folder, size, seed))
     for name, (date, numbers) in DSMS.items():
         made_once(folder / name, lambda: _reconstruct(images, folder / name, date, numbers))  # noqa: B023 - runs now

@@ -32,8 +32,8 @@
         <translation>Konfidenz des ersten Zeitpunkts</translation>
     </message>
     <message>
-        <source>The confidence raster that was made with the DSM, or one band with the expected error in metres. Give both dates', or none: then the errors are estimated from ground that did not change.</source>
-        <translation>Das Konfidenzraster, das mit dem DOM entstanden ist, oder ein Kanal mit dem erwarteten Fehler in Metern. Für beide Zeitpunkte angeben oder für keinen: dann werden die Fehler aus unverändertem Boden geschätzt.</translation>
+        <source>The confidence raster that was made with the DSM, or one band with the expected error in metres. Give both dates', or none: then the errors are estimated from ground that did not change, and a change must be twice as large to be shown.</source>
+        <translation>Das Konfidenzraster, das mit dem DOM entstanden ist, oder ein Kanal mit dem erwarteten Fehler in Metern. Für beide Zeitpunkte angeben oder für keinen: dann werden die Fehler aus unverändertem Boden geschätzt, und eine Änderung muss doppelt so groß sein, damit sie gezeigt wird.</translation>
     </message>
     <message>
         <source>Confidence of the second date</source>

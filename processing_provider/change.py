@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from typing import Any, Mapping
+
 from qgis.core import QgsProcessingOutputNumber
 
 from ..repm_qgis.options import ChangeOptions
-from . import parameters
+from . import parameters, styles
 from .base import RepmAlgorithm
+from .kept import is_lasting
 
 
 class Change(RepmAlgorithm):
@@ -40,7 +44,8 @@ class Change(RepmAlgorithm):
                 parameters.Raster("BEFORE_CONFIDENCE", self.tr("Confidence of the first date"), optional=True),
                 self.tr(
                     "The confidence raster that was made with the DSM, or one band with the expected error in metres. "
-                    "Give both dates', or none: then the errors are estimated from ground that did not change."
+                    "Give both dates', or none: then the errors are estimated from ground that did not change, and a "
+                    "change must be twice as large to be shown."
                 ),
             ),
             parameters.helped(
@@ -78,3 +83,12 @@ class Change(RepmAlgorithm):
                 ("LEVEL_M", self.tr("Level of detection, median (m)")),
             )
         ]
+
+    def _scene_name(self, options: Mapping[str, Any]) -> str:
+        """Both dates' DSMs, or their folders where their files have the same name."""
+        dates = [options["before"], options["after"]]
+        names = [os.path.splitext(os.path.basename(path))[0] for path in dates]
+        if names[0] == names[1]:
+            folders = [os.path.dirname(path) for path in dates]
+            names = [os.path.basename(folder) for folder in folders if is_lasting(folder)] or names[:1]
+        return styles.span(names[0], names[-1]) if names[0] != names[-1] else names[0]

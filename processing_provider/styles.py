@@ -37,6 +37,11 @@ def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmStyles", text)
 
 
+def span(first: str, last: str) -> str:
+    """The first and the last of some days or dates, in words."""
+    return _tr("{first} to {last}").format(first=first, last=last)
+
+
 @dataclass
 class Run:
     """One run of an algorithm: its layers come into one group, and bear its name.
@@ -58,7 +63,7 @@ class Run:
         """The name of a layer: what, of which scene, of when."""
         period = self.days[0] if self.days else ""
         if len(self.days) > 1:
-            period = _tr("{first} to {last}").format(first=self.days[0], last=self.days[-1])
+            period = span(self.days[0], self.days[-1])
         place = ", ".join(filter(None, (self.label(), period)))
         return " ".join(filter(None, (title, place, f"({more})" if more else "")))
 

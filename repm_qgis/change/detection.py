@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatImage, Mask
-from ..imagery.sampling import box_mean
 from .errors import ErrorModel
 from .parameters import CHANGE, DetectionParameters
 from .surfaces import Cells
@@ -25,45 +24,65 @@ class Detected:
     """What a window shows, (rows, columns) each.
 
     ``level`` of detection, m, NaN where a height is missing or interpolated. ``change`` in m, 0 where there is none,
-    NaN where it is not known. ``core``: cells that are significant by themselves. ``error`` of the difference, m.
+    NaN where it is not known. ``strength``: how many levels of flat ground the cells of cores stand out by, together
+    with their neighbours; 0 elsewhere. ``error`` of the difference, m.
     """
 
     level: FloatImage
     change: FloatImage
-    core: Mask
+    strength: FloatImage
     error: FloatImage
+
+    @property
+    def core(self) -> Mask:
+        """Cells that are significant by themselves."""
+        return self.strength > 0
 
 
 def detect(
-    cells: Cells, model: ErrorModel, cell_m: float, stated: bool, parameters: DetectionParameters = CHANGE.detection
+    cells: Cells, model: ErrorModel, cell_m: float, parameters: DetectionParameters = CHANGE.detection
 ) -> Detected:
-    """The changes in a window; those nearer to its edge than ``halo_cells`` may be cut.
-
-    ``stated``: confidence rasters say how well each height is known.
-    """
+    """The changes in a window; those nearer to its edge than ``halo_cells`` may be cut."""
     error = model.of_cells(cells)
     level = np.float32(parameters.level) * error
     flat = np.float32(parameters.level) * model.of_heights(cells)
     change = np.where(np.isfinite(cells.difference) & np.isfinite(level), np.float32(0), np.float32(np.nan))
-    core = np.zeros(change.shape, bool)
+    strength = np.zeros(change.shape, np.float32)
     for sign, lower, higher in ((1, cells.before, cells.after), (-1, cells.after, cells.before)):
         rise = higher - lower
         top, bottom = _extreme(lower, parameters.reach_cells), -_extreme(-higher, parameters.reach_cells)
         seen = _with_hidden(top, cell_m, parameters)
         with np.errstate(invalid="ignore"):
-            most = np.float32(parameters.core if stated else parameters.core_alone) * flat
-            own = cells.measured & (rise > level) & (higher - seen > most) & (bottom - lower > most)
+            beyond = np.where(cells.measured & (rise > level), np.minimum(higher - seen, bottom - lower) / flat, _FAR)
             # A new house rises above all around it, a pit lies below; where only an edge has moved, neither holds.
             near = (rise > flat) & ((higher > top) | (bottom > lower))
-        agree = box_mean(own.astype(np.float32), parameters.coherent_radius) >= parameters.coherent_share
-        grown = own = own & agree
+            unchanged = _extreme(np.where(rise > flat, _FAR, np.float32(1)), parameters.reach_cells) > 0
+        own = _agreed(np.where(np.isfinite(beyond), beyond, _FAR), parameters)
+        grown = core = own > 0
         for _ in range(parameters.grown_cells):
-            grown = own | (_extreme(np.where(grown, np.float32(1), _FAR), 1) > 0) & near
+            grown = core | (_extreme(np.where(grown, np.float32(1), _FAR), 1) > 0) & near
         # At an edge that one DSM shows farther out, the difference is the object's whole height; what changed is not.
-        most = _extreme(np.where(own, rise, _FAR), parameters.grown_cells)
+        most = _extreme(np.where(core, rise, _FAR), parameters.grown_cells)
+        # Matching blurs an edge: it lies where half of the height is reached, if the ground beside it is unchanged.
+        grown &= ~unchanged | (rise >= np.float32(0.5) * most)
         change = np.where(grown, np.float32(sign) * np.minimum(rise, most), change)
-        core |= own
-    return Detected(level, change, core, error)
+        strength = np.maximum(strength, own)
+    return Detected(level, change, strength, error)
+
+
+def _agreed(beyond: FloatImage, parameters: DetectionParameters) -> FloatImage:
+    """How far each cell stands out together with the coherent share of its neighbours; 0 where it is no core."""
+    radius = parameters.coherent_radius
+    side = 2 * radius + 1
+    least = math.ceil(parameters.coherent_share * side**2)  # of the window's cells
+    rows, columns = np.nonzero(beyond > parameters.core)
+    highest_first = np.pad(-beyond, radius, constant_values=-_FAR)
+    around = np.stack([highest_first[rows + down, columns + right] for down in range(side) for right in range(side)])
+    around.partition(least - 1, axis=0)
+    shared = -around[least - 1]  # what so many of them reach
+    result = np.zeros(beyond.shape, np.float32)
+    result[rows, columns] = np.where(shared > parameters.core, np.minimum(beyond[rows, columns], shared), 0)
+    return result
 
 
 def _extreme(values: FloatImage, reach: int) -> FloatImage:

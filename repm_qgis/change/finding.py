@@ -34,7 +34,7 @@ HISTOGRAM_BIN = 0.05
 """Width of a bin of the standardised differences, which reach ten standard deviations to both sides."""
 _HISTOGRAM_HALF = 200
 SIGNIFICANT_BANDS = ("significant change (m)", "level of detection (m)")
-_CHANGE, _LEVEL, _CORE_ERROR, _WITNESSED = 1, 2, 3, 4  # bands of the raster between the passes
+_CHANGE, _LEVEL, _CORE_ERROR, _SUPPORT = 1, 2, 3, 4  # bands of the raster between the passes
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class _Work:
                 progress.check_cancelled()
                 progress.step(index / len(windows), f"block {index + 1} of {len(windows)}")
                 cells, part = self._surfaces.read(wide), own.inside(wide)
-                found = detect(cells, model, self._cell_m, self._surfaces.stated, plan)
+                found = detect(cells, model, self._cell_m, plan)
                 change, level = found.change[part], found.level[part]
                 core_error = np.where(found.core, found.error, np.float32(np.nan))[part]
                 cells = cells.inner(part)
@@ -176,7 +176,8 @@ class _Work:
                 output.write(cells.difference, own.col, own.row)
                 gain, loss = (np.uint8(value) * (side > 0) for value, side in ((GAIN, change), (LOSS, -change)))
                 signs.write((gain + loss).astype(np.uint8), own.col, own.row)
-                kept = ((_CHANGE, change), (_LEVEL, level), (_CORE_ERROR, core_error), (_WITNESSED, cells.witnessed))
+                support = found.strength[part] >= cells.support
+                kept = ((_CHANGE, change), (_LEVEL, level), (_CORE_ERROR, core_error), (_SUPPORT, support))
                 for band, values in kept:
                     between.write(values.astype(np.float32), own.col, own.row, band)
                 if own.col + own.width == grid.size[0]:
@@ -215,8 +216,10 @@ class _Work:
                 inner = own.grown(1, size)
                 numbers = np.zeros((around.height, around.width), np.int64)
                 numbers[inner.inside(around)] = outlines.numbers(inner)
-                sums.add(numbers, *(raster.read(between, own, band) for band in (_CHANGE, _CORE_ERROR, _WITNESSED)))
-            changes = sums.changes(outlines, model, correlation, cell_m2, offset_m, self._parameters.detection)
+                sums.add(numbers, *(raster.read(between, own, band) for band in (_CHANGE, _CORE_ERROR, _SUPPORT)))
+            plan = self._parameters.detection
+            least_m2 = plan.support_share * self._options.min_area
+            changes = sums.changes(outlines, model, correlation, cell_m2, offset_m, least_m2, plan)
             with ExitStack() as stack:
                 target = None
                 if self._options.significant:

@@ -1,6 +1,7 @@
 """The numbers that the change between two DSMs chooses; docs/algorithms/change.md says what each is for.
 
-"Chosen" means that the value was set by looking at simulated and real pairs of DSMs (`make bench-answers`).
+"Chosen" means that the value was set by looking at simulated towns other than those of `make bench-answers`, and at
+real pairs of DSMs.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ class DetectionParameters(Parameters):
 
     level: float = 1.96  # standard deviations: 95 % (Lane et al. 2003; Wheaton et al. 2010)
     core: float = 2.0  # levels of detection that the core of a change exceeds: errors of matching have heavy tails
+    support: float = 4.0  # levels that a change stands out by where several height maps agree; chosen
+    support_alone: float = 8.0  # the same where a height has one map, or nothing tells how many: errors leave no trace
+    support_share: float = 0.25  # of MIN_AREA: on so large an area a change has this support; chosen
     reach_cells: int = 2  # by which matching moves edges: a core is beyond the other DSM's extremes within it
     hidden_gradient: float = 3.0  # a wall hides a strip as wide as a third of its height from views beside the nadir
     hidden_steps: int = 4  # doublings of the strip's reach: 15 cells along an axis
@@ -41,8 +45,7 @@ class DetectionParameters(Parameters):
     grown_cells: int = 4  # a change reaches so far beyond its core; edges are blurred by two cells
     filled: float = 0.25  # a source above is not matched: between the codes 0 and 1, as it is interpolated
     witnesses: float = 0.75  # of the usual number of height maps: fewer agree on a plain roof whose height is wrong
-    witnessed_share: float = 0.5  # of a core's cells that have so many; chosen
-    core_alone: float = 4.0  # as core, where no confidence raster says which heights are poor
+    least_witnesses: float = 2.0  # height maps: one has nothing that it could disagree with
     block_cells: int = 1024  # side of a block
 
     @property

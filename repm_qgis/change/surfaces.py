@@ -29,15 +29,16 @@ class Cells:
 
     ``before``, ``after`` in m, NaN = none. ``error`` is the expected error of their difference as the confidence
     rasters state it, m, 1 everywhere without these, NaN where a height is interpolated. ``measured``: both heights are
-    matched, not filled in. ``witnessed``: in both as many height maps agree as is usual there. ``gradient`` is that of
-    the steeper one, m per m, NaN beside holes.
+    matched, not filled in. ``support``: how many levels of detection a change must stand out by; infinite where fewer
+    height maps agree than is usual in one of the DSMs. ``gradient`` is that of the steeper one, m per m, NaN beside
+    holes.
     """
 
     before: FloatImage
     after: FloatImage
     error: FloatImage
     measured: Mask
-    witnessed: Mask
+    support: FloatImage
     gradient: FloatImage
 
     @property
@@ -113,11 +114,19 @@ class Surfaces:
         for source, move in zip(self._sources, moves):
             if source is not None:
                 measured &= self._read(source, cells, move) < self._parameters.filled
-        witnessed = np.ones(before.shape, bool)
-        for count, least, move in zip(self._counts, self._least_counts, moves):
-            if count is not None:
-                witnessed &= self._read(count, cells, move) >= least
-        return Cells(before, after, error, measured, witnessed, steep)
+        return Cells(before, after, error, measured, self._support(cells), steep)
+
+    def _support(self, cells: Grid) -> FloatImage:
+        """Where one height map has a height, or nothing tells how many, an error of matching leaves no trace."""
+        plan = self._parameters
+        support = np.full(cells.size[::-1], plan.support if self.stated else plan.support_alone, np.float32)
+        for warper, least, move in zip(self._counts, self._least_counts, (Alignment("none"), self.alignment)):
+            if warper is not None:
+                count = self._read(warper, cells, move)
+                alone = count < plan.least_witnesses
+                needed = np.where(alone, np.float32(plan.support_alone), np.float32(plan.support))
+                support = np.maximum(support, np.where(count >= least, needed, np.float32(np.inf)))
+        return support
 
     def _usual(self, count: Optional[HeightWarper]) -> float:
         """The median of how many height maps agree."""

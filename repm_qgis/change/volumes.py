@@ -140,10 +140,11 @@ class Sums:
         self.edge = np.zeros(count + 1)
         self.core = np.zeros(count + 1)
         self.core_variance = np.zeros(count + 1)
-        self.witnessed = np.zeros(count + 1)
+        self.supported = np.zeros(count + 1)
 
-    def add(self, numbers: IntArray, change: FloatImage, core_error: FloatImage, witnessed: FloatImage) -> None:
-        """A block's cells, ``numbers`` with a margin of one around them; ``core_error`` is NaN outside of cores."""
+    def add(self, numbers: IntArray, change: FloatImage, core_error: FloatImage, support: FloatImage) -> None:
+        """A block's cells, ``numbers`` with a margin of one around them; ``core_error`` is NaN outside of cores, and
+        ``support`` is above 0 in cells that no error explains."""
         inner = numbers[1:-1, 1:-1]
         edge = np.zeros(inner.shape, bool)
         for near in (numbers[:-2, 1:-1], numbers[2:, 1:-1], numbers[1:-1, :-2], numbers[1:-1, 2:]):
@@ -153,10 +154,10 @@ class Sums:
         for total, mask, weights in (
             (self.cells, None, None),
             (self.change, None, np.nan_to_num(values)),
-            (self.edge, edge, np.abs(np.nan_to_num(values))),
+            (self.edge, edge, None),
             (self.core, core, None),
             (self.core_variance, core, np.nan_to_num(errors) ** 2),
-            (self.witnessed, core & (witnessed > 0), None),
+            (self.supported, support > 0, None),
         ):
             here = inner > 0 if mask is None else mask & (inner > 0)
             total += np.bincount(inner[here], None if weights is None else weights[here], minlength=total.size)
@@ -170,24 +171,26 @@ class Sums:
         correlation: Correlation,
         cell_m2: float,
         offset_m: float,
+        least_m2: float,
         parameters: DetectionParameters,
     ) -> List[Changed]:
-        """The changes, the largest volume first, without those that their own uncertainty exceeds, or in whose core too
-        few cells are witnessed.
+        """The changes, the largest volume first, without those that their own uncertainty exceeds, or that are
+        supported on less than ``least_m2``.
 
         Three independent parts make a volume uncertain: the errors of its heights, averaged over as many cells as are
-        independent; the outline, which may be off by the horizontal error all around; and the offset between the DSMs
-        (``offset_m``, its standard deviation).
+        independent; the outline, which may be off by the horizontal error all around at the mean height, as matching
+        makes objects too wide or too narrow on all sides; and the offset between the DSMs (``offset_m``, its standard
+        deviation).
         """
         found = []
         for number, gain, outline in outlines:
             cells, sign = self.cells[number], 1.0 if gain else -1.0
-            if not cells or self.witnessed[number] <= parameters.witnessed_share * self.core[number]:
+            if not self.supported[number] or self.supported[number] * cell_m2 < least_m2:
                 continue
             area = float(cells * cell_m2)
             mean = float(self.change[number] / cells)
             height = math.sqrt(self.core_variance[number] / self.core[number] * correlation.variance_share(area))
-            edge = model.horizontal_m * math.sqrt(cell_m2) * float(self.edge[number])
+            edge = model.horizontal_m * math.sqrt(cell_m2) * float(self.edge[number]) * abs(mean)
             deviation = math.sqrt((area * height) ** 2 + edge**2 + (area * offset_m) ** 2)
             if abs(area * mean) > parameters.level * deviation:
                 largest = sign * float(self.largest[number])

@@ -6,6 +6,7 @@ from typing import Any, Dict
 
 from ..change.finding import Found, find_changes
 from ..change.page import change_page
+from ..change.parameters import CHANGE
 from ..evaluation.styles import write_style
 from ..options import ChangeOptions
 from ..parallel import run_whole
@@ -63,6 +64,11 @@ def _log(found: Found, progress: Progress) -> None:
     progress.info(
         f"The level of detection is {found.level_m:.2f} m (median of all cells); it is higher where the ground is "
         "steep and where heights are uncertain."
+    )
+    plan = CHANGE.detection
+    progress.info(
+        f"A change must stand out by {plan.support:g} times the level of flat ground, or by {plan.support_alone:g} "
+        "times where a height comes from one height map only or no confidence rasters are given."
     )
     gains, losses = found.total(True), found.total(False)
     progress.info(

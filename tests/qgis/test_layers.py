@@ -53,6 +53,14 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
     fuse = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
     assert fuse._scene_name({"scene": "/work/giza/scene.json"}) == "giza"
     assert fuse._scene_name({"scene": temporary + "/scene.json"}) == ""
+    change = QgsApplication.processingRegistry().algorithmById("repm:change").create()
+    for before, after, name in (
+        ("/data/giza 2019.tif", "/data/giza 2024.tif", "giza 2019 to giza 2024"),
+        ("/work/2019/dsm.tif", "/work/2024/dsm.tif", "2019 to 2024"),
+        (temporary + "/dsm.tif", "/work/2024/dsm.tif", "2024"),
+        (temporary + "1/dsm.tif", temporary + "2/dsm.tif", "dsm"),
+    ):
+        assert change._scene_name({"before": before, "after": after}) == name
 
 
 def test_a_layers_name_tells_what_of_which_scene_and_of_when(plugin):

@@ -78,6 +78,13 @@ def dates(tmp_path):
     return write(tmp_path / "before.tif", [before]), write(tmp_path / "after.tif", [after])
 
 
+@pytest.fixture
+def witnessed(tmp_path):
+    """Confidences of both dates: three height maps agree everywhere."""
+    names = ("before_confidence", "after_confidence")
+    return {name: confidence(tmp_path / f"{name}.tif") for name in names}
+
+
 def change(before, after, folder, told, **options):
     made = {"output": str(folder / "d.tif"), "volumes": str(folder / "v.gpkg"), **options}
     return run_stage("change", {"before": before, "after": after, **made}, told())
@@ -88,8 +95,9 @@ def polygons(path):
     return [{**feature.items(), "shape": feature.GetGeometryRef().Clone()} for feature in source.GetLayer(0)]
 
 
-def test_a_heap_and_a_pit_are_found_with_their_volumes(dates, tmp_path, told):
-    found = change(*dates, tmp_path, told, significant=str(tmp_path / "s.tif"), report=str(tmp_path / "r.html"))
+def test_a_heap_and_a_pit_are_found_with_their_volumes(dates, witnessed, tmp_path, told):
+    made = {"significant": str(tmp_path / "s.tif"), "report": str(tmp_path / "r.html")}
+    found = change(*dates, tmp_path, told, **made, **witnessed)
     assert (found["dx"], found["dy"], found["dz"]) == pytest.approx((-0.8, 0.55, -1.7), abs=0.06)
     heap, pit = sorted(polygons(tmp_path / "v.gpkg"), key=lambda each: -each["volume_m3"])
     for each, kind, area, volume in ((heap, "gain", 400, 1200), (pit, "loss", 500, -1000)):
@@ -132,16 +140,52 @@ def test_walls_that_matching_moved_are_no_change(tmp_path, told):
         assert change(*order, tmp_path, told, min_area=10)["changes"] == 0
 
 
-def test_filled_cells_and_lone_witnesses_are_no_change(dates, tmp_path, told):
+def test_filled_cells_and_few_witnesses_are_no_change(dates, tmp_path, told):
     """Confidence rasters say that the heap was interpolated, or that fewer pairs than usual saw it."""
     plain = confidence(tmp_path / "before_c.tif")
     source, count = np.zeros((SIDE, SIDE)), np.full((SIDE, SIDE), 3.0)
-    source[BUILT], count[BUILT] = 2, 1
+    source[BUILT], count[BUILT] = 2, 2
     for name, more, expected in (("plain", {}, 2), ("source", {"source": source}, 1), ("count", {"count": count}, 1)):
         other = confidence(tmp_path / f"{name}.tif", **more)
         found = change(*dates, tmp_path, told, before_confidence=plain, after_confidence=other, align="3d")
         assert found["changes"] == expected, name
         assert (found["gained_m3"] == 0) == (expected == 1)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_heights_that_nothing_checks_need_larger_changes(stated, dates, tmp_path, told):
+    """Heights of one map, and those of which no confidence raster tells: an error of matching leaves no trace there."""
+    made = {}
+    if stated:
+        three, one = confidence(tmp_path / "c3.tif"), confidence(tmp_path / "c1.tif", count=np.ones((SIDE, SIDE)))
+        made = {"before_confidence": three, "after_confidence": one}
+    assert change(*dates, tmp_path, told, **made)["changes"] == 0
+    tall = gdal.Open(dates[1]).ReadAsArray()
+    tall[BUILT] += 5.0
+    found = change(dates[0], write(tmp_path / "tall.tif", [tall]), tmp_path, told, **made)
+    assert found["changes"] == 1 and found["gained_m3"] == pytest.approx(3200, rel=0.07)
+
+
+def test_a_blurred_edge_lies_where_half_of_the_height_is_reached(witnessed, tmp_path, told):
+    """Windows of matching blur a new house; its outline is still its own."""
+    house = np.zeros((SIDE, SIDE))
+    house[BUILT] = 8.0
+    for axis in (0, 1):
+        house = sum(np.roll(house, by, axis) for by in (-2, -1, 0, 1, 2)) / 5
+    paths = [write(tmp_path / f"{seed}.tif", [ground() + noise(seed) + more]) for seed, more in ((1, 0.0), (2, house))]
+    change(*paths, tmp_path, told, **witnessed)
+    (found,) = polygons(tmp_path / "v.gpkg")
+    assert found["area_m2"] == pytest.approx(400, rel=0.04)
+    assert found["volume_m3"] == pytest.approx(3200, rel=0.07)  # what lies outside of it is left out
+
+
+def test_a_volume_is_as_uncertain_as_its_outline(dates, witnessed, tmp_path, told):
+    """An outline that is off by the horizontal error all around sweeps the whole height of the change."""
+    options = ChangeOptions(before=dates[0], after=dates[1], output=str(tmp_path / "d.tif"), **witnessed)
+    found = find_changes(options, told())
+    for each, round_m in zip(found.changes, (80.0, 90.0)):
+        edge = found.model.horizontal_m * round_m * abs(each.mean)
+        assert 0.95 * edge < each.deviation < 1.5 * edge
 
 
 def test_uncertain_heights_need_larger_changes(dates, tmp_path, told):
@@ -152,14 +196,14 @@ def test_uncertain_heights_need_larger_changes(dates, tmp_path, told):
     assert found["changes"] == 1 and found["lost_m3"] == 0
 
 
-def test_other_cells_and_another_crs(dates, tmp_path, told):
+def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
     """The second date has cells of 1 m in degrees' neighbour zone; volumes stay the same."""
     far = gdal.Warp(
         str(tmp_path / "far.tif"), dates[1], dstSRS="EPSG:32632", xRes=1, yRes=1, resampleAlg="average", dstNodata=-9999
     )
     far = None  # noqa: F841
     for before, after, sign in ((dates[0], tmp_path / "far.tif", 1), (tmp_path / "far.tif", dates[0], -1)):
-        found = change(str(before), str(after), tmp_path, told)
+        found = change(str(before), str(after), tmp_path, told, **witnessed)
         gained, lost = (found["gained_m3"], found["lost_m3"])[::sign]
         assert found["changes"] == 2 and (gained, lost) == pytest.approx((1200, 1000), rel=0.1)
         assert gdal.Open(str(tmp_path / "d.tif")).GetGeoTransform()[1] == 1
@@ -253,7 +297,7 @@ def test_a_change_beside_the_edge_of_a_window_is_the_same(dates):
     model, halo = ErrorModel(0.2, 0.2), CHANGE.detection.halo_cells
     part = (slice(20, 260), slice(10, 250))
     inner = (slice(halo, -halo), slice(halo, -halo))
-    of_all, of_part = (detect(each, model, CELL, True) for each in (whole, whole.inner(part)))
+    of_all, of_part = (detect(each, model, CELL) for each in (whole, whole.inner(part)))
     for name in ("change", "core"):
         assert np.array_equal(getattr(of_all, name)[part][inner], getattr(of_part, name)[inner], equal_nan=True)
     assert of_part.core.any()
