@@ -103,7 +103,7 @@ def make_colour_ortho(
     steepest = max(float(np.linalg.norm(ray_slope(s.view, middle, sum(heights) / 2))) for s in plan.sources)
     reach = min(math.ceil((heights[1] - heights[0]) * steepest / grid.cell) + 1, numbers.reach_cells)
     side = numbers.block_cells + 2 * numbers.halo_cells
-    takes = colouring_mib(side**2, (side + reach) ** 2, numbers.most_views, len(plan.names))
+    takes = colouring_mib(side**2, numbers.most_views, len(plan.names))
     work = Work("one block of the orthophoto in colour", takes, lambda _: "choose COLOUR=greys")
     workers = workers_within(options.workers, work, options.memory, progress)
     plan = _sharpened(plan, sum(heights) / 2, workers, Part(progress, 0.0, 0.1), parameters)

@@ -12,7 +12,16 @@ import pytest
 
 from repm_qgis import memory
 from repm_qgis.errors import OptionError
-from repm_qgis.memory import free_mib, fusing_mib, largest_tile, matching_mib, tile_work, workers_within
+from repm_qgis.memory import (
+    colouring_mib,
+    free_mib,
+    fusing_mib,
+    largest_tile,
+    matching_mib,
+    refining_mib,
+    tile_work,
+    workers_within,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN = """
@@ -55,6 +64,37 @@ grid, windows = layout.grid, layout.windows
 task = FuseTask(scene.lean(), tile.bounds, records, grid, windows[0], scene.crs, radius=1.5)
 fuse_to_disk((task, f"{out}{side}{extra}.npz"))
 end([record.pixels for record in records], grid.shape[0] * grid.shape[1])
+"""
+)
+COLOURING = (
+    BEGIN
+    + """
+from dataclasses import replace
+from pathlib import Path
+from repm_qgis.arrays import Window
+from repm_qgis.dsm.colour_ortho import ColourTask, _block, _cells
+from repm_qgis.dsm.colour_sources import ColourPlan, ColourSource
+from repm_qgis.dsm.parameters import FUSION
+from repm_qgis.dsm.products import DsmLayout
+from repm_qgis.geometry.vertical import HeightDatum
+views, bands = int(side), int(extra)
+dsm = str(Path(out).parent / "dsm.tif")
+grid, _ = _cells(dsm)
+own = Window(0, 0, *grid.size)
+sources = tuple(ColourSource(scene.views[i % 2], (1,) * bands) for i in range(views))
+plan = ColourPlan(sources, tuple("abcdef"[:bands]), False, "uint16")
+every = replace(FUSION, colour=replace(FUSION.colour, least_views=views, most_views=views))
+layout = DsmLayout(grid, scene.crs, HeightDatum.of(""), ())
+_block(ColourTask(plan, dsm, grid, layout, 200, 1, every, own, (20.0,) * bands, f"{out}{side}{extra}.npy"))
+end(own.width * own.height, views, bands)
+"""
+)
+REFINING = (
+    BEGIN
+    + """
+from repm_qgis.stages.refine import RefineTask, _refined
+_refined(RefineTask(scene.lean(), (tile,), "bilinear" if side else None))
+end(max(view.window.width for view in tile.views.values()) if side else 0)
 """
 )
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak is told by Linux")
@@ -106,6 +146,20 @@ def test_the_estimate_knows_that_eight_directions_keep_all_costs(measured):
 def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
     peak, *facts = measured(FUSING, cell, maps)
     assert peak / 1.5 < fusing_mib(*facts) < 1.5 * peak
+
+
+@linux
+@pytest.mark.parametrize("views, bands", ((1, 3), (6, 3), (4, 4), (10, 3)))
+def test_the_estimate_of_colouring_is_right_within_a_fifth(measured, views, bands):
+    peak, *facts = measured(COLOURING, views, bands)
+    assert peak / 1.2 < colouring_mib(*facts) < 1.2 * peak
+
+
+@linux
+@pytest.mark.parametrize("writes", (False, True))
+def test_the_estimate_of_refining_is_right_within_a_tenth(measured, writes):
+    peak, width = measured(REFINING, int(writes), 0)
+    assert peak / 1.1 < refining_mib(width) < 1.1 * peak
 
 
 def test_a_budget_bounds_the_workers_and_says_so(told):
