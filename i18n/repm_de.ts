@@ -138,16 +138,16 @@
         <translation>Höhenfehler eines DOM: Karte, Statistik und Vollständigkeit, auf Wunsch nach einer Ausrichtung.</translation>
     </message>
     <message>
-        <source>DSM to measure</source>
-        <translation>Zu prüfendes DOM</translation>
+        <source>DSM or point cloud to measure</source>
+        <translation>Zu prüfendes DOM oder zu prüfende Punktwolke</translation>
     </message>
     <message>
         <source>A raster of heights in metres, in any CRS, which is resampled to the reference's cells; or a point cloud (LAZ, LAS).</source>
         <translation>Ein Raster von Höhen in Metern in beliebigem KBS, das auf die Zellen der Referenz umgerechnet wird; oder eine Punktwolke (LAZ, LAS).</translation>
     </message>
     <message>
-        <source>Reference DSM</source>
-        <translation>Referenz-DOM</translation>
+        <source>Reference (DSM or point cloud)</source>
+        <translation>Referenz (DOM oder Punktwolke)</translation>
     </message>
     <message>
         <source>A raster of heights in metres that are taken as right, such as one from lidar; or a point cloud (LAZ, LAS), whose first returns become means on the DSM's cells.</source>

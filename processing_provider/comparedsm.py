@@ -44,7 +44,7 @@ class CompareDsm(RepmAlgorithm):
         return [
             parameters.surface_or_cloud(
                 "DSM",
-                self.tr("DSM to measure"),
+                self.tr("DSM or point cloud to measure"),
                 self.tr(
                     "A raster of heights in metres, in any CRS, which is resampled to the reference's cells; or a "
                     "point cloud (LAZ, LAS)."
@@ -52,7 +52,7 @@ class CompareDsm(RepmAlgorithm):
             ),
             parameters.surface_or_cloud(
                 "REFERENCE",
-                self.tr("Reference DSM"),
+                self.tr("Reference (DSM or point cloud)"),
                 self.tr(
                     "A raster of heights in metres that are taken as right, such as one from lidar; or a point cloud "
                     "(LAZ, LAS), whose first returns become means on the DSM's cells."
