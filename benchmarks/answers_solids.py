@@ -1,43 +1,49 @@
 """Clouds and meshes: known shifts found by points and by slopes; sizes, times, memory; readers of other programs.
 
-REPM_SOLIDS_PYTHON names a Python that has open3d and trimesh, which read what is written; without it they are absent.
+REPM_SOLIDS_PYTHON names a Python that has open3d and trimesh, which read what is written; CloudCompare is taken from
+PATH. Programs that are absent give a row that says so.
 """
 
 from __future__ import annotations
 
+import glob
 import json
 import os
+import re
+import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from benchmarks import answers_dtm, answers_walls
 from benchmarks.clouds import make, megabytes
-from benchmarks.runner import alone, few, say, stage
+from benchmarks.runner import ROOT, Failed, alone, few, say, stage
 from benchmarks.scenes import SHARED
 from benchmarks.tables import table
+from repm_qgis.dsm.mesh import write_mesh
 from repm_qgis.dsm.point_cloud import created_cloud
 from repm_qgis.imagery.raster import opened, read, write
 
 _PYTHON = os.environ.get("REPM_SOLIDS_PYTHON", "")
 _SHIFTS_M = ((0.3, -0.2, 0.1), (1.37, -2.21, 0.83), (-4.1, 3.3, -6.0))
 _POINTS_M2, _NOISE_M = 2.0, 0.05  # of the lidar points that are drawn from the truth
-_READ = """
-import json, sys
-import open3d, trimesh
-path = sys.argv[1]
-mesh = open3d.io.read_triangle_mesh(path, True)
-other = trimesh.load(path, force="mesh", process=False)
-print(json.dumps([len(mesh.triangles), mesh.has_textures(), len(other.faces), len(other.vertices)]))
-"""
+_MESH_VERTICES = (100_000, 25_000)  # of meshes that are compared with simplified ones
+_CELLS, _PLACES, _HALF_M = 300_000, 100_000, 75.0  # of the DSM and of the truth, and half the truth's square
 
 
 def solids() -> List[str]:
     """All parts of the table."""
-    return [*answers_walls.walls(), *_shifts(), *_meshes()]
+    return [
+        *answers_walls.walls(),
+        *answers_walls.outliers(),
+        *_shifts(),
+        *_clouds(),
+        *_meshes(),
+        *_surfaces(),
+    ]
 
 
 def _lidar(reference: str, path: str) -> None:
@@ -105,10 +111,55 @@ def _shifts() -> List[str]:
 
 def write_mesh_of(dsm: str, path: str, vertices: int) -> List[int]:
     """Write a mesh with the DSM itself as its picture; vertices and triangles."""
-    from repm_qgis.dsm.mesh import write_mesh
-
     facts = write_mesh(dsm, path, vertices, ortho=dsm)
     return [facts.vertices, facts.faces]
+
+
+def fuse_cloud(scene: str, folder: str, cloud: str, normals: bool) -> int:
+    """Fuse a scene with a cloud, "" for none; the number of points."""
+    files = {"output": f"{folder}/dsm.tif", "cloud": cloud or None}
+    made = stage("dsmfuse", scene=scene, resolution=0.5, colour="greys", workers=1, cloud_normals=normals, **files)
+    return int(made["points"])
+
+
+def _clouds() -> List[str]:
+    rows: List[List[Any]] = []
+    town = answers_walls.towns()[0]()
+    with tempfile.TemporaryDirectory() as folder:
+        for name, file, normals in few(
+            (
+                ("no cloud", "", False),
+                ("LAZ", "a.laz", False),
+                ("LAZ, normals", "b.laz", True),
+                ("PLY, normals", "c.cloud.ply", True),
+            )
+        ):
+            say(f"solids: {name}")
+            path = f"{folder}/{file}" if file else ""
+            used = alone(fuse_cloud, town.scene, folder, path, normals)
+            cost = [used.result, f"{used.cpu_s:.1f}", round(max(used.mib, used.child_mib))]
+            if not path:
+                rows.append([name, *cost, "", "", "", ""])
+                continue
+            programs = _open3d(path) if file.endswith(".ply") else "reads no LAZ"
+            read = [_cloudcompare(path), programs, "–"]
+            if not normals:
+                alone(make_ept, path, f"{folder}/e")
+                read[2] = f"as EPT: {_qgis(f'{folder}/e/ept.json', 'ept')}"
+            rows.append([name, *cost, f"{megabytes(path):.1f}", *read])
+    headers = "cloud | points | CPU of the fusion, s | memory, MiB | MB on disk | CloudCompare | open3d, trimesh | QGIS"
+    return [
+        "**Clouds** of the town that is seen from two sides, fused by one worker into cells of 0.5 m. Normals are "
+        "extra bytes of LAZ.",
+        table(headers, rows),
+    ]
+
+
+def make_ept(cloud: str, folder: str) -> None:
+    """Write an EPT of a cloud."""
+    from repm_qgis.dsm.ept import write_ept
+
+    write_ept(cloud, folder, "EPSG:32631")
 
 
 def _meshes() -> List[str]:
@@ -116,22 +167,142 @@ def _meshes() -> List[str]:
     with tempfile.TemporaryDirectory() as folder:
         for side in few((1400, 4472)):
             alone(make, folder, side)
-            for kind in ("ply", "glb"):
+            for kind in ("ply", "glb", "obj"):
+                say(f"solids: {kind} of {side} cells a side")
                 path = f"{folder}/m.{kind}"
                 used = alone(write_mesh_of, f"{folder}/d.tif", path, 500_000)
-                cost = [f"{used.cpu_s:.1f}", round(used.mib), f"{megabytes(path):.1f}"]
-                rows.append(
-                    [kind.upper(), f"{side * side / 1e6:.1f}", *used.result, *cost, _readers(path, used.result)]
-                )
-    headers = "mesh | Mcells of the DSM | vertices | triangles | CPU, s | memory, MiB | MB on disk | open3d and trimesh"
+                cost = [f"{used.cpu_s:.1f}", round(used.mib), f"{sum(map(megabytes, glob.glob(path + '*'))):.1f}"]
+                readers = _open3d(path), _cloudcompare(path), _qgis(path, "mdal") if kind == "ply" else "–"
+                rows.append([kind.upper(), f"{side * side / 1e6:.1f}", *used.result, *cost, *readers])
+    headers = (
+        "mesh | Mcells of the DSM | vertices | triangles | CPU, s | memory, MiB | MB on disk | open3d, trimesh | "
+        "CloudCompare | QGIS"
+    )
     return ["**Meshes** with a picture or colours, 500000 vertices at most.", table(headers, rows)]
 
 
-def _readers(path: str, written: Sequence[int]) -> str:
-    """What readers of other programs say of a mesh."""
+# Readers of other programs ----------------------------------------------------------------------------------------
+
+
+def _library(*arguments: str) -> Dict[str, Any]:
+    script = str(ROOT / "benchmarks" / "solids_libraries.py")
+    done = subprocess.run([_PYTHON, script, *arguments], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise Failed((done.stderr.strip().splitlines() or ["ended"])[-1][:100])
+    found: Dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def _open3d(path: str) -> str:
     if not Path(_PYTHON).is_file():
         return "not tried: REPM_SOLIDS_PYTHON names no Python"
-    done = subprocess.run([_PYTHON, "-c", _READ, path], capture_output=True, text=True, check=True)
-    triangles, textured, faces, _ = json.loads(done.stdout.splitlines()[-1])
-    same = "all triangles" if triangles == faces == written[1] else f"{triangles} and {faces} triangles"
-    return f"{same}, {'with' if textured else 'no'} picture"
+    try:
+        found = _library("read", path)
+    except Failed as error:
+        return f"no: {error}"
+    more = [name for name in ("picture", "normals") if found.get(name)]
+    return " and ".join(map(str, sorted(set(found["counts"])))) + (f", {', '.join(more)}" if more else "")
+
+
+def _cloudcompare(path: str) -> str:
+    """What CloudCompare's command line finds in a file."""
+    if not (shutil.which("CloudCompare") and shutil.which("xvfb-run")):
+        return "not tried: absent"
+    with tempfile.TemporaryDirectory() as folder:
+        text = f"{folder}/a.asc"
+        save = ["-C_EXPORT_FMT", "ASC", "-ADD_HEADER", "-O", path, "-SAVE_CLOUDS", "FILE", text]
+        command = ["xvfb-run", "-a", "CloudCompare", "-SILENT", "-AUTO_SAVE", "OFF", *save]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        header = ""
+        if os.path.exists(text):
+            with open(text, encoding="utf-8") as stream:
+                header = stream.readline()
+    said = done.stdout + done.stderr
+    found = re.search(r"Found one (?:cloud|mesh) with (\d+)", said)
+    if not found:
+        reason = re.search(r"\[Load\] (.*)", said)
+        return f"no: {reason.group(1) if reason else said.strip().splitlines()[-1][:100]}"
+    return found.group(1) + (", normals" if " Nx" in header else "") + (", picture" if "tex. coords" in said else "")
+
+
+def qgis_count(path: str, provider: str) -> int:
+    """The points or triangles of a layer in QGIS; -1 where it is not valid."""
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    from qgis.core import QgsApplication, QgsMeshLayer, QgsPointCloudLayer
+
+    application = QgsApplication([], False)
+    application.initQgis()
+    layer = (QgsMeshLayer if provider == "mdal" else QgsPointCloudLayer)(path, "", provider)
+    if not layer.isValid():
+        return -1
+    return int(layer.dataProvider().faceCount() if provider == "mdal" else layer.pointCount())
+
+
+def _qgis(path: str, provider: str) -> str:
+    try:
+        count = alone(qgis_count, path, provider).result
+    except Failed as error:
+        return f"not tried: {error}"
+    return str(count) if count >= 0 else "no: not a valid layer"
+
+
+# Other surfaces ---------------------------------------------------------------------------------------------------
+
+
+def _surfaces() -> List[str]:
+    """What open3d makes of the same mesh and cloud."""
+    if not Path(_PYTHON).is_file():
+        return ["Simplified meshes and surfaces of points were not measured: REPM_SOLIDS_PYTHON names no Python."]
+    town = answers_walls.towns()[0]()
+    simple: List[List[Any]] = []
+    surfaces: List[List[Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        dsm, cloud = answers_walls.fused(town, folder, cloud=f"{folder}/c.cloud.ply", cloud_normals=True)
+        cells, truth = f"{folder}/cells.npz", f"{folder}/truth.npz"
+        _write_places(dsm, town, cells, truth)
+        full = f"{folder}/full.ply"
+        write_mesh(dsm, full)
+        for vertices in few(_MESH_VERTICES):
+            say(f"solids: simplified to {vertices} vertices")
+            path = f"{folder}/thinned.ply"
+            faces = write_mesh(dsm, path, vertices).faces
+            for name, task in (
+                ("every n-th row and column", ("distance", path, cells)),
+                ("open3d's quadric decimation", ("simplify", full, cells, str(faces))),
+            ):
+                found = _library(*task)
+                cost = ["", ""] if task[0] == "distance" else [f"{found['cpu_s']:.1f}", round(found["mib"])]
+                simple.append([name, found["triangles"], *found["cells"], *cost])
+        for name, kind, path in (
+            ("the DSM's mesh of all cells", "distance", full),
+            ("Poisson (depth 9)", "poisson", cloud),
+            ("ball pivoting (1, 2, 4 distances of points)", "pivoting", cloud),
+        ):
+            say(f"solids: {name}")
+            found = _library(kind, path, truth)
+            cost = ["", ""] if kind == "distance" else [f"{found['cpu_s']:.1f}", round(found["mib"])]
+            surfaces.append([name, found["walls"][1], found["tops"][1], found["walls"][0], found["tops"][0], *cost])
+    return [
+        "**Simplified meshes** of the DSM of the town that is seen from two sides: distances of its cells from them.",
+        table("mesh | triangles | RMS, m | cells within 0.5 m, % | CPU, s | memory, MiB", simple),
+        "**Surfaces of the cloud's points** (with normals) by open3d, in the middle 150 m of that town: places on the "
+        f"true walls of 3 m and more, and on roofs and ground ({_PLACES} each), within 0.5 m of the surface. Neither "
+        "is built in: the mesh of the DSM is nearer to both.",
+        table(
+            "surface | walls, % | roofs and ground, % | RMS of walls, m | of the others, m | CPU, s | memory, MiB",
+            surfaces,
+        ),
+    ]
+
+
+def _write_places(dsm: str, town: answers_walls.Town3d, cells: str, truth: str) -> None:
+    """Places of the DSM's cells and of the true surface, as the script of open3d takes them."""
+    with opened(dsm) as dataset:
+        heights, place = read(dataset), dataset.GetGeoTransform()
+    known = np.argwhere(np.isfinite(heights))
+    row, column = np.random.default_rng(0).choice(known, _CELLS).T
+    x, y = place[0] + (column + 0.5) * place[1], place[3] + (row + 0.5) * place[5]
+    points = np.column_stack([x, y, heights[row, column]])
+    np.savez(cells, cells=points, origin=points.mean(axis=0).round())
+    samples = {name: part - town.shift for name, part in town.truth.samples(_HALF_M, _PLACES).items()}
+    np.savez(truth, origin=points.mean(axis=0).round(), **samples)

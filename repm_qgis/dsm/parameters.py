@@ -151,7 +151,7 @@ class CloudParameters(Parameters):
     wall_cells: int = 2  # around a point, whose lowest and highest are the ends of a wall; measured against 1
     wall_px: float = 0.5  # of disparity from both ends: a point of a wall lies between them; measured against 0 and 1
     normal_neighbours: int = 16  # of a point, whose plane gives its normal; measured against 9 and 24
-    normals_at_once: int = 1 << 17  # points; bounds the memory
+    normals_at_once: int = 1 << 15  # points; bounds the memory
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from ..dsm.products import DsmLayout, write_products
 from ..errors import RepmError
 from ..evaluation.styles import write_style
 from ..imagery.raster import raster_identity
-from ..memory import fusing_mib, tile_work, workers_within
+from ..memory import CLOUD_NORMAL, CLOUD_POINT, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
 from ..products import paths_of
@@ -116,7 +116,9 @@ def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optio
 def _workers(fusion: Fusion, progress: Progress) -> int:
     """How many workers the memory allows, by the tile that takes most."""
     options, sizes = fusion.options, [[record.pixels for record in tile.heights] for tile in fusion.scene.tiles]
-    each = [fusing_mib(pixels, w.width * w.height) for pixels, w in zip(sizes, fusion.layout.windows)]
+    point = CLOUD_POINT if options.cloud or options.ept else 0.0
+    point += CLOUD_NORMAL if options.cloud and options.cloud_normals else 0.0
+    each = [fusing_mib(pixels, w.width * w.height, point) for pixels, w in zip(sizes, fusion.layout.windows)]
     xmin, ymin, xmax, ymax = fusion.scene.tiles[each.index(max(each))].bounds
     side = math.ceil(max(xmax - xmin, ymax - ymin) / fusion.scene.gsd_m)
     return workers_within(options.workers, tile_work(side, max(each)), options.memory, progress)

@@ -13,6 +13,8 @@ import pytest
 from repm_qgis import memory
 from repm_qgis.errors import OptionError
 from repm_qgis.memory import (
+    CLOUD_NORMAL,
+    CLOUD_POINT,
     colouring_mib,
     free_mib,
     fusing_mib,
@@ -160,6 +162,14 @@ def test_the_estimate_of_colouring_is_right_within_a_fifth(measured, views, band
 def test_the_estimate_of_refining_is_right_within_a_tenth(measured, writes):
     peak, width = measured(REFINING, int(writes), 0)
     assert peak / 1.1 < refining_mib(width) < 1.1 * peak
+
+
+@pytest.mark.parametrize("normals", (False, True))
+def test_the_estimate_of_fusing_counts_the_points_of_a_cloud(measured, normals):
+    code = FUSING.replace("radius=1.5", f"radius=1.5, cloud=True, normals={normals}").replace("npz", f"{normals}.npz")
+    peak, *facts = measured(code, 0.5, 4)
+    point = CLOUD_POINT + (CLOUD_NORMAL if normals else 0.0)
+    assert peak / 1.5 < fusing_mib(*facts, point) < 1.5 * peak
 
 
 def test_a_budget_bounds_the_workers_and_says_so(told):
