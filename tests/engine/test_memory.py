@@ -164,6 +164,7 @@ def test_the_estimate_of_refining_is_right_within_a_tenth(measured, writes):
     assert peak / 1.1 < refining_mib(width) < 1.1 * peak
 
 
+@linux
 @pytest.mark.parametrize("normals", (False, True))
 def test_the_estimate_of_fusing_counts_the_points_of_a_cloud(measured, normals):
     code = FUSING.replace("radius=1.5", f"radius=1.5, cloud=True, normals={normals}").replace("npz", f"{normals}.npz")
