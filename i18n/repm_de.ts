@@ -1400,8 +1400,8 @@
         <translation>Normalen in der Punktwolke</translation>
     </message>
     <message>
-        <source>For shading and meshing in CloudCompare and others. The points take three times as long, and a LAZ is 1.6 times as large.</source>
-        <translation>Zum Schattieren und Vernetzen in CloudCompare und anderen Programmen. Die Punkte brauchen dreimal so viel Zeit, und eine LAZ-Datei wird 1,6-mal so groß.</translation>
+        <source>For shading and meshing in CloudCompare and others. Fusing takes more than twice as long, and a LAZ is 1.6 times as large.</source>
+        <translation>Zum Schattieren und Vernetzen in CloudCompare und anderen Programmen. Die Fusion dauert mehr als doppelt so lange, und eine LAZ-Datei wird 1,6-mal so groß.</translation>
     </message>
     <message>
         <source>Scene</source>

@@ -624,7 +624,7 @@ def colours() -> list[QgsProcessingParameterDefinition]:
                 "cloud_normals",
                 tr("Normals in the point cloud"),
                 tr(
-                    "For shading and meshing in CloudCompare and others. The points take three times as long, and a "
+                    "For shading and meshing in CloudCompare and others. Fusing takes more than twice as long, and a "
                     "LAZ is 1.6 times as large."
                 ),
             )
