@@ -52,10 +52,14 @@ class Window(NamedTuple):
         height = min(self.row + self.height, other.row + other.height) - row
         return Window(col, row, width, height) if width > 0 and height > 0 else None
 
+    def within(self, outer: Window) -> Window:
+        """This window, counted from the first column and row of an outer one."""
+        return Window(self.col - outer.col, self.row - outer.row, self.width, self.height)
+
     def inside(self, outer: Window) -> Tuple[slice, slice]:
         """Rows and columns of this window in an array that holds the pixels of an outer one."""
-        col, row = self.col - outer.col, self.row - outer.row
-        return slice(row, row + self.height), slice(col, col + self.width)
+        col, row, width, height = self.within(outer)
+        return slice(row, row + height), slice(col, col + width)
 
 
 class Bounds(NamedTuple):

@@ -54,6 +54,12 @@ class FusedCells:
         height, spread, score = (np.where(cells, np.nan, values) for values in (self.height, self.spread, self.score))
         return FusedCells(height, np.where(cells, 0, self.count).astype(np.uint8), spread, score, self.filled & ~cells)
 
+    def with_background(self, height: Floats) -> FusedCells:
+        """The same where a background (m, NaN = none) replaces what cells have."""
+        cells = np.isfinite(height)
+        own = self.without(cells)
+        return FusedCells(np.where(cells, height, self.height), own.count, own.spread, own.score, self.filled | cells)
+
 
 def aggregate(
     layers: Sequence[HeightLayer],

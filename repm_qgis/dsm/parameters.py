@@ -60,6 +60,27 @@ class SightLineParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class ShadedGroundParameters(Parameters):
+    """Ground in shadows without texture (docs/method.md, "Fusion"; `make bench-towns`)."""
+
+    weak_score: float = 0.85  # of a single map's height: below, the images hardly support it; 0.7 and 0.9 do as well
+    least_slope: float = 0.3  # of what matching makes of nothing, m per m
+    slope_sigma_cells: float = 1.5  # of the mean whose slope that is; chosen
+    gap_m: float = 3.0  # along the sun's direction: narrower ones may belong to the roof
+    clear_m: float = 0.5  # by which a shadow's edge must pass over a cell
+    above_m: float = 0.5  # by which a weak height must stand above the ground to be replaced
+    reach_m: float = 100.0  # of the search for a shadow's end
+    directions_deg: Tuple[float, ...] = (-20.0, -10.0, 0.0, 10.0, 20.0)  # about the one away from the sun
+    level_m: float = 1.0  # by which two directions may differ
+    rounds: int = 2
+    least_elevation_deg: float = 10.0  # of the sun: with less, shadows have no end
+
+    def halo(self, cell: float) -> int:
+        """Cells of the side ``cell`` (m) around a block within which shadows are looked for, on either side."""
+        return max(1, int(self.reach_m / cell))
+
+
+@dataclass(frozen=True)
 class HoleParameters(Parameters):
     """Interpolation of holes; both values are chosen."""
 
@@ -172,6 +193,7 @@ class FusionParameters(Parameters):
     aggregation: AggregationParameters = AggregationParameters()
     sight_lines: SightLineParameters = SightLineParameters()
     outliers: OutlierParameters = OutlierParameters()
+    shaded: ShadedGroundParameters = ShadedGroundParameters()
     holes: HoleParameters = HoleParameters()
     error: ExpectedErrorParameters = ExpectedErrorParameters()
     orthophoto: OrthophotoParameters = OrthophotoParameters()

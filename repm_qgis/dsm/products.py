@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any, List, Optional, Sequence, Tuple
+from dataclasses import dataclass, replace
+from typing import Any, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
 from osgeo import ogr
 
 from .. import __version__
-from ..arrays import Bounds, FloatArray, Floats, Window
+from ..arrays import Bounds, FloatArray, FloatImage, Floats, Mask, Window
 from ..errors import EmptyResultError
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.footprints import footprint, seen_twice
@@ -35,6 +35,7 @@ from .holes import fill_holes
 from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
+from .shaded import Sun, shaded_ground, weak_cells
 
 INTERPOLATED, _INTERPOLATED_ON_DEM = 2, 3
 
@@ -123,7 +124,7 @@ class _Products:
         source = np.where(np.isfinite(fused.height), fused.filled, np.nan)
 
         def put(raster: Optional[RasterWriter], *bands: Optional[Floats]) -> None:
-            place = (common.col - self.crop.col, common.row - self.crop.row)
+            place = common.within(self.crop)[:2]
             for index, values in enumerate(bands, start=1):
                 if raster is not None and values is not None:
                     raster.write(values[rows, columns].astype(np.float32), *place, index, tile.own is not None)
@@ -150,21 +151,26 @@ def write_products(
     valid, cells, filled = (sum(getattr(tile, name) for tile in stored) for name in ("valid", "cells", "filled"))
     if not valid:
         raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
-    tolerance = float(np.median([record.metres_per_px for tile in scene.tiles for record in tile.heights]))
-    windows, size = layout.windows, layout.grid.size
     levels: List[float] = []
     with ExitStack() as stack:
-        products = _Products.opened(stack, options, scene, layout, _known_part(layout, stored), folder)
-        for index, (window, tile) in enumerate(zip(windows, stored)):
-            result = tile.load()
-            height = result.fused.height
+        crop = _known_part(layout, stored)
+        products = _Products.opened(stack, options, scene, layout, crop, folder)
+        shaded = None
+        sun = Sun.over(scene, layout.crs, parameters.shaded) if options.fill != "none" else None
+        if sun is not None:
+            shaded = _shaded(stack, _Tiles(scene, layout, stored, parameters), crop, sun, folder, parameters)
+        for tile, window, result, height in _Tiles(scene, layout, stored, parameters):
             if tile.known is not None:
                 levels.append(float(np.nanmedian(height)))
-            # Turned tiles overlap in their windows: there each tile has only its own cells.
-            if result.own is None:
-                height = feathered(height, index, windows, stored, size, tolerance, parameters.feather_cells)
             if means is not None:
                 means.add(height, window)
+            if shaded is not None:
+                ground = _own_part(shaded, window, crop, result.own)
+                taken = np.isfinite(ground)
+                valid += int((taken & np.isnan(result.fused.height)).sum())
+                filled += int((taken & ~result.fused.filled).sum())
+                result = replace(result, fused=result.fused.with_background(ground))
+                height = np.where(taken, ground, height)
             if products.whole is None:
                 height = height - layout.undulation(layout.grid.part(window))
             error = expected_error(result.fused, tile.metres_per_px, parameters.error)
@@ -177,6 +183,64 @@ def write_products(
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
     counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, 0, removed)
     return FusionFacts(*counts, layout.grid.cell, layout.crs)
+
+
+@dataclass(frozen=True)
+class _Tiles:
+    """The fused tiles with their heights, feathered into each other; each time they are gone through, they are read."""
+
+    scene: Scene
+    layout: DsmLayout
+    stored: Sequence[StoredTile]
+    parameters: FusionParameters
+
+    def __iter__(self) -> Iterator[Tuple[StoredTile, Window, FusedTile, Floats]]:
+        windows, size = self.layout.windows, self.layout.grid.size
+        metres = [record.metres_per_px for tile in self.scene.tiles for record in tile.heights]
+        for index, (window, tile) in enumerate(zip(windows, self.stored)):
+            result = tile.load()
+            height = result.fused.height
+            # Turned tiles overlap in their windows: there each tile has only its own cells.
+            if result.own is None:
+                numbers = float(np.median(metres)), self.parameters.feather_cells
+                height = feathered(height, index, windows, self.stored, size, *numbers)
+            yield tile, window, result, height
+
+
+def _shaded(
+    stack: ExitStack, tiles: _Tiles, crop: Window, sun: Sun, folder: str, parameters: FusionParameters
+) -> RasterWriter:
+    """A temporary raster of the crop with the ground of cells in shadow that take it: shadows reach across tiles."""
+    shape, kind, numbers = (crop.height, crop.width), np.dtype(np.float32), parameters.shaded
+    raw, ground = (
+        stack.enter_context(created(f"{folder}/{name}.tif", shape, kind, bands, None, "", compress=False))
+        for name, bands in (("unshaded", 2), ("shaded", 1))
+    )
+    for _, window, result, height in tiles:
+        common = window.common(crop)
+        if common is None:
+            continue
+        weak = weak_cells(result.fused, numbers).astype(np.float32)
+        if result.own is not None:
+            weak[~result.own] = np.nan
+        place = common.within(crop)
+        for band, values in enumerate((height, weak), start=1):
+            part = values[common.inside(window)].astype(np.float32)
+            raw.write(part, place.col, place.row, band, result.own is not None)
+    cell = tiles.layout.grid.cell
+    for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
+        found = shaded_ground(raw.read(wide), raw.read(wide, 2) > 0, cell, sun, numbers)
+        ground.write(found[own.inside(wide)], own.col, own.row)
+    return ground
+
+
+def _own_part(raster: RasterWriter, window: Window, crop: Window, own: Optional[Mask]) -> FloatImage:
+    """What a raster of the crop has in a tile's window, in the tile's own cells; NaN elsewhere."""
+    values = np.full((window.height, window.width), np.nan, np.float32)
+    common = window.common(crop)
+    if common is not None:
+        values[common.inside(window)] = raster.read(common.within(crop))
+    return values if own is None else np.where(own, values, np.float32(np.nan))
 
 
 def write_cloud(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from datetime import datetime, timezone
-from typing import Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 
@@ -36,6 +36,12 @@ def sun_position(moment: datetime, lon: float, lat: float) -> Tuple[float, float
     north = math.sin(declination) * math.cos(phi) - math.cos(declination) * math.sin(phi) * math.cos(hour_angle)
     up = math.sin(declination) * math.sin(phi) + math.cos(declination) * math.cos(phi) * math.cos(hour_angle)
     return math.degrees(math.atan2(east, north)) % 360.0, math.degrees(math.asin(max(-1.0, min(1.0, up))))
+
+
+def mean_position(positions: Sequence[Tuple[float, float]]) -> Tuple[float, float]:
+    """The mean of one or more positions of the sun (azimuth, elevation), degrees: the direction of their sum."""
+    east, north, up = np.sum([_towards(*position) for position in positions], axis=0)
+    return math.degrees(math.atan2(east, north)) % 360.0, math.degrees(math.atan2(up, math.hypot(east, north)))
 
 
 def sun_angle(first: Tuple[float, float], second: Tuple[float, float]) -> float:
