@@ -1352,8 +1352,8 @@
         <translation>Auffüllen</translation>
     </message>
     <message>
-        <source>occlusions: cells that one image hides take the height of the ground behind; all: remaining holes are interpolated too; both are marked in the confidence raster. none: they stay nodata.</source>
-        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter; all: übrige Lücken werden zudem interpoliert; beides ist im Konfidenzraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
+        <source>occlusions: cells that one image hides take the height of the ground behind, and cells that a shadow leaves without texture that of the ground where it ends; all: remaining holes are interpolated too; both are marked in the confidence raster. none: they stay nodata.</source>
+        <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter, und Zellen, die ein Schatten ohne Textur lässt, die des Bodens, auf dem er endet; all: übrige Lücken werden zudem interpoliert; beides ist im Konfidenzraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
         <source>Outlier radius (m, empty: automatic, 0: off)</source>

@@ -554,9 +554,9 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 "fill",
                 tr("Fill"),
                 tr(
-                    "occlusions: cells that one image hides take the height of the ground behind; all: "
-                    "remaining holes are interpolated too; both are marked in the confidence raster. none: "
-                    "they stay nodata."
+                    "occlusions: cells that one image hides take the height of the ground behind, and cells that a "
+                    "shadow leaves without texture that of the ground where it ends; all: remaining holes are "
+                    "interpolated too; both are marked in the confidence raster. none: they stay nodata."
                 ),
             )
         ),

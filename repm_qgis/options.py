@@ -415,15 +415,15 @@ class DsmFuseOptions(Options):
     ``resolution`` in units of the CRS, 0 = twice the ground sampling distance; ``crs`` any projected CRS, None the
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
-    background's height; ``all``, remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres,
-    None = from the data, 0 = off. ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser):
-    files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone.
-    ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``,
-    the natural ones where the images or ``xs`` have them; ``greys``; ``all``, all their bands. ``xs`` are multispectral
-    images beside panchromatic ones, in any order; empty: those that lie beside the images under the vendors' names.
-    ``pansharpen`` gives them the detail of the panchromatic images. ``cloud_normals`` gives the points of ``cloud``
-    normals. ``memory`` and ``cluster`` as in
-    ``ReconstructOptions``.
+    background's height, and those that a shadow leaves without texture that of the ground where it ends; ``all``,
+    remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres, None = from the data, 0 = off.
+    ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser): files to write, None = not
+    wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone. ``mesh_vertices``: at most so
+    many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``, the natural ones where the
+    images or ``xs`` have them; ``greys``; ``all``, all their bands. ``xs`` are multispectral images beside panchromatic
+    ones, in any order; empty: those that lie beside the images under the vendors' names. ``pansharpen`` gives them the
+    detail of the panchromatic images. ``cloud_normals`` gives the points of ``cloud`` normals. ``memory`` and
+    ``cluster`` as in ``ReconstructOptions``.
     """
 
     scene: str = read()
