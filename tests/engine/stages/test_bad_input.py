@@ -220,16 +220,16 @@ def test_stages_in_the_wrong_order(bench, urban, told):
     assert "ALTITUDE is 5000.0" in text and "150 to 260 m" in text
 
 
-@pytest.mark.parametrize("cloud", ("points.ply", "points", "points.laz.gz"))
+@pytest.mark.parametrize("cloud", ("points.e57", "points", "points.laz.gz"))
 def test_a_cloud_of_another_format_is_refused_before_the_work(bench, tmp_path, cloud):
     text = bench.fails(OptionError, cloud=str(tmp_path / cloud))
-    assert "CLOUD" in text and cloud in text and ".laz or .las" in text
+    assert "CLOUD" in text and cloud in text and ".laz, .las or .ply" in text
     assert not os.path.exists(os.path.join(bench.workspace, "reconstructed.json"))
 
 
 def test_a_mesh_of_another_format_and_a_folder_in_use_are_refused_before_the_work(bench, tmp_path):
-    text = bench.fails(OptionError, mesh=str(tmp_path / "mesh.obj"))
-    assert "MESH" in text and "mesh.obj" in text and "must end with .ply" in text
+    text = bench.fails(OptionError, mesh=str(tmp_path / "mesh.stl"))
+    assert "MESH" in text and "mesh.stl" in text and "must end with .ply" in text
     assert "MESH_VERTICES is -1" in bench.fails(OptionError, mesh_vertices=-1)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").touch()
