@@ -52,7 +52,8 @@ class SightLineParameters(Parameters):
     """Heights that other maps look through (docs/method.md, "Fusion"; `make bench-towns`, `make bench-views`)."""
 
     same_px: float = 1.25  # of disparity: a map that is so close to a height sees it
-    through_px: float = 2.0  # of disparity: one that lies farther below, with its neighbours, looks through it
+    through_px: float = 2.0  # of disparity: one that lies farther below, with all around it, looks through it
+    rim_px: int = 2  # around a pixel: with 1, gross errors in mountains of narrow pairs take away what is right
     outvoting: int = 2  # maps that look through a height replace it if more than half as many see it
     rounds: int = 3  # of replacing; what is still looked through is dropped
     least_pixels: int = 100  # matched ones, of a map that is heard

@@ -26,8 +26,8 @@ Counts = NDArray[np.int16]
 class SightLines:
     """What one map sees along its pixels' lines of sight.
 
-    ``height`` (H, W) of its matched pixels, m, NaN = none; ``top`` is the highest of each pixel and its eight
-    neighbours. ``to_pixel`` (6, 2) are the coefficients of a quadratic polynomial that takes the ground where a line of
+    ``height`` (H, W) of its matched pixels, m, NaN = none; ``top`` is the highest of each pixel and those
+    around it. ``to_pixel`` (6, 2) are the coefficients of a quadratic polynomial that takes the ground where a line of
     sight crosses the height ``level`` to column and row; ground is counted from ``origin``. ``ray`` is that of the map,
     and ``metres_per_px`` its height of one px of disparity.
     """
@@ -56,7 +56,15 @@ class SightLines:
         terms = _terms(x - origin[0] - (z - level) * heights.ray[0], y - origin[1] - (z - level) * heights.ray[1])
         scale = np.abs(terms).max(axis=0) + 1e-9
         fit = np.linalg.lstsq(terms / scale, np.column_stack([column, row]).astype(np.float64), rcond=None)[0]
-        return cls(own, _highest_around(own), fit / scale[:, None], origin, level, heights.ray, metres_per_px)
+        return cls(
+            own,
+            _highest_around(own, parameters.rim_px),
+            fit / scale[:, None],
+            origin,
+            level,
+            heights.ray,
+            metres_per_px,
+        )
 
     def pixels(self, x: Floats, y: Floats, z: Floats) -> Tuple[IntArray, IntArray]:
         """(N,) column and row of the pixel that sees each of N ground points; -1 outside the map."""
@@ -94,12 +102,11 @@ def _terms(x: Floats, y: Floats) -> FloatArray:
     return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
-def _highest_around(height: FloatImage) -> FloatImage:
-    """The highest of each pixel and its eight neighbours; NaN where none has a height."""
-    padded = np.pad(height, 1, constant_values=np.nan)
-    rows, columns = height.shape
+def _highest_around(height: FloatImage, rim: int) -> FloatImage:
+    """The highest within so many px of each pixel, in a square; NaN where none has a height."""
     result = height
-    for down in (0, 1, 2):
-        for right in (0, 1, 2):
-            result = np.fmax(result, padded[down : down + rows, right : right + columns])
+    for axis in (0, 1):
+        padded = np.pad(result, [(rim, rim) if axis == each else (0, 0) for each in (0, 1)], constant_values=np.nan)
+        size = height.shape[axis]
+        result = np.fmax.reduce([padded.take(np.arange(i, i + size), axis=axis) for i in range(2 * rim + 1)])
     return result
