@@ -71,6 +71,7 @@ class ShadedGroundParameters(Parameters):
     clear_m: float = 0.5  # by which a shadow's edge must pass over a cell
     above_m: float = 0.5  # by which a weak height must stand above the ground to be replaced
     reach_m: float = 100.0  # of the search for a shadow's end
+    reach_cells: int = 400  # and no farther: bounds the memory
     directions_deg: Tuple[float, ...] = (-20.0, -10.0, 0.0, 10.0, 20.0)  # about the one away from the sun
     level_m: float = 1.0  # by which two directions may differ
     rounds: int = 2
@@ -78,7 +79,7 @@ class ShadedGroundParameters(Parameters):
 
     def halo(self, cell: float) -> int:
         """Cells of the side ``cell`` (m) around a block within which shadows are looked for, on either side."""
-        return max(1, int(self.reach_m / cell))
+        return max(1, min(int(self.reach_m / cell), self.reach_cells))
 
 
 @dataclass(frozen=True)
