@@ -66,32 +66,53 @@ def shaded_ground(
     wrong, where another one is at the same level. On slopes nothing is known, nor in narrow gaps, which may belong to
     the roof's edge.
     """
+    result = np.full(height.shape, np.nan, np.float32)
+    if not weak.any():
+        return result
     steep = _steep(height, cell, parameters)
     doubted = np.isnan(height) | (weak & steep)
-    known = np.where(doubted, np.float32(np.nan), height).astype(np.float32)
     reach, away = parameters.halo(cell), sun.azimuth + 180.0
-    gap = sum(_next_known(known, towards)[1] for towards in (sun.azimuth, away)) * cell
-    doubted &= gap >= parameters.gap_m
-    result = np.full(height.shape, np.nan, np.float32)
     surface = height.astype(np.float32)
     for _ in range(parameters.rounds):  # what stands too high lies in no shadow until it is replaced
         shadow = cast_shadow(surface, cell, sun, parameters)
-        lit = np.where(shadow, np.float32(np.nan), known)
-        ends = np.stack([_level_end(lit, steep, away + turn, reach) for turn in parameters.directions_deg])
+        cells = np.flatnonzero(shadow & doubted)
+        wide = sum(_next(~doubted, cells, towards, reach)[1] for towards in (sun.azimuth, away)) * cell
+        cells = cells[wide >= parameters.gap_m]
+        lit = ~shadow & ~doubted
+        ends = np.full((len(parameters.directions_deg), len(cells)), np.nan, np.float32)
+        for end, turn in zip(ends, parameters.directions_deg):
+            place, _ = _next(lit, cells, away + turn, reach)
+            level = (place >= 0) & ~steep.ravel()[place]
+            end[level] = height.ravel()[place[level]]
         lowest, ground, third = np.sort(ends, axis=0)[:3]
+        own = height.ravel()[cells]
         with np.errstate(invalid="ignore"):
-            level = (ground - lowest <= parameters.level_m) | (third - ground <= parameters.level_m)
-            taken = shadow & doubted & level & ~(height <= ground + parameters.above_m)
-        result = np.where(taken, ground, np.float32(np.nan))
+            alike = (ground - lowest <= parameters.level_m) | (third - ground <= parameters.level_m)
+            taken = alike & ~(own <= ground + parameters.above_m)
+        result[:] = np.nan
+        result.ravel()[cells[taken]] = ground[taken]
         surface = np.where(np.isfinite(result), result, height).astype(np.float32)
     return result
 
 
-def _level_end(lit: FloatImage, steep: Mask, towards: float, reach: int) -> FloatImage:
-    """(H, W) height of the nearest lit cell in a direction; NaN on a slope, or beyond the reach (cells)."""
-    height, distance = _next_known(lit, towards)
-    slope, _ = _next_known(np.where(np.isfinite(lit), steep.astype(np.float32), np.float32(np.nan)), towards)
-    return np.where((distance <= reach) & (slope == 0), height, np.float32(np.nan))
+def _next(known: Mask, cells: IntArray, towards: float, reach: int) -> Tuple[IntArray, Floats]:
+    """(N,) the nearest known cell from each of N in a direction (degrees clockwise from north), -1 where there is none
+    within so many cells, and its distance in cells, infinite then."""
+    south, east = -math.cos(math.radians(towards)), math.sin(math.radians(towards))
+    step = 1.0 / max(abs(south), abs(east))
+    row, column = np.divmod(cells, known.shape[1])
+    found, distance = np.full(len(cells), -1, np.int64), np.full(len(cells), np.inf)
+    todo = np.arange(len(cells))
+    for count in range(1, int(reach / step) + 1):
+        r, c = row[todo] + round(count * step * south), column[todo] + round(count * step * east)
+        inside = (r >= 0) & (r < known.shape[0]) & (c >= 0) & (c < known.shape[1])
+        todo, place = todo[inside], (r * known.shape[1] + c)[inside]
+        hit = known.ravel()[place]
+        found[todo[hit]], distance[todo[hit]] = place[hit], count * step
+        todo = todo[~hit]
+        if not todo.size:
+            break
+    return found, distance
 
 
 def _steep(height: Floats, cell: float, parameters: ShadedGroundParameters) -> Mask:
@@ -112,8 +133,7 @@ def cast_shadow(height: Floats, cell: float, sun: Sun, parameters: ShadedGroundP
     def in_shadow(columns: FloatImage, step: float) -> FloatImage:
         rays = np.arange(len(columns), dtype=np.float32)[:, None] * np.float32(rise * step)
         known = np.isfinite(columns)
-        beyond = _last_known(columns[::-1], known[::-1])[0][::-1]
-        low = np.where(np.isfinite(beyond), beyond, np.float32(-np.inf)) + rays
+        low = _following(columns, known) + rays
         highest = np.maximum.accumulate(np.where(known, columns + rays, np.float32(-np.inf)), axis=0)
         hidden: FloatImage = (highest > low + np.float32(parameters.clear_m)).astype(np.float32)
         return hidden
@@ -122,26 +142,13 @@ def cast_shadow(height: Floats, cell: float, sun: Sun, parameters: ShadedGroundP
     return shadow
 
 
-def _next_known(values: FloatImage, towards: float) -> Tuple[FloatImage, FloatImage]:
-    """(H, W) the nearest known value in a direction (degrees clockwise from north), and its distance in cells;
-    infinite where there is none."""
-
-    def value(columns: FloatImage, step: float) -> FloatImage:
-        return _last_known(columns, np.isfinite(columns))[0]
-
-    def distance(columns: FloatImage, step: float) -> FloatImage:
-        found, rows = _last_known(columns, np.isfinite(columns))
-        return np.where(np.isfinite(found), rows * np.float32(step), np.float32(np.inf)).astype(np.float32)
-
-    from_there = towards + 180.0  # lines that come from there
-    return _along(values, from_there, value), _along(values, from_there, distance)
-
-
-def _last_known(columns: FloatImage, known: Mask) -> Tuple[FloatImage, IntArray]:
-    """(H, W) the last known value at or above each place, NaN where there is none, and how many rows above it lies."""
-    rows = np.arange(len(columns))[:, None]
-    last = np.maximum.accumulate(np.where(known, rows, 0), axis=0)
-    return np.take_along_axis(columns, last, axis=0), rows - last
+def _following(columns: FloatImage, known: Mask) -> FloatImage:
+    """(H, W) the first known value at or below each place; -inf where there is none."""
+    last = len(columns) - 1
+    rows = np.where(known, np.arange(len(columns), dtype=np.int32)[:, None], np.int32(last))
+    nearest = np.minimum.accumulate(rows[::-1], axis=0)[::-1]
+    found = np.take_along_axis(columns, nearest, axis=0)
+    return np.where(np.isfinite(found), found, np.float32(-np.inf))
 
 
 def _along(values: FloatImage, towards: float, work: Callable[[FloatImage, float], FloatImage]) -> FloatImage:
