@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import glob
 import json
+import math
 import os
 import re
 import shutil
 import subprocess
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
@@ -20,17 +22,18 @@ import numpy as np
 
 from benchmarks import answers_dtm, answers_walls
 from benchmarks.clouds import make, megabytes
-from benchmarks.runner import ROOT, Failed, alone, few, say, stage
+from benchmarks.runner import ROOT, Alone, Failed, alone, few, say, stage
 from benchmarks.scenes import SHARED
 from benchmarks.tables import table
 from repm_qgis.dsm.mesh import write_mesh
+from repm_qgis.dsm.parameters import FUSION
 from repm_qgis.dsm.point_cloud import created_cloud
 from repm_qgis.imagery.raster import opened, read, write
 
 _PYTHON = os.environ.get("REPM_SOLIDS_PYTHON", "")
 _SHIFTS_M = ((0.3, -0.2, 0.1), (1.37, -2.21, 0.83), (-4.1, 3.3, -6.0))
 _POINTS_M2, _NOISE_M = 2.0, 0.05  # of the lidar points that are drawn from the truth
-_MESH_VERTICES = (100_000, 25_000)  # of meshes that are compared with simplified ones
+_MESH_STEPS = (4, 7)  # of rows and columns of meshes that are compared with simplified ones
 _CELLS, _PLACES, _HALF_M = 300_000, 100_000, 75.0  # of the DSM and of the truth, and half the truth's square
 
 
@@ -262,17 +265,23 @@ def _surfaces() -> List[str]:
         _write_places(dsm, town, cells, truth)
         full = f"{folder}/full.ply"
         write_mesh(dsm, full)
-        for vertices in few(_MESH_VERTICES):
-            say(f"solids: simplified to {vertices} vertices")
-            path = f"{folder}/thinned.ply"
-            faces = write_mesh(dsm, path, vertices).faces
-            for name, task in (
-                ("every n-th row and column", ("distance", path, cells)),
-                ("open3d's quadric decimation", ("simplify", full, cells, str(faces))),
-            ):
-                found = _library(*task)
-                cost = ["", ""] if task[0] == "distance" else [f"{found['cpu_s']:.1f}", round(found["mib"])]
-                simple.append([name, found["triangles"], *found["cells"], *cost])
+        for step in few(_MESH_STEPS):
+            say(f"solids: as many triangles as every {step} rows and columns have")
+            path = f"{folder}/few.ply"
+            rows = alone(write_thinned, dsm, path, step)
+            vertices, faces = rows.result
+            simple.append(
+                _mesh_row(f"one of {step} rows and columns", vertices, rows, _library("distance", path, cells))
+            )
+            triangles = write_mesh(dsm, path, vertices).faces
+            chosen = alone(write_mesh_of, dsm, path, round(vertices * faces / triangles))
+            found = _library("distance", path, cells)
+            simple.append(_mesh_row("MESH_VERTICES, about as many triangles", chosen.result[0], chosen, found))
+            found = _library("simplify", full, cells, str(faces))
+            simple.append(
+                ["open3d's quadric decimation", "", found["triangles"], *found["cells"]]
+                + [f"{found['cpu_s']:.1f}", round(found["mib"])]
+            )
         for name, kind, path in (
             ("the DSM's mesh of all cells", "distance", full),
             ("Poisson (depth 9)", "poisson", cloud),
@@ -284,7 +293,7 @@ def _surfaces() -> List[str]:
             surfaces.append([name, found["walls"][1], found["tops"][1], found["walls"][0], found["tops"][0], *cost])
     return [
         "**Simplified meshes** of the DSM of the town that is seen from two sides: distances of its cells from them.",
-        table("mesh | triangles | RMS, m | cells within 0.5 m, % | CPU, s | memory, MiB", simple),
+        table("mesh | vertices | triangles | RMS, m | cells within 0.5 m, % | CPU, s | memory, MiB", simple),
         "**Surfaces of the cloud's points** (with normals) by open3d, in the middle 150 m of that town: places on the "
         f"true walls of 3 m and more, and on roofs and ground ({_PLACES} each), within 0.5 m of the surface. Neither "
         "is built in: the mesh of the DSM is nearer to both.",
@@ -293,6 +302,19 @@ def _surfaces() -> List[str]:
             surfaces,
         ),
     ]
+
+
+def write_thinned(dsm: str, path: str, step: int) -> List[int]:
+    """Write the mesh of every ``step``-th row and column; its vertices and triangles."""
+    with opened(dsm) as dataset:
+        most = math.ceil(dataset.RasterXSize * dataset.RasterYSize / step**2)
+    few_cells = replace(FUSION, simplification=replace(FUSION.simplification, cells=most))
+    facts = write_mesh(dsm, path, most, parameters=few_cells)
+    return [facts.vertices, facts.faces]
+
+
+def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, Any]) -> List[Any]:
+    return [name, vertices, found["triangles"], *found["cells"], f"{made.cpu_s:.1f}", round(made.mib)]
 
 
 def _write_places(dsm: str, town: answers_walls.Town3d, cells: str, truth: str) -> None:

@@ -1368,8 +1368,8 @@
         <translation>Höchstens so viele Netzknoten (0: einer je Zelle)</translation>
     </message>
     <message>
-        <source>Where the DSM has more cells, the mesh takes every second (third, ...) row and column. It has about two triangles for each vertex: 500000 make a million.</source>
-        <translation>Hat das DOM mehr Zellen, nimmt das Netz jede zweite (dritte, ...) Zeile und Spalte. Es hat etwa zwei Dreiecke je Knoten: 500000 ergeben eine Million.</translation>
+        <source>Where the DSM has more cells, the mesh has fewer vertices on level ground and roofs than at their edges. It has about two triangles for each vertex: 500000 make a million.</source>
+        <translation>Hat das DOM mehr Zellen, hat das Netz auf ebenem Boden und auf Dächern weniger Knoten als an deren Kanten. Es hat etwa zwei Dreiecke je Knoten: 500000 ergeben eine Million.</translation>
     </message>
     <message>
         <source>Colours of orthophoto, point cloud and mesh</source>

@@ -574,8 +574,8 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 "mesh_vertices",
                 tr("Most vertices of the mesh (0: one for each cell)"),
                 tr(
-                    "Where the DSM has more cells, the mesh takes every second (third, ...) row and column. It has "
-                    "about two triangles for each vertex: 500000 make a million."
+                    "Where the DSM has more cells, the mesh has fewer vertices on level ground and roofs than at their "
+                    "edges. It has about two triangles for each vertex: 500000 make a million."
                 ),
             )
         ),

@@ -5,7 +5,6 @@ Bytes are those of measured runs whose images see all of the ground; a run may m
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
@@ -95,8 +94,7 @@ def fusion_needs(
     if options.ept:
         needs.append(_need(options.ept, points * _EPT))
     if options.mesh:
-        step = math.ceil(math.sqrt(cells / options.mesh_vertices)) if options.mesh_vertices else 1
-        needs.append(_need(options.mesh, cells / max(step, 1) ** 2 * _VERTEX))
+        needs.append(_need(options.mesh, min(cells, options.mesh_vertices or cells) * _VERTEX))
     return needs
 
 

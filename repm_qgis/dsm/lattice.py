@@ -7,36 +7,49 @@ from dataclasses import dataclass, replace
 from typing import Iterator, Optional, Tuple
 
 import numpy as np
+from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatArray, FloatImage, IntArray, Window
+from ..arrays import FloatArray, FloatImage, IntArray, Mask, Window
 from ..imagery.raster import read
 from ..progress import Progress
 from .painting import Colours, Paint
 
 # Corners of the square between four cells, as (row, column): triangles counter-clockwise, seen from above.
 _A, _B, _C, _D = (0, 0), (0, 1), (1, 0), (1, 1)
-_TRIANGLES = np.array([[_A, _C, _D], [_A, _D, _B], [_A, _C, _B], [_B, _C, _D]])
+TRIANGLES = np.array([[_A, _C, _D], [_A, _D, _B], [_A, _C, _B], [_B, _C, _D]])
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a lattice is simplified to: which of its cells are vertices, and (N, 3) their numbers in the triangles."""
+
+    cells: Mask
+    triangles: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Every ``step``-th cell of a DSM, of which ``block_cells`` are read at once."""
+    """Every ``step``-th cell of a DSM, of which ``block_cells`` are read at once; of these the ``kept`` ones."""
 
     dataset: gdal.Dataset
     step: int
     block_cells: int
     progress: Progress
     paint: Optional[Paint] = None
+    kept: Optional[Kept] = None
 
     def rows(self) -> Iterator[Tuple[int, FloatImage]]:
-        """Blocks of rows with the number of their first; memory does not grow with the DSM."""
+        """Blocks of rows with the number of their first, NaN where no vertex is; memory does not grow with the DSM."""
         width, height = self.dataset.RasterXSize, self.dataset.RasterYSize
         lines = max(self.block_cells // width // self.step, 1) * self.step
         for row in range(0, height, lines):
             self.progress.check_cancelled()
             block = read(self.dataset, Window(0, row, width, min(lines, height - row)))
-            yield row // self.step, block[:: self.step, :: self.step]
+            first, block = row // self.step, block[:: self.step, :: self.step]
+            if self.kept is not None:
+                block = np.where(self.kept.cells[first : first + len(block)], block, np.float32(np.nan))
+            yield first, block
 
     def squares(self) -> Iterator[Tuple[FloatImage, IntArray]]:
         """Heights and numbers of vertices, each block with the last row of the one before."""
@@ -69,13 +82,20 @@ class Lattice:
 
     def triangles(self) -> Iterator[IntArray]:
         """(N, 3) numbers of the vertices of all triangles, block by block."""
+        if self.kept is not None:
+            for start in range(0, len(self.kept.triangles), self.block_cells):
+                self.progress.check_cancelled()
+                yield self.kept.triangles[start : start + self.block_cells].astype(np.int64)
+            return
         for heights, numbers in self.squares():
             row, column, kind = _cells(heights)
-            corners = _TRIANGLES[kind]
+            corners = TRIANGLES[kind]
             yield numbers[row[:, None] + corners[..., 0], column[:, None] + corners[..., 1]]
 
     def faces(self) -> int:
         """How many triangles there are."""
+        if self.kept is not None:
+            return len(self.kept.triangles)
         return sum(len(_cells(heights)[0]) for heights, _ in self.squares())
 
     def vertices(self) -> int:
@@ -95,9 +115,11 @@ def thinned(dataset: gdal.Dataset, max_vertices: int, block_cells: int, progress
     return lattice, vertices
 
 
-def _cells(heights: FloatImage) -> Tuple[IntArray, ...]:
-    """Row, column and kind (of ``_TRIANGLES``) of all triangles between the rows of a block."""
-    a, b, c, d = heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]
+def square_triangles(a: FloatImage, b: FloatImage, c: FloatImage, d: FloatImage) -> Tuple[IntArray, ...]:
+    """Where there are triangles (a number for each axis of the arrays) and their kind, of ``TRIANGLES``.
+
+    The heights are those of the upper left, upper right, lower left and lower right corners of squares, NaN for none.
+    """
     has = [np.isfinite(corner) for corner in (a, b, c, d)]
     whole = has[0] & has[1] & has[2] & has[3]
     down = np.zeros(whole.shape, dtype=bool)
@@ -105,3 +127,8 @@ def _cells(heights: FloatImage) -> Tuple[IntArray, ...]:
     three = [np.logical_and.reduce([has[i] for i in range(4) if i != gone]) & ~has[gone] for gone in range(4)]
     falling, rising = whole & down, whole & ~down
     return np.nonzero(np.stack([falling | three[1], falling | three[2], rising | three[3], rising | three[0]], axis=-1))
+
+
+def _cells(heights: FloatImage) -> Tuple[IntArray, ...]:
+    """Row, column and kind of all triangles between the rows of a block."""
+    return square_triangles(heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:])

@@ -20,10 +20,11 @@ from ..workspace import whole_file
 from . import ply
 from .derived import FinishedDsm
 from .gltf import write_glb
-from .lattice import Lattice, thinned
+from .lattice import Lattice
 from .obj import write_obj
 from .painting import Colours, opened_paint
 from .parameters import FUSION, FusionParameters
+from .simplification import within
 
 _COLOURED = np.dtype([("place", "<f8", 3), ("colour", "u1", 3)])
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
@@ -31,11 +32,11 @@ _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """A written mesh; it has every ``step``-th row and column of the DSM."""
+    """A written mesh of a DSM of so many ``cells`` with heights."""
 
     vertices: int
     faces: int
-    step: int
+    cells: int
 
 
 def make(finished: FinishedDsm, path: str, progress: Progress) -> Optional[str]:
@@ -43,7 +44,7 @@ def make(finished: FinishedDsm, path: str, progress: Progress) -> Optional[str]:
     options = finished.options
     ortho = finished.ortho or (options.ortho if is_textured(path) else None)  # greys are no colours, but a picture
     mesh = write_mesh(options.output, path, options.mesh_vertices, progress, finished.parameters, ortho)
-    fewer = f", one of {mesh.step} rows and columns (MESH_VERTICES)" if mesh.step > 1 else ""
+    fewer = f", chosen from {mesh.cells} cells (MESH_VERTICES)" if mesh.vertices < mesh.cells else ""
     progress.info(f"Mesh of {mesh.vertices} vertices and {mesh.faces} triangles{fewer}.")
     return path
 
@@ -59,9 +60,9 @@ def write_mesh(
     """Write a DSM's surface as a binary PLY or, by the name's end, as glTF (.glb) or OBJ; completely or not at all.
 
     Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where these are more than
-    ``max_vertices`` (0: no limit), only every second, third, ... row and column is used. Triangles join three
-    neighbours that have a height, so holes stay open; of a square's two diagonals the flatter one is taken, which keeps
-    edges of roofs straight. A PLY's vertices have the colours of
+    ``max_vertices`` (0: no limit), those are used whose mesh lies nearest to all of them (dsm/simplification.py).
+    No triangle lies on a cell without a height, so holes stay open; of a square's two diagonals the flatter one is
+    taken, which keeps edges of roofs straight. A PLY's vertices have the colours of
     ``ortho``, an orthophoto on the DSM's cells; a GLB and an OBJ have its picture, and places from the DSM's middle.
 
     Raises OptionError for another extension, EmptyResultError for a DSM without heights, WorkspaceError where the file
@@ -71,7 +72,7 @@ def write_mesh(
     progress = progress or Silent()
     with ExitStack() as stack:
         dataset = stack.enter_context(opened(dsm))
-        lattice, vertices = thinned(dataset, max_vertices, parameters.mesh_block_cells, progress)
+        lattice, vertices, cells = within(dataset, max_vertices, parameters, progress)
         if not vertices:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
         faces = lattice.faces()
@@ -84,7 +85,7 @@ def write_mesh(
                 write_glb(temporary, lattice, vertices, faces)
             else:
                 _write(temporary, lattice, vertices, faces)
-    return MeshFacts(vertices, faces, lattice.step)
+    return MeshFacts(vertices, faces, cells)
 
 
 def _write(path: str, lattice: Lattice, vertices: int, faces: int) -> None:

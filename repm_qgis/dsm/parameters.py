@@ -187,6 +187,16 @@ class EptParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class SimplificationParameters:
+    """Meshes of fewer vertices than the DSM has cells."""
+
+    lost: float = 0.3  # squared distance at which a cell counts that a hole takes with it, by its triangle's; tuned
+    negligible_m2: float = 1e-4  # sum of squared distances: a cell is not needed that is one centimetre off; chosen
+    root_cells: int = 256  # side of the largest squares, longer where few vertices are wanted; a power of two
+    cells: int = 1 << 24  # from which vertices are chosen; bounds the memory
+
+
+@dataclass(frozen=True)
 class FusionParameters(Parameters):
     """From height maps to a DSM and its products."""
 
@@ -210,6 +220,7 @@ class FusionParameters(Parameters):
     feather_cells: int = 8  # over which tiles change into each other on both sides of a seam; chosen
     block_cells: int = 512  # side of what is fused at once; bounds the memory
     hole_block_cells: int = 1024  # side of what holes are filled in at once; bounds the memory
+    simplification: SimplificationParameters = SimplificationParameters()
     mesh_block_cells: int = 1 << 18  # of the mesh that are read at once; bounds the memory
     terrain_margin_m: float = 300.0  # by which the terrain feedback's surface extends beyond the tiles; chosen
 

@@ -6,14 +6,16 @@ import json
 import os
 import re
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pyproj
 import pytest
 from osgeo import gdal
+from scipy.ndimage import map_coordinates
 
 from repm_qgis.dsm.mesh import write_mesh
-from repm_qgis.dsm.parameters import FusionParameters
+from repm_qgis.dsm.parameters import FUSION, FusionParameters
 from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
 from repm_qgis.imagery.raster import created, write
 
@@ -32,9 +34,11 @@ def read_ply(path):
         data = stream.read()
     head, body = data.split(b"end_header\n", 1)
     n, m = (int(re.search(rb"element %s (\d+)" % name, head).group(1)) for name in (b"vertex", b"face"))
-    vertices = np.frombuffer(body, "<f8", 3 * n).reshape(n, 3)
-    faces = np.frombuffer(body, np.dtype([("n", "u1"), ("v", "<i4", 3)]), m, 24 * n)
-    assert len(body) == 24 * n + 13 * m
+    size = 27 if b"uchar red" in head else 24  # with colours
+    kind = np.dtype({"names": ["place"], "formats": [("<f8", 3)], "itemsize": size})
+    vertices = np.frombuffer(body, kind, n)["place"]
+    faces = np.frombuffer(body, np.dtype([("n", "u1"), ("v", "<i4", 3)]), m, size * n)
+    assert len(body) == size * n + 13 * m
     assert (faces["n"] == 3).all()
     return head.decode(), vertices, faces["v"]
 
@@ -50,7 +54,7 @@ def test_a_full_surface_is_covered_once(tmp_path):
     path = str(tmp_path / "m.ply")
     facts = write_mesh(dsm_of(tmp_path / "d.tif", heights), path)
     head, vertices, faces = read_ply(path)
-    assert (facts.vertices, facts.faces, facts.step) == (40 * 61, 2 * 39 * 60, 1)
+    assert (facts.vertices, facts.faces, facts.cells) == (40 * 61, 2 * 39 * 60, 40 * 61)
     assert "comment crs: PROJCS" in head and "comment heights: metres above the WGS 84 ellipsoid" in head
     rows, columns = np.mgrid[0:40, 0:61]
     np.testing.assert_array_equal(
@@ -99,20 +103,165 @@ def test_a_roofs_edge_is_straight(tmp_path):
         assert not (diagonals[plan > 0.6] > 0).any()  # no diagonal of a square climbs
 
 
-def test_the_limit_thins_evenly_and_keeps_true_heights(tmp_path):
+def town(rows, columns, seed=0):
+    """Sloping ground with level roofs, m, and a map of the roofs' numbers."""
+    numbers = np.random.default_rng(seed)
+    row, column = np.mgrid[0:rows, 0:columns]
+    heights, roofs = 40 + 0.02 * row + 0.01 * column, np.zeros((rows, columns), dtype=int)
+    for n in range(rows * columns // 1500):
+        top, left = numbers.integers(0, rows - 12), numbers.integers(0, columns - 12)
+        place = slice(top, top + numbers.integers(6, 30)), slice(left, left + numbers.integers(6, 30))
+        heights[place], roofs[place] = 50 + numbers.integers(0, 30), n + 1
+    return heights, roofs
+
+
+def cells_of(vertices):
+    """Row and column of vertices in their DSM."""
+    return (
+        np.rint((TRANSFORM[3] - vertices[:, 1]) / 0.5 - 0.5).astype(int),
+        np.rint((vertices[:, 0] - TRANSFORM[0]) / 0.5 - 0.5).astype(int),
+    )
+
+
+def drawn(vertices, faces, shape):
+    """The mesh's height on each cell's centre, NaN where there is no triangle, and triangles on each inner point."""
+    row, column = cells_of(vertices)
+    heights, times = np.full(shape, np.nan), np.zeros((shape[0] - 1, shape[1] - 1), dtype=int)
+    for corners in faces:
+        r, c, z = row[corners], column[corners], vertices[corners, 2]
+        for inner, (shift_r, shift_c) in enumerate(((0.0, 0.0), (0.3, 0.6))):  # centres, and points on no side
+            i, j = np.mgrid[r.min() : r.max() + 1 - inner, c.min() : c.max() + 1 - inner]
+            y, x = i + shift_r, j + shift_c
+            whole = (c[1] - c[0]) * (r[2] - r[0]) - (c[2] - c[0]) * (r[1] - r[0])
+            second = ((x - c[0]) * (r[2] - r[0]) - (c[2] - c[0]) * (y - r[0])) / whole
+            third = ((c[1] - c[0]) * (y - r[0]) - (x - c[0]) * (r[1] - r[0])) / whole
+            inside = (second >= -1e-9) & (third >= -1e-9) & (second + third <= 1 + 1e-9)
+            if inner:
+                times[i[inside], j[inside]] += 1
+            else:
+                at = z[0] + (z[1] - z[0]) * second + (z[2] - z[0]) * third
+                heights[i[inside], j[inside]] = at[inside]
+    return heights, times
+
+
+def assert_sound(vertices, faces, heights):
+    """No crack, no fold, no triangle on a hole, and vertices are cells; gives the mesh's heights and what it covers."""
+    row, column = cells_of(vertices)
+    np.testing.assert_array_equal(vertices[:, 2], heights[row, column].astype(np.float32))
+    assert (areas(vertices, faces) > 0).all()
+    edges = np.concatenate([faces[:, [n, (n + 1) % 3]] for n in range(3)])
+    assert len(np.unique(edges, axis=0)) == len(edges)  # two triangles on an edge have it in opposite directions
+    vertex = np.zeros(heights.shape, dtype=bool)
+    vertex[row, column] = True
+    for a, b in edges:  # a vertex between the ends of an edge would be a crack
+        inner = max(abs(row[a] - row[b]), abs(column[a] - column[b])) + 1
+        assert (
+            vertex[
+                np.linspace(row[a], row[b], inner, dtype=int), np.linspace(column[a], column[b], inner, dtype=int)
+            ].sum()
+            == 2
+        )
+    shown, times = drawn(vertices, faces, heights.shape)
+    assert times.max() == 1 and not np.isfinite(shown[~np.isfinite(heights)]).any()
+    return shown, times
+
+
+def simplified(tmp_path, heights, limit, **options):
+    facts = write_mesh(dsm_of(tmp_path / "d.tif", heights), str(tmp_path / "m.ply"), limit, **options)
+    _, vertices, faces = read_ply(tmp_path / "m.ply")
+    assert (facts.vertices, facts.faces) == (len(vertices), len(faces)) and len(vertices) <= limit
+    assert facts.cells == np.isfinite(heights).sum() and len(np.unique(faces)) == len(vertices)
+    return vertices, faces
+
+
+@pytest.mark.parametrize("shape", ((97, 129), (101, 203), (40, 300)))
+def test_fewer_vertices_cover_the_surface_once_without_cracks(tmp_path, shape):
+    heights, _ = town(*shape)
+    heights += np.random.default_rng(5).normal(0, 0.05, shape)
+    for limit in (shape[0] * shape[1] // 2, 2500):
+        vertices, faces = simplified(tmp_path, heights, limit)
+        assert len(vertices) > 0.9 * limit
+        shown, times = assert_sound(vertices, faces, heights)
+        assert (times == 1).mean() > 0.999
+        # The cells that are not where they belong are fewer than with every n-th row and column.
+        step = next(n for n in range(2, 99) if heights[::n, ::n].size <= limit)
+        coarser = map_coordinates(heights[::step, ::step], np.indices(shape) / step, order=1, mode="nearest")
+        assert (np.abs(shown - heights) > 0.3).sum() < 0.6 * (np.abs(coarser - heights) > 0.3).sum()
+
+
+def test_holes_stay_open_in_a_simplified_mesh(tmp_path):
+    heights, _ = town(120, 150)
+    numbers = np.random.default_rng(4)
+    heights[30:60, 20:70] = heights[90:, 100:] = np.nan
+    heights[numbers.integers(0, 120, 40), numbers.integers(0, 150, 40)] = np.nan
+    known = np.isfinite(heights)
+    for limit in (6000, 1500):
+        shown, _ = assert_sound(*simplified(tmp_path, heights, limit), heights)
+        assert np.isfinite(shown)[known].mean() > (0.99 if limit == 6000 else 0.9)
+
+
+def test_a_plane_needs_next_to_nothing(tmp_path):
+    row, column = np.mgrid[0:257, 0:513]
+    for heights in (np.full(row.shape, 7.0), 123 + 0.137 * row + 0.0731 * column):
+        vertices, faces = simplified(tmp_path, heights, 50000)
+        assert len(vertices) == 6 and len(faces) == 4
+        assert areas(vertices, faces).sum() == pytest.approx(256 * 512 * 0.25)
+
+
+def test_steps_stay_sharp_where_few_vertices_are_left(tmp_path):
+    """A block on level ground takes vertices around it alone, and its wall is one cell wide."""
+    heights = np.full((257, 257), 10.0)
+    heights[60:131, 90:201] = 40.0
+    vertices, faces = simplified(tmp_path, heights, 4000)
+    np.testing.assert_array_equal(assert_sound(vertices, faces, heights)[0], heights)
+    row, column = cells_of(vertices)
+    near = np.maximum(np.maximum(60 - row, row - 130), np.maximum(90 - column, column - 200))
+    assert (np.abs(near) <= 8).mean() > 0.8 and len(vertices) < 1400  # the wall goes round 364 cells
+
+
+@pytest.mark.parametrize("limit", (1, 3, 10))
+def test_a_limit_of_a_few_vertices_holds(tmp_path, limit):
     heights = np.random.default_rng(1).uniform(0, 9, (101, 203))
     heights[40:60, :50] = np.nan
-    dsm = dsm_of(tmp_path / "d.tif", heights)
-    for limit in (20000, 5000, 1000, 10):
-        facts = write_mesh(dsm, str(tmp_path / "m.ply"), limit)
-        _, vertices, faces = read_ply(tmp_path / "m.ply")
-        assert len(vertices) == facts.vertices <= limit
-        step = facts.step
-        part = heights[::step, ::step]
-        finer = heights[:: step - 1, :: step - 1] if step > 1 else None
-        assert finer is None or np.isfinite(finer).sum() > limit or limit == 10
-        np.testing.assert_array_equal(vertices[:, 2], part[np.isfinite(part)].astype(np.float32))
-        assert (areas(vertices, faces) > 0).all()
+    write_mesh(dsm_of(tmp_path / "d.tif", heights), str(tmp_path / "m.ply"), limit)
+    assert 0 < len(read_ply(tmp_path / "m.ply")[1]) <= limit
+
+
+def test_scattered_cells_are_thinned_by_rows_and_columns(tmp_path):
+    heights = np.full((60, 60), np.nan)
+    heights[::2, ::2] = 5.0
+    facts = write_mesh(dsm_of(tmp_path / "d.tif", heights), str(tmp_path / "m.ply"), 500)
+    assert 0 < facts.vertices <= 500 and facts.cells == 900
+
+
+def test_simplified_meshes_of_all_kinds_are_one_surface_with_its_picture(tmp_path):
+    heights, _ = town(60, 90)
+    heights[10:20, 70:80] = np.nan
+    vertices, faces = simplified(tmp_path, heights, 900, ortho=picture_of(tmp_path, 60, 90))
+    row, column = cells_of(vertices)
+    body = (tmp_path / "m.ply").read_bytes().split(b"end_header\n", 1)[1]
+    colours = np.frombuffer(body, np.dtype([("place", "<f8", 3), ("colour", "u1", 3)]), len(vertices))["colour"]
+    np.testing.assert_array_equal(colours, np.where((column < 45)[:, None], (200, 90, 30), (20, 90, 180)))
+    dsm, ortho = str(tmp_path / "d.tif"), str(tmp_path / "o.tif")
+    write_mesh(dsm, str(tmp_path / "m.glb"), 900, ortho=ortho)
+    _, positions, places, triangles, picture = read_glb(tmp_path / "m.glb")
+    np.testing.assert_array_equal(triangles, faces)
+    np.testing.assert_allclose(places * (90, 60), np.column_stack([column, row]) + 0.5, atol=1e-4)
+    np.testing.assert_allclose(positions[:, 1], vertices[:, 2], atol=1e-5)
+    write_mesh(dsm, str(tmp_path / "m.obj"), 900, ortho=ortho)
+    _, found, on_picture, corners, used = read_obj(tmp_path / "m.obj")
+    np.testing.assert_array_equal(corners, faces)
+    np.testing.assert_array_equal(used, faces)
+    np.testing.assert_allclose(on_picture * (1, -1) + (0, 1), places, atol=1e-5)
+    assert picture and len(found) == len(vertices)
+
+
+def test_vertices_of_a_large_dsm_are_chosen_from_fewer_rows_and_columns(tmp_path):
+    heights, _ = town(200, 260)
+    small = replace(FUSION, simplification=replace(FUSION.simplification, cells=200 * 260 // 4))
+    vertices, _ = simplified(tmp_path, heights, 3000, parameters=small)
+    row, column = cells_of(vertices)
+    assert not (row % 2).any() and not (column % 2).any() and len(vertices) > 2700
 
 
 @pytest.mark.parametrize("cells", (1, 300, 3000))

@@ -174,7 +174,7 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     )
     assert fused["cloud"] is None and fused["ept"] == str(tmp_path / "ept")
     assert json.loads((tmp_path / "ept" / "ept.json").read_text())["points"] == fused["points"] > 10000
-    assert any("rows and columns (MESH_VERTICES)" in note for note in said.notes)
+    assert any("cells (MESH_VERTICES)" in note for note in said.notes)
     assert not list(tmp_path.rglob("*.laz.*")) and not list(urban_run.workspace.glob(".fusion*"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.qml", "dsm.tif", "ept", "m.ply", "m.qml"]
 
