@@ -22,7 +22,6 @@ from osgeo import gdal
 from benchmarks.runner import ROOT, few, is_quick, measured, resident_gib, say, stage
 from benchmarks.tables import Section, table
 from repm_qgis.arrays import Altitudes, Bounds
-from repm_qgis.imagery.raster import write
 from repm_qgis.matching.pair_backend import rectified_over_tile
 from repm_qgis.parallel import run_tasks
 from repm_qgis.progress import Silent
@@ -31,7 +30,7 @@ from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene
 from repm_qgis.simulation.rpc_fit import fit_rpc
 from repm_qgis.simulation.scene import SceneSpec, make_views
-from repm_qgis.stereo.height_maps import BANDS
+from repm_qgis.stereo.height_maps import write_height_map
 from repm_qgis.stereo.triangulation import pair_geometry
 
 SIZE = int(os.environ.get("REPM_BENCH_CELLS", "10000"))  # cells a side of the largest DSM
@@ -80,21 +79,16 @@ def height_map(work: Work) -> HeightMapRecord:
     gaps = np.kron(rng.random((rows // 8 + 1, width // 8 + 1)) < 0.02, np.ones((8, 8), bool))[:rows, :width]
     height[gaps & ~filled] = np.nan
     score = np.where(filled | np.isnan(height), np.nan, rng.beta(9, 1, height.shape)).astype(np.float32)
-    bands = [height.astype(np.float32), score, filled.astype(np.float32)]
-    write(path, bands, (0, 1, 0, 0, 0, 1), "", descriptions=BANDS)
-    return HeightMapRecord(
+    record = HeightMapRecord(
         tile=tile,
         backend="sgm",
         pair=names,
-        file=path,
-        size=(width, rows),
-        valid=int(np.isfinite(score).sum()),
-        filled=int(filled.sum()),
         metres_per_px=geometry.metres_per_px,
         vertical_parallax_px=0.0,
         table_error_m=geometry.error_m,
         altitudes=altitudes,
     )
+    return write_height_map(path, "made up", record, height.astype(np.float32), score, filled)
 
 
 def scene_of(size: int, pairs: int, folder: Path) -> str:
