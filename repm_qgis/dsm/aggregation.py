@@ -143,15 +143,13 @@ class _Votes:
                 filled.ravel()[cells] = from_background
 
         decide(np.flatnonzero(~clear & ((self.count > 0) | hidden)))
+        contested = np.zeros(height.shape, dtype=bool)
         if witnesses is not None:
-            contested = self._heard(witnesses, height, decide)
-            members.reshape(len(members), -1)[:, contested] = False
-            height.ravel()[contested] = np.nan
-            filled.ravel()[contested] = False
+            contested.ravel()[self._heard(witnesses, height, decide)] = True
         if method == "median" and len(self.heights) > 2:
             several = members.sum(axis=0) > 2
             height[several] = _weighted_median(self.heights[:, several], self.weights[:, None] * members[:, several])
-        return self._with_facts(height, members, filled)
+        return self._with_facts(height, members, filled).without(contested)
 
     def _heard(self, witnesses: Witnesses, height: Floats, decide: Callable[[IntArray], None]) -> IntArray:
         """Replace heights that the maps look through by what is left without them; the cells of those that as many

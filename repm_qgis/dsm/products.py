@@ -197,12 +197,12 @@ class _Tiles:
     def __iter__(self) -> Iterator[Tuple[StoredTile, Window, FusedTile, Floats]]:
         windows, size = self.layout.windows, self.layout.grid.size
         metres = [record.metres_per_px for tile in self.scene.tiles for record in tile.heights]
+        numbers = float(np.median(metres)), self.parameters.feather_cells
         for index, (window, tile) in enumerate(zip(windows, self.stored)):
             result = tile.load()
             height = result.fused.height
             # Turned tiles overlap in their windows: there each tile has only its own cells.
             if result.own is None:
-                numbers = float(np.median(metres)), self.parameters.feather_cells
                 height = feathered(height, index, windows, self.stored, size, *numbers)
             yield tile, window, result, height
 

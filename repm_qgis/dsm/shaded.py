@@ -15,9 +15,10 @@ import numpy as np
 
 from ..arrays import FloatImage, Floats, IntArray, Mask
 from ..geometry.frames import projected_from_geodetic
-from ..geometry.sun import mean_position, sun_position
+from ..geometry.sun import mean_position
 from ..imagery.warping import gaussian_mean
 from ..scene import Scene
+from ..sfm.pair_selection import sun_over
 from .aggregation import FusedCells
 from .parameters import FUSION, ShadedGroundParameters
 
@@ -33,13 +34,13 @@ class Sun:
     def over(cls, scene: Scene, crs: str, parameters: ShadedGroundParameters = FUSION.shaded) -> Optional[Sun]:
         """The mean sun of a scene's views over its middle, in a projected CRS; None where no time is known, or where
         the sun was so low that shadows have no end."""
-        lon, lat = scene.frame.lon, scene.frame.lat
-        positions = [sun_position(view.time, lon, lat) for view in scene.views if view.time is not None]
+        positions = [sun for sun in (sun_over(scene, view) for view in scene.views) if sun is not None]
         if not positions:
             return None
         azimuth, elevation = mean_position(positions)
         if elevation < parameters.least_elevation_deg:
             return None
+        lon, lat = scene.frame.lon, scene.frame.lat
         (x, y), (x_north, y_north) = projected_from_geodetic(crs, np.array([[lon, lat], [lon, lat + 1e-3]]))
         return cls(azimuth + math.degrees(math.atan2(x_north - x, y_north - y)), elevation)
 
@@ -72,11 +73,12 @@ def shaded_ground(
     steep = _steep(height, cell, parameters)
     doubted = np.isnan(height) | (weak & steep)
     reach, away = parameters.halo(cell), sun.azimuth + 180.0
+    narrow = math.ceil(parameters.gap_m / cell)
     surface = height.astype(np.float32)
     for _ in range(parameters.rounds):  # what stands too high lies in no shadow until it is replaced
         shadow = cast_shadow(surface, cell, sun, parameters)
         cells = np.flatnonzero(shadow & doubted)
-        wide = sum(_next(~doubted, cells, towards, reach)[1] for towards in (sun.azimuth, away)) * cell
+        wide = sum(_next(~doubted, cells, towards, narrow)[1] for towards in (sun.azimuth, away)) * cell
         cells = cells[wide >= parameters.gap_m]
         lit = ~shadow & ~doubted
         ends = np.full((len(parameters.directions_deg), len(cells)), np.nan, np.float32)

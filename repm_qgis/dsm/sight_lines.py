@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Optional, Sequence, Tuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,15 +57,9 @@ class SightLines:
         terms = _terms(x - origin[0] - (z - level) * heights.ray[0], y - origin[1] - (z - level) * heights.ray[1])
         scale = np.abs(terms).max(axis=0) + 1e-9
         fit = np.linalg.lstsq(terms / scale, np.column_stack([column, row]).astype(np.float64), rcond=None)[0]
-        return cls(
-            own,
-            _highest_around(own, parameters.rim_px),
-            fit / scale[:, None],
-            origin,
-            level,
-            heights.ray,
-            metres_per_px,
-        )
+        side = 2 * parameters.rim_px + 1
+        top = cv2.dilate(np.where(np.isfinite(own), own, np.float32(-np.inf)), np.ones((side, side), np.uint8))
+        return cls(own, top, fit / scale[:, None], origin, level, heights.ray, metres_per_px)
 
     def pixels(self, x: Floats, y: Floats, z: Floats) -> Tuple[IntArray, IntArray]:
         """(N,) column and row of the pixel that sees each of N ground points; -1 outside the map."""
@@ -100,13 +95,3 @@ class Witnesses:
 
 def _terms(x: Floats, y: Floats) -> FloatArray:
     return np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-
-
-def _highest_around(height: FloatImage, rim: int) -> FloatImage:
-    """The highest within so many px of each pixel, in a square; NaN where none has a height."""
-    result = height
-    for axis in (0, 1):
-        padded = np.pad(result, [(rim, rim) if axis == each else (0, 0) for each in (0, 1)], constant_values=np.nan)
-        size = height.shape[axis]
-        result = np.fmax.reduce([padded.take(np.arange(i, i + size), axis=axis) for i in range(2 * rim + 1)])
-    return result
