@@ -64,22 +64,36 @@ class SightLineParameters(Parameters):
 class ShadedGroundParameters(Parameters):
     """Ground in shadows without texture (docs/method.md, "Fusion"; `make bench-towns`)."""
 
-    weak_score: float = 0.85  # of a single map's height: below, the images hardly support it; 0.7 and 0.9 do as well
+    weak_score: float = 0.85  # of a single map's height: below, the images hardly support it; 0.8 and 0.9 do as well
     least_slope: float = 0.3  # of what matching makes of nothing, m per m
     slope_sigma_cells: float = 1.5  # of the mean whose slope that is; chosen
-    gap_m: float = 3.0  # along the sun's direction: narrower ones may belong to the roof
+    gap_m: float = 1.0  # along the sun's direction: narrower ones may belong to the roof
     clear_m: float = 0.5  # by which a shadow's edge must pass over a cell
     above_m: float = 0.5  # by which a weak height must stand above the ground to be replaced
     reach_m: float = 100.0  # of the search for a shadow's end
     reach_cells: int = 400  # and no farther: bounds the memory
-    directions_deg: Tuple[float, ...] = (-20.0, -10.0, 0.0, 10.0, 20.0)  # about the one away from the sun
-    level_m: float = 1.0  # by which two directions may differ
-    rounds: int = 2
+    directions_deg: Tuple[float, ...] = tuple(
+        range(-40, 41, 10)
+    )  # about the one away from the sun; 30 and 60 lose 0.1 %
+    quantile: float = 0.25  # of the ends in these directions: some lie on roofs; 0.35 loses courts in January
+    level_m: float = 1.0  # by which two directions may differ, and a cell from those around it
+    lattice_m: float = 2.0  # between the places around a cell that it is compared with; 1 and 3 do as well
+    lattice_reach: int = 2  # of them to each side; 3 does as well
+    least_around: int = 5  # of these 25 that must have a ground; with 1 small gaps take what is far away
     least_elevation_deg: float = 10.0  # of the sun: with less, shadows have no end
 
-    def halo(self, cell: float) -> int:
-        """Cells of the side ``cell`` (m) around a block within which shadows are looked for, on either side."""
+    def reach(self, cell: float) -> int:
+        """Cells of the side ``cell`` (m) within which a shadow's end is looked for."""
         return max(1, min(int(self.reach_m / cell), self.reach_cells))
+
+    def lattice(self, cell: float) -> Tuple[int, int]:
+        """Cells between the places around a cell, and those to the farthest of them."""
+        step = max(1, round(self.lattice_m / cell))
+        return step, self.lattice_reach * step
+
+    def halo(self, cell: float) -> int:
+        """Cells around a block on which its own cells depend, on either side."""
+        return self.reach(cell) + self.lattice(cell)[1]
 
 
 @dataclass(frozen=True)

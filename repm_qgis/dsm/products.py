@@ -35,7 +35,7 @@ from .holes import fill_holes
 from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
-from .shaded import Sun, shaded_ground, weak_cells
+from .shaded import NOTHING, Sun, shaded_ground, support
 
 INTERPOLATED, _INTERPOLATED_ON_DEM = 2, 3
 
@@ -220,16 +220,17 @@ def _shaded(
         common = window.common(crop)
         if common is None:
             continue
-        weak = weak_cells(result.fused, numbers).astype(np.float32)
+        behind = support(result.fused, numbers).astype(np.float32)
         if result.own is not None:
-            weak[~result.own] = np.nan
+            behind[~result.own] = np.nan
         place = common.within(crop)
-        for band, values in enumerate((height, weak), start=1):
+        for band, values in enumerate((height, behind), start=1):
             part = values[common.inside(window)].astype(np.float32)
             raw.write(part, place.col, place.row, band, result.own is not None)
     cell = tiles.layout.grid.cell
     for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
-        found = shaded_ground(raw.read(wide), raw.read(wide, 2) > 0, cell, sun, numbers)
+        known = np.nan_to_num(raw.read(wide, 2), nan=NOTHING).astype(np.uint8)  # beyond all tiles
+        found = shaded_ground(raw.read(wide), known, cell, sun, numbers)
         ground.write(found[own.inside(wide)], own.col, own.row)
     return ground
 

@@ -13,7 +13,7 @@ from typing import Callable, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Floats, IntArray, Mask
+from ..arrays import ByteImage, FloatImage, Floats, IntArray, Mask
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import mean_position
 from ..imagery.warping import gaussian_mean
@@ -21,6 +21,9 @@ from ..scene import Scene
 from ..sfm.pair_selection import sun_over
 from .aggregation import FusedCells
 from .parameters import FUSION, ShadedGroundParameters
+
+SUPPORTED, WEAK, NOTHING = range(3)
+"""What is behind a height, see :func:`support`."""
 
 
 @dataclass(frozen=True)
@@ -45,56 +48,92 @@ class Sun:
         return cls(azimuth + math.degrees(math.atan2(x_north - x, y_north - y)), elevation)
 
 
-def weak_cells(fused: FusedCells, parameters: ShadedGroundParameters = FUSION.shaded) -> Mask:
-    """Cells whose height a single map has, which the images hardly support, and cells without a height."""
+def support(fused: FusedCells, parameters: ShadedGroundParameters = FUSION.shaded) -> ByteImage:
+    """What is behind the heights of cells: :data:`SUPPORTED` by the images, :data:`WEAK` (a single map's, which the
+    images hardly support), or :data:`NOTHING` (no height, or one that matching took from the background)."""
+    result = np.full(fused.height.shape, SUPPORTED, np.uint8)
     with np.errstate(invalid="ignore"):
-        weak: Mask = (fused.count == 1) & ~fused.filled & ~(fused.score >= parameters.weak_score)
-    weak |= np.isnan(fused.height)
-    return weak
+        result[(fused.count == 1) & ~(fused.score >= parameters.weak_score)] = WEAK
+    result[fused.filled | np.isnan(fused.height)] = NOTHING
+    return result
 
 
 def shaded_ground(
-    height: Floats, weak: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters = FUSION.shaded
+    height: Floats, behind: ByteImage, cell: float, sun: Sun, parameters: ShadedGroundParameters = FUSION.shaded
 ) -> FloatImage:
     """(H, W) heights of the ground on which shadows lie, for cells that take them; NaN for all others.
 
-    Cells in shadow take them that have no height, or a ``weak`` one on a slope above that ground: what matching makes
-    of nothing leads down from the roof. ``height`` (H, W) is in m, NaN = none; ``cell`` in m. Rows run from north to
-    south.
+    Cells in shadow take them that have no height of their own, or a weak one on a slope, above that ground: what
+    matching makes of nothing leads down from the roof. ``height`` (H, W) is in m, NaN = none, ``behind`` (H, W) as of
+    :func:`support`; ``cell`` in m. Rows run from north to south.
 
-    The ground is that of the nearest cell out of the shadow away from the sun, with a height that is not weak, in
-    several directions about the sun's: the second lowest of them, because a shadow may end on a roof and one may be
-    wrong, where another one is at the same level. On slopes nothing is known, nor in narrow gaps, which may belong to
-    the roof's edge.
+    The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
+    support its height. Several directions about the sun's are asked, and the lower ones that agree are believed,
+    because some end on roofs. On slopes nothing is known, nor in narrow gaps, which may belong to the roof's edge, nor
+    beyond the DSM's border. At last cells follow most of those around them.
     """
+    doubted = (behind == NOTHING) | (behind == WEAK) & _steep(height, cell, parameters)
+    trusted = np.where(doubted, np.float32(np.nan), height.astype(np.float32))
+    steep = _steep(trusted, cell, parameters)
+    shadow = cast_shadow(trusted, cell, sun, parameters)  # what is wrong may cast one, or stand out of one
+    cells = _within(np.flatnonzero(shadow & doubted), doubted, np.isfinite(height), cell, sun, parameters)
+    sure = ~doubted & (~shadow | (behind == SUPPORTED) & ~steep)
+    ground = np.full(height.shape, np.nan, np.float32)
+    ground.ravel()[cells] = _ends(height, cells, sure, steep, cell, sun, parameters)
+    agreed = _like_around(ground, cells, cell, parameters)
+    with np.errstate(invalid="ignore"):
+        taken = np.isfinite(agreed) & ~(height.ravel()[cells] <= agreed + parameters.above_m)
     result = np.full(height.shape, np.nan, np.float32)
-    if not weak.any():
-        return result
-    steep = _steep(height, cell, parameters)
-    doubted = np.isnan(height) | (weak & steep)
-    reach, away = parameters.halo(cell), sun.azimuth + 180.0
-    narrow = math.ceil(parameters.gap_m / cell)
-    surface = height.astype(np.float32)
-    for _ in range(parameters.rounds):  # what stands too high lies in no shadow until it is replaced
-        shadow = cast_shadow(surface, cell, sun, parameters)
-        cells = np.flatnonzero(shadow & doubted)
-        wide = sum(_next(~doubted, cells, towards, narrow)[1] for towards in (sun.azimuth, away)) * cell
-        cells = cells[wide >= parameters.gap_m]
-        lit = ~shadow & ~doubted
-        ends = np.full((len(parameters.directions_deg), len(cells)), np.nan, np.float32)
-        for end, turn in zip(ends, parameters.directions_deg):
-            place, _ = _next(lit, cells, away + turn, reach)
-            level = (place >= 0) & ~steep.ravel()[place]
-            end[level] = height.ravel()[place[level]]
-        lowest, ground, third = np.sort(ends, axis=0)[:3]
-        own = height.ravel()[cells]
-        with np.errstate(invalid="ignore"):
-            alike = (ground - lowest <= parameters.level_m) | (third - ground <= parameters.level_m)
-            taken = alike & ~(own <= ground + parameters.above_m)
-        result[:] = np.nan
-        result.ravel()[cells[taken]] = ground[taken]
-        surface = np.where(np.isfinite(result), result, height).astype(np.float32)
+    result.ravel()[cells[taken]] = agreed[taken]
     return result
+
+
+def _within(
+    cells: IntArray, doubted: Mask, known: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters
+) -> IntArray:
+    """Those of (N,) cells that lie in no narrow gap along the sun's direction, and have heights on both of its sides:
+    beyond the DSM's border there is nothing to see a shadow by."""
+    away, narrow = sun.azimuth + 180.0, math.ceil(parameters.gap_m / cell)
+    apart = sum(_next(~doubted, cells, towards, narrow + 1)[1] for towards in (sun.azimuth, away))
+    cells = cells[(apart - 1.0) * cell >= parameters.gap_m]
+    for side in (90.0, -90.0):
+        cells = cells[_next(known, cells, away + side, parameters.reach(cell))[0] >= 0]
+    return cells
+
+
+def _ends(
+    height: Floats, cells: IntArray, sure: Mask, steep: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters
+) -> FloatImage:
+    """(N,) the level ground at which the shadow of each of N cells ends; NaN where directions do not agree on one."""
+    directions, reach = parameters.directions_deg, parameters.reach(cell)
+    ends = np.full((len(directions), len(cells)), np.nan, np.float32)
+    for end, turn in zip(ends, directions):
+        place, _ = _next(sure, cells, sun.azimuth + 180.0 + turn, reach)
+        level = (place >= 0) & ~steep.ravel()[place]
+        end[level] = height.ravel()[place[level]]
+    found = np.isfinite(ends).sum(axis=0)
+    ends = np.sort(ends, axis=0)  # NaN last
+    lower = np.maximum(1, (parameters.quantile * (found - 1)).astype(np.intp))
+    below, ground, above = (
+        np.take_along_axis(ends, np.minimum(lower + step, len(ends) - 1)[None], axis=0)[0] for step in (-1, 0, 1)
+    )
+    with np.errstate(invalid="ignore"):
+        alike = (ground - below <= parameters.level_m) | (above - ground <= parameters.level_m)
+    return np.where(alike, ground, np.float32(np.nan))
+
+
+def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: ShadedGroundParameters) -> FloatImage:
+    """(N,) the ground of N cells; the median of those around them where theirs differs, or they have none."""
+    step, reach = parameters.lattice(cell)
+    padded = np.pad(ground, reach, constant_values=np.nan)
+    row, column = np.divmod(cells, ground.shape[1])
+    offsets = range(0, 2 * reach + 1, step)
+    around = np.stack([padded[row + down, column + right] for down in offsets for right in offsets])
+    own, found = ground.ravel()[cells], np.isfinite(around).sum(axis=0)
+    middle = np.take_along_axis(np.sort(around, axis=0), np.maximum(found - 1, 0)[None] // 2, axis=0)[0]
+    middle[found < parameters.least_around] = np.nan
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isnan(own) | (np.abs(own - middle) > parameters.level_m), middle, own)
 
 
 def _next(known: Mask, cells: IntArray, towards: float, reach: int) -> Tuple[IntArray, Floats]:
