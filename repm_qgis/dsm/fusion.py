@@ -25,6 +25,7 @@ from .cloud_points import cloud_points
 from .occluded import occluded_ground
 from .ortho import orthophoto
 from .outliers import radius_outliers, remove_isolated_points
+from .overhangs import without_overhangs
 from .parameters import FUSION, FusionParameters
 from .sight_lines import SightLines, Witnesses
 
@@ -236,6 +237,7 @@ def grid_height_map(
     own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding
     matched = remove_isolated_points(own, metres_per_px, parameters.isolated)
     height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing, gridding)
+    height, score = without_overhangs(grid, heights, matched, height, score, metres_per_px, spacing, parameters)
     known = np.where(heights.filled, heights.height, matched)
     occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
     maps = (heights.x, heights.y, heights.height)

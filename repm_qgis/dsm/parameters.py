@@ -30,6 +30,16 @@ class OutlierParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class OverhangParameters(Parameters):
+    """Cells in which one map sees two surfaces (docs/method.md, "Fusion"; `make bench-towns`)."""
+
+    step_px: float = 1.5  # of disparity between two surfaces, and not less than a cell's two have; 1 and 2.5 do as well
+    least_share: float = 0.1  # of a cell's points that each of the two has; 0.25 does as well
+    widest_cell: float = 2.0  # distances between points: wider cells hold edges of roofs as they are; chosen
+    along: Tuple[float, ...] = (0.25, 0.5, 0.75)  # of the way up to the roof; 0.1 and 0.35 first are worse
+
+
+@dataclass(frozen=True)
 class AggregationParameters(Parameters):
     """One height from several maps (docs/method.md, "Fusion"); found on truth scenes (`make bench-views`)."""
 
@@ -216,6 +226,7 @@ class FusionParameters(Parameters):
 
     isolated: IsolatedPointParameters = IsolatedPointParameters()
     gridding: GriddingParameters = GriddingParameters()
+    overhangs: OverhangParameters = OverhangParameters()
     aggregation: AggregationParameters = AggregationParameters()
     sight_lines: SightLineParameters = SightLineParameters()
     outliers: OutlierParameters = OutlierParameters()
