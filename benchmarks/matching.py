@@ -31,7 +31,7 @@ from repm_qgis.matching import sgm
 from repm_qgis.matching.depth_edges import correct_depth_edges
 from repm_qgis.matching.disparity_map import DisparityMap
 from repm_qgis.matching.pair_backend import PairBackend, PairTask, match_pair, rectified_over_tile
-from repm_qgis.matching.parameters import MATCHING, MatchingParameters
+from repm_qgis.matching.parameters import MATCHING, DetailParameters, MatchingParameters
 from repm_qgis.matching.subpixel import known_median
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.stereo.height_maps import HeightMap
@@ -171,11 +171,11 @@ VARIANTS: Dict[str, MatchingParameters] = {
     "subpixel: windows of 1 px": changed(subpixel={"sigma_px": 1.0}),
     "subpixel: windows of 2 px": changed(subpixel={"sigma_px": 2.0}),
     "means instead of detail": operations(*STEP, "median", "mean", "step", "mean", "step", "mean"),
-    "detail: all of the noise": changed(subpixel={"noise_share": 1.0}),
+    "detail: all of the noise": changed(subpixel={"detail": DetailParameters(noise_share=1.0)}),
     "detail: all scales at the full resolution": changed(subpixel={"full_scale_px": math.inf}),
     "detail: noise taken for white": changed(subpixel={"correlation_lags": 0}),
     "detail: 0.5 px of disparity are alike": changed(subpixel={"alike_detail_px": 0.5}),
-    "detail: up to means of 4 px": changed(subpixel={"scales_px": (1.0, 2.0, 4.0)}),
+    "detail: up to means of 4 px": changed(subpixel={"detail": DetailParameters((1.0, 2.0, 4.0))}),
     "noise not filtered": operations(*STEPS),
     "median only, over steps too": operations(*STEP, "median", *STEP, edge_px=math.inf),
     "median only, not over steps": operations(*STEP, "median", *STEP),

@@ -9,56 +9,75 @@ in clear images stays.
 
 from __future__ import annotations
 
-from typing import List
+from typing import List, Optional, Sequence
 
 import cv2
 import numpy as np
 
 from ..arrays import FloatImage
 from ..geometry.interpolation import interpolate_steps
+from ..imagery.sampling import nmad
 from ..imagery.warping import gaussian_mean
-from .parameters import SubpixelParameters
+from .parameters import DetailParameters, SubpixelParameters
 
 _HALF = 2  # px between the pixels that wide means are made of
 
 
 def without_noise(
-    disparity: FloatImage, variance: FloatImage, area_px: float, parameters: SubpixelParameters
+    disparity: FloatImage,
+    variance: FloatImage,
+    area_px: float,
+    parameters: SubpixelParameters,
+    chosen: Optional[DetailParameters] = None,
 ) -> FloatImage:
     """(H, W) disparities without the detail that is no more than their noise; unknown ones (NaN) stay unknown.
 
     ``variance`` (H, W), px^2, is what the images say of each disparity; ``noise_share`` of it is left. Its noise is
     that of white noise after a Gaussian window whose variance is ``area_px``, px^2: less is left in wider means.
+    ``chosen`` stands in for what the parameters say of the detail that is kept.
     """
+    p = chosen or parameters.detail
     known = np.isfinite(disparity)
     if not known.any():
         return disparity
-    sigmas = (0.0, *parameters.scales_px)
-    means = _means(disparity, parameters)
+    sigmas = (0.0, *p.scales_px)
+    means = _means(disparity, p.scales_px, parameters)
     kept = means[-1]
     for (fine, coarse), (narrow, wide) in zip(zip(sigmas, sigmas[1:]), zip(means, means[1:])):
         # Means over sigma a and b have the covariance area / (area + (a^2 + b^2) / 2) of the variance.
         part = [area_px / (area_px + square) for square in (fine**2, coarse**2, (fine**2 + coarse**2) / 2)]
-        noise = variance * np.float32(parameters.noise_share * (part[0] + part[1] - 2 * part[2]))
+        noise = variance * np.float32(p.noise_share * (part[0] + part[1] - 2 * part[2]))
         detail = np.where(known, narrow - wide, np.float32(0))
         power = gaussian_mean(known, parameters.power_window * coarse)(detail * detail)
-        gain = np.clip((power - noise) / np.maximum(power, np.float32(1e-9)), 0, 1)
-        kept = kept + gain * detail
+        share = np.minimum(noise / np.maximum(power, np.float32(1e-9)), np.float32(1))
+        kept = kept + (1 - share ** np.float32(p.power)) * detail
     return np.where(known, kept, np.float32(np.nan)).astype(np.float32)
 
 
-def _means(disparity: FloatImage, parameters: SubpixelParameters) -> List[FloatImage]:
+def tail(disparity: FloatImage, parameters: SubpixelParameters) -> float:
+    """How much more of the detail is in its few greatest values than noise or natural relief has there: its mean square
+    in robust variances. Planes that end at walls have little detail but at their edges; 1 where nothing is known."""
+    p = parameters.planes
+    known = np.isfinite(disparity)
+    scales = p.kept.scales_px[: p.tail_scale + 1]
+    narrow, wide = _means(disparity, scales, parameters)[-2:]
+    detail = (narrow - wide)[known].astype(np.float64)
+    robust = nmad(detail) ** 2 if detail.size else 0.0
+    return float(np.mean(detail**2)) / robust if robust > 0 else 1.0
+
+
+def _means(disparity: FloatImage, scales_px: Sequence[float], parameters: SubpixelParameters) -> List[FloatImage]:
     """The disparities and their bilateral means over all scales; wide ones of every second pixel of a narrow one.
 
     Near edges the coarser grid mixes surfaces. The detail is large there, and is kept.
     """
-    means, full = [disparity], [sigma for sigma in parameters.scales_px if sigma <= parameters.full_scale_px]
+    means, full = [disparity], [sigma for sigma in scales_px if sigma <= parameters.full_scale_px]
     for sigma in full:
         means.append(bilateral_mean(disparity, sigma, parameters.alike_detail_px))
     height, width = disparity.shape
     small = means[-1][::_HALF, ::_HALF]
     known = np.isfinite(small)
-    for sigma in parameters.scales_px[len(full) :]:
+    for sigma in scales_px[len(full) :]:
         rest = np.sqrt(sigma**2 - (full[-1] ** 2 if full else 0.0)) / _HALF
         mean = bilateral_mean(small, rest, parameters.alike_detail_px)
         value, weight = (

@@ -183,7 +183,9 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
 
 def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
     """Disparities of a task's rectified pair, coarse to fine, without water and clouds."""
-    seen, sign, parameters = sample_pair(task, pair, geometry), geometry.height_sign, task.parameters
+    seen, sign = sample_pair(task, pair, geometry), geometry.height_sign
+    subpixel = task.parameters.subpixel.of_pair(task.scene.gsd_m / geometry.metres_per_px)
+    parameters = replace(task.parameters, subpixel=subpixel)
     images, displacement = (seen.first, seen.resampled), geometry.relief_displacement
     matched = task.backend.pair_matcher(*images, seen.residuals, sign, displacement, parameters)
     if seen.prior is not None:

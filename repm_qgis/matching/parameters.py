@@ -64,6 +64,26 @@ class OcclusionParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class DetailParameters(Parameters):
+    """What of the detail of disparities is kept; see ``matching/detail.py``."""
+
+    scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)  # of the means that detail is taken apart by; matching table
+    noise_share: float = 0.5  # of the variance of the last step, which the filters before it leave; matching table
+    power: float = 1.0  # of the noise's share of the detail that is taken away; chosen: Wiener's gain
+
+
+@dataclass(frozen=True)
+class PlanesParameters(Parameters):
+    """Narrow pairs over towns (docs/method.md, "Subpixel disparities"; `make bench-towns`)."""
+
+    widest_base_to_height: float = 0.2  # of a narrow pair: a px of disparity is five px on the ground or more
+    least_tail: float = 3.0  # mean square of a detail, in robust variances: 4 to 13 in towns, 1.2 to 1.8 without walls
+    tail_scale: int = 2  # the detail that shows it: of the means over 2 and 4 px
+    passes: int = 2
+    kept: DetailParameters = DetailParameters((1.0, 2.0, 4.0, 8.0, 16.0), noise_share=1.0, power=4.0)
+
+
+@dataclass(frozen=True)
 class SubpixelParameters(Parameters):
     """Subpixel disparities: Gauss-Newton steps on the intensities (Lucas and Kanade 1981) and filters, in turns."""
 
@@ -79,14 +99,20 @@ class SubpixelParameters(Parameters):
     smooth_sigma_px: float = 1.5  # of the bilateral filter (Tomasi and Manduchi 1998) in space; chosen
     alike_sigma_px: float = 0.5  # the same in disparity; chosen
     smooth_window_px: int = 7  # side of its window; chosen
-    scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)  # of the means that detail is taken apart by; matching table
+    detail: DetailParameters = DetailParameters()
+    planes: PlanesParameters = PlanesParameters()
     full_scale_px: float = 2.0  # wider means are made at half the resolution, for a fifth of the time; chosen
     alike_detail_px: float = 0.3  # as alike_sigma_px, of these means: no more, or curbs and ridges go; matching table
-    noise_share: float = 0.5  # of the variance of the last step, which the filters before it leave; matching table
     power_window: float = 2.0  # of a detail's mean square, in the sigmas of its scale; chosen
     variance_sigma_px: float = 4.0  # over which the variance of the disparities is averaged; chosen
     correlation_sigma_px: float = 3.0  # wider differences of intensity are no noise; chosen
     correlation_lags: int = 3  # px over which the noise's correlation is summed up; chosen
+
+    def of_pair(self, base_to_height: float) -> "SubpixelParameters":
+        """Those of a pair of this geometry: in a narrow pair, noise is more of what the ground may be like."""
+        if base_to_height > self.planes.widest_base_to_height:
+            return self
+        return replace(self, operations=tuple("planes" if name == "detail" else name for name in self.operations))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import FloatImage, Mask
 from ..imagery.sampling import NMAD_FACTOR
 from ..imagery.warping import gaussian_mean
-from .detail import bilateral_mean, without_noise
+from .detail import bilateral_mean, tail, without_noise
 from .disparity_map import matched_positions
 from .parameters import MATCHING, SubpixelParameters
 
@@ -35,9 +35,20 @@ def subpixel_disparity(
         "median": lambda found: _edge_preserving_median(found, p),
         "mean": lambda found: bilateral_mean(found, p.smooth_sigma_px, p.alike_sigma_px, p.smooth_window_px),
         "detail": lambda found: without_noise(found, *step.noise(found), p),
+        "planes": lambda found: _planes(found, step, p),
     }
     for operation in parameters.operations:
         disparity = operations[operation](disparity)
+    return disparity
+
+
+def _planes(disparity: FloatImage, step: _Step, parameters: SubpixelParameters) -> FloatImage:
+    """Disparities of a narrow pair: what can be no more than noise goes where walls show that there is a town."""
+    p = parameters.planes
+    if tail(disparity, parameters) <= p.least_tail:
+        return without_noise(disparity, *step.noise(disparity), parameters)
+    for _ in range(p.passes):  # with less noise, more neighbours are alike
+        disparity = without_noise(disparity, *step.noise(disparity), parameters, p.kept)
     return disparity
 
 

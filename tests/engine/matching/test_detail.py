@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.matching.detail import without_noise
+from repm_qgis.matching.detail import tail, without_noise
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.matching.subpixel import _Step, subpixel_disparity
 
 NUMBERS = MATCHING.subpixel
-WHOLE = replace(NUMBERS, noise_share=1.0)  # no filter has been there before
+WHOLE = replace(NUMBERS, detail=replace(NUMBERS.detail, noise_share=1.0))  # no filter has been there before
 SHAPE, HIGH = (200, 240), 6
 INNER = np.s_[20:-20, 24:-24]
 WINDOW_PX = 1.44  # variance of the Gaussian window of the noise below
@@ -113,3 +113,66 @@ def test_the_last_operation_removes_more_than_means_do():
     found, before = (subpixel_disparity(start, first, second, HIGH, numbers) for numbers in (NUMBERS, means))
     assert NUMBERS.operations[-1] == "detail"
     assert rms(found, roof) < 0.8 * rms(before, roof)
+
+
+def roofs():
+    """Ground of two px of disparity, with houses of six."""
+    rows, columns = np.indices(SHAPE)
+    return np.where((rows % 60 > 25) & (columns % 70 > 30), 6.0, 2.0)
+
+
+def relief(seed=5):
+    """Natural relief: its amplitude falls with the square of the frequency."""
+    rng = np.random.default_rng(seed)
+    frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(SHAPE[1]), np.fft.fftfreq(SHAPE[0])))
+    frequency[0, 0] = np.inf
+    surface = np.fft.ifft2(np.fft.fft2(rng.normal(size=SHAPE)) / frequency**2).real
+    return 3.0 + 1.5 * surface / surface.std()
+
+
+def test_a_town_has_its_detail_at_its_walls_and_natural_ground_everywhere():
+    most = NUMBERS.planes.least_tail
+    assert tail(noisy(roofs(), 0.1)[0], NUMBERS) > 1.5 * most
+    assert tail(noisy(relief(), 0.1)[0], NUMBERS) < 0.7 * most
+    assert tail(noisy(np.full(SHAPE, 2.0), 0.1)[0], NUMBERS) < 0.5 * most
+    assert tail(np.full(SHAPE, np.nan, np.float32), NUMBERS) == 1.0
+
+
+def test_only_narrow_pairs_are_made_of_planes():
+    narrow, wide = NUMBERS.of_pair(0.13), NUMBERS.of_pair(0.25)
+    assert wide == NUMBERS
+    assert narrow.operations == (*NUMBERS.operations[:-1], "planes")
+
+
+def seen(surface, noise, seed=8):
+    """Two images of a surface of disparities, with texture of their own noise."""
+    rng = np.random.default_rng(seed)
+    wide = ndimage.gaussian_filter(rng.normal(size=(SHAPE[0], SHAPE[1] + 2 * HIGH)), 1.5)
+    wide = 0.5 + 0.05 * wide / wide.std()
+    rows, columns = np.indices(SHAPE).astype(float)
+    first = ndimage.map_coordinates(wide, [rows, columns - surface + HIGH], order=5)
+    return [
+        (image + ndimage.gaussian_filter(noise * 3 * rng.normal(size=image.shape), 0.7)).astype(np.float32)
+        for image in (first, wide)
+    ]
+
+
+def found_by(numbers, surface):
+    start = (surface + 0.2 * np.random.default_rng(2).normal(size=SHAPE)).astype(np.float32)
+    return subpixel_disparity(start, *seen(surface, 0.02), HIGH, numbers)
+
+
+def test_a_narrow_pairs_roofs_become_plainer_and_keep_their_edges():
+    true = roofs()
+    one, two = (found_by(numbers, true) for numbers in (NUMBERS, NUMBERS.of_pair(0.1)))
+    edge = ndimage.maximum_filter(true, 7) != ndimage.minimum_filter(true, 7)
+    away, near = ~edge & np.isfinite(one), edge & np.isfinite(one)
+    assert np.std((two - true)[away]) < 0.8 * np.std((one - true)[away])
+    off = [np.mean(np.abs(found - true)[near] > 0.5) for found in (one, two)]
+    assert off[1] <= off[0] + 0.01
+
+
+def test_a_narrow_pairs_natural_ground_is_left_as_it_was():
+    true = relief()
+    one, two = (found_by(numbers, true) for numbers in (NUMBERS, NUMBERS.of_pair(0.1)))
+    np.testing.assert_array_equal(one, two)
