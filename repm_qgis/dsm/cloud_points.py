@@ -58,9 +58,7 @@ def _of_map(
     continued = np.isfinite(remove_isolated_points(matched, scale, parameters.isolated))
     known = np.flatnonzero(np.isfinite(matched))
     x, y, z, score = (part.ravel()[known] for part in (heights.x, heights.y, matched, heights.score))
-    column = np.floor((x - grid.west) / grid.cell).astype(np.int64)
-    row = np.floor((grid.north - y) / grid.cell).astype(np.int64)
-    inside = (column >= 0) & (column < grid.shape[1]) & (row >= 0) & (row < grid.shape[0])
+    row, column, inside = grid.cells_of(x, y)
     inside[inside] = own[row[inside], column[inside]]
     points = np.column_stack([x, y, z, score])[inside]
     z, row, column, continued = z[inside], row[inside], column[inside], continued.ravel()[known][inside]

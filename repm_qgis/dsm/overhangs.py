@@ -71,9 +71,7 @@ def _pairs(grid: CellGrid, heights: HeightMap, matched: Floats, step: float, lea
     """The cells whose points lie more than ``step`` m apart, with at least a share of them on either side."""
     rows, columns = grid.shape
     known = np.flatnonzero(np.isfinite(matched))
-    column = np.floor((heights.x.ravel()[known] - grid.west) / grid.cell).astype(np.int64)
-    row = np.floor((grid.north - heights.y.ravel()[known]) / grid.cell).astype(np.int64)
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    row, column, inside = grid.cells_of(heights.x.ravel()[known], heights.y.ravel()[known])
     known, cell = known[inside], (row * columns + column)[inside]
     z = matched.ravel()[known].astype(np.float64)
     z -= z.mean() if z.size else 0.0  # squares keep their precision

@@ -8,7 +8,7 @@ from typing import Iterator, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, Size, Window
+from ..arrays import Bounds, FloatArray, Floats, IntArray, Mask, Size, Window
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,13 @@ class CellGrid:
         """(columns,) x and (rows,) y of the cells' centres."""
         right, down = ((np.arange(count) + 0.5) * self.cell for count in self.size)
         return self.west + right, self.north - down
+
+    def cells_of(self, x: Floats, y: Floats) -> Tuple[IntArray, IntArray, Mask]:
+        """(N,) row and column of the cells in which N places lie, and which of them lie in the grid at all."""
+        column = np.floor((x - self.west) / self.cell).astype(np.int64)
+        row = np.floor((self.north - y) / self.cell).astype(np.int64)
+        inside: Mask = (column >= 0) & (column < self.shape[1]) & (row >= 0) & (row < self.shape[0])
+        return row, column, inside
 
 
 def overlapping_blocks(size: Size, side: int, halo: int = 0) -> Iterator[Tuple[Window, Window]]:
