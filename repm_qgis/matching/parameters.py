@@ -73,6 +73,15 @@ class DetailParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class PlaneDetailParameters(DetailParameters):
+    """The same for planes; all of it is measured by `make bench-towns`."""
+
+    scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
+    noise_share: float = 1.0
+    power: float = 4.0
+
+
+@dataclass(frozen=True)
 class PlanesParameters(Parameters):
     """Narrow pairs over towns (docs/method.md, "Subpixel disparities"; `make bench-towns`)."""
 
@@ -80,7 +89,7 @@ class PlanesParameters(Parameters):
     least_tail: float = 3.0  # mean square of a detail, in robust variances: 4 to 13 in towns, 1.2 to 1.8 without walls
     tail_scale: int = 2  # the detail that shows it: of the means over 2 and 4 px
     passes: int = 2
-    kept: DetailParameters = DetailParameters((1.0, 2.0, 4.0, 8.0, 16.0), noise_share=1.0, power=4.0)
+    kept: PlaneDetailParameters = PlaneDetailParameters()
 
 
 @dataclass(frozen=True)
