@@ -86,8 +86,8 @@ class ShadedGroundParameters(Parameters):
         range(-40, 41, 10)
     )  # about the one away from the sun; 30 and 60 lose 0.1 %
     quantile: float = 0.25  # of the ends in these directions: some lie on roofs; 0.35 loses courts in January
-    level_m: float = 1.0  # by which two directions may differ, and a cell from those around it
-    lattice_m: float = 2.0  # between the places around a cell that it is compared with; 1 and 3 do as well
+    level_m: float = 1.0  # by which two directions may differ
+    lattice_m: float = 2.0  # between the places around a cell whose median it takes; 1 and 3 do as well
     lattice_reach: int = 2  # of them to each side; 3 does as well
     least_around: int = 5  # of these 25 that must have a ground; with 1 small gaps take what is far away
     least_elevation_deg: float = 10.0  # of the sun: with less, shadows have no end

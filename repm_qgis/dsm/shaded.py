@@ -70,7 +70,7 @@ def shaded_ground(
     The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
     support its height. Several directions about the sun's are asked, and the lower ones that agree are believed,
     because some end on roofs. On slopes nothing is known, nor in narrow gaps, which may belong to the roof's edge, nor
-    beyond the DSM's border. At last cells follow most of those around them.
+    beyond the DSM's border. At last cells take the median of what is found around them.
     """
     doubted = (behind == NOTHING) | (behind == WEAK) & _steep(height, cell, parameters)
     trusted = np.where(doubted, np.float32(np.nan), height.astype(np.float32))
@@ -123,7 +123,7 @@ def _ends(
 
 
 def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: ShadedGroundParameters) -> FloatImage:
-    """(N,) the ground of N cells; the median of those around them where theirs differs, or they have none."""
+    """(N,) the ground of N cells: the median of what is found around them, so that rays leave no streaks."""
     step, reach = parameters.lattice(cell)
     padded = np.pad(ground, reach, constant_values=np.nan)
     row, column = np.divmod(cells, ground.shape[1])
@@ -131,9 +131,7 @@ def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: S
     around = np.stack([padded[row + down, column + right] for down in offsets for right in offsets])
     own, found = ground.ravel()[cells], np.isfinite(around).sum(axis=0)
     middle = np.take_along_axis(np.sort(around, axis=0), np.maximum(found - 1, 0)[None] // 2, axis=0)[0]
-    middle[found < parameters.least_around] = np.nan
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isnan(own) | (np.abs(own - middle) > parameters.level_m), middle, own)
+    return np.where(found < parameters.least_around, own, middle)
 
 
 def _next(known: Mask, cells: IntArray, towards: float, reach: int) -> Tuple[IntArray, Floats]:
