@@ -36,7 +36,8 @@ def without_overhangs(
 
     ``matched`` (H, W) are the map's own heights, m, NaN = none; ``height`` and ``score`` are what most of each cell
     has, and stay where the map sees one surface. Points lie ``spacing`` metres apart: cells that are much wider hold
-    edges of roofs as they are, and nothing is changed.
+    edges of roofs as they are, and nothing is changed. In wide pairs, one image hides much of the ground before walls
+    from the other, so that only ground under roofs gives way there.
     """
     p = parameters.overhangs
     if grid.cell > p.widest_cell * spacing:
@@ -50,7 +51,7 @@ def without_overhangs(
     top = height.copy()
     top.ravel()[pairs.cell] = np.fmax(pairs.top, top.ravel()[pairs.cell])
     blocked, decided = _blocked(grid, top, pairs, heights.ray, step, p.along)
-    decided &= known
+    decided &= known & (blocked | (spacing <= p.widest_base_to_height * metres_per_px))
     for values, upper, lower in ((height, pairs.upper, pairs.lower), (score, *pairs.scores)):
         values.ravel()[pairs.cell[decided]] = np.where(blocked, upper, lower)[decided]
     return height, score

@@ -36,6 +36,7 @@ class OverhangParameters(Parameters):
     step_px: float = 1.5  # of disparity between two surfaces, and not less than a cell's two have; 1 and 2.5 do as well
     least_share: float = 0.1  # of a cell's points that each of the two has; 0.25 does as well
     widest_cell: float = 2.0  # distances between points: wider cells hold edges of roofs as they are; chosen
+    widest_base_to_height: float = MATCHING.subpixel.planes.widest_base_to_height  # of a narrow pair
     along: Tuple[float, ...] = (0.25, 0.5, 0.75)  # of the way up to the roof; 0.1 and 0.35 first are worse
 
 

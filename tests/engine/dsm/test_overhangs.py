@@ -31,9 +31,9 @@ def seen(given_to_roof, slant=SLANT):
     return HeightMap(x, y - up * slant, height, score, np.zeros(height.shape, bool), (0.0, -slant))
 
 
-def gridded(heights, grid=GRID):
+def gridded(heights, grid=GRID, metres_per_px=METRES_PER_PX):
     height, score, _ = grid_points(grid, heights.x, heights.y, heights.height, heights.score, PIXEL)
-    return height, score, without_overhangs(grid, heights, heights.height, height, score, METRES_PER_PX, PIXEL)
+    return height, score, without_overhangs(grid, heights, heights.height, height, score, metres_per_px, PIXEL)
 
 
 def truth():
@@ -68,6 +68,17 @@ def test_ground_under_a_roof_is_none():
     assert (height[far_in] < ROOF - 1).all()
     # Cells without any point of the roof stay as they are.
     assert (mended[far_in] < ROOF - 1).mean() < 0.2
+
+
+def test_a_wide_pairs_roofs_keep_what_they_have_over_ground():
+    height, _, (mended, _) = gridded(seen(0.35), metres_per_px=0.6)
+    assert not (mended < height - 1).any()
+    narrow = gridded(seen(0.35))[2][0]
+    assert (narrow < height - 1).sum() > 50
+    heights = seen(0.0)
+    heights.height[(heights.height == ROOF) & (np.arange(140) % 2 == 0)] = np.nan
+    height, _, (mended, _) = gridded(heights, metres_per_px=0.6)
+    assert (mended > height + 1).sum() > 200
 
 
 def test_a_view_from_above_changes_nothing():
