@@ -84,10 +84,9 @@ def _pairs(grid: CellGrid, heights: HeightMap, matched: Floats, step: float, lea
     known, cell = known[mine], cell[mine]
     z, s = matched.ravel()[known].astype(np.float64), np.nan_to_num(heights.score.ravel()[known]).astype(np.float64)
     mixed_cells, number = np.unique(cell, return_inverse=True)
-    low, high = np.full((2, len(mixed_cells)), np.inf)
+    low, high = (np.full(len(mixed_cells), limit) for limit in (np.inf, -np.inf))
     np.minimum.at(low, number, z)
-    np.minimum.at(high, number, -z)
-    high = -high
+    np.maximum.at(high, number, z)
     above = z >= 0.5 * (low + high)[number]
     part = [np.bincount(number[side], minlength=len(low)) for side in (above, ~above)]
     means = [

@@ -16,6 +16,7 @@ import numpy as np
 from ..arrays import ByteImage, FloatImage, Floats, IntArray, Mask
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import mean_position
+from ..imagery.sampling import median_of_known
 from ..imagery.warping import gaussian_mean
 from ..scene import Scene
 from ..sfm.pair_selection import sun_over
@@ -129,9 +130,8 @@ def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: S
     row, column = np.divmod(cells, ground.shape[1])
     offsets = range(0, 2 * reach + 1, step)
     around = np.stack([padded[row + down, column + right] for down in offsets for right in offsets])
-    own, found = ground.ravel()[cells], np.isfinite(around).sum(axis=0)
-    middle = np.take_along_axis(np.sort(around, axis=0), np.maximum(found - 1, 0)[None] // 2, axis=0)[0]
-    return np.where(found < parameters.least_around, own, middle)
+    middle = median_of_known(around, parameters.least_around)
+    return np.where(np.isnan(middle), ground.ravel()[cells], middle)
 
 
 def _next(known: Mask, cells: IntArray, towards: float, reach: int) -> Tuple[IntArray, Floats]:

@@ -128,6 +128,7 @@ def test_on_slopes_hardly_anything_is_filled_and_nothing_wrongly():
     slope = np.float32(0.25) * np.arange(280, dtype=np.float32)[None, :]  # half a metre for each metre
     hill = town() + slope
     holed = np.where(cast_shadow(hill, CELL, SUN), np.float32(np.nan), hill)
+    assert np.isnan(holed).sum() > 1000
     found = ground_of(holed)
     taken = np.isfinite(found)
     # Beside the house slope and wall may look level together.
