@@ -133,6 +133,8 @@ class HeightMapRecord(Record):
     interpolated triangulation. A map of several views (COLMAP) also states the ``sources`` it was matched with, all
     ``views`` of its frame, the ground ``bounds`` of that frame, and whether these are only a ``part`` of the tile.
     ``ground`` are the tile's bounds when it was matched, where a registration has moved them since; None where not.
+    ``offsets`` (m) are to be added to the file's heights, so that they agree with those of other pairs: rows of nodes
+    that are evenly spaced from the first to the last pixel; () for none.
     ``checksum`` is that of the file's values. ``reused``: an earlier, stopped run had finished the file; ``remade``: a
     file of an earlier run was damaged, and has been made again.
     """
@@ -154,12 +156,18 @@ class HeightMapRecord(Record):
     part: bool = False
     ground: Optional[Ground] = None
     checksum: str = ""
+    offsets: Tuple[Tuple[Offset, ...], ...] = ()
     reused: bool = False
     remade: bool = False
 
     @property
     def pixels(self) -> int:
         return self.size[0] * self.size[1]
+
+    def contradiction(self) -> str:
+        rows = set(map(len, self.offsets))
+        wrong = self.offsets and (len(self.offsets) < 2 or len(rows) > 1 or min(rows) < 2)
+        return "has offsets that are not rows of equally many nodes, two or more" if wrong else ""
 
 
 @dataclass(frozen=True)

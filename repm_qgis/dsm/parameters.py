@@ -19,6 +19,25 @@ class IsolatedPointParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class MapOffsetParameters(Parameters):
+    """Offsets between the height maps of different pairs (docs/method.md, "Heights"; `make bench-towns`)."""
+
+    every_px: int = 3  # of the maps' columns and rows that are compared; chosen
+    part_px: int = 120  # side of the parts of a tile whose differences have a median; 75 does as well
+    lattice_px: int = 200  # between nodes of the error; 120 and 300 do as well
+    most_steps: int = 16  # of the lattice along a side of the scene: bounds the time
+    widest_px: float = 1.0  # of disparity by which two maps may differ in the mean; chosen
+    same_px: float = 0.6  # around that: what differs by more is another surface; as the tolerance of the aggregation
+    least_cells: int = 100  # of a part; chosen
+    usual_px: float = 0.1  # standard deviation of a pair's mean error; 0.06 to 0.1 on real towns
+    smooth_px: float = 0.05  # standard deviation of its change from node to node; 0.1 does as well
+    known_px: float = 0.02  # standard deviation of a median, however many cells it has; chosen
+    spread_px: float = 0.75  # of a cell, for the medians of few; chosen, with neighbours that are not independent
+    huber: float = 2.0  # standard deviations from which on weights fall; chosen
+    iterations: int = 5
+
+
+@dataclass(frozen=True)
 class OutlierParameters(Parameters):
     """Radius outlier removal on cells; the paper gives no numbers. All values are chosen for grids of known density."""
 
@@ -226,6 +245,7 @@ class FusionParameters(Parameters):
     """From height maps to a DSM and its products."""
 
     isolated: IsolatedPointParameters = IsolatedPointParameters()
+    offsets: MapOffsetParameters = MapOffsetParameters()
     gridding: GriddingParameters = GriddingParameters()
     overhangs: OverhangParameters = OverhangParameters()
     aggregation: AggregationParameters = AggregationParameters()

@@ -225,10 +225,12 @@ def _reconstruction(report: Report, scene: Scene) -> None:
     for tile in scene.tiles:
         for record in tile.heights:
             size, matched = "{} x {}".format(*record.size), f"{100.0 * record.valid / record.pixels:.0f}"
-            figures = f"{record.metres_per_px:.2f}", f"{record.vertical_parallax_px:.3f}"
+            moved = f"{np.mean(record.offsets):+.2f}" if record.offsets else None
+            figures = f"{record.metres_per_px:.2f}", f"{record.vertical_parallax_px:.3f}", moved
             rows.append([tile.id, *record.pair, size, matched, *figures])
-    headers = "tile | first | second | size, px | matched, % | m of height per px | vertical parallax, px"
-    report.section("Height maps").table(headers, rows, where=_TILES_LAYER)
+    headers = "tile | first | second | size, px | matched, % | m of height per px | vertical parallax, px | moved, m"
+    note = "'Moved' is the mean of what was added to a map's heights, so that the maps of different pairs agree."
+    report.section("Height maps").table(headers, rows, note, where=_TILES_LAYER)
 
 
 def _confidence(report: Report, path: Optional[str]) -> None:

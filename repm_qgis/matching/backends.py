@@ -14,6 +14,8 @@ import importlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
+import numpy as np
+
 from ..arrays import Bounds
 from ..errors import DeviceError
 from ..geometry.ground_shifts import shift_in
@@ -157,6 +159,8 @@ def height_source(
     it was matched, where that has moved it."""
     backend, matched = backend_of(record.backend), record.ground or bounds
     source = backend.height_source(scene.as_matched, matched, record, crs, parameters)
+    if record.offsets:
+        source = replace(source, offsets=np.array(record.offsets))
     if scene.registration is None:
         return source
     middle = 0.5 * (bounds[0] + bounds[2]), 0.5 * (bounds[1] + bounds[3])

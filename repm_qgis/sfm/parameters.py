@@ -143,6 +143,7 @@ class AlignmentParameters(Parameters):
     stop_px: float = 0.005  # a smaller step ends the iteration
     margin_px: int = 24  # around the ties of a patch
     patch_px: int = 1700  # side of the patches in which images are aligned, at most: bounds memory
+    kept_px: int = 1 << 25  # of resampled pairs that are kept for further ties: bounds memory
     gap: float = 0.1  # of that side: nothing is aligned between ties that are farther apart
     farthest_px: float = 1.5  # SIFT's error is never so large: what moves farther has found something else
     return_px: float = 0.1  # distance of a position after the way to the second image and back to the first

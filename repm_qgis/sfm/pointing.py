@@ -78,7 +78,7 @@ def point_views(
 
     matches, detector = with_best_detector(find, progress, parameters.keypoints)
     part = Part(progress, 0.7, 0.95)
-    tracks = align_ties(scene, tracks_from(matches), stretches, part, workers, parameters.alignment)
+    tracks = align_ties(scene, tracks_from(matches), names, stretches, part, workers, parameters.alignment)
     if len(tracks) < parameters.least_tracks:
         raise EmptyResultError(
             f"Only {len(tracks)} tie points could be aligned at full resolution (needed: {parameters.least_tracks}): "

@@ -9,7 +9,7 @@ parallaxes, and its error always has the same direction.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -33,14 +33,17 @@ Indices = NDArray[np.intp]
 Pair = Tuple[str, str]
 
 
+Step = Tuple[int, str, str]  # how many steps from a track's first view, and the views of one alignment
+
+
 @dataclass(frozen=True)
 class _AlignTask:
-    """What a worker needs: for each pair of views the numbers of its tracks."""
+    """What a worker needs: the tracks' pixels by their numbers, and for each step the numbers of its tracks."""
 
     scene: Scene
     bounds: Bounds
-    pairs: Dict[Pair, List[int]]
-    pixels: Dict[Pair, Tuple[FloatArray, FloatArray]]
+    steps: Dict[Step, List[int]]
+    pixels: Dict[int, Dict[str, FloatArray]]
     stretches: Dict[str, Stretch]
     parameters: AlignmentParameters
 
@@ -48,14 +51,16 @@ class _AlignTask:
 def align_ties(
     scene: Scene,
     tracks: Sequence[Track],
+    pairs: Sequence[Pair],
     stretches: Dict[str, Stretch],
     progress: Progress,
     workers: int = 0,
     parameters: AlignmentParameters = POINTING.alignment,
 ) -> List[Track]:
-    """Align each track's pixels with those of its first view, which stay; pixels that cannot be aligned are dropped.
+    """Align each track's pixels, from those of its first view on, along the ``pairs`` that its ties were found in.
 
-    Tracks that keep fewer than two views are dropped too.
+    These are pairs of like sun and season, and views of many dates need few of them. Where a pixel cannot be aligned,
+    the views beyond it are a track of their own; tracks that keep fewer than two views are dropped.
     """
     if not tracks:
         return []
@@ -65,22 +70,33 @@ def align_ties(
     lean = scene.lean()
     tasks = []
     for members in clusters(xy, np.arange(len(tracks)), parameters.patch_px * scene.gsd_m, parameters.gap):
-        pairs: Dict[Pair, List[int]] = {}
-        for number in members:
-            for other in seen[number][1:]:
-                pairs.setdefault((seen[number][0], other), []).append(int(number))
+        steps: Dict[Step, List[int]] = {}
+        for number in map(int, members):
+            for step in _steps(seen[number], pairs):
+                steps.setdefault(step, []).append(number)
+        steps = {step: steps[step] for step in sorted(steps, key=lambda step: (step[0], *map(order.index, step[1:])))}
         bounds = Bounds(*map(float, (*xy[members].min(axis=0), *xy[members].max(axis=0))))
-        pixels = {(a, b): (track_pixels(tracks, a, own), track_pixels(tracks, b, own)) for (a, b), own in pairs.items()}
-        tasks.append(_AlignTask(lean, bounds, dict(sorted(pairs.items())), pixels, stretches, parameters))
-    aligned: Dict[Tuple[int, str], FloatArray] = {}
+        pixels = {int(number): tracks[number].pixels for number in members}
+        tasks.append(_AlignTask(lean, bounds, steps, pixels, stretches, parameters))
+    aligned: Dict[int, List[Track]] = {}
     for found in run_tasks(_align_patch, tasks, workers, progress, lambda _: "aligning tie points"):
         aligned.update(found)
-    result = []
-    for number, (track, names) in enumerate(zip(tracks, seen)):
-        kept = {name: aligned[number, name] for name in names[1:] if (number, name) in aligned}
-        if kept:
-            result.append(Track({names[0]: track.pixels[names[0]], **kept}))
-    return result
+    return [track for number in sorted(aligned) for track in aligned[number]]
+
+
+def _steps(names: Sequence[str], pairs: Sequence[Pair]) -> List[Step]:
+    """From the first of some views to all that pairs lead to, each by as few pairs as possible."""
+    found: List[Step] = []
+    queue, known = [(0, names[0])], {names[0]}
+    for depth, name in queue:
+        for pair in pairs:
+            if name in pair:
+                other = pair[1] if pair[0] == name else pair[0]
+                if other in names and other not in known:
+                    known.add(other)
+                    queue.append((depth + 1, other))
+                    found.append((depth, name, other))
+    return found
 
 
 def _places(scene: Scene, tracks: Sequence[Track], seen: Sequence[List[str]]) -> FloatArray:
@@ -111,53 +127,104 @@ def clusters(xy: FloatArray, members: Indices, side: float, gap: float) -> List[
     return clusters(xy, orders[axis][:at], side, gap) + clusters(xy, orders[axis][at:], side, gap)
 
 
-def _align_patch(task: _AlignTask) -> Dict[Tuple[int, str], FloatArray]:
-    """The aligned pixels, by track and second view."""
-    result: Dict[Tuple[int, str], FloatArray] = {}
-    bounds = task.bounds.grown(task.parameters.margin_px * task.scene.gsd_m)
-    for names, numbers in task.pairs.items():
-        first, second = (task.scene.view(name) for name in names)
-        pair = rectified_pair(task.scene, first, second, bounds, task.scene.altitudes)
-        if pair is None:
+@dataclass(frozen=True)
+class _Frames:
+    """Two rectified views where they have ties: ``images`` of one size, and which rectified pixels are their first."""
+
+    pair: RectifiedPair
+    names: Pair
+    images: Tuple[ByteImage, ByteImage]
+    corners: Tuple[FloatArray, FloatArray]
+
+    def places(self, name: str, pixels: FloatArray) -> FloatArray:
+        """(N, 2) column and row, in the image of a view, of pixels of that view."""
+        first = name == self.names[0]
+        rectified = self.pair.first_rectified(pixels) if first else self.pair.second_rectified(pixels)
+        return rectified - self.corners[0 if first else 1]
+
+    def holds(self, places: FloatArray) -> Mask:
+        """(N,) which places lie in the images."""
+        inside: Mask = ((places >= 0) & (places < self.images[0].shape[::-1])).all(axis=1)
+        return inside
+
+    def pixels(self, name: str, places: FloatArray) -> FloatArray:
+        """The inverse."""
+        if name == self.names[0]:
+            return self.pair.first_original(places + self.corners[0])
+        return self.pair.second_original(places + self.corners[1])
+
+
+def _align_patch(task: _AlignTask) -> Dict[int, List[Track]]:
+    """The aligned tracks, by the numbers of those that they are made of."""
+    places = {number: dict(pixels) for number, pixels in task.pixels.items()}
+    roots = {number: {name: name for name in pixels} for number, pixels in task.pixels.items()}
+    order = [view.name for view in task.scene.views]
+    kept: Dict[Pair, _Frames] = {}
+    room = task.parameters.kept_px
+    for (_, source, target), numbers in task.steps.items():
+        names = (source, target) if order.index(source) < order.index(target) else (target, source)
+        frames = kept.get(names) or _frames(task, names)
+        if frames is None:
             continue
-        first_px, second_px = task.pixels[names]
-        a, b = pair.first_rectified(first_px), pair.second_rectified(second_px)
-        inside = np.flatnonzero(((a >= 0) & (a < pair.size)).all(axis=1) & np.isfinite(b).all(axis=1))
+        if names not in kept and frames.images[0].size <= room:  # pairs come again, for tracks that begin elsewhere
+            kept[names], room = frames, room - frames.images[0].size
+        here, there = (frames.places(name, np.array([places[k][name] for k in numbers])) for name in (source, target))
+        first, second = (frames.images[names.index(name)] for name in (source, target))
+        inside = np.flatnonzero(frames.holds(here) & frames.holds(there))
         if not len(inside):
             continue
-        stretches = task.stretches[names[0]], task.stretches[names[1]]
-        moved, good = _registered(pair, (first, second), stretches, a[inside], b[inside], task.parameters)
-        pixels = pair.second_original(moved)
-        result.update({(numbers[k], names[1]): pixel for k, pixel in zip(inside[good], pixels[good])})
-    return result
+        moved, good = _registered(first, second, here[inside], there[inside], task.parameters)
+        for k, pixel in zip(inside[good], frames.pixels(target, moved[good])):
+            places[numbers[k]][target] = pixel
+            roots[numbers[k]][target] = roots[numbers[k]][source]
+    return {number: _tracks(places[number], roots[number]) for number in task.pixels}
+
+
+def _frames(task: _AlignTask, names: Pair) -> Optional[_Frames]:
+    """Of all tracks that both views see; None where the frame of the ground holds none of them."""
+    scene, margin = task.scene, task.parameters.margin_px
+    first, second = (scene.view(name) for name in names)
+    pair = rectified_pair(scene, first, second, task.bounds.grown(margin * scene.gsd_m), scene.altitudes)
+    if pair is None:
+        return None
+    both = [pixels for pixels in task.pixels.values() if names[0] in pixels and names[1] in pixels]
+    first_px, second_px = (np.array([pixels[name] for pixels in both]) for name in names)
+    a, b = pair.first_rectified(first_px), pair.second_rectified(second_px)
+    inside = ((a >= 0) & (a < pair.size)).all(axis=1) & np.isfinite(b).all(axis=1)
+    if not inside.any():
+        return None
+    # Each image has a frame that just holds its points, wherever the errors of the RPCs put them.
+    points = a[inside], b[inside]
+    corners = [np.floor(own.min(axis=0)) - margin for own in points]
+    extent = np.max([np.ceil(own.max(axis=0) - corner) for own, corner in zip(points, corners)], axis=0)
+    size = (int(extent[0]) + margin, int(extent[1]) + margin)
+    h_first, h_second = (translation(*-corner) @ h for corner, h in zip(corners, (pair.h_first, pair.h_second)))
+    cut = RectifiedPair(pair.first, pair.second, h_first, h_second, size)
+    images = zip((first, second), (cut.first_original, cut.second_original))
+    evened = [_evened(view, task.stretches[view.name], original, size, task.parameters) for view, original in images]
+    return _Frames(pair, names, (evened[0], evened[1]), (corners[0], corners[1]))
+
+
+def _tracks(pixels: Dict[str, FloatArray], roots: Dict[str, str]) -> List[Track]:
+    """One track for all pixels that were aligned with that of the same view."""
+    groups: Dict[str, Dict[str, FloatArray]] = {}
+    for name, root in roots.items():
+        groups.setdefault(root, {})[name] = pixels[name]
+    return [Track(group) for group in groups.values() if len(group) > 1]
 
 
 def _registered(
-    pair: RectifiedPair,
-    views: Tuple[View, View],
-    stretches: Tuple[Stretch, Stretch],
-    a: FloatArray,
-    b: FloatArray,
-    parameters: AlignmentParameters,
+    source: ByteImage, target: ByteImage, here: FloatArray, there: FloatArray, parameters: AlignmentParameters
 ) -> Tuple[FloatArray, Mask]:
-    """(N, 2) positions in the second image that look like ``a`` in the first, and which of them are good."""
-    # Each image has a frame that just holds its points, wherever the errors of the RPCs put them.
-    margin = parameters.margin_px
-    corners = [np.floor(points.min(axis=0)) - margin for points in (a, b)]
-    extent = np.max([np.ceil(points.max(axis=0) - corner) for points, corner in zip((a, b), corners)], axis=0)
-    size = (int(extent[0]) + margin, int(extent[1]) + margin)
-    h_first, h_second = (translation(*-corner) @ h for corner, h in zip(corners, (pair.h_first, pair.h_second)))
-    frames = RectifiedPair(pair.first, pair.second, h_first, h_second, size)
-    images = zip(views, stretches, (frames.first_original, frames.second_original))
-    first, second = (_evened(*image, size, parameters) for image in images)
-    here, there = (points.astype(np.float32)[:, None] for points in (a - corners[0], b - corners[1]))
-    found, status, error = _aligned(first, second, here, there, parameters)
-    back, returned, _ = _aligned(second, first, found, here, parameters)
-    near = (_distance(found, there) < parameters.farthest_px) & (_distance(back, here) < parameters.return_px)
+    """(N, 2) places in the target, near ``there``, that look like those ``here`` in the source; which are good."""
+    points, start = (part.astype(np.float32)[:, None] for part in (here, there))
+    found, status, error = _aligned(source, target, points, start, parameters)
+    back, returned, _ = _aligned(target, source, found, points, parameters)
+    near = (_distance(found, start) < parameters.farthest_px) & (_distance(back, points) < parameters.return_px)
     good = (status > 0) & (returned > 0) & near
     if good.sum() >= parameters.enough:
         good &= error <= np.quantile(error[good], parameters.most_alike)
-    return found[:, 0].astype(np.float64) + corners[1], good
+    return found[:, 0].astype(np.float64), good
 
 
 def _aligned(

@@ -14,6 +14,7 @@ from osgeo import ogr
 from ..altitudes import AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray
 from ..disk_space import heights_need, require_space
+from ..dsm.map_offsets import with_agreeing_maps
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
@@ -83,7 +84,9 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         scene = _with_coarse_surface(scene, stretches, backends[0], options, parameters, Part(notes, 0.35, 0.4))
         matching = parameters.matching
         job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder), matching)
-        scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 1.0))
+        scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 0.98))
+        agreeing = options.workers, options.memory, Part(notes, 0.98, 1.0), parameters.fusion, matching
+        scene = with_agreeing_maps(scene, *agreeing)
         seconds, changes = time.monotonic() - start, parameters.changes()
         done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
         done.save(options.output_scene)

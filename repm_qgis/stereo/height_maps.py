@@ -14,6 +14,7 @@ from osgeo import gdal
 
 from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Size, Window
 from ..errors import ImageError, SceneError
+from ..geometry.interpolation import interpolate_grid
 from ..imagery.raster import opened, read, write
 from ..records import GroundShift, HeightMapRecord
 from ..scene import Scene
@@ -49,7 +50,9 @@ class HeightSource:
 
     ``x`` and ``y`` take column, row, height to coordinates of a projected CRS. ``part`` are the bounds of the tile and
     of the part of it that the map was made for, where tiles were matched in parts: heights on the rest of the tile are
-    left out, because its other parts have maps of their own. ``shift`` is what was added to the ground since matching.
+    left out, because its other parts have maps of their own. ``offsets`` (m) on nodes over all pixels, if any, are
+    added to the heights before these are placed: an error of parallax moves points along their lines of sight.
+    ``shift`` is what was added to the ground since matching.
     """
 
     path: str
@@ -58,6 +61,7 @@ class HeightSource:
     size: Size
     altitudes: Altitudes
     part: Optional[Tuple[Bounds, Bounds]] = None
+    offsets: Optional[FloatArray] = None
     shift: Optional[GroundShift] = None
 
     def within(self, bounds: Optional[Bounds] = None, step: int = 1) -> HeightMap:
@@ -78,6 +82,9 @@ class HeightSource:
             filled = read(dataset, window, 3)[::step, ::step] > 0
         columns = np.arange(col, col + width, step, dtype=np.float64)
         rows = np.arange(row, row + height_px, step, dtype=np.float64)
+        if self.offsets is not None:
+            places = zip(self.offsets.shape, (rows, columns), self.size[::-1])
+            height += interpolate_grid(self.offsets, *(at * (n - 1) / max(px - 1, 1) for n, at, px in places))
         x, y = (table.on_grid(columns, rows, height) for table in (self.x, self.y))
         if self.part is not None:
             tile, own = self.part

@@ -14,7 +14,7 @@ from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.scene import Scene
-from repm_qgis.sfm.adjustment import adjust, tracks_from
+from repm_qgis.sfm.adjustment import Track, adjust, tracks_from
 from repm_qgis.sfm.parameters import POINTING
 from repm_qgis.sfm.tie_alignment import align_ties, clusters
 from repm_qgis.sfm.tie_patches import ranked_patches, texture_of
@@ -136,7 +136,8 @@ def test_too_few_ties_are_an_error_with_the_counts(found, told, tmp_path, write_
 def test_alignment_brings_ties_to_a_tenth_of_a_pixel(found, told):
     truth, scene, matches, stretches = found
     names = [view.name for view in scene.views]
-    tracks = align_ties(scene, tracks_from(matches), stretches, told())
+    pairs = [(match.first, match.second) for match in matches]
+    tracks = align_ties(scene, tracks_from(matches), pairs, stretches, told())
     for first, second in ((names[0], names[1]), (names[0], names[2])):
         # Tracks that begin with the pair's first view were aligned with it.
         own = [t for t in tracks if first in t.pixels and second in t.pixels]
@@ -151,6 +152,33 @@ def test_alignment_brings_ties_to_a_tenth_of_a_pixel(found, told):
         assert abs(np.median(distance)) < 0.05 and (np.abs(distance) > 1.0).mean() < 0.05
 
 
+def test_alignment_follows_the_pairs_of_a_track(found, told):
+    """The last view is aligned with the middle one: the first and the last were never compared."""
+    truth, scene, matches, stretches = found
+    pairs = [(match.first, match.second) for match in matches]
+    first, middle, last = (view.name for view in scene.views)
+    assert pairs == [(first, middle), (middle, last)]
+    tracks = [track for track in tracks_from(matches) if len(track.pixels) == 3]
+    aligned = [track for track in align_ties(scene, tracks, pairs, stretches, told()) if len(track.pixels) == 3]
+    assert len(aligned) > 40
+    for a, b in ((first, middle), (middle, last), (first, last)):
+        pixels = [np.array([track.pixels[name] for track in aligned]) for name in (a, b)]
+        distance = epipolar(truth, PairMatches(a, b, *pixels, np.zeros(len(aligned))))
+        assert 1.4826 * np.median(np.abs(distance - np.median(distance))) < 0.18
+        assert abs(np.median(distance)) < 0.05
+
+
+def test_views_beyond_a_pixel_that_cannot_be_aligned_stay_together(found, told):
+    _, scene, matches, stretches = found
+    pairs = [(match.first, match.second) for match in matches]
+    first, middle, last = (view.name for view in scene.views)
+    whole = [track for track in tracks_from(matches) if len(track.pixels) == 3]
+    wrong = [Track({**track.pixels, first: track.pixels[first] + (0.0, 9.0)}) for track in whole]
+    aligned = align_ties(scene, wrong, pairs, stretches, told())
+    assert len(aligned) > 40
+    assert sum(set(track.pixels) == {middle, last} for track in aligned) > 0.9 * len(aligned)
+
+
 @pytest.mark.parametrize("errors", (((15, -11), (-12, 15), (4, -14)), ((-3, 25), (3, -25), (0, 0))))
 def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     truth, scene, _, stretches = found
@@ -161,7 +189,7 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     lost = Scene(**{**vars(scene), "views": wrong})
     names = [view.name for view in wrong]
     pairs = [(names[0], names[1]), (names[1], names[2]), (names[0], names[2])]
-    tracks = align_ties(lost, tracks_from(find_ties(lost, pairs, stretches, told())), stretches, told())
+    tracks = align_ties(lost, tracks_from(find_ties(lost, pairs, stretches, told())), pairs, stretches, told())
     pointing = adjust(wrong, tracks, sum(scene.altitudes) / 2).pointing
     right = [view.with_pointing(pointing[view.name]) for view in wrong]
     ground = truth.true_views[1].localise(np.random.default_rng(5).uniform(50, 350, (200, 2)), sum(scene.altitudes) / 2)
