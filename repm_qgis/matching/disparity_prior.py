@@ -14,7 +14,7 @@ from typing import Optional, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage
+from ..arrays import FloatArray, FloatImage, Floats
 from ..geometry.interpolation import bilinear, interpolate_steps
 from ..imagery.parameters import WARPING
 from ..imagery.sampling import median_of_known, median_of_neighbours
@@ -73,7 +73,8 @@ def find_prior(
     match: PairMatcher,
     parameters: MatchingParameters = MATCHING,
 ) -> Optional[DisparityPrior]:
-    """Match a pair at a reduced resolution; None where that does not narrow the search.
+    """Match a pair at a reduced resolution; None where that does not narrow the search, or where what it leaves is as
+    rough as the ground: a town's prior is smoother than its walls, and bends the roofs beside them.
 
     ``first``, ``second`` and ``disparities`` are as of a :class:`repm_qgis.matching.disparity_map.PairMatcher`; the
     disparities must be whole multiples of the reduction.
@@ -89,7 +90,10 @@ def find_prior(
     if ground is None:
         return None
     ground = bounded_slope(ground, p.rise * step_px, p.fall * step_px)
-    ends = _ends(_residual(coarse, ground, p), geometry, p)
+    residual = _residual(coarse, ground, p)
+    if np.ptp(_tails(residual, p)) > p.most_rough * np.ptp(_tails(coarse[np.isfinite(coarse)], p)):
+        return None
+    ends = _ends(residual, geometry, p)
     if ends[1] - ends[0] > p.least_gain * (high - low):
         return None
     return DisparityPrior(_nodes(ground, first.shape, ends, step_px), *ends)
@@ -162,9 +166,15 @@ def _residual(coarse: FloatImage, ground: FloatArray, parameters: PriorParameter
     return residual
 
 
+def _tails(values: Floats, parameters: PriorParameters) -> FloatArray:
+    """(2,) between which nearly all values lie."""
+    ends: FloatArray = np.percentile(values, (parameters.tail_percent, 100 - parameters.tail_percent))
+    return ends
+
+
 def _ends(residual: FloatArray, geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
     """Least and greatest residual to search."""
-    low, high = np.percentile(residual, (parameters.tail_percent, 100 - parameters.tail_percent))
+    low, high = _tails(residual, parameters)
     margin, above = parameters.margin_px, parameters.margin_px + parameters.above_m / geometry.metres_per_px
     more = (margin, above) if geometry.height_sign > 0 else (above, margin)
     return int(np.floor(low - more[0])), int(np.ceil(high + more[1]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from itertools import combinations
 from statistics import median
 from typing import List, Optional, Sequence, Tuple
@@ -26,8 +27,9 @@ def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> L
     """Pairs that share tiles and are neither too narrow to measure heights nor too wide to match, best first.
 
     Of up to three views, these are all pairs that can measure heights. Of more views, each one keeps its two best
-    good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Raises
-    EmptyResultError with the angles where no pair is usable.
+    good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Of many
+    pairs over the same ground, those go that neither of their views needs. Raises EmptyResultError with the angles
+    where no pair is usable.
     """
     return best_pairs(_candidates(scene), [view.name for view in scene.views], parameters)
 
@@ -173,7 +175,24 @@ def _few(ranked: Sequence[ViewPair], names: Sequence[str], parameters: PairParam
         if min(counts) < parameters.per_view and max(counts) < parameters.most_per_view:
             keep(pair)
     for pair in (*good, *ranked):
-        groups = components(names, [(other.first, other.second) for other in kept])
-        if not any(pair.first in group and pair.second in group for group in groups):
+        if not any(pair.first in group and pair.second in group for group in _groups(names, kept)):
             keep(pair)
+    return _without_surplus(kept, names, parameters)
+
+
+def _without_surplus(kept: List[ViewPair], names: Sequence[str], parameters: PairParameters) -> List[ViewPair]:
+    """Where the ground is covered by pairs enough, those go, worst first, that neither of their views needs."""
+    count = Counter(name for pair in kept for name in (pair.first, pair.second))
+    connected = len(_groups(names, kept))
+    for pair in reversed(kept):
+        rest = [other for other in kept if other is not pair]
+        if sum(other.share for other in rest) < parameters.enough:
+            break
+        if min(count[pair.first], count[pair.second]) > parameters.per_view and len(_groups(names, rest)) == connected:
+            kept = rest
+            count.subtract((pair.first, pair.second))
     return kept
+
+
+def _groups(names: Sequence[str], pairs: Sequence[ViewPair]) -> List[List[str]]:
+    return components(names, [(pair.first, pair.second) for pair in pairs])

@@ -49,6 +49,7 @@ class PairParameters(Parameters):
     least_good_deg: float = 5.0  # oblique views have a fair ratio at angles that are too small for good heights
     all_up_to: int = 3  # views: of up to so many, all pairs are matched
     per_view: int = 2  # good pairs that each view gets; more cost time, and gain nothing (`make bench-towns`)
+    enough: float = 12.0  # pairs over the ground, in the mean: what more of them add is no gain (`make bench-towns`)
     most_per_view: int = 3  # pairs of a view that is a good partner of many; more only to connect all views
     decade_cost: float = 0.5  # for each power of ten of days between two images; `make bench-towns`
     season_cost: float = 0.5  # of the opposite season

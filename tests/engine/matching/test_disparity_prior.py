@@ -14,6 +14,7 @@ from repm_qgis.geometry.interpolation import interpolate_steps
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching import sgm
 from repm_qgis.matching.disparity_prior import STEP_PX, DisparityPrior, bounded_slope, fill_gaps, find_prior, reduced
+from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.stereo.pairing import rectified_pair
 from repm_qgis.stereo.triangulation import pair_geometry
 
@@ -30,12 +31,12 @@ def hills(columns):
 class Known:
     """A pair whose second image is painted, and the first sampled from it at columns less the disparity."""
 
-    def __init__(self, tower=0.0, seed=0):
+    def __init__(self, tower=0.0, seed=0, relief=1.0):
         rng = np.random.default_rng(seed)
         grain = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH + 400)), (0, 0), 1.2)
         self.painted = np.clip(0.5 + 0.35 * grain, 0, 1).astype(np.float32)
         columns = np.repeat(np.arange(WIDTH, dtype=np.float64)[None], HEIGHT, axis=0)
-        self.disparity = hills(columns)
+        self.disparity = relief * hills(columns)
         self.disparity[170:210, 250:290] += tower
         self.first = self.second_at(columns - self.disparity)
 
@@ -87,6 +88,16 @@ def test_where_the_search_cannot_be_narrowed_there_is_no_prior():
     blank = np.full((HEIGHT, WIDTH), 0.5, np.float32)
     wide = np.full((HEIGHT, WIDTH + HIGH - LOW), 0.5, np.float32)
     assert find_prior(blank, wide, (LOW, HIGH), LEVEL, sgm.match) is None
+
+
+def test_a_town_on_a_plain_has_no_prior_and_one_on_hills_has():
+    """What a smooth prior leaves of a town is as rough as the town: it would only bend the roofs."""
+    for relief, wanted in ((0.05, False), (1.0, True)):
+        known = Known(tower=24.0, relief=relief)
+        prior = find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
+        assert (prior is not None) == wanted
+        allowed = replace(MATCHING, prior=replace(MATCHING.prior, most_rough=np.inf))
+        assert find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match, allowed) is not None
 
 
 def test_slopes_are_bounded_and_gentle_ones_kept():

@@ -146,16 +146,39 @@ def test_the_order_of_the_images_does_not_choose(melbourne):
     assert {frozenset((pair.first, pair.second)) for pair in choose_pairs(turned)} == chosen
 
 
-def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne):
-    """The same 17 looks half a year later, under another sun: pairs are of one pass but where that connects them."""
+@pytest.fixture(scope="module")
+def twice(melbourne):
+    """The same 17 looks half a year later, under another sun."""
     later = [
         replace(view, name=f"later_{view.name}", acquired=(view.time + timedelta(days=183)).isoformat())
         for view in melbourne.views
     ]
     views = (*melbourne.views, *later)
     tile = replace(melbourne.tiles[0], views={view.name: None for view in views})
-    scene = replace(melbourne, views=views, tiles=(tile,))
-    pairs = choose_pairs(scene)
+    return replace(melbourne, views=views, tiles=(tile,))
+
+
+def test_pairs_that_no_view_needs_go_where_there_are_many(melbourne, twice):
+    names = [view.name for view in twice.views]
+    every = choose_pairs(twice, replace(POINTING.pairs, enough=np.inf))
+    pairs = choose_pairs(twice)
+    gone = [pair for pair in every if pair not in pairs]
+    assert len(gone) >= 3 and [pair for pair in every if pair in pairs] == pairs
+    count = Counter(name for pair in pairs for name in (pair.first, pair.second))
+    assert min(count[name] for name in names) >= 2 and connected(pairs, names)
+    assert sum(pair.share for pair in pairs) >= POINTING.pairs.enough
+    # The best of those that went is no better than the worst that could have gone in its place.
+    last = min(pair_cost(pair) for pair in gone)
+    for pair in pairs:
+        if pair_cost(pair) > last and min(count[pair.first], count[pair.second]) > 2:
+            assert not connected([other for other in pairs if other is not pair], names)
+    # Seventeen images cover the ground no more than enough.
+    assert choose_pairs(melbourne) == choose_pairs(melbourne, replace(POINTING.pairs, enough=np.inf))
+
+
+def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne, twice):
+    """Pairs are of one pass but where that connects them."""
+    scene, pairs = twice, choose_pairs(twice, replace(POINTING.pairs, enough=np.inf))
     across = [pair for pair in pairs if pair.days > 1]
     assert len(across) == 1 and connected(pairs, [view.name for view in scene.views])
     assert 19 < across[0].sun_deg < 21 and 12 < across[0].angle_deg < 32
