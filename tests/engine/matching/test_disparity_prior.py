@@ -31,13 +31,14 @@ def hills(columns):
 class Known:
     """A pair whose second image is painted, and the first sampled from it at columns less the disparity."""
 
-    def __init__(self, tower=0.0, seed=0, relief=1.0):
+    def __init__(self, tower=0.0, seed=0, relief=1.0, side=40):
         rng = np.random.default_rng(seed)
         grain = cv2.GaussianBlur(rng.normal(size=(HEIGHT, WIDTH + 400)), (0, 0), 1.2)
         self.painted = np.clip(0.5 + 0.35 * grain, 0, 1).astype(np.float32)
         columns = np.repeat(np.arange(WIDTH, dtype=np.float64)[None], HEIGHT, axis=0)
         self.disparity = relief * hills(columns)
-        self.disparity[170:210, 250:290] += tower
+        half = side // 2
+        self.disparity[190 - half : 190 + half, 270 - half : 270 + half] += tower
         self.first = self.second_at(columns - self.disparity)
 
     def second_at(self, columns):
@@ -93,7 +94,7 @@ def test_where_the_search_cannot_be_narrowed_there_is_no_prior():
 def test_a_town_on_a_plain_has_no_prior_and_one_on_hills_has():
     """What a smooth prior leaves of a town is as rough as the town: it would only bend the roofs."""
     for relief, wanted in ((0.05, False), (1.0, True)):
-        known = Known(tower=24.0, relief=relief)
+        known = Known(tower=24.0, relief=relief, side=120)
         prior = find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
         assert (prior is not None) == wanted
         allowed = replace(MATCHING, prior=replace(MATCHING.prior, most_rough=np.inf))
