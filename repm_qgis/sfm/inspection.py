@@ -15,14 +15,15 @@ from osgeo import ogr
 
 from ..arrays import Bounds
 from ..errors import EmptyResultError
-from ..geometry.footprints import Polygon, footprint, geometry_of, ray_slope, seen_twice
+from ..geometry.footprints import Polygon, bounds_of, footprint, geometry_of, ray_slope, seen_twice
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
+from ..geometry.tiles import enclosing
 from ..imagery.acquisition import duration_text
 from ..records import ViewPair
 from ..scene import View, common_heights, middle_of
 from .advice import expected_accuracy_m, other_season, other_sun
 from .overlap import places
-from .pair_selection import best_pairs, pair_at, shared_part, sun_at
+from .pair_selection import Seen, best_pairs, pair_at, places_seen, shared_part, sun_at
 from .parameters import POINTING, PointingParameters
 
 YES, CARE, NO = "yes", "with care", "no"
@@ -103,7 +104,9 @@ def _place(views: Sequence[View], least_px: float, parameters: PointingParameter
         part = shared_part(shapes[i], shapes[j], area)
         pair = pair_at(views[i], views[j], (float(lon), float(lat), altitude), 0, part)
         found.append((pair, ground, 100.0 * shared_part(shapes[i], shapes[j])))
-    matched = _matched([pair for pair, _, _ in found], [view.name for view in views], parameters)
+    named = {view.name: outline for view, outline in zip(views, outlines)}
+    seen = places_seen(named, enclosing([bounds_of(shape) for shape in shapes]))
+    matched = _matched([pair for pair, _, _ in found], seen, list(named), parameters)
     gsd = {view.name: view.gsd_m for view in views}
     pairs = [
         PairFacts(pair, ground, percent, pair in matched, *_worth(pair, percent, gsd, pair in matched, parameters))
@@ -128,10 +131,12 @@ def _inner_point(geometry: ogr.Geometry) -> Tuple[float, float]:
     return point.GetX(), point.GetY()
 
 
-def _matched(pairs: Sequence[ViewPair], names: Sequence[str], parameters: PointingParameters) -> List[ViewPair]:
+def _matched(
+    pairs: Sequence[ViewPair], seen: Seen, names: Sequence[str], parameters: PointingParameters
+) -> List[ViewPair]:
     """The pairs that the pipeline would match, best first."""
     try:
-        return best_pairs(pairs, names, parameters.pairs)
+        return best_pairs(pairs, seen, names, parameters.pairs)
     except EmptyResultError:
         return []
 

@@ -6,14 +6,17 @@ import math
 from collections import Counter
 from itertools import combinations
 from statistics import median
-from typing import List, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
+import numpy as np
 from osgeo import ogr
 
+from ..arrays import Bounds, FloatArray, Mask
 from ..errors import EmptyResultError
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
+from ..geometry.tiles import enclosing
 from ..records import ViewPair
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
@@ -21,6 +24,9 @@ from .graph import components
 from .parameters import POINTING, PairParameters
 
 _YEAR = 365.25
+Seen = Mapping[str, Mask]
+"""By the names of views, which of some places they see."""
+_PLACES = 64  # along each side of the ground, of which views see some
 
 
 def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> List[ViewPair]:
@@ -28,16 +34,17 @@ def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> L
 
     Of up to three views, these are all pairs that can measure heights. Of more views, each one keeps its two best
     good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Of many
-    pairs over the same ground, those go that neither of their views needs. Raises EmptyResultError with the angles
-    where no pair is usable.
+    pairs over the same ground, those go that neither of their views needs; where two views see ground that no pair
+    covers, one comes. Raises EmptyResultError with the angles where no pair is usable.
     """
-    return best_pairs(_candidates(scene), [view.name for view in scene.views], parameters)
+    candidates, seen = _candidates(scene)
+    return best_pairs(candidates, seen, [view.name for view in scene.views], parameters)
 
 
 def best_pairs(
-    candidates: Sequence[ViewPair], names: Sequence[str], parameters: PairParameters = POINTING.pairs
+    candidates: Sequence[ViewPair], seen: Seen, names: Sequence[str], parameters: PairParameters = POINTING.pairs
 ) -> List[ViewPair]:
-    """Those of the pairs of the named views that are matched: see :func:`choose_pairs`."""
+    """Those of the pairs of the named views that are matched: see :func:`choose_pairs` and :func:`places_seen`."""
     usable = [c for c in candidates if c.base_to_height >= parameters.least_base_to_height]
     if not usable:
         angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
@@ -50,7 +57,9 @@ def best_pairs(
     def cost(pair: ViewPair) -> float:
         return pair_cost(pair, unknown, parameters)
 
-    return sorted(_few(sorted(usable, key=cost), names, parameters), key=cost)
+    ranked = sorted(usable, key=cost)
+    few = _few(ranked, names, parameters)
+    return sorted([*few, *_uncovered(few, ranked, seen, parameters)], key=cost)
 
 
 def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters = POINTING.pairs) -> float:
@@ -115,20 +124,38 @@ def sun_at(view: View, lon: float, lat: float) -> Optional[Tuple[float, float]]:
     return sun_position(view.time, lon, lat) if view.time is not None else None
 
 
-def _candidates(scene: Scene) -> List[ViewPair]:
-    """All pairs that share a tile."""
+def places_seen(outlines: Mapping[str, FloatArray], bounds: Bounds) -> Dict[str, Mask]:
+    """Which of the places of a lattice over bounds lie within each view's outline, (N, 2) x and y in the same CRS."""
+    x, y = (low + (np.arange(_PLACES) + 0.5) * (high - low) / _PLACES for low, high in zip(bounds[:2], bounds[2:]))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return {name: _inside(outline, places) for name, outline in outlines.items()}
+
+
+def _inside(outline: FloatArray, places: FloatArray) -> Mask:
+    """(N,) which places lie within a polygon: a line from there to the right crosses it an odd number of times."""
+    inside: Mask = np.zeros(len(places), dtype=bool)
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0)):
+        between = (y0 > places[:, 1]) != (y1 > places[:, 1])
+        if between.any():
+            inside ^= between & (places[:, 0] < x0 + (places[:, 1] - y0) * (x1 - x0) / (y1 - y0))
+    return inside
+
+
+def _candidates(scene: Scene) -> Tuple[List[ViewPair], Dict[str, Mask]]:
+    """All pairs that share a tile, and which places of the tiles' ground each view sees."""
     altitude = sum(scene.altitudes) / 2
     places = {view.name: footprint(view.localise, view.size, altitude) for view in scene.views}
-    outlines = {name: geometry_of(projected_from_geodetic(scene.crs, place)) for name, place in places.items()}
+    outlines = {name: projected_from_geodetic(scene.crs, place) for name, place in places.items()}
+    shapes = {name: geometry_of(outline) for name, outline in outlines.items()}
     area = ogr.CreateGeometryFromWkt(scene.area) if scene.area else None
     found: List[ViewPair] = []
     for first, second in combinations(scene.views, 2):
         shared = sum(first.name in tile.views and second.name in tile.views for tile in scene.tiles)
         if shared:
             place = scene.frame.lon, scene.frame.lat, altitude
-            share = shared_part(outlines[first.name], outlines[second.name], area)
+            share = shared_part(shapes[first.name], shapes[second.name], area)
             found.append(pair_at(first, second, place, shared, share))
-    return found
+    return found, places_seen(outlines, enclosing([tile.bounds for tile in scene.tiles]))
 
 
 def pair_at(first: View, second: View, place: Tuple[float, float, float], tiles: int, share: float) -> ViewPair:
@@ -192,6 +219,28 @@ def _without_surplus(kept: List[ViewPair], names: Sequence[str], parameters: Pai
             kept = rest
             count.subtract((pair.first, pair.second))
     return kept
+
+
+def _uncovered(
+    kept: Sequence[ViewPair], ranked: Sequence[ViewPair], seen: Seen, parameters: PairParameters
+) -> List[ViewPair]:
+    """Further good pairs, until little is left of the ground that good pairs see, but none of the kept ones. Of those
+    that cover at least half as much of it as any other, the best comes first."""
+
+    def both(pair: ViewPair) -> Mask:
+        return seen[pair.first] & seen[pair.second]
+
+    good = [pair for pair in ranked if is_good(pair, parameters)]
+    whole, rest = (np.any([both(pair) for pair in pairs], axis=0) for pairs in (good or ranked, kept))
+    rest = whole & ~rest
+    least, added = parameters.uncovered * int(whole.sum()), []
+    while int(rest.sum()) > least:
+        gains = [int((rest & both(pair)).sum()) for pair in good]
+        if max(gains, default=0) <= least:
+            break
+        added.append(next(pair for pair, gain in zip(good, gains) if gain >= max(gains) / 2))
+        rest &= ~both(added[-1])
+    return added
 
 
 def _groups(names: Sequence[str], pairs: Sequence[ViewPair]) -> List[List[str]]:

@@ -50,6 +50,7 @@ class PairParameters(Parameters):
     all_up_to: int = 3  # views: of up to so many, all pairs are matched
     per_view: int = 2  # good pairs that each view gets; more cost time, and gain nothing (`make bench-towns`)
     enough: float = 12.0  # pairs over the ground, in the mean: what more of them add is no gain (`make bench-towns`)
+    uncovered: float = 0.03  # of the ground that good pairs see: so much may be without one of those that are matched
     most_per_view: int = 3  # pairs of a view that is a good partner of many; more only to connect all views
     decade_cost: float = 0.5  # for each power of ten of days between two images; `make bench-towns`
     season_cost: float = 0.5  # of the opposite season
@@ -58,7 +59,7 @@ class PairParameters(Parameters):
 
     def fewest(self) -> "PairParameters":
         """Only as many pairs as connect all views."""
-        return replace(self, all_up_to=2, per_view=1)
+        return replace(self, all_up_to=2, per_view=1, uncovered=1.0)
 
 
 @dataclass(frozen=True)

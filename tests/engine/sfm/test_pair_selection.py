@@ -8,9 +8,11 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from osgeo import ogr
 
+from repm_qgis.arrays import Bounds
 from repm_qgis.errors import EmptyResultError
-from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
+from repm_qgis.geometry.footprints import bounds_of, footprint, geometry_of, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import moment, time_of_name
 from repm_qgis.records import ViewPair
@@ -20,7 +22,9 @@ from repm_qgis.sfm.pair_selection import (
     change_cost,
     choose_pairs,
     days_off_season,
+    is_good,
     pair_cost,
+    places_seen,
     sun_over,
     usual_change,
 )
@@ -126,9 +130,8 @@ def test_seventeen_real_views(melbourne):
         for b in melbourne.views[i + 1 :]
     ]
     assert len(names) == 17 and min(every) < 6 and max(every) > 90  # there is much to choose wrongly
-    assert all(
-        12 < pair.angle_deg < 32 and POINTING.pairs.narrow < pair.base_to_height < POINTING.pairs.wide for pair in pairs
-    )
+    assert all(POINTING.pairs.narrow < pair.base_to_height < POINTING.pairs.wide for pair in pairs)
+    assert sorted(pair.angle_deg for pair in pairs)[1] > 12 and max(pair.angle_deg for pair in pairs) < 32
     count = Counter(name for pair in pairs for name in (pair.first, pair.second))
     assert set(count) == set(names) and min(count.values()) >= 2 and max(count.values()) <= 4
     assert connected(pairs, names) and pairs == choose_pairs(melbourne)
@@ -158,10 +161,50 @@ def twice(melbourne):
     return replace(melbourne, views=views, tiles=(tile,))
 
 
+NO_MORE = replace(POINTING.pairs, uncovered=1.0)  # without pairs for ground that no other one covers
+
+
+def test_ground_that_no_pair_covers_gets_one(melbourne):
+    """The two best pairs of each image leave out a seventh of what good pairs of Melbourne's images see."""
+    few, pairs = choose_pairs(melbourne, NO_MORE), choose_pairs(melbourne)
+    added = [pair for pair in pairs if pair not in few]
+    assert len(added) == 1 and all(is_good(pair) for pair in added) and len(pairs) == len(few) + 1
+    outlines = {
+        view.name: projected_from_geodetic(melbourne.crs, footprint(view.localise, view.size, 50.0))
+        for view in melbourne.views
+    }
+    seen = places_seen(outlines, melbourne.tiles[0].bounds)
+
+    def covered(chosen):
+        return np.any([seen[pair.first] & seen[pair.second] for pair in chosen], axis=0)
+
+    gain = covered(pairs) & ~covered(few)
+    assert gain.sum() > 0.1 * covered(pairs).sum()
+    # No limit: whatever one more good pair would add is little.
+    most = choose_pairs(melbourne, replace(POINTING.pairs, uncovered=0.0))
+    assert len(most) > len(pairs) and set(map(_views, pairs)) <= set(map(_views, most))
+
+
+def _views(pair):
+    return pair.first, pair.second
+
+
+def test_places_in_an_outline():
+    """Against GDAL's own test of points in polygons, on an outline that is not convex."""
+    outline = np.array([[0.0, 0.0], [10.0, 1.0], [4.0, 4.0], [9.0, 10.0], [-3.0, 8.0]])
+    seen = places_seen({"a": outline}, Bounds(-4.0, -2.0, 12.0, 12.0))["a"].reshape(64, 64)
+    shape = geometry_of(outline)
+    for row in range(0, 64, 3):
+        for column in range(0, 64, 3):
+            place = ogr.Geometry(ogr.wkbPoint)
+            place.AddPoint_2D(-4.0 + (column + 0.5) * 0.25, -2.0 + (row + 0.5) * 14.0 / 64)
+            assert seen[row, column] == shape.Contains(place)
+
+
 def test_pairs_that_no_view_needs_go_where_there_are_many(melbourne, twice):
     names = [view.name for view in twice.views]
-    every = choose_pairs(twice, replace(POINTING.pairs, enough=np.inf))
-    pairs = choose_pairs(twice)
+    every = choose_pairs(twice, replace(NO_MORE, enough=np.inf))
+    pairs = choose_pairs(twice, NO_MORE)
     gone = [pair for pair in every if pair not in pairs]
     assert len(gone) >= 3 and [pair for pair in every if pair in pairs] == pairs
     count = Counter(name for pair in pairs for name in (pair.first, pair.second))
@@ -173,16 +216,16 @@ def test_pairs_that_no_view_needs_go_where_there_are_many(melbourne, twice):
         if pair_cost(pair) > last and min(count[pair.first], count[pair.second]) > 2:
             assert not connected([other for other in pairs if other is not pair], names)
     # Seventeen images cover the ground no more than enough.
-    assert choose_pairs(melbourne) == choose_pairs(melbourne, replace(POINTING.pairs, enough=np.inf))
+    assert choose_pairs(melbourne, NO_MORE) == choose_pairs(melbourne, replace(NO_MORE, enough=np.inf))
 
 
 def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne, twice):
     """Pairs are of one pass but where that connects them."""
-    scene, pairs = twice, choose_pairs(twice, replace(POINTING.pairs, enough=np.inf))
+    scene, pairs = twice, choose_pairs(twice, replace(NO_MORE, enough=np.inf))
     across = [pair for pair in pairs if pair.days > 1]
     assert len(across) == 1 and connected(pairs, [view.name for view in scene.views])
     assert 19 < across[0].sun_deg < 21 and 12 < across[0].angle_deg < 32
-    assert len(pairs) == 2 * len(choose_pairs(melbourne)) + 1
+    assert len(pairs) == 2 * len(choose_pairs(melbourne, NO_MORE)) + 1
 
 
 def test_of_equal_geometry_the_closer_in_time_wins(urban):
