@@ -177,6 +177,7 @@ class ViewPair(Record):
     ``share`` is the part of the scene's area that both see. ``days`` is the time between the two images, ``sun_deg``
     the angle between the two directions to the sun, ``shadow`` the distance between the ends of the two shadows (m for
     each m of height). They are None where a time is unknown, the last two also where the sun had set.
+    ``tied``: whether tie points are searched in it; else it only covers ground that no other pair does.
     """
 
     first: Name
@@ -188,6 +189,11 @@ class ViewPair(Record):
     days: Optional[float] = None
     sun_deg: Optional[float] = None
     shadow: Optional[float] = None
+    tied: bool = True
+
+    @property
+    def names(self) -> Tuple[str, str]:
+        return self.first, self.second
 
 
 @dataclass(frozen=True)

@@ -238,7 +238,7 @@ class Scene(Record):
             return "has two tiles of the same name"
         if not self._within_images():
             return "has an area or a tile that is larger than its images"
-        for pair in (*((pair.first, pair.second) for pair in self.pairs), *self._tied):
+        for pair in (*(pair.names for pair in self.pairs), *self._tied):
             if pair[0] == pair[1] or not {*pair} <= set(views):
                 return f"has a pair {pair[0]}, {pair[1]}, which are not two of its views"
         if self.registration and set(self.registration.matched) != set(views):

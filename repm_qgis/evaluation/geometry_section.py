@@ -67,7 +67,7 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
 def _metres_per_px(scene: Scene, pair: ViewPair) -> float:
     """Metres of height per px of parallax: as matched, or else from the convergence angle."""
     records = [record for tile in scene.tiles for record in tile.heights]
-    known = [record.metres_per_px for record in records if record.pair == (pair.first, pair.second)]
+    known = [record.metres_per_px for record in records if record.pair == pair.names]
     return float(np.median(known)) if known else scene.gsd_m / pair.base_to_height
 
 

@@ -58,7 +58,7 @@ class PairBackend:
         scene = job.scene.lean()
         tasks = []
         for tile, pair in product(job.tiles, job.pairs):
-            names, ground = (pair.first, pair.second), (tile.id, tile.bounds, tile.altitudes)
+            names, ground = pair.names, (tile.id, tile.bounds, tile.altitudes)
             if pair.first in tile.views and pair.second in tile.views:
                 stretches = (job.stretches[pair.first], job.stretches[pair.second])
                 path = os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif")

@@ -163,7 +163,7 @@ def _geometry(pair: ViewPair, gsd_m: float, spare: bool, parameters: PointingPar
 
 def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Views that no pair uses."""
-    used = {name for pair in pairs for name in (pair.first, pair.second)}
+    used = {name for pair in pairs for name in pair.names}
     names = [view.name for view in scene.views if view.name not in used]
     why = "no other image of the same ground was taken from a direction at least 3 degrees away"
     text = f"{listed(names)}: not used, because {why}; leave it out, or add an image from another direction."
@@ -172,7 +172,7 @@ def _left_out(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
 
 def _groups(scene: Scene, pairs: Sequence[ViewPair]) -> List[str]:
     """Groups of views that no pair connects."""
-    groups = components([view.name for view in scene.views], [(pair.first, pair.second) for pair in pairs])
+    groups = components([view.name for view in scene.views], [pair.names for pair in pairs])
     names = [", ".join(sorted(group)) for group in groups if len(group) > 1]
     text = (
         f"The images form {len(names)} groups that no pair connects ({listed(names, '; ')}): their heights may differ "

@@ -107,13 +107,13 @@ def _place(views: Sequence[View], least_px: float, parameters: PointingParameter
     named = {view.name: outline for view, outline in zip(views, outlines)}
     seen = places_seen(named, enclosing([bounds_of(shape) for shape in shapes]))
     matched = _matched([pair for pair, _, _ in found], seen, list(named), parameters)
-    gsd = {view.name: view.gsd_m for view in views}
-    pairs = [
-        PairFacts(pair, ground, percent, pair in matched, *_worth(pair, percent, gsd, pair in matched, parameters))
-        for pair, ground, percent in found
-    ]
-    order = {id(pair): rank for rank, pair in enumerate(matched)}
-    pairs.sort(key=lambda facts: ((YES, CARE, NO).index(facts.worth), order.get(id(facts.pair), len(order))))
+    gsd, ranks = {view.name: view.gsd_m for view in views}, {pair.names: rank for rank, pair in enumerate(matched)}
+    pairs = []
+    for pair, ground, percent in found:
+        is_matched = pair.names in ranks
+        worth = _worth(pair, percent, gsd, is_matched, parameters)
+        pairs.append(PairFacts(pair, ground, percent, is_matched, *worth))
+    pairs.sort(key=lambda facts: ((YES, CARE, NO).index(facts.worth), ranks.get(facts.pair.names, len(ranks))))
     return Place(crs, altitude, images, tuple(pairs))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from itertools import combinations
 from statistics import median
 from typing import Dict, List, Mapping, Optional, Sequence, Tuple
@@ -209,7 +210,7 @@ def _few(ranked: Sequence[ViewPair], names: Sequence[str], parameters: PairParam
 
 def _without_surplus(kept: List[ViewPair], names: Sequence[str], parameters: PairParameters) -> List[ViewPair]:
     """Where the ground is covered by pairs enough, those go, worst first, that neither of their views needs."""
-    count = Counter(name for pair in kept for name in (pair.first, pair.second))
+    count = Counter(name for pair in kept for name in pair.names)
     connected = len(_groups(names, kept))
     for pair in reversed(kept):
         rest = [other for other in kept if other is not pair]
@@ -217,7 +218,7 @@ def _without_surplus(kept: List[ViewPair], names: Sequence[str], parameters: Pai
             break
         if min(count[pair.first], count[pair.second]) > parameters.per_view and len(_groups(names, rest)) == connected:
             kept = rest
-            count.subtract((pair.first, pair.second))
+            count.subtract(pair.names)
     return kept
 
 
@@ -233,15 +234,17 @@ def _uncovered(
     good = [pair for pair in ranked if is_good(pair, parameters)]
     whole, rest = (np.any([both(pair) for pair in pairs], axis=0) for pairs in (good or ranked, kept))
     rest = whole & ~rest
-    least, added = parameters.uncovered * int(whole.sum()), []
+    least = parameters.uncovered * int(whole.sum())
+    added: List[ViewPair] = []
     while int(rest.sum()) > least:
         gains = [int((rest & both(pair)).sum()) for pair in good]
         if max(gains, default=0) <= least:
             break
-        added.append(next(pair for pair, gain in zip(good, gains) if gain >= max(gains) / 2))
-        rest &= ~both(added[-1])
+        best = next(pair for pair, gain in zip(good, gains) if gain >= max(gains) / 2)
+        added.append(replace(best, tied=False))  # under another sun it may have too few ties, and views have others
+        rest &= ~both(best)
     return added
 
 
 def _groups(names: Sequence[str], pairs: Sequence[ViewPair]) -> List[List[str]]:
-    return components(names, [(pair.first, pair.second) for pair in pairs])
+    return components(names, [pair.names for pair in pairs])

@@ -71,7 +71,7 @@ def point_views(
 
     Raises EmptyResultError with the counts where the ties are too few.
     """
-    names = [(pair.first, pair.second) for pair in pairs]
+    names = [pair.names for pair in pairs]
 
     def find(detector: Detector) -> List[PairMatches]:
         return find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, detector, parameters)

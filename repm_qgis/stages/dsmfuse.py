@@ -147,7 +147,7 @@ def colours_of(
 def _matched(scene: Scene) -> List[ViewPair]:
     """The pairs that the height maps were matched from; the first views of a tile where all were matched together."""
     made = {record.pair for tile in scene.tiles for record in tile.heights}
-    return [pair for pair in scene.pairs if (pair.first, pair.second) in made]
+    return [pair for pair in scene.pairs if pair.names in made]
 
 
 def _coloured(fusion: Fusion, plan: ColourPlan, ortho: Optional[str], progress: Progress) -> str:

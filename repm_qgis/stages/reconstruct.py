@@ -154,7 +154,8 @@ def _pointed(
         effect = f"the absolute position is that of the vendors' RPCs; {remedy}"
         progress.warn(f"No control point of '{options.gcps}' was measured in an image: {effect}.")
     mode, numbers = (options.workers, options.adjustment), (parameters.pointing, parameters.altitudes)
-    found = point_views(scene, scene.pairs, stretches, options.pointing, gcps, progress, *mode, *numbers)
+    tied = [pair for pair in scene.pairs if pair.tied]
+    found = point_views(scene, tied, stretches, options.pointing, gcps, progress, *mode, *numbers)
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
     for text in advice(scene, scene.pairs, found.figures, parameters.pointing):
@@ -183,7 +184,7 @@ def _with_coarse_surface(
     """The scene with altitudes of the coarse surface, where ties do not cover it or the refinement needs it."""
     if covered_by_ties(scene, parameters.pointing.patches) and not options.own_surface:
         return scene
-    names = [(pair.first, pair.second) for pair in scene.pairs]
+    names = [pair.names for pair in scene.pairs]
     match = pair_matcher(backend)
     surface = coarse_surface(scene, names, stretches, match, options.workers, progress, parameters.matching)
     scene = _narrowed(scene, surface.altitudes, parameters.altitudes)
