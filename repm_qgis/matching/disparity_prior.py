@@ -17,7 +17,7 @@ import numpy as np
 from ..arrays import FloatArray, FloatImage, Floats
 from ..geometry.interpolation import bilinear, interpolate_steps
 from ..imagery.parameters import WARPING
-from ..imagery.sampling import median_of_known, median_of_neighbours
+from ..imagery.sampling import median_of_known, median_of_neighbours, nmad
 from ..imagery.warping import PixelMap
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
@@ -73,8 +73,8 @@ def find_prior(
     match: PairMatcher,
     parameters: MatchingParameters = MATCHING,
 ) -> Optional[DisparityPrior]:
-    """Match a pair at a reduced resolution; None where that does not narrow the search, or where what it leaves is as
-    rough as the ground: a town's prior is smoother than its walls, and bends the roofs beside them.
+    """Match a pair at a reduced resolution; None where that does not narrow the search, and for a town on a plain: its
+    prior is smoother than its walls, and bends the roofs beside them.
 
     ``first``, ``second`` and ``disparities`` are as of a :class:`repm_qgis.matching.disparity_map.PairMatcher`; the
     disparities must be whole multiples of the reduction.
@@ -91,7 +91,7 @@ def find_prior(
         return None
     ground = bounded_slope(ground, p.rise * step_px, p.fall * step_px)
     residual = _residual(coarse, ground, p)
-    if np.ptp(_tails(residual, p)) > p.most_rough * np.ptp(_tails(coarse[np.isfinite(coarse)], p)):
+    if _is_town(residual, coarse[np.isfinite(coarse)], p):
         return None
     ends = _ends(residual, geometry, p)
     if ends[1] - ends[0] > p.least_gain * (high - low):
@@ -164,6 +164,12 @@ def _residual(coarse: FloatImage, ground: FloatArray, parameters: PriorParameter
     for _ in range(4):  # converges, because the slope of the ground is bounded
         residual = disparity - _at(ground, columns - residual, rows, factor * parameters.cell_px)
     return residual
+
+
+def _is_town(residual: FloatArray, disparity: Floats, parameters: PriorParameters) -> bool:
+    """Whether what a prior leaves of the disparities is as wide as they are, and made by walls: few values have it."""
+    left, whole = (float(np.ptp(_tails(values, parameters))) for values in (residual, disparity))
+    return left > parameters.most_rough * whole and left > parameters.walls * nmad(residual)
 
 
 def _tails(values: Floats, parameters: PriorParameters) -> FloatArray:

@@ -177,8 +177,9 @@ class PriorParameters(Parameters):
     range_margin_px: int = 6  # disparities searched beyond the altitudes of the tile
     least_span_px: float = 48  # of disparities: a smaller search needs no prior
     least_gain: float = 0.8  # a prior that leaves more than this share of the search is not used
-    most_rough: float = 0.6  # nor one that leaves more of the disparities' own range: 0.2 to 0.45 in mountains, 0.75 to
-    # 1 in towns, whose roofs it would bend; towns table
+    most_rough: float = 0.5  # nor one that leaves more of the disparities' own range (0.2 to 0.65 in mountains, 0.75 to
+    # 1.1 in towns on plains; towns table),
+    walls: float = 16.0  # where that is more than so many NMAD of the rest: 6 to 14 in mountains, 20 to 60 in towns
     least_cells: float = 0.05  # share of the cells that must have a disparity
     median_cells: int = 5  # side of the median: houses are smaller, hills are not
     rise: float = 0.7  # of disparity for each px along a row, at most: with 1 the second image would fold
