@@ -148,8 +148,8 @@ def towns() -> List[str]:
         "lidar's own heights between a roof and the ground below it (more than 1 m from both within 2.5 m of a wall of "
         f"3 m: {_mid_air_share():.1f} % of its cells, where no surface is); ME is the median of absolute errors; "
         "*walls off*: mean distance of the DSM's walls of 3 m and more from the lidar's; *wider*: how much wider "
-        "objects are, on each side. More images give heights to more of the difficult cells; only the rows *FILL = all* "
-        "compare nearly the same cells.",
+        "objects are, on each side. More images give heights to more of the difficult cells; only the rows *FILL = "
+        "all* compare nearly the same cells.",
         table(f"images | holes | {_FIGURES}", [row for label, chosen in few(sets) for row in _rows(label, chosen)]),
         _PUBLISHED,
     ]
