@@ -174,12 +174,17 @@ def _compared(task: _TileTask) -> _Compared:
         own = np.where(points.filled, np.nan, points.height)
         layers.append(grid_points(grid, points.x, points.y, own, points.score, spacing, task.fusion.gridding)[0])
         columns, rows = (nodes(size, parameters.lattice_px) for size in record.size)
-        level = np.full((len(rows), len(columns)), np.nanmedian(points.height))
+        known = points.height[np.isfinite(points.height)]
+        middle = float(np.median(known)) if known.size else sum(record.altitudes) / 2
+        level = np.full((len(rows), len(columns)), middle)
         ground.append((source.x.on_grid(columns, rows, level), source.y.on_grid(columns, rows, level)))
     parts = Parts(grid, max(1, round(parameters.part_px / parameters.every_px)))
     differences = []
+    best = sorted(range(len(layers)), key=lambda number: task.records[number].metres_per_px)[: parameters.compared]
     for i, first in enumerate(task.records):
         for j, second in enumerate(task.records[:i]):
+            if i not in best and j not in best:
+                continue
             metres = first.metres_per_px, second.metres_per_px
             found = parts.medians(layers[i] - layers[j], math.hypot(*metres), parameters)
             differences.append(Differences(_key(first), _key(second), metres, *found))

@@ -22,6 +22,7 @@ class IsolatedPointParameters(Parameters):
 class MapOffsetParameters(Parameters):
     """Offsets between the height maps of different pairs (docs/method.md, "Heights"; `make bench-towns`)."""
 
+    compared: int = 24  # maps of a tile, those of the best geometry, with which all are compared: bounds the time
     every_px: int = 4  # of the maps' columns and rows that are compared; 3 and 5 do as well
     part_px: int = 120  # side of the parts of a tile whose differences have a median; 75 does as well
     lattice_px: int = 200  # between nodes of the error; 120 and 300 do as well

@@ -225,7 +225,7 @@ def _reconstruction(report: Report, scene: Scene) -> None:
     for tile in scene.tiles:
         for record in tile.heights:
             size, matched = "{} x {}".format(*record.size), f"{100.0 * record.valid / record.pixels:.0f}"
-            moved = f"{np.mean(record.offsets):+.2f}" if record.offsets else None
+            moved = f"{round(float(np.mean(record.offsets)), 2) + 0.0:+.2f}" if record.offsets else None
             figures = f"{record.metres_per_px:.2f}", f"{record.vertical_parallax_px:.3f}", moved
             rows.append([tile.id, *record.pair, size, matched, *figures])
     headers = "tile | first | second | size, px | matched, % | m of height per px | vertical parallax, px | moved, m"

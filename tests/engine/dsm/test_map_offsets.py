@@ -172,3 +172,14 @@ def test_records_refuse_offsets_that_are_no_lattice(urban_run):
     for offsets in ([[1.0, 2.0]], [[1.0], [2.0]], [[1.0, 2.0], [3.0]], [[1.0, 2.0], [3.0, "4"]]):
         with pytest.raises(ValueError, match="offsets"):
             record.from_mapping({**record.to_mapping(), "offsets": offsets})
+
+
+def test_of_many_maps_each_is_compared_with_those_of_the_best_geometry(urban_run, told):
+    """With one such map, its offset and that of each other still agree with what all comparisons give."""
+    scene = Scene.load(urban_run.result["scene"])
+    few = replace(FUSION, offsets=replace(FUSION.offsets, compared=1))
+    found = [with_agreeing_maps(scene, 1, 0, told(), fusion) for fusion in (FUSION, few)]
+    for whole, part in zip(*(each.tiles for each in found)):
+        for one, other in zip(whole.heights, part.heights):
+            assert other.offsets != () and np.array(other.offsets) == pytest.approx(np.array(one.offsets), abs=0.05)
+    assert found[0].tiles != found[1].tiles
