@@ -1180,8 +1180,8 @@
         <translation>Qualität der Zuordnung</translation>
     </message>
     <message>
-        <source>fast: only as many pairs as connect all images, a fifth to a third less time, and more gaps; best: semi-global matching in eight directions instead of three, up to two fifths more time and more memory, for mountains, low suns and oblique views; default: between the two.</source>
-        <translation>fast: nur so viele Paare, wie alle Bilder verbinden, ein Fünftel bis ein Drittel weniger Zeit und mehr Lücken; best: semiglobale Zuordnung in acht Richtungen statt drei, bis zu zwei Fünftel mehr Zeit und mehr Speicher, für Gebirge, tiefe Sonnenstände und schräge Ansichten; default: dazwischen.</translation>
+        <source>fast: only as many pairs as connect all images, a fifth to a third less time, and more gaps; best: semi-global matching in eight directions instead of three, up to half more time and more memory, for mountains, low suns and oblique views; default: between the two.</source>
+        <translation>fast: nur so viele Paare, wie alle Bilder verbinden, ein Fünftel bis ein Drittel weniger Zeit und mehr Lücken; best: semiglobale Zuordnung in acht Richtungen statt drei, bis zur Hälfte mehr Zeit und mehr Speicher, für Gebirge, tiefe Sonnenstände und schräge Ansichten; default: dazwischen.</translation>
     </message>
     <message>
         <source>Pairs of images</source>

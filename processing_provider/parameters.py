@@ -321,7 +321,7 @@ def quality() -> QgsProcessingParameterDefinition:
             tr("Quality of the matching"),
             tr(
                 "fast: only as many pairs as connect all images, a fifth to a third less time, and more gaps; best: "
-                "semi-global matching in eight directions instead of three, up to two fifths more time and more "
+                "semi-global matching in eight directions instead of three, up to half more time and more "
                 "memory, for mountains, low suns and oblique views; default: between the two."
             ),
         )
