@@ -105,7 +105,7 @@ def _place(views: Sequence[View], least_px: float, parameters: PointingParameter
         pair = pair_at(views[i], views[j], (float(lon), float(lat), altitude), 0, part)
         found.append((pair, ground, 100.0 * shared_part(shapes[i], shapes[j])))
     named = {view.name: outline for view, outline in zip(views, outlines)}
-    seen = places_seen(named, enclosing([bounds_of(shape) for shape in shapes]))
+    seen = places_seen(named, enclosing([bounds_of(shape) for shape in shapes]), parameters.pairs)
     matched = _matched([pair for pair, _, _ in found], seen, list(named), parameters)
     gsd, ranks = {view.name: view.gsd_m for view in views}, {pair.names: rank for rank, pair in enumerate(matched)}
     pairs = []

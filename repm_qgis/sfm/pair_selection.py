@@ -27,7 +27,6 @@ from .parameters import POINTING, PairParameters
 _YEAR = 365.25
 Seen = Mapping[str, Mask]
 """By the names of views, which of some places they see."""
-_PLACES = 64  # along each side of the ground, of which views see some
 
 
 def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> List[ViewPair]:
@@ -38,7 +37,7 @@ def choose_pairs(scene: Scene, parameters: PairParameters = POINTING.pairs) -> L
     pairs over the same ground, those go that neither of their views needs; where two views see ground that no pair
     covers, one comes. Raises EmptyResultError with the angles where no pair is usable.
     """
-    candidates, seen = _candidates(scene)
+    candidates, seen = _candidates(scene, parameters)
     return best_pairs(candidates, seen, [view.name for view in scene.views], parameters)
 
 
@@ -125,9 +124,12 @@ def sun_at(view: View, lon: float, lat: float) -> Optional[Tuple[float, float]]:
     return sun_position(view.time, lon, lat) if view.time is not None else None
 
 
-def places_seen(outlines: Mapping[str, FloatArray], bounds: Bounds) -> Dict[str, Mask]:
+def places_seen(
+    outlines: Mapping[str, FloatArray], bounds: Bounds, parameters: PairParameters = POINTING.pairs
+) -> Dict[str, Mask]:
     """Which of the places of a lattice over bounds lie within each view's outline, (N, 2) x and y in the same CRS."""
-    x, y = (low + (np.arange(_PLACES) + 0.5) * (high - low) / _PLACES for low, high in zip(bounds[:2], bounds[2:]))
+    side = parameters.places
+    x, y = (low + (np.arange(side) + 0.5) * (high - low) / side for low, high in zip(bounds[:2], bounds[2:]))
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     return {name: _inside(outline, places) for name, outline in outlines.items()}
 
@@ -142,7 +144,7 @@ def _inside(outline: FloatArray, places: FloatArray) -> Mask:
     return inside
 
 
-def _candidates(scene: Scene) -> Tuple[List[ViewPair], Dict[str, Mask]]:
+def _candidates(scene: Scene, parameters: PairParameters) -> Tuple[List[ViewPair], Dict[str, Mask]]:
     """All pairs that share a tile, and which places of the tiles' ground each view sees."""
     altitude = sum(scene.altitudes) / 2
     places = {view.name: footprint(view.localise, view.size, altitude) for view in scene.views}
@@ -156,7 +158,7 @@ def _candidates(scene: Scene) -> Tuple[List[ViewPair], Dict[str, Mask]]:
             place = scene.frame.lon, scene.frame.lat, altitude
             share = shared_part(shapes[first.name], shapes[second.name], area)
             found.append(pair_at(first, second, place, shared, share))
-    return found, places_seen(outlines, enclosing([tile.bounds for tile in scene.tiles]))
+    return found, places_seen(outlines, enclosing([tile.bounds for tile in scene.tiles]), parameters)
 
 
 def pair_at(first: View, second: View, place: Tuple[float, float, float], tiles: int, share: float) -> ViewPair:
@@ -228,21 +230,22 @@ def _uncovered(
     """Further good pairs, until little is left of the ground that good pairs see, but none of the kept ones. Of those
     that cover at least half as much of it as any other, the best comes first."""
 
-    def both(pair: ViewPair) -> Mask:
-        return seen[pair.first] & seen[pair.second]
+    def covered(pairs: Sequence[ViewPair]) -> Mask:
+        ground: Mask = np.any([seen[pair.first] & seen[pair.second] for pair in pairs], axis=0)
+        return ground
 
     good = [pair for pair in ranked if is_good(pair, parameters)]
-    whole, rest = (np.any([both(pair) for pair in pairs], axis=0) for pairs in (good or ranked, kept))
-    rest = whole & ~rest
-    least = parameters.uncovered * int(whole.sum())
-    added: List[ViewPair] = []
+    if not good:
+        return []
+    whole, added = covered(good), []
+    rest, least = whole & ~covered(kept), parameters.uncovered * int(whole.sum())
     while int(rest.sum()) > least:
-        gains = [int((rest & both(pair)).sum()) for pair in good]
-        if max(gains, default=0) <= least:
+        gains = [int((rest & covered([pair])).sum()) for pair in good]
+        if max(gains) <= least:
             break
         best = next(pair for pair, gain in zip(good, gains) if gain >= max(gains) / 2)
         added.append(replace(best, tied=False))  # under another sun it may have too few ties, and views have others
-        rest &= ~both(best)
+        rest &= ~covered([best])
     return added
 
 

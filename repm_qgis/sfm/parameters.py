@@ -51,6 +51,7 @@ class PairParameters(Parameters):
     per_view: int = 2  # good pairs that each view gets; more cost time, and gain nothing (`make bench-towns`)
     enough: float = 12.0  # pairs over the ground, in the mean: what more of them add is no gain (`make bench-towns`)
     uncovered: float = 0.03  # of the ground that good pairs see: so much may be without one of those that are matched
+    places: int = 64  # of the ground along each side, of which it is asked whether a pair covers them; chosen
     most_per_view: int = 3  # pairs of a view that is a good partner of many; more only to connect all views
     decade_cost: float = 0.5  # for each power of ten of days between two images; `make bench-towns`
     season_cost: float = 0.5  # of the opposite season

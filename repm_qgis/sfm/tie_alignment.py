@@ -142,16 +142,16 @@ class _Frames:
         rectified = self.pair.first_rectified(pixels) if first else self.pair.second_rectified(pixels)
         return rectified - self.corners[0 if first else 1]
 
+    def pixels(self, name: str, places: FloatArray) -> FloatArray:
+        """The inverse of :meth:`places`."""
+        if name == self.names[0]:
+            return self.pair.first_original(places + self.corners[0])
+        return self.pair.second_original(places + self.corners[1])
+
     def holds(self, places: FloatArray) -> Mask:
         """(N,) which places lie in the images."""
         inside: Mask = ((places >= 0) & (places < self.images[0].shape[::-1])).all(axis=1)
         return inside
-
-    def pixels(self, name: str, places: FloatArray) -> FloatArray:
-        """The inverse."""
-        if name == self.names[0]:
-            return self.pair.first_original(places + self.corners[0])
-        return self.pair.second_original(places + self.corners[1])
 
 
 def _align_patch(task: _AlignTask) -> Dict[int, List[Track]]:

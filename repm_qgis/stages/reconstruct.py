@@ -85,8 +85,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         matching = parameters.matching
         job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder), matching)
         scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 0.98))
-        agreeing = options.workers, options.memory, Part(notes, 0.98, 1.0), parameters.fusion, matching
-        scene = with_agreeing_maps(scene, *agreeing)
+        part = Part(notes, 0.98, 1.0)
+        scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, matching)
         seconds, changes = time.monotonic() - start, parameters.changes()
         done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
         done.save(options.output_scene)
