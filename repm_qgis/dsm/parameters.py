@@ -128,6 +128,63 @@ class ShadedGroundParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class BrightnessParameters(Parameters):
+    """How bright cells are (dsm/brightness.py)."""
+
+    views: int = 6  # the most vertical ones; with 3 shadows that move are taken for edges; towns table
+    percents: Tuple[float, float] = (2.0, 98.0)  # of a view's values, which become 0 and 1; chosen
+
+
+@dataclass(frozen=True)
+class StrayParameters(Parameters):
+    """Heights that stray from the surface around them (docs/method.md, "Fusion"; `make bench-towns`)."""
+
+    reach_m: float = 1.5  # half a window's side; 2 m does as well, for more time
+    reach_cells: int = 5  # and no more: bounds the time
+    sigma_m: float = 1.5  # of the weights by distance; 4 m does as well
+    contrast: float = 0.1  # of brightness, at which a cell's weight has fallen to 1 / e; 0.05 and 0.2 do as well
+    unknown: float = 1.0  # of these contrasts, the difference from a cell of unknown brightness; with 0 roofs erode
+    sigmas: float = 3.0  # of the distances from the median: heights farther away are replaced; 2 and 4.5 do as well
+    least_m: float = 0.2  # and no nearer ones; chosen
+    at_once: int = 1 << 14  # cells; bounds the memory
+
+    def reach(self, cell: float) -> int:
+        """Cells of the side ``cell`` (m) on each side of a cell in its window."""
+        return max(1, min(round(self.reach_m / cell), self.reach_cells))
+
+
+@dataclass(frozen=True)
+class WidenedRoofParameters(Parameters):
+    """Roofs over the shadow beside them (docs/method.md, "Fusion"; `make bench-towns`)."""
+
+    step_m: float = 3.0  # from roof to ground, and not less than between two surfaces of a cell; 2 and 5 do as well
+    reach_m: float = 6.0  # by which a roof may be too wide; 10 does as well
+    reach_cells: int = 24  # and no more: bounds the time
+    around_m: float = 8.0  # half the side of the window that shows what roof and ground look like; 6 and 12 do as well
+    around_cells: int = 16  # and no more: bounds the time
+    lattice: int = 8  # places on each side of a cell, in that window; chosen
+    least_cells: int = 8  # of these places, that must show a surface; chosen
+    like_m: float = 1.5  # of height by which a surface varies there, or half the step between two surfaces; chosen
+    contrast: float = 0.45  # by which the roof is brighter; 0.4 and 0.5 do as well, with 0.3 dark roofs go
+    nearer: float = 0.7  # a cell is so much more like the ground than like the roof; 0.3 and 0.5 find less
+    at_once: int = 1 << 12  # cells; bounds the memory
+
+    def rounds(self, cell: float) -> int:
+        """Cells of the side ``cell`` (m) by which a roof is cut back at most."""
+        return max(1, min(round(self.reach_m / cell), self.reach_cells))
+
+    def window(self, cell: float) -> Tuple[int, int]:
+        """Cells between the places of the window, and from its middle to the last of them."""
+        reach = max(1, min(round(self.around_m / cell), self.around_cells))
+        step = max(1, reach // self.lattice)
+        return step, reach // step * step
+
+    def halo(self, cell: float) -> int:
+        """Cells around a block on which its own cells depend, on either side."""
+        return self.rounds(cell) + self.window(cell)[1]
+
+
+@dataclass(frozen=True)
 class HoleParameters(Parameters):
     """Interpolation of holes; both values are chosen."""
 
@@ -252,6 +309,9 @@ class FusionParameters(Parameters):
     aggregation: AggregationParameters = AggregationParameters()
     sight_lines: SightLineParameters = SightLineParameters()
     outliers: OutlierParameters = OutlierParameters()
+    brightness: BrightnessParameters = BrightnessParameters()
+    strays: StrayParameters = StrayParameters()
+    widened: WidenedRoofParameters = WidenedRoofParameters()
     shaded: ShadedGroundParameters = ShadedGroundParameters()
     holes: HoleParameters = HoleParameters()
     error: ExpectedErrorParameters = ExpectedErrorParameters()

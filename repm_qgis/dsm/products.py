@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Iterator, List, Optional, Sequence, Tuple
@@ -27,17 +28,21 @@ from ..las import is_cloud
 from ..options import DsmFuseOptions
 from ..records import FusionFacts
 from ..scene import Scene, Tile
+from .brightness import brightness
 from .coarse_means import CoarseMeans
-from .expected_error import expected_error
+from .expected_error import background_error, expected_error
 from .feathering import feathered
 from .fusion import FusedTile, StoredTile
 from .holes import fill_holes
+from .ortho import nadir_first
 from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
 from .shaded import NOTHING, Sun, shaded_ground, support
+from .strays import without_strays
+from .widened_roofs import widened_over_shadow
 
-INTERPOLATED, _INTERPOLATED_ON_DEM = 2, 3
+BACKGROUND, INTERPOLATED, _INTERPOLATED_ON_DEM = 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -81,14 +86,15 @@ def clouds_of(options: DsmFuseOptions, folder: str) -> List[str]:
 class _Products:
     """The open files of the products, None for those that are not written; rasters hold the ``crop`` of the layout.
 
-    ``whole`` has the heights of all tiles, ellipsoidal, where holes are filled: that needs heights of several tiles.
+    ``whole`` has the ellipsoidal heights of all tiles, from which the DSM's are made (they depend on what is around
+    them, in other tiles too), and which of them are the background's.
     """
 
     crop: Window
     dsm: RasterWriter
     confidence: Optional[RasterWriter]
     ortho: Optional[RasterWriter]
-    whole: Optional[RasterWriter]
+    whole: RasterWriter
 
     @classmethod
     def opened(
@@ -108,10 +114,7 @@ class _Products:
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", layout.file_crs)
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
-        whole = None
-        if options.fill == "all":
-            heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
-            whole = stack.enter_context(heights)
+        whole = stack.enter_context(created(f"{folder}/heights.tif", shape, kind, 2, None, "", compress=False))
         return cls(crop, dsm, confidence, ortho, whole)
 
     def write_tile(self, tile: FusedTile, error: Floats, height: Floats, window: Window) -> None:
@@ -129,9 +132,20 @@ class _Products:
                 if raster is not None and values is not None:
                     raster.write(values[rows, columns].astype(np.float32), *place, index, tile.own is not None)
 
-        put(self.whole or self.dsm, height)
+        put(self.whole, height, source)
         put(self.confidence, count, fused.spread, fused.score, source, error)
         put(self.ortho, tile.ortho)
+
+    def mark_background(self, window: Window, cells: Mask, error: float) -> int:
+        """Note that cells of a window of the crop took the background's height, with that expected error (m), and give
+        how many had their own before."""
+        matched = cells & (self.whole.read(window, 2) == 0)
+        if self.confidence is not None and matched.any():
+            facts = (np.nan, np.nan, np.nan, BACKGROUND, error)  # as CONFIDENCE_BANDS
+            for band, value in enumerate(facts, start=1):
+                values = np.where(matched, np.float32(value), self.confidence.read(window, band))
+                self.confidence.write(values, window.col, window.row, band)
+        return int(matched.sum())
 
 
 def write_products(
@@ -171,13 +185,12 @@ def write_products(
                 filled += int((taken & ~result.fused.filled).sum())
                 result = replace(result, fused=result.fused.with_background(ground))
                 height = np.where(taken, ground, height)
-            if products.whole is None:
-                height = height - layout.undulation(layout.grid.part(window))
             error = expected_error(result.fused, tile.metres_per_px, parameters.error)
             products.write_tile(result, error, height, window)
-        interpolated = 0
-        if products.whole is not None:
-            interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
+        metres = [each for tile in stored for each in tile.metres_per_px]
+        unsure, everywhere = background_error(metres, parameters.error), options.fill == "all"
+        grounded, interpolated = _write_heights(products, scene, layout, folder, unsure, everywhere, parameters)
+    filled += grounded
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
     overlap = overlap_m2(scene, float(np.median(levels)))
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
@@ -274,25 +287,44 @@ def overlap_m2(scene: Scene, level: float) -> float:
     return float(seen.GetArea())
 
 
-def _write_filled(
-    products: _Products, whole: RasterWriter, scene: Scene, layout: DsmLayout, folder: str, parameters: FusionParameters
-) -> int:
-    """Write the DSM from the raster of all tiles' heights, with its holes filled; gives how many cells were filled."""
+def _write_heights(
+    products: _Products,
+    scene: Scene,
+    layout: DsmLayout,
+    folder: str,
+    error: float,
+    fill: bool,
+    parameters: FusionParameters,
+) -> Tuple[int, int]:
+    """Write the DSM from the raster of all tiles' heights, without what does not fit the images, and with its holes
+    filled where that is wanted. Gives how many cells took the ground's height, whose expected ``error`` (m) is stated,
+    and how many were filled."""
     grid = layout.grid.part(products.crop)
-    surface = _terrain_of(scene, grid, layout.crs, folder)
-    count = 0
-    for own, wide in overlapping_blocks(grid.size, parameters.hole_block_cells, parameters.holes.reach_cells):
-        heights = whole.read(wide)
-        base = None
-        if surface is not None and np.isnan(heights).any():
-            base = _on_cells(surface, grid.part(wide), layout.crs)
-        height, filled = (values[own.inside(wide)] for values in fill_holes(heights, base, parameters.holes))
-        products.dsm.write((height - layout.undulation(grid.part(own))).astype(np.float32), own.col, own.row)
-        if products.confidence is not None and filled.any():
-            source = np.where(filled, np.float32(INTERPOLATED if base is None else _INTERPOLATED_ON_DEM), np.nan)
-            products.confidence.write(source.astype(np.float32), own.col, own.row, SOURCE_BAND, keep=True)
-        count += int(filled.sum())
-    return count
+    surface = _terrain_of(scene, grid, layout.crs, folder) if fill else None
+    views = [view for view in nadir_first(scene) if os.path.exists(view.image)][: parameters.brightness.views]
+    cell, grounded, count = grid.cell, 0, 0
+    halo = parameters.strays.reach(cell) + parameters.widened.halo(cell) + (parameters.holes.reach_cells if fill else 0)
+    for own, wide in overlapping_blocks(grid.size, parameters.hole_block_cells, halo):
+        part, inner = grid.part(wide), own.inside(wide)
+        height = products.whole.read(wide)
+        light = brightness(views, part, height, layout.crs, parameters)
+        height = without_strays(height, light, cell, parameters.strays)
+        ground = widened_over_shadow(height, light, cell, parameters)
+        height = np.where(np.isfinite(ground), ground, height)
+        grounded += products.mark_background(own, np.isfinite(ground[inner]), error)
+        if fill:
+            base = None
+            if surface is not None and np.isnan(height).any():
+                base = _on_cells(surface, part, layout.crs)
+            height, filled = fill_holes(height, base, parameters.holes)
+            filled = filled[inner]
+            if products.confidence is not None and filled.any():
+                source = np.where(filled, np.float32(INTERPOLATED if base is None else _INTERPOLATED_ON_DEM), np.nan)
+                products.confidence.write(source.astype(np.float32), own.col, own.row, SOURCE_BAND, keep=True)
+            count += int(filled.sum())
+        height = height[inner] - layout.undulation(grid.part(own))
+        products.dsm.write(height.astype(np.float32), own.col, own.row)
+    return grounded, count
 
 
 def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional[Surface]:

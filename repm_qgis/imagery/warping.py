@@ -54,7 +54,8 @@ def _nodes(to_source: PixelMap, width: int, first_row: int, rows: int) -> FloatA
 def warp(dataset: Image, band: int, to_source: PixelMap, size: Size, kernel: str = "bilinear") -> FloatImage:
     """Resample an image: pixel p of the result takes the source's value at ``to_source(p)``.
 
-    Returns (height, width) float32; NaN outside the source, and where the kernel touches nodata.
+    Returns (height, width) float32; NaN beyond the centres of the source's outermost pixels, and where the kernel
+    touches nodata.
     """
     result = np.full(size[::-1], np.nan, dtype=np.float32)
     for row, strip in warp_strips(dataset, band, to_source, size, kernel):
@@ -118,19 +119,22 @@ def sample_source(dataset: Image, band: int, positions: FloatArray, kernel: str)
 
 
 def sample_array(source: FloatImage, positions: FloatArray, kernel: str) -> FloatImage:
-    """Values of an array (height, width) at (rows, columns, 2) positions; NaN outside, and next to NaN."""
+    """Values of an array (height, width) at (rows, columns, 2) positions; NaN beyond the outermost pixels' centres,
+    and next to NaN."""
     return _remapped(source, positions[..., 0].astype(np.float32), positions[..., 1].astype(np.float32), kernel)
 
 
 def _remapped(source: FloatImage, u: FloatImage, v: FloatImage, kernel: str) -> FloatImage:
-    flags, border = KERNELS[kernel], cv2.BORDER_CONSTANT
+    """Values between the centres of the outermost pixels: kernels that reach beyond find these pixels again there."""
+    height, width = source.shape
     missing = ~np.isfinite(source)
     filled = np.where(missing, np.float32(0), source) if missing.any() else source
-    values: FloatImage = cv2.remap(filled, u, v, flags, borderMode=border, borderValue=[float("nan")])
+    values: FloatImage = cv2.remap(filled, u, v, KERNELS[kernel], borderMode=cv2.BORDER_REPLICATE)
+    values[~((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1))] = np.nan
     if filled is source:
         return values
     side = 2 * _REACH[kernel] - 1
     touched = cv2.dilate(missing.astype(np.uint8), np.ones((side, side), np.uint8))
-    near = cv2.remap(touched.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=border, borderValue=[1])
+    near = cv2.remap(touched.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values[near > 0] = np.nan
     return values
