@@ -166,7 +166,6 @@ class WidenedRoofParameters(Parameters):
     least_cells: int = 8  # of these places, that must show a surface; chosen
     like_m: float = 1.5  # of height by which a surface varies there, or half the step between two surfaces; chosen
     contrast: float = 0.45  # by which the roof is brighter; 0.4 and 0.5 do as well, with 0.3 dark roofs go
-    nearer: float = 0.7  # a cell is so much more like the ground than like the roof; 0.3 and 0.5 find less
     at_once: int = 1 << 12  # cells; bounds the memory
 
     def rounds(self, cell: float) -> int:

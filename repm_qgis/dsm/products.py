@@ -310,7 +310,7 @@ def _write_heights(
         light = brightness(views, part, height, layout.crs, parameters)
         height = without_strays(height, light, cell, parameters.strays)
         ground = widened_over_shadow(height, light, cell, parameters)
-        height = np.where(np.isfinite(ground), ground, height)
+        height = without_strays(np.where(np.isfinite(ground), ground, height), light, cell, parameters.strays)
         grounded += products.mark_background(own, np.isfinite(ground[inner]), error)
         if fill:
             base = None

@@ -58,7 +58,7 @@ def _beside_lower(surface: FloatImage, asked: Mask, step: float) -> Tuple[IntArr
 def _in_shadow(
     cells: IntArray, ground: FloatImage, surface: FloatImage, brightness: FloatImage, cell: float, p: FusionParameters
 ) -> Mask:
-    """(N,) whether cells are far darker than the surface whose height they have, and rather like the ground's."""
+    """(N,) whether cells are far darker than the surface whose height they have, and more like the ground's."""
     numbers, columns = p.widened, surface.shape[1]
     step, reach = numbers.window(cell)
     heights, lights = (np.pad(values, reach, constant_values=np.nan) for values in (surface, brightness))
@@ -82,7 +82,7 @@ def _in_shadow(
                 for level in (surface.ravel()[cells[part]], ground[part])
             )
             brighter = roof - light
-            result[part] = (brighter > numbers.contrast) & (np.abs(light - shade) < numbers.nearer * brighter)
+            result[part] = (brighter > numbers.contrast) & (np.abs(light - shade) < brighter)
     return result
 
 
