@@ -131,8 +131,9 @@ class ShadedGroundParameters(Parameters):
 class BrightnessParameters(Parameters):
     """How bright cells are (dsm/brightness.py)."""
 
-    views: int = 6  # the most vertical ones; with 3 shadows that move are taken for edges; towns table
+    views: int = 6  # the most vertical ones; with 10 the time grows, and nothing else; towns table
     percents: Tuple[float, float] = (2.0, 98.0)  # of a view's values, which become 0 and 1; chosen
+    least_range: float = 1e-3  # of its values: less is one brightness; chosen, for images in any unit
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Iterator, List, Optional, Sequence, Tuple
@@ -27,14 +26,13 @@ from ..imagery.raster import RasterWriter, created
 from ..las import is_cloud
 from ..options import DsmFuseOptions
 from ..records import FusionFacts
-from ..scene import Scene, Tile
+from ..scene import Scene, Tile, View
 from .brightness import brightness
 from .coarse_means import CoarseMeans
 from .expected_error import background_error, expected_error
 from .feathering import feathered
 from .fusion import FusedTile, StoredTile
 from .holes import fill_holes
-from .ortho import nadir_first
 from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
@@ -136,13 +134,13 @@ class _Products:
         put(self.confidence, count, fused.spread, fused.score, source, error)
         put(self.ortho, tile.ortho)
 
-    def mark_background(self, window: Window, cells: Mask, error: float) -> int:
-        """Note that cells of a window of the crop took the background's height, with that expected error (m), and give
-        how many had their own before."""
+    def mark(self, window: Window, cells: Mask, error: Optional[float]) -> int:
+        """Note that cells of a window of the crop took the background's height, with that expected error (m; None: they
+        lost their own), and give how many had their own before."""
         matched = cells & (self.whole.read(window, 2) == 0)
         if self.confidence is not None and matched.any():
-            facts = (np.nan, np.nan, np.nan, BACKGROUND, error)  # as CONFIDENCE_BANDS
-            for band, value in enumerate(facts, start=1):
+            facts = (np.nan, np.nan) if error is None else (BACKGROUND, error)
+            for band, value in enumerate((np.nan, np.nan, np.nan, *facts), start=1):  # as CONFIDENCE_BANDS
                 values = np.where(matched, np.float32(value), self.confidence.read(window, band))
                 self.confidence.write(values, window.col, window.row, band)
         return int(matched.sum())
@@ -154,12 +152,15 @@ def write_products(
     layout: DsmLayout,
     stored: Sequence[StoredTile],
     folder: str,
+    views: Sequence[View] = (),
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
 ) -> FusionFacts:
     """Write DSM, confidence and grey orthophoto from the fused tiles; gives what was counted, without a cloud's points.
 
-    ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
+    ``folder`` is for temporary files. ``views`` show how bright the cells are, the most vertical ones first; without
+    them heights are compared with each other alone. ``means`` take up the heights above the ellipsoid, before holes are
+    filled.
     Raises EmptyResultError where no cell has a height, WorkspaceError where a file cannot be written.
     """
     valid, cells, filled = (sum(getattr(tile, name) for tile in stored) for name in ("valid", "cells", "filled"))
@@ -188,9 +189,13 @@ def write_products(
             error = expected_error(result.fused, tile.metres_per_px, parameters.error)
             products.write_tile(result, error, height, window)
         metres = [each for tile in stored for each in tile.metres_per_px]
-        unsure, everywhere = background_error(metres, parameters.error), options.fill == "all"
-        grounded, interpolated = _write_heights(products, scene, layout, folder, unsure, everywhere, parameters)
-    filled += grounded
+        unsure = None if options.fill == "none" else background_error(metres, parameters.error)
+        making = _Heights(products, scene, layout, views, unsure, options.fill == "all", parameters)
+        cut_back, interpolated = making.write(folder)
+    if unsure is None:
+        valid -= cut_back
+    else:
+        filled += cut_back
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
     overlap = overlap_m2(scene, float(np.median(levels)))
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
@@ -287,44 +292,59 @@ def overlap_m2(scene: Scene, level: float) -> float:
     return float(seen.GetArea())
 
 
-def _write_heights(
-    products: _Products,
-    scene: Scene,
-    layout: DsmLayout,
-    folder: str,
-    error: float,
-    fill: bool,
-    parameters: FusionParameters,
-) -> Tuple[int, int]:
-    """Write the DSM from the raster of all tiles' heights, without what does not fit the images, and with its holes
-    filled where that is wanted. Gives how many cells took the ground's height, whose expected ``error`` (m) is stated,
-    and how many were filled."""
-    grid = layout.grid.part(products.crop)
-    surface = _terrain_of(scene, grid, layout.crs, folder) if fill else None
-    views = [view for view in nadir_first(scene) if os.path.exists(view.image)][: parameters.brightness.views]
-    cell, grounded, count = grid.cell, 0, 0
-    halo = parameters.strays.reach(cell) + parameters.widened.halo(cell) + (parameters.holes.reach_cells if fill else 0)
-    for own, wide in overlapping_blocks(grid.size, parameters.hole_block_cells, halo):
-        part, inner = grid.part(wide), own.inside(wide)
-        height = products.whole.read(wide)
-        light = brightness(views, part, height, layout.crs, parameters)
-        height = without_strays(height, light, cell, parameters.strays)
-        ground = widened_over_shadow(height, light, cell, parameters)
-        height = without_strays(np.where(np.isfinite(ground), ground, height), light, cell, parameters.strays)
-        grounded += products.mark_background(own, np.isfinite(ground[inner]), error)
-        if fill:
-            base = None
-            if surface is not None and np.isnan(height).any():
-                base = _on_cells(surface, part, layout.crs)
-            height, filled = fill_holes(height, base, parameters.holes)
-            filled = filled[inner]
-            if products.confidence is not None and filled.any():
-                source = np.where(filled, np.float32(INTERPOLATED if base is None else _INTERPOLATED_ON_DEM), np.nan)
-                products.confidence.write(source.astype(np.float32), own.col, own.row, SOURCE_BAND, keep=True)
-            count += int(filled.sum())
-        height = height[inner] - layout.undulation(grid.part(own))
-        products.dsm.write(height.astype(np.float32), own.col, own.row)
-    return grounded, count
+@dataclass(frozen=True)
+class _Heights:
+    """The DSM from the raster of all tiles' heights: without what does not fit the images, and with its holes filled
+    where ``fill`` says so.
+
+    ``views`` show how bright cells are, the most vertical ones first. What roofs are cut back to has the expected
+    ``error`` (m); with None it becomes a hole.
+    """
+
+    products: _Products
+    scene: Scene
+    layout: DsmLayout
+    views: Sequence[View]
+    error: Optional[float]
+    fill: bool
+    parameters: FusionParameters
+
+    def write(self, folder: str) -> Tuple[int, int]:
+        """Write all blocks; gives how many cells roofs were cut back by, and how many were interpolated."""
+        grid, p = self.layout.grid.part(self.products.crop), self.parameters
+        surface = _terrain_of(self.scene, grid, self.layout.crs, folder) if self.fill else None
+        halo = 2 * p.strays.reach(grid.cell) + p.widened.halo(grid.cell) + (p.holes.reach_cells if self.fill else 0)
+        cut_back, interpolated = 0, 0
+        for own, wide in overlapping_blocks(grid.size, p.hole_block_cells, halo):
+            part, inner = grid.part(wide), own.inside(wide)
+            height, ground = self._fitting(self.products.whole.read(wide), part)
+            cut_back += self.products.mark(own, np.isfinite(ground[inner]), self.error)
+            if self.fill:
+                base = None
+                if surface is not None and np.isnan(height).any():
+                    base = _on_cells(surface, part, self.layout.crs)
+                height, filled = fill_holes(height, base, p.holes)
+                interpolated += self._mark_interpolated(own, filled[inner], base is not None)
+            height = height[inner] - self.layout.undulation(grid.part(own))
+            self.products.dsm.write(height.astype(np.float32), own.col, own.row)
+        return cut_back, interpolated
+
+    def _fitting(self, height: Floats, grid: CellGrid) -> Tuple[Floats, FloatImage]:
+        """The heights of a part of the grid that fit the images, and the ground where roofs were cut back."""
+        p, cell = self.parameters, grid.cell
+        light = brightness(self.views, grid, height, self.layout.crs, p)
+        height = without_strays(height, light, cell, p.strays)
+        ground = widened_over_shadow(height, light, cell, p)
+        taken = np.isfinite(ground)
+        # What is left of a roof over the shadow strays now.
+        height = without_strays(np.where(taken, ground, height), light, cell, p.strays)
+        return (np.where(taken, np.nan, height) if self.error is None else height), ground
+
+    def _mark_interpolated(self, window: Window, cells: Mask, on_dem: bool) -> int:
+        if self.products.confidence is not None and cells.any():
+            source = np.where(cells, np.float32(_INTERPOLATED_ON_DEM if on_dem else INTERPOLATED), np.float32(np.nan))
+            self.products.confidence.write(source, window.col, window.row, SOURCE_BAND, keep=True)
+        return int(cells.sum())
 
 
 def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional[Surface]:

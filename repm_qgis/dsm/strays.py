@@ -27,10 +27,10 @@ def without_strays(
     median = _weighted_median(height.astype(np.float32), brightness.astype(np.float32), cell, p)
     with np.errstate(invalid="ignore"):
         away = np.abs(median - height)
-        usual = away[away > 0]
-        if not usual.size:
+        known = away[np.isfinite(away)]
+        if not known.size:
             return height
-        limit = max(p.least_m, p.sigmas * NMAD_FACTOR * float(np.median(usual)))
+        limit = max(p.least_m, p.sigmas * NMAD_FACTOR * float(np.median(known)))
         return np.where(away > limit, median, height)
 
 

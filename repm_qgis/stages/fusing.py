@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import List, Optional, Tuple
@@ -92,7 +93,11 @@ def _written(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> Fusio
     fusion, stored = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
-    facts = write_products(options, fusion.scene, layout, stored, folder, numbers.fusion, means)
+    views = [view for view in nadir_first(fusion.scene) if os.path.exists(view.image)]
+    if len(views) < len(fusion.scene.views):
+        missing = counted(len(fusion.scene.views) - len(views), "image")
+        progress.info(f"{missing} of the scene not found: heights are compared with the brightness of the others.")
+    facts = write_products(options, fusion.scene, layout, stored, folder, views, numbers.fusion, means)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
     for each, path in paths_of("dsmfuse", options):

@@ -135,3 +135,16 @@ def test_whole_pixels_are_taken_as_they_are():
         np.testing.assert_allclose(
             sample_array(source, np.stack([x, y], axis=-1), kernel), source[4:20, 5:30], atol=1e-5
         )
+
+
+@pytest.mark.parametrize("kernel", ("bilinear", "cubic", "lanczos"))
+def test_images_end_at_the_centres_of_their_outermost_pixels(kernel):
+    """Kernels that reach beyond find the outermost pixels again: no pixel of the image is lost."""
+    source = (10.0 + np.mgrid[:30, :40].sum(axis=0)).astype(np.float32)
+    x, y = np.meshgrid(np.arange(-1.0, 41.0), np.arange(-1.0, 31.0))
+    found = sample_array(source, np.stack([x, y], axis=-1), kernel)
+    np.testing.assert_allclose(found[1:-1, 1:-1], source, atol=1e-4)
+    found[1:-1, 1:-1] = np.nan
+    assert np.isnan(found).all()
+    just_within = sample_array(source, np.array([[[0.25, 0.25], [38.75, 28.75]]]), kernel)[0]
+    np.testing.assert_allclose(just_within, (10.5, 77.5), atol=0.2)

@@ -1,0 +1,94 @@
+"""Heights that do not fit the images' brightness, in whole runs: what is replaced, marked and counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osgeo import gdal
+
+from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.scene import Scene
+from repm_qgis.stages import run_stage
+from repm_qgis.stages.parameters import ENGINE
+
+_FUSION = ENGINE.fusion
+AS_THEY_ARE = replace(
+    ENGINE,
+    fusion=replace(
+        _FUSION,
+        strays=replace(_FUSION.strays, least_m=1e6),
+        widened=replace(_FUSION.widened, contrast=1e6),
+    ),
+)
+STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=replace(_FUSION.widened, contrast=1e6)))
+
+
+def bands(path):
+    dataset = gdal.Open(path)
+    values = dataset.ReadAsArray().astype(float)
+    values[values == dataset.GetRasterBand(1).GetNoDataValue()] = np.nan
+    return values if values.ndim == 3 else values[None]
+
+
+@pytest.fixture
+def fused(urban_run, tmp_path, told):
+    """A function that fuses the town's height maps: the DSM, the confidence, the facts and the log."""
+
+    def made(name, parameters=ENGINE, scene=None, **options):
+        files = {"output": str(tmp_path / f"{name}.tif"), "confidence": str(tmp_path / f"{name}_confidence.tif")}
+        log = told()
+        scene = scene or urban_run.result["scene"]
+        facts = run_stage("dsmfuse", {"scene": scene, "resolution": 0.5, **files, **options}, log, parameters)
+        return bands(files["output"])[0], bands(files["confidence"]), facts, log
+
+    return made
+
+
+def test_strays_give_way_and_nothing_else_changes(fused, urban, tmp_path):
+    plain, before, without, _ = fused("plain", AS_THEY_ARE)
+    dsm, after, facts, _ = fused("strays", STRAYS_ONLY)
+    np.testing.assert_array_equal(np.isnan(dsm), np.isnan(plain))
+    changed = np.abs(dsm - plain) > 0
+    assert 0.005 < changed.mean() < 0.2
+    assert np.median(np.abs(dsm - plain)[changed]) > _FUSION.strays.least_m
+    plain_score, score = (
+        score_files(str(tmp_path / f"{name}.tif"), urban.truth, "cells") for name in ("plain", "strays")
+    )
+    assert score.metrics.mae < plain_score.metrics.mae
+    np.testing.assert_array_equal(after, before)
+    assert {name: facts[name] for name in ("valid", "matched", "background")} == {
+        name: without[name] for name in ("valid", "matched", "background")
+    }
+
+
+def test_what_roofs_are_cut_back_by_is_the_grounds_and_marked(fused):
+    plain, before, without, _ = fused("wide", AS_THEY_ARE)
+    dsm, after, facts, _ = fused("cut")
+    cut = (after[3] == 1) & (before[3] == 0)
+    assert cut.sum() > 10
+    assert ((plain - dsm)[cut] > 1.0).mean() > 0.9
+    assert np.isnan(after[:3, cut]).all()
+    assert np.unique(after[4, cut]).size == 1 and after[4, cut][0] > np.nanmedian(after[4])
+    assert facts["background"] - without["background"] == without["matched"] - facts["matched"] == cut.sum()
+    assert facts["matched"] == (after[3] == 0).sum() and facts["background"] == (after[3] == 1).sum()
+
+
+def test_without_filling_they_become_holes(fused):
+    plain, _, without, _ = fused("wide_none", STRAYS_ONLY, fill="none")
+    dsm, confidence, facts, _ = fused("cut_none", fill="none")
+    lost = np.isfinite(plain) & np.isnan(dsm)
+    assert lost.sum() == without["valid"] - facts["valid"] > 10
+    assert np.isnan(confidence[:, lost]).all()
+    assert facts["background"] == 0 and facts["matched"] == np.isfinite(dsm).sum()
+
+
+def test_without_its_images_a_scene_is_fused_and_that_is_said(fused, urban_run, tmp_path):
+    scene = Scene.load(urban_run.result["scene"])
+    views = tuple(replace(view, image=str(tmp_path / f"gone_{view.name}.tif")) for view in scene.views)
+    moved = replace(scene, views=views).save(str(Path(urban_run.result["scene"]).with_name("moved.json")))
+    dsm, _, _, log = fused("moved", scene=moved)
+    assert np.isfinite(dsm).mean() > 0.5
+    assert any(f"{len(views)} images of the scene not found" in line for line in log.notes)
