@@ -96,7 +96,7 @@ def _written(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> Fusio
     views = [view for view in nadir_first(fusion.scene) if os.path.exists(view.image)]
     if len(views) < len(fusion.scene.views):
         missing = counted(len(fusion.scene.views) - len(views), "image")
-        progress.info(f"{missing} of the scene not found: heights are compared with the brightness of the others.")
+        progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
     facts = write_products(options, fusion.scene, layout, stored, folder, views, numbers.fusion, means)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))

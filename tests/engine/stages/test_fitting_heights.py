@@ -91,4 +91,4 @@ def test_without_its_images_a_scene_is_fused_and_that_is_said(fused, urban_run, 
     moved = replace(scene, views=views).save(str(Path(urban_run.result["scene"]).with_name("moved.json")))
     dsm, _, _, log = fused("moved", scene=moved)
     assert np.isfinite(dsm).mean() > 0.5
-    assert any(f"{len(views)} images of the scene not found" in line for line in log.notes)
+    assert any(f"{len(views)} images of the scene cannot be found" in line for line in log.notes)
