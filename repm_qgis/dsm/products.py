@@ -22,25 +22,24 @@ from ..geometry.tiles import enclosing
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.dem import load_surface, make_surface
-from ..imagery.raster import RasterWriter, created
+from ..imagery.raster import RasterWriter, created, opened, read
 from ..las import is_cloud
 from ..options import DsmFuseOptions
 from ..records import FusionFacts
-from ..scene import Scene, Tile, View
-from .brightness import brightness
+from ..scene import Scene, Tile
 from .coarse_means import CoarseMeans
 from .expected_error import background_error, expected_error
 from .feathering import feathered
+from .fitting import FittedBlock
 from .fusion import FusedTile, StoredTile
 from .holes import fill_holes
 from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
 from .shaded import NOTHING, Sun, shaded_ground, support
-from .strays import without_strays
-from .widened_roofs import widened_over_shadow
 
 BACKGROUND, INTERPOLATED, _INTERPOLATED_ON_DEM = 1, 2, 3
+_SUPPORT, _FILLED = 2, 3  # bands of the raster of joined tiles, after the heights
 
 
 @dataclass(frozen=True)
@@ -84,15 +83,14 @@ def clouds_of(options: DsmFuseOptions, folder: str) -> List[str]:
 class _Products:
     """The open files of the products, None for those that are not written; rasters hold the ``crop`` of the layout.
 
-    ``whole`` has the ellipsoidal heights of all tiles, from which the DSM's are made (they depend on what is around
-    them, in other tiles too), and which of them are the background's.
+    ``whole`` has the ellipsoidal heights where holes are filled: that needs heights of several blocks.
     """
 
     crop: Window
     dsm: RasterWriter
     confidence: Optional[RasterWriter]
     ortho: Optional[RasterWriter]
-    whole: RasterWriter
+    whole: Optional[RasterWriter]
 
     @classmethod
     def opened(
@@ -112,11 +110,14 @@ class _Products:
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", layout.file_crs)
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
-        whole = stack.enter_context(created(f"{folder}/heights.tif", shape, kind, 2, None, "", compress=False))
+        whole = None
+        if options.fill == "all":
+            heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
+            whole = stack.enter_context(heights)
         return cls(crop, dsm, confidence, ortho, whole)
 
-    def write_tile(self, tile: FusedTile, error: Floats, height: Floats, window: Window) -> None:
-        """Write a tile's cells, with ``height`` as the final one, as far as they lie in the crop."""
+    def write_tile(self, tile: FusedTile, error: Floats, window: Window) -> None:
+        """Write the facts of a tile's cells, as far as they lie in the crop."""
         common = window.common(self.crop)
         if common is None:
             return
@@ -130,20 +131,98 @@ class _Products:
                 if raster is not None and values is not None:
                     raster.write(values[rows, columns].astype(np.float32), *place, index, tile.own is not None)
 
-        put(self.whole, height, source)
         put(self.confidence, count, fused.spread, fused.score, source, error)
         put(self.ortho, tile.ortho)
 
-    def mark(self, window: Window, cells: Mask, error: Optional[float]) -> int:
+    def write_block(self, window: Window, height: Floats, below: Floats) -> None:
+        """Write the ellipsoidal heights of a block of the crop's cells, or keep them where holes are filled; ``below``
+        are those of the vertical datum's surface."""
+        heights = height if self.whole is not None else height - below
+        (self.whole or self.dsm).write(heights.astype(np.float32), window.col, window.row)
+
+    def mark(self, window: Window, cells: Mask, error: Optional[float]) -> None:
         """Note that cells of a window of the crop took the background's height, with that expected error (m; None: they
-        lost their own), and give how many had their own before."""
-        matched = cells & (self.whole.read(window, 2) == 0)
-        if self.confidence is not None and matched.any():
-            facts = (np.nan, np.nan) if error is None else (BACKGROUND, error)
-            for band, value in enumerate((np.nan, np.nan, np.nan, *facts), start=1):  # as CONFIDENCE_BANDS
-                values = np.where(matched, np.float32(value), self.confidence.read(window, band))
-                self.confidence.write(values, window.col, window.row, band)
-        return int(matched.sum())
+        lost their own)."""
+        if self.confidence is None or not cells.any():
+            return
+        facts = (np.nan, np.nan) if error is None else (BACKGROUND, error)
+        for band, value in enumerate((np.nan, np.nan, np.nan, *facts), start=1):  # as CONFIDENCE_BANDS
+            values = np.where(cells, np.float32(value), self.confidence.read(window, band))
+            self.confidence.write(values, window.col, window.row, band)
+
+
+@dataclass(frozen=True)
+class JoinedTiles:
+    """The heights of all tiles on the ``crop`` of the layout, feathered into each other: temporary rasters, that of the
+    ground in shadows only where the sun is known."""
+
+    crop: Window
+    path: str
+    shaded: str = ""
+
+    def heights(self, window: Window) -> FloatImage:
+        """(H, W) heights of a window of the crop, m above the ellipsoid, with the ground in shadows; NaN = none."""
+        ground = self.ground(window)
+        return np.where(np.isfinite(ground), ground, self._read(self.path, window, 1))
+
+    def matched(self, window: Window) -> Mask:
+        """(H, W) the cells of a window that have a height of their own, not the background's."""
+        matched: Mask = (self._read(self.path, window, _FILLED) == 0) & np.isnan(self.ground(window))
+        return matched
+
+    def ground(self, window: Window) -> FloatImage:
+        """(H, W) the ground in shadows, for the cells of a window that take it; NaN for others."""
+        if not self.shaded:
+            return np.full((window.height, window.width), np.nan, np.float32)
+        return self._read(self.shaded, window, 1)
+
+    @staticmethod
+    def _read(path: str, window: Window, band: int) -> FloatImage:
+        with opened(path) as dataset:
+            return read(dataset, window, band)
+
+
+def join_tiles(
+    options: DsmFuseOptions,
+    scene: Scene,
+    layout: DsmLayout,
+    stored: Sequence[StoredTile],
+    folder: str,
+    parameters: FusionParameters = FUSION,
+) -> JoinedTiles:
+    """Write the heights of all tiles into one raster, and the ground of shadows, in ``folder``.
+
+    Raises EmptyResultError where no cell has a height, WorkspaceError where a file cannot be written.
+    """
+    if not any(tile.valid for tile in stored):
+        cells = sum(tile.cells for tile in stored)
+        raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
+    crop, path, shaded = _known_part(layout, stored), f"{folder}/joined.tif", f"{folder}/shaded.tif"
+    frame = (crop.height, crop.width), np.dtype(np.float32)
+    with created(path, *frame, 3, None, "", compress=False) as raster:
+        for _, window, result, height in _Tiles(scene, layout, stored, parameters):
+            common = window.common(crop)
+            if common is None:
+                continue
+            behind = support(result.fused, parameters.shaded).astype(np.float32)
+            filled = np.where(np.isfinite(result.fused.height), result.fused.filled, np.float32(np.nan))
+            if result.own is not None:
+                behind[~result.own] = np.nan
+            place = common.within(crop)
+            for band, values in ((1, height), (_SUPPORT, behind), (_FILLED, filled)):
+                part = values[common.inside(window)].astype(np.float32)
+                raster.write(part, place.col, place.row, band, result.own is not None)
+    joined = JoinedTiles(crop, path)
+    sun = Sun.over(scene, layout.crs, parameters.shaded) if options.fill != "none" else None
+    if sun is None:
+        return joined
+    with created(shaded, *frame, 1, None, "", compress=False) as raster, opened(path) as dataset:
+        cell, numbers = layout.grid.cell, parameters.shaded
+        for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
+            known = np.nan_to_num(read(dataset, wide, _SUPPORT), nan=NOTHING).astype(np.uint8)  # beyond all tiles
+            found = shaded_ground(read(dataset, wide, 1), known, cell, sun, numbers)
+            raster.write(found[own.inside(wide)], own.col, own.row)
+    return replace(joined, shaded=shaded)
 
 
 def write_products(
@@ -151,51 +230,49 @@ def write_products(
     scene: Scene,
     layout: DsmLayout,
     stored: Sequence[StoredTile],
+    joined: JoinedTiles,
+    blocks: Sequence[FittedBlock],
     folder: str,
-    views: Sequence[View] = (),
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
 ) -> FusionFacts:
-    """Write DSM, confidence and grey orthophoto from the fused tiles; gives what was counted, without a cloud's points.
+    """Write DSM, confidence and grey orthophoto; gives what was counted, without a cloud's points.
 
-    ``folder`` is for temporary files. ``views`` show how bright the cells are, the most vertical ones first; without
-    them heights are compared with each other alone. ``means`` take up the heights above the ellipsoid, before holes are
-    filled.
-    Raises EmptyResultError where no cell has a height, WorkspaceError where a file cannot be written.
+    ``blocks`` have the DSM's heights, ``joined`` and the fused tiles the facts about them. ``folder`` is for temporary
+    files. ``means`` take up the heights above the ellipsoid, before holes are filled. Raises WorkspaceError where a
+    file cannot be written.
     """
-    valid, cells, filled = (sum(getattr(tile, name) for tile in stored) for name in ("valid", "cells", "filled"))
-    if not valid:
-        raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
+    valid, filled = (sum(getattr(tile, name) for tile in stored) for name in ("valid", "filled"))
     levels: List[float] = []
+    crop, grid = joined.crop, layout.grid.part(joined.crop)
+    metres = [each for tile in stored for each in tile.metres_per_px]
+    unsure = None if options.fill == "none" else background_error(metres, parameters.error)
     with ExitStack() as stack:
-        crop = _known_part(layout, stored)
         products = _Products.opened(stack, options, scene, layout, crop, folder)
-        shaded = None
-        sun = Sun.over(scene, layout.crs, parameters.shaded) if options.fill != "none" else None
-        if sun is not None:
-            shaded = _shaded(stack, _Tiles(scene, layout, stored, parameters), crop, sun, folder, parameters)
         for tile, window, result, height in _Tiles(scene, layout, stored, parameters):
             if tile.known is not None:
                 levels.append(float(np.nanmedian(height)))
             if means is not None:
                 means.add(height, window)
-            if shaded is not None:
-                ground = _own_part(shaded, window, crop, result.own)
+            if joined.shaded:
+                ground = _own_part(joined, window, result.own)
                 taken = np.isfinite(ground)
                 valid += int((taken & np.isnan(result.fused.height)).sum())
                 filled += int((taken & ~result.fused.filled).sum())
                 result = replace(result, fused=result.fused.with_background(ground))
-                height = np.where(taken, ground, height)
             error = expected_error(result.fused, tile.metres_per_px, parameters.error)
-            products.write_tile(result, error, height, window)
-        metres = [each for tile in stored for each in tile.metres_per_px]
-        unsure = None if options.fill == "none" else background_error(metres, parameters.error)
-        making = _Heights(products, scene, layout, views, unsure, options.fill == "all", parameters)
-        cut_back, interpolated = making.write(folder)
-    if unsure is None:
-        valid -= cut_back
-    else:
-        filled += cut_back
+            products.write_tile(result, error, window)
+        for block in blocks:
+            height, ground = block.load()
+            cut_back = np.isfinite(ground) & joined.matched(block.own)
+            products.mark(block.own, cut_back, unsure)
+            filled += 0 if unsure is None else int(cut_back.sum())
+            valid -= int(np.isfinite(ground).sum()) if unsure is None else 0
+            height = np.where(np.isfinite(ground) & (unsure is None), np.nan, height)
+            products.write_block(block.own, height, layout.undulation(grid.part(block.own)))
+        interpolated = 0
+        if products.whole is not None:
+            interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
     valid, matched, removed = valid + interpolated, valid - filled, sum(tile.removed for tile in stored)
     overlap = overlap_m2(scene, float(np.median(levels)))
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
@@ -225,40 +302,12 @@ class _Tiles:
             yield tile, window, result, height
 
 
-def _shaded(
-    stack: ExitStack, tiles: _Tiles, crop: Window, sun: Sun, folder: str, parameters: FusionParameters
-) -> RasterWriter:
-    """A temporary raster of the crop with the ground of cells in shadow that take it: shadows reach across tiles."""
-    shape, kind, numbers = (crop.height, crop.width), np.dtype(np.float32), parameters.shaded
-    raw, ground = (
-        stack.enter_context(created(f"{folder}/{name}.tif", shape, kind, bands, None, "", compress=False))
-        for name, bands in (("unshaded", 2), ("shaded", 1))
-    )
-    for _, window, result, height in tiles:
-        common = window.common(crop)
-        if common is None:
-            continue
-        behind = support(result.fused, numbers).astype(np.float32)
-        if result.own is not None:
-            behind[~result.own] = np.nan
-        place = common.within(crop)
-        for band, values in enumerate((height, behind), start=1):
-            part = values[common.inside(window)].astype(np.float32)
-            raw.write(part, place.col, place.row, band, result.own is not None)
-    cell = tiles.layout.grid.cell
-    for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
-        known = np.nan_to_num(raw.read(wide, 2), nan=NOTHING).astype(np.uint8)  # beyond all tiles
-        found = shaded_ground(raw.read(wide), known, cell, sun, numbers)
-        ground.write(found[own.inside(wide)], own.col, own.row)
-    return ground
-
-
-def _own_part(raster: RasterWriter, window: Window, crop: Window, own: Optional[Mask]) -> FloatImage:
-    """What a raster of the crop has in a tile's window, in the tile's own cells; NaN elsewhere."""
+def _own_part(joined: JoinedTiles, window: Window, own: Optional[Mask]) -> FloatImage:
+    """The ground in shadows in a tile's window, in the tile's own cells; NaN elsewhere."""
     values = np.full((window.height, window.width), np.nan, np.float32)
-    common = window.common(crop)
+    common = window.common(joined.crop)
     if common is not None:
-        values[common.inside(window)] = raster.read(common.within(crop))
+        values[common.inside(window)] = joined.ground(common.within(joined.crop))
     return values if own is None else np.where(own, values, np.float32(np.nan))
 
 
@@ -292,59 +341,25 @@ def overlap_m2(scene: Scene, level: float) -> float:
     return float(seen.GetArea())
 
 
-@dataclass(frozen=True)
-class _Heights:
-    """The DSM from the raster of all tiles' heights: without what does not fit the images, and with its holes filled
-    where ``fill`` says so.
-
-    ``views`` show how bright cells are, the most vertical ones first. What roofs are cut back to has the expected
-    ``error`` (m); with None it becomes a hole.
-    """
-
-    products: _Products
-    scene: Scene
-    layout: DsmLayout
-    views: Sequence[View]
-    error: Optional[float]
-    fill: bool
-    parameters: FusionParameters
-
-    def write(self, folder: str) -> Tuple[int, int]:
-        """Write all blocks; gives how many cells roofs were cut back by, and how many were interpolated."""
-        grid, p = self.layout.grid.part(self.products.crop), self.parameters
-        surface = _terrain_of(self.scene, grid, self.layout.crs, folder) if self.fill else None
-        halo = 2 * p.strays.reach(grid.cell) + p.widened.halo(grid.cell) + (p.holes.reach_cells if self.fill else 0)
-        cut_back, interpolated = 0, 0
-        for own, wide in overlapping_blocks(grid.size, p.hole_block_cells, halo):
-            part, inner = grid.part(wide), own.inside(wide)
-            height, ground = self._fitting(self.products.whole.read(wide), part)
-            cut_back += self.products.mark(own, np.isfinite(ground[inner]), self.error)
-            if self.fill:
-                base = None
-                if surface is not None and np.isnan(height).any():
-                    base = _on_cells(surface, part, self.layout.crs)
-                height, filled = fill_holes(height, base, p.holes)
-                interpolated += self._mark_interpolated(own, filled[inner], base is not None)
-            height = height[inner] - self.layout.undulation(grid.part(own))
-            self.products.dsm.write(height.astype(np.float32), own.col, own.row)
-        return cut_back, interpolated
-
-    def _fitting(self, height: Floats, grid: CellGrid) -> Tuple[Floats, FloatImage]:
-        """The heights of a part of the grid that fit the images, and the ground where roofs were cut back."""
-        p, cell = self.parameters, grid.cell
-        light = brightness(self.views, grid, height, self.layout.crs, p)
-        height = without_strays(height, light, cell, p.strays)
-        ground = widened_over_shadow(height, light, cell, p)
-        taken = np.isfinite(ground)
-        # What is left of a roof over the shadow strays now.
-        height = without_strays(np.where(taken, ground, height), light, cell, p.strays)
-        return (np.where(taken, np.nan, height) if self.error is None else height), ground
-
-    def _mark_interpolated(self, window: Window, cells: Mask, on_dem: bool) -> int:
-        if self.products.confidence is not None and cells.any():
-            source = np.where(cells, np.float32(_INTERPOLATED_ON_DEM if on_dem else INTERPOLATED), np.float32(np.nan))
-            self.products.confidence.write(source, window.col, window.row, SOURCE_BAND, keep=True)
-        return int(cells.sum())
+def _write_filled(
+    products: _Products, whole: RasterWriter, scene: Scene, layout: DsmLayout, folder: str, parameters: FusionParameters
+) -> int:
+    """Write the DSM from the raster of all heights, with its holes filled; gives how many cells were filled."""
+    grid = layout.grid.part(products.crop)
+    surface = _terrain_of(scene, grid, layout.crs, folder)
+    count = 0
+    for own, wide in overlapping_blocks(grid.size, parameters.hole_block_cells, parameters.holes.reach_cells):
+        heights = whole.read(wide)
+        base = None
+        if surface is not None and np.isnan(heights).any():
+            base = _on_cells(surface, grid.part(wide), layout.crs)
+        height, filled = (values[own.inside(wide)] for values in fill_holes(heights, base, parameters.holes))
+        products.dsm.write((height - layout.undulation(grid.part(own))).astype(np.float32), own.col, own.row)
+        if products.confidence is not None and filled.any():
+            source = np.where(filled, np.float32(INTERPOLATED if base is None else _INTERPOLATED_ON_DEM), np.nan)
+            products.confidence.write(source.astype(np.float32), own.col, own.row, SOURCE_BAND, keep=True)
+        count += int(filled.sum())
+    return count
 
 
 def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional[Surface]:

@@ -9,23 +9,26 @@ from pathlib import Path
 from typing import List, Optional, Tuple
 
 from ..dsm.coarse_means import CoarseMeans
+from ..dsm.fitting import FitTask, FittedBlock, blocks_of, fit_block
 from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
 from ..dsm.ortho import nadir_first
-from ..dsm.products import DsmLayout, write_products
+from ..dsm.products import DsmLayout, JoinedTiles, join_tiles, write_products
 from ..errors import RepmError
 from ..evaluation.styles import write_style
 from ..imagery.raster import raster_identity
-from ..memory import CLOUD_NORMAL, CLOUD_POINT, fusing_mib, tile_work, workers_within
+from ..memory import CLOUD_NORMAL, CLOUD_POINT, Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
 from ..products import paths_of
-from ..progress import Progress, counted
+from ..progress import Part, Progress, counted
 from ..records import DemOffset, FusionFacts
 from ..registration.dem_offset import dem_offset
 from ..registration.laying import prior_of
 from ..scene import Scene
 from ..workspace import ensure_folder, fingerprint
 from .parameters import EngineParameters
+
+_TILES = 0.8  # of the fusion's progress, for the tiles
 
 
 @dataclass(frozen=True)
@@ -78,26 +81,48 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         fuse_to_disk,
         [(task, f"{fusion.folder}/{i}.npz") for i, task in enumerate(tasks)],
         _workers(fusion, progress),
-        progress,
+        Part(progress, 0.0, _TILES),
         lambda work: f"fusing {work[0].records[0].tile}",
     )
     reused = sum(tile.reused for tile in stored)
     if reused:
         progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
-    facts: FusionFacts = run_whole(_written, (fusion, stored), progress, "writing the products")
+    joined: JoinedTiles = run_whole(_joined, (fusion, stored), progress, "joining the tiles")
+    blocks = _fitted(fusion, joined, Part(progress, _TILES, 1.0))
+    facts: FusionFacts = run_whole(_written, (fusion, stored, joined, blocks), progress, "writing the products")
     return facts, stored
 
 
-def _written(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> FusionFacts:
-    """Write the products of all tiles, with their styles, and compare the heights with the scene's DEM."""
+def _joined(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> JoinedTiles:
     fusion, stored = task
+    return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, str(fusion.folder), fusion.parameters.fusion)
+
+
+def _fitted(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> List[FittedBlock]:
+    """The heights of all blocks that fit the images."""
+    options, scene, numbers = fusion.options, fusion.scene, fusion.parameters.fusion
+    views = tuple(view for view in nadir_first(scene) if os.path.exists(view.image))
+    if len(views) < len(scene.views):
+        missing = counted(len(scene.views) - len(views), "image")
+        progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
+    grid, crs = fusion.layout.grid.part(joined.crop), fusion.layout.crs
+    tasks = [
+        FitTask(block, wide, joined.heights, grid, crs, views, numbers)
+        for block, wide in blocks_of(grid, str(fusion.folder), numbers)
+    ]
+    takes = fitting_mib(max(task.wide.width * task.wide.height for task in tasks))
+    work = Work("one block of the DSM", takes, lambda _: "choose a larger RESOLUTION")
+    workers = workers_within(options.workers, work, options.memory, progress)
+    run_tasks(fit_block, tasks, workers, progress, lambda _: "comparing heights with the images")
+    return [task.block for task in tasks]
+
+
+def _written(task: Tuple[Fusion, List[StoredTile], JoinedTiles, List[FittedBlock]], progress: Progress) -> FusionFacts:
+    """Write the products, with their styles, and compare the heights with the scene's DEM."""
+    fusion, stored, joined, blocks = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
-    views = [view for view in nadir_first(fusion.scene) if os.path.exists(view.image)]
-    if len(views) < len(fusion.scene.views):
-        missing = counted(len(fusion.scene.views) - len(views), "image")
-        progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
-    facts = write_products(options, fusion.scene, layout, stored, folder, views, numbers.fusion, means)
+    facts = write_products(options, fusion.scene, layout, stored, joined, blocks, folder, numbers.fusion, means)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
     for each, path in paths_of("dsmfuse", options):

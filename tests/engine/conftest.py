@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene, View, load_views
 from repm_qgis.stages import run_stage
+from repm_qgis.stages.parameters import ENGINE
 
 
 class Told:
@@ -90,6 +92,14 @@ class Pipeline:
 def told():
     """The class of a progress that remembers: ``told()`` or ``told(cancel_at=5)``."""
     return Told
+
+
+@pytest.fixture(scope="session")
+def as_they_are():
+    """Parameters with which no height gives way because it does not fit the images."""
+    fusion = ENGINE.fusion
+    strays, widened = replace(fusion.strays, least_m=1e6), replace(fusion.widened, contrast=1e6)
+    return replace(ENGINE, fusion=replace(fusion, strays=strays, widened=widened))
 
 
 @pytest.fixture(scope="session")

@@ -15,14 +15,6 @@ from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
 
 _FUSION = ENGINE.fusion
-AS_THEY_ARE = replace(
-    ENGINE,
-    fusion=replace(
-        _FUSION,
-        strays=replace(_FUSION.strays, least_m=1e6),
-        widened=replace(_FUSION.widened, contrast=1e6),
-    ),
-)
 STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=replace(_FUSION.widened, contrast=1e6)))
 
 
@@ -47,8 +39,8 @@ def fused(urban_run, tmp_path, told):
     return made
 
 
-def test_strays_give_way_and_nothing_else_changes(fused, urban, tmp_path):
-    plain, before, without, _ = fused("plain", AS_THEY_ARE)
+def test_strays_give_way_and_nothing_else_changes(fused, as_they_are, urban, tmp_path):
+    plain, before, without, _ = fused("plain", as_they_are)
     dsm, after, facts, _ = fused("strays", STRAYS_ONLY)
     np.testing.assert_array_equal(np.isnan(dsm), np.isnan(plain))
     changed = np.abs(dsm - plain) > 0
@@ -64,8 +56,8 @@ def test_strays_give_way_and_nothing_else_changes(fused, urban, tmp_path):
     }
 
 
-def test_what_roofs_are_cut_back_by_is_the_grounds_and_marked(fused):
-    plain, before, without, _ = fused("wide", AS_THEY_ARE)
+def test_what_roofs_are_cut_back_by_is_the_grounds_and_marked(fused, as_they_are):
+    plain, before, without, _ = fused("wide", as_they_are)
     dsm, after, facts, _ = fused("cut")
     cut = (after[3] == 1) & (before[3] == 0)
     assert cut.sum() > 10

@@ -22,21 +22,21 @@ def bands(path):
     return values if values.ndim == 3 else values[None]
 
 
-def fused(run, folder, said, acquired, **options):
+def fused(run, folder, said, acquired, parameters, **options):
     """The run's height maps fused in a scene whose images have a time; the DSM, the confidence and the facts."""
     scene = Scene.load(run.result["scene"])
     views = tuple(replace(view, acquired=acquired) for view in scene.views)
     path = replace(scene, views=views).save(str(Path(run.result["scene"]).with_name(f"{folder.name}.json")))
     folder.mkdir()
     files = {"output": str(folder / "dsm.tif"), "confidence": str(folder / "confidence.tif")}
-    facts = run_stage("dsmfuse", {"scene": path, **files, **options}, said)
+    facts = run_stage("dsmfuse", {"scene": path, **files, **options}, said, parameters)
     return bands(files["output"])[0], bands(files["confidence"]), facts
 
 
 @pytest.mark.parametrize("fill", ["occlusions", "all"])
-def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_path, told, fill):
-    plain, before, without = fused(urban_run, tmp_path / "plain", told(), "", fill=fill)
-    dsm, confidence, facts = fused(urban_run, tmp_path / "timed", told(), AFTERNOON, fill=fill)
+def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_path, told, as_they_are, fill):
+    plain, before, without = fused(urban_run, tmp_path / "plain", told(), "", as_they_are, fill=fill)
+    dsm, confidence, facts = fused(urban_run, tmp_path / "timed", told(), AFTERNOON, as_they_are, fill=fill)
     assert dsm.shape == plain.shape
     count, spread, score, source, error = confidence
     changed = ~np.isclose(dsm, plain, rtol=0, atol=0, equal_nan=True)
@@ -53,7 +53,7 @@ def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_
     assert facts["matched"] + facts["background"] + facts["interpolated"] == np.isfinite(dsm).sum()
 
 
-def test_nothing_is_filled_where_nothing_is_wanted(urban_run, tmp_path, told):
-    plain, _, _ = fused(urban_run, tmp_path / "none", told(), "", fill="none")
-    timed, _, _ = fused(urban_run, tmp_path / "timed_none", told(), AFTERNOON, fill="none")
+def test_nothing_is_filled_where_nothing_is_wanted(urban_run, tmp_path, told, as_they_are):
+    plain, _, _ = fused(urban_run, tmp_path / "none", told(), "", as_they_are, fill="none")
+    timed, _, _ = fused(urban_run, tmp_path / "timed_none", told(), AFTERNOON, as_they_are, fill="none")
     np.testing.assert_array_equal(timed, plain)
