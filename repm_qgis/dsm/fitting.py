@@ -13,7 +13,7 @@ from ..scene import View
 from ..workspace import writing
 from .brightness import brightness
 from .parameters import FUSION, FusionParameters
-from .strays import without_strays
+from .strays import SurfaceAround
 from .widened_roofs import widened_over_shadow
 
 
@@ -54,14 +54,21 @@ def blocks_of(
 
 
 def fit_block(task: FitTask) -> None:
-    """Write the heights of a block into its file. Raises ImageError where a view cannot be read."""
+    """Write the heights of a block into its file; without walls in it, they stay as they are.
+
+    Raises ImageError where a view cannot be read.
+    """
     p, grid = task.parameters, task.grid.part(task.wide)
     height = task.heights(task.wide)
     light = brightness(task.views, grid, height, task.crs, p)
-    height = without_strays(height, light, grid.cell, p.strays)
-    ground = widened_over_shadow(height, light, grid.cell, p)
-    height = np.where(np.isfinite(ground), ground, height)
-    height = without_strays(height, light, grid.cell, p.strays)  # what is left of a roof over the shadow strays now
+    ground = np.full(height.shape, np.nan, np.float32)
+    around = SurfaceAround(height, light, grid.cell, p.strays)
+    if around.walls:
+        height = around.without_strays()
+        ground = widened_over_shadow(height, light, grid.cell, p)
+        height = np.where(np.isfinite(ground), ground, height)
+        # What is left of a roof over the shadow strays now.
+        height = SurfaceAround(height, light, grid.cell, p.strays).without_strays()
     inner = task.block.own.inside(task.wide)
     with writing(task.block.path):
         np.savez(task.block.path, height=height[inner].astype(np.float32), ground=ground[inner])

@@ -146,7 +146,9 @@ class StrayParameters(Parameters):
     contrast: float = 0.1  # of brightness, at which a cell's weight has fallen to 1 / e; 0.05 and 0.2 do as well
     unknown: float = 1.0  # of these contrasts, the difference from a cell of unknown brightness; with 0 roofs erode
     sigmas: float = 3.0  # of the distances from the median: heights farther away are replaced; 2 and 4.5 do as well
-    least_m: float = 0.2  # and no nearer ones; chosen
+    least_m: float = 0.2  # and no nearer ones; with 0.5 less is gained
+    tail: float = 9.0  # root mean square of these distances, in usual ones: 12 to 21 in towns, 3 to 7 in natural ground
+    least_usual_m: float = 0.05  # and no smaller ones: windows of few cells have their own cell's height; chosen
     at_once: int = 1 << 14  # cells; bounds the memory
 
     def reach(self, cell: float) -> int:

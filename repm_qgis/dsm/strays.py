@@ -4,7 +4,8 @@ Each cell's height comes from its own points alone, so single cells and the edge
 A cell belongs to the surface that the cells of its own brightness around it have: their weighted median (Ma, He, Wei,
 Sun and Wu 2013, "Constant time weighted median filtering for stereo matching and beyond") keeps the edges that the
 images show, where a plain median rounds them. Only heights that lie farther from it than those of almost all other
-cells do are replaced (Hampel 1974): relief that is rough everywhere stays as it is.
+cells do are replaced (Hampel 1974), and only where there are many of these, because there are walls: in natural ground
+they would be relief.
 """
 
 from __future__ import annotations
@@ -16,22 +17,33 @@ from ..imagery.sampling import NMAD_FACTOR
 from .parameters import FUSION, StrayParameters
 
 
-def without_strays(
-    height: Floats, brightness: FloatImage, cell: float, parameters: StrayParameters = FUSION.strays
-) -> Floats:
-    """(H, W) heights, m, with the median of the surface around them in cells that stray from it; NaN stays NaN.
+class SurfaceAround:
+    """The surface around each cell of (H, W) heights, m, NaN = none.
 
     ``brightness`` (H, W) is as of :func:`.brightness.brightness`; ``cell`` in m.
     """
-    p = parameters
-    median = _weighted_median(height.astype(np.float32), brightness.astype(np.float32), cell, p)
-    with np.errstate(invalid="ignore"):
-        away = np.abs(median - height)
-        known = away[np.isfinite(away)]
-        if not known.size:
-            return height
-        limit = max(p.least_m, p.sigmas * NMAD_FACTOR * float(np.median(known)))
-        return np.where(away > limit, median, height)
+
+    def __init__(
+        self, height: Floats, brightness: FloatImage, cell: float, parameters: StrayParameters = FUSION.strays
+    ) -> None:
+        self._height, self._parameters = height, parameters
+        self._median = _weighted_median(height.astype(np.float32), brightness.astype(np.float32), cell, parameters)
+        self._away = np.abs(self._median - height)
+        self._known = self._away[np.isfinite(self._away)].astype(np.float64)
+        self._usual = NMAD_FACTOR * float(np.median(self._known)) if self._known.size else 0.0
+
+    @property
+    def walls(self) -> bool:
+        """Whether so many heights lie so far from it that there must be walls: in natural ground, few do."""
+        p = self._parameters
+        farthest = p.tail * max(self._usual, p.least_usual_m)
+        return bool(self._known.size) and float(np.sqrt((self._known**2).mean())) > farthest
+
+    def without_strays(self) -> Floats:
+        """(H, W) the heights, with the median of the surface around them in cells that stray from it."""
+        p = self._parameters
+        with np.errstate(invalid="ignore"):
+            return np.where(self._away > max(p.least_m, p.sigmas * self._usual), self._median, self._height)
 
 
 def _weighted_median(height: FloatImage, brightness: FloatImage, cell: float, parameters: StrayParameters) -> Floats:

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from repm_qgis.dsm.parameters import FUSION
-from repm_qgis.dsm.strays import without_strays
+from repm_qgis.dsm.strays import SurfaceAround
 
 CELL, GROUND, ROOF = 0.5, 20.0, 32.0
 UNKNOWN = np.full((60, 60), np.nan, np.float32)
+
+
+def without_strays(height, brightness, cell, parameters=FUSION.strays):
+    return SurfaceAround(height, brightness, cell, parameters).without_strays()
 
 
 def plain(noise=0.02, seed=0):
@@ -98,3 +102,13 @@ def test_blocks_of_rows_change_nothing():
 @pytest.mark.parametrize("cell, reach", ((0.1, 5), (0.5, 3), (1.0, 2), (2.0, 1), (10.0, 1)))
 def test_the_window_is_one_on_the_ground(cell, reach):
     assert FUSION.strays.reach(cell) == reach
+
+
+def test_towns_have_walls_and_mountains_have_none(urban, mountains):
+    """True heights, with the noise of matching."""
+    for scene, expected in ((urban, True), (mountains, False)):
+        noise = 0.1 * np.random.default_rng(2).normal(size=scene.surface.shape)
+        light = np.full(scene.surface.shape, np.nan, np.float32)
+        cell = scene.transform[1]
+        assert SurfaceAround(scene.surface + noise, light, cell).walls == expected
+    assert not SurfaceAround(np.full((9, 9), np.nan), np.full((9, 9), np.nan, np.float32), CELL).walls
