@@ -122,6 +122,13 @@ class View(Record):
     def size(self) -> Size:
         return self.width, self.height
 
+    @property
+    def missing(self) -> List[str]:
+        """Its image and mask, as far as they are not where they should be; what GDAL reads from elsewhere is taken for
+        being there."""
+        files = [file for file in (self.image, self.mask) if os.path.isabs(file)]
+        return [file for file in files if not (file.startswith("/vsi") or os.path.exists(file))]
+
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row, pointing included."""
         pixels: FloatArray = self.rpc.project(lon_lat_h) @ self.pointing[:, :2].T + self.pointing[:, 2]
@@ -273,8 +280,7 @@ class Scene(Record):
 
     def require_images(self) -> None:
         """Raise SceneError with the images and masks that are not where the scene knows them, nor moved with it."""
-        files = [file for view in self.views for file in (view.image, view.mask) if os.path.isabs(file)]
-        missing = [file for file in files if not (file.startswith("/vsi") or os.path.exists(file))]
+        missing = [file for view in self.views for file in view.missing]
         if missing:
             names = ", ".join(f"'{file}'" for file in missing)
             raise SceneError(

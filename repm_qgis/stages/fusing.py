@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import List, Optional, Tuple
@@ -101,7 +100,7 @@ def _joined(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> Joined
 def _fitted(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> List[FittedBlock]:
     """The heights of all blocks that fit the images."""
     options, scene, numbers = fusion.options, fusion.scene, fusion.parameters.fusion
-    views = tuple(view for view in nadir_first(scene) if os.path.exists(view.image))
+    views = tuple(view for view in nadir_first(scene) if not view.missing)
     if len(views) < len(scene.views):
         missing = counted(len(scene.views) - len(views), "image")
         progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")

@@ -28,7 +28,14 @@ def dsm_of(mountains, tmp_path_factory, told):
             assert rpc_error_px(images[-1], image) < 1e-6
         options = {"images": images, "workspace": str(folder / "w"), "output": str(folder / "dsm.tif")}
         run_stage("pipeline", {**options, "resolution": 1.0, "workers": 1}, told())
-        return gdal.Open(str(folder / "dsm.tif")).ReadAsArray()
+        dsm = gdal.Open(str(folder / "dsm.tif"))
+        # On the same cells, whichever of them are the first that have heights.
+        xmin, _, _, ymax = mountains.bounds
+        west, _, _, north, _, _ = dsm.GetGeoTransform()
+        row, column = round(np.ceil(ymax) + 300 - north), round(west - np.floor(xmin) + 300)
+        heights = np.full((1000, 1000), -9999.0, np.float32)
+        heights[row : row + dsm.RasterYSize, column : column + dsm.RasterXSize] = dsm.ReadAsArray()
+        return heights
 
     return run
 
@@ -36,7 +43,7 @@ def dsm_of(mountains, tmp_path_factory, told):
 @pytest.fixture(scope="module")
 def plain(dsm_of):
     found = dsm_of(*["16 bit, as it came"] * 3)
-    assert (found != -9999).mean() > 0.5
+    assert (found != -9999).sum() > 100_000
     return found
 
 
