@@ -31,7 +31,7 @@ class SgmParameters(Parameters):
     tower_px: int = 12  # the same for components that match well: towers and chimneys; matching table
     tower_score: float = 0.8  # correlation of such a component's pixels; chosen
     score_window_px: int = 7  # side of the correlation window of the score; chosen
-    rim_px: int = 3  # window around pixels without data: the pre-filter reaches 1 px to each side; towns table
+    rim_px: int = 5  # window around pixels without data: the pre-filter and subpixel costs reach 2 px to each side
 
     def in_eight_directions(self) -> "SgmParameters":
         """The best that OpenCV has. More directions smooth more, so the penalty is less; `make bench-towns`."""

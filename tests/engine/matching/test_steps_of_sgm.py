@@ -185,7 +185,7 @@ def test_a_gap_of_the_image_is_not_filled():
     first, second = pair(np.where(np.arange(120) < 60, -3, 5))
     first[20:40, 54:57] = np.nan
     found = sgm.match(first, second, (LOW, HIGH), 1.0)
-    missing = np.s_[19:41, 53:58]  # with the rim of 1 px
+    missing = np.s_[18:42, 52:59]  # with the rim of 2 px
     assert found.filled[:15, 53:58].all() and np.isnan(found.disparity[missing]).all()
 
 
