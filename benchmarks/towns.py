@@ -219,8 +219,8 @@ def limits() -> List[str]:
     )
     rows.append(["the DSM of 19 images, its alignment moved by 0 or 0.15 m in each direction", *between])
     return [
-        f"What of this is not the DSM's. The lidar's raster has cells of 1 m: {_repeated(truth):.1f} % of its squares of "
-        "2 x 2 cells have one height. Walls are ramps of one to several of these. Its cells in mid-air have "
+        f"What of this is not the DSM's. The lidar's raster has cells of 1 m: {_repeated(truth):.1f} % of its squares "
+        "of 2 x 2 cells have one height. Walls are ramps of one to several of these. Its cells in mid-air have "
         f"{100 * share[0]:.0f} % of the absolute and {100 * share[1]:.0f} % of the squared errors of 19 images. DSMs "
         "of two sets of dates without a common image agree within 0.5 m, and are both more than 1 m off the lidar, in "
         f"another {changed:.1f} % of its cells: cars, trees, and what was built or moved.",

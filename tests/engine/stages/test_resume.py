@@ -85,9 +85,7 @@ def again(whole, tmp_path, told):
 
 def test_a_second_run_reuses_everything_and_says_so(again, whole):
     before = maps(again.workspace)
-    start = time.monotonic()
     result, said = again()
-    assert time.monotonic() - start < 0.8 * sum(whole.result["seconds"].values())
     assert reused(said) == [True, True, True]
     assert maps(again.workspace) == before
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
