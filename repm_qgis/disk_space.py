@@ -24,6 +24,7 @@ _LEAST = 1 / 3  # of what is expected: less is not refused
 _HEIGHT_MAP = 6.5  # bytes for each pixel of ground that a pair sees: three bands, compressed
 _REFINED_IMAGE = 1.2  # for each pixel of 16 bits, compressed
 _FUSED_CELL, _FUSED_ORTHO, _FUSED_POINT = 18.0, 4.0, 32.0  # between the two halves of fusion, not compressed
+_JOINED_CELL = 24.0  # of the joined tiles, the ground in shadows, and the blocks compared with the images
 _RASTERS = {"output": 3.2, "confidence": 12.0, "ortho": 3.5}  # for each cell, with overviews
 _COLOURED = 2.0  # for each cell and band of 16 bits
 _ALL_HEIGHTS = 4.0  # for each cell, while holes are filled
@@ -73,7 +74,7 @@ def fusion_needs(
     folder = str(scene.path.parent)
     ortho = bands * _COLOURED if bands else _FUSED_ORTHO if options.ortho or options.viewer else 0.0
     each = _FUSED_POINT + (2 * _NORMAL if options.cloud and options.cloud_normals else 0.0)
-    between = cells * (_FUSED_CELL + ortho) + points * each
+    between = cells * (_FUSED_CELL + _JOINED_CELL + ortho) + points * each
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":
         needs.append(_need(folder, cells * _ALL_HEIGHTS))
