@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import List, Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from ..arrays import FloatImage, Floats
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
+from ..geometry.tiles import pixel_window
 from ..imagery.sampling import median_of_known
 from ..scene import View
 from .ortho import orthophoto
@@ -23,27 +25,20 @@ def brightness(
     ``height`` is above the ellipsoid. The first views that show the grid are taken, as many as the parameters say; each
     counts where it sees a cell past all that stands higher.
     """
-    p = parameters.brightness
+    nothing = np.full(grid.shape, np.nan, np.float32)
+    if not np.isfinite(height).any():
+        return nothing
+    p, levels = parameters.brightness, (float(np.nanmin(height)), float(np.nanmax(height)))
+    to_geodetic = partial(geodetic_from_projected, crs)
     seen: List[FloatImage] = []
     for view in views:
         if len(seen) == p.views:
             break
-        if not _shows(view, grid, height, crs):
+        if pixel_window(view.project, to_geodetic, grid.bounds, levels, view.size, smallest=1) is None:
             continue
         values = orthophoto([view], grid, height, crs, parameters.orthophoto)
         known = values[np.isfinite(values)]
         if known.size:
             dark, bright = np.percentile(known, p.percents)
             seen.append((values - np.float32(dark)) / np.float32(max(bright - dark, p.least_range)))
-    return median_of_known(np.stack(seen)) if seen else np.full(grid.shape, np.nan, np.float32)
-
-
-def _shows(view: View, grid: CellGrid, height: Floats, crs: str) -> bool:
-    """Whether the rectangle around the cells' pixels meets the image."""
-    if not np.isfinite(height).any():
-        return False
-    xs, ys = grid.centres()
-    corners = geodetic_from_projected(crs, np.array([(x, y) for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])]))
-    low, high = float(np.nanmin(height)), float(np.nanmax(height))
-    pixels = np.concatenate([view.project(np.column_stack([corners, np.full(4, z)])) for z in (low, high)])
-    return bool((pixels.max(axis=0) >= 0).all() and (pixels.min(axis=0) <= np.array(view.size) - 1).all())
+    return median_of_known(np.stack(seen)) if seen else nothing

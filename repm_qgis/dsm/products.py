@@ -134,12 +134,6 @@ class _Products:
         put(self.confidence, count, fused.spread, fused.score, source, error)
         put(self.ortho, tile.ortho)
 
-    def write_block(self, window: Window, height: Floats, below: Floats) -> None:
-        """Write the ellipsoidal heights of a block of the crop's cells, or keep them where holes are filled; ``below``
-        are those of the vertical datum's surface."""
-        heights = height if self.whole is not None else height - below
-        (self.whole or self.dsm).write(heights.astype(np.float32), window.col, window.row)
-
     def mark(self, window: Window, cells: Mask, error: Optional[float]) -> None:
         """Note that cells of a window of the crop took the background's height, with that expected error (m; None: they
         lost their own)."""
@@ -269,7 +263,10 @@ def write_products(
             filled += 0 if unsure is None else int(cut_back.sum())
             valid -= int(np.isfinite(ground).sum()) if unsure is None else 0
             height = np.where(np.isfinite(ground) & (unsure is None), np.nan, height)
-            products.write_block(block.own, height, layout.undulation(grid.part(block.own)))
+            if products.whole is None:
+                height = height - layout.undulation(grid.part(block.own))
+            target = products.whole or products.dsm
+            target.write(height.astype(np.float32), block.own.col, block.own.row)
         interpolated = 0
         if products.whole is not None:
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)

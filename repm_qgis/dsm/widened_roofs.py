@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Tuple
 
+import cv2
 import numpy as np
 
 from ..arrays import FloatImage, Floats, IntArray, Mask
@@ -17,7 +18,7 @@ from ..geometry.gridding import surface_step
 from ..imagery.sampling import median_of_known
 from .parameters import FUSION, FusionParameters
 
-_NEIGHBOURS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
+_AROUND = np.ones((3, 3), np.uint8)
 
 
 def widened_over_shadow(
@@ -31,7 +32,8 @@ def widened_over_shadow(
     step = max(p.step_m, surface_step(cell, parameters.gridding))
     surface = np.asarray(height, np.float32).copy()
     result = np.full(surface.shape, np.nan, np.float32)
-    asked: Mask = np.isfinite(brightness) & np.isfinite(surface)
+    known: Mask = np.isfinite(brightness) & np.isfinite(surface)
+    asked = known
     for _ in range(p.rounds(cell)):
         cells, ground = _beside_lower(surface, asked, step)
         taken = _in_shadow(cells, ground, surface, brightness, cell, parameters)
@@ -39,20 +41,18 @@ def widened_over_shadow(
             break
         cells, ground = cells[taken], ground[taken]
         surface.ravel()[cells] = result.ravel()[cells] = ground
-        asked = _around(cells, (surface.shape[0], surface.shape[1])) & np.isfinite(brightness) & np.isnan(result)
+        new = np.zeros(surface.shape, np.uint8)
+        new.ravel()[cells] = 1
+        asked = (cv2.dilate(new, _AROUND) > 0) & known & np.isnan(result)
     return result
 
 
 def _beside_lower(surface: FloatImage, asked: Mask, step: float) -> Tuple[IntArray, FloatImage]:
     """(N,) those of the cells asked for that have a neighbour more than ``step`` m lower, and the lowest of these."""
-    columns = surface.shape[1]
-    padded = np.pad(surface, 1, constant_values=np.inf)
-    cells = np.flatnonzero(asked)
-    row, column = np.divmod(cells, columns)
-    around = np.stack([padded[row + 1 + down, column + 1 + right] for down, right in _NEIGHBOURS])
-    lowest = np.where(np.isnan(around), np.float32(np.inf), around).min(axis=0)
-    lower = surface.ravel()[cells] - lowest > step
-    return cells[lower], lowest[lower]
+    lowest = cv2.erode(np.where(np.isnan(surface), np.float32(np.inf), surface), _AROUND)
+    with np.errstate(invalid="ignore"):
+        cells = np.flatnonzero(asked & (surface - lowest > step))
+    return cells, lowest.ravel()[cells]
 
 
 def _in_shadow(
@@ -84,13 +84,3 @@ def _in_shadow(
             brighter = roof - light
             result[part] = (brighter > numbers.contrast) & (np.abs(light - shade) < brighter)
     return result
-
-
-def _around(cells: IntArray, shape: Tuple[int, int]) -> Mask:
-    """(H, W) the neighbours of cells."""
-    padded = np.zeros((shape[0] + 2, shape[1] + 2), dtype=bool)
-    row, column = np.divmod(cells, shape[1])
-    for down, right in _NEIGHBOURS:
-        padded[row + 1 + down, column + 1 + right] = True
-    around: Mask = padded[1:-1, 1:-1]
-    return around

@@ -7,22 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osgeo import gdal
 
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
+from tests.engine.rasters import bands
 
 _FUSION = ENGINE.fusion
 STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=replace(_FUSION.widened, contrast=1e6)))
-
-
-def bands(path):
-    dataset = gdal.Open(path)
-    values = dataset.ReadAsArray().astype(float)
-    values[values == dataset.GetRasterBand(1).GetNoDataValue()] = np.nan
-    return values if values.ndim == 3 else values[None]
 
 
 @pytest.fixture
@@ -34,7 +27,7 @@ def fused(urban_run, tmp_path, told):
         log = told()
         scene = scene or urban_run.result["scene"]
         facts = run_stage("dsmfuse", {"scene": scene, "resolution": 0.5, **files, **options}, log, parameters)
-        return bands(files["output"])[0], bands(files["confidence"]), facts, log
+        return bands(files["output"])[0][0], bands(files["confidence"])[0], facts, log
 
     return made
 

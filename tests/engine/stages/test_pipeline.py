@@ -16,16 +16,7 @@ from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.options import PipelineOptions
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
-
-
-def bands(path):
-    """(bands, rows, columns) with NaN for nodata, and the geotransform."""
-    dataset = gdal.Open(path)
-    values = dataset.ReadAsArray().astype(np.float64).reshape(dataset.RasterCount, dataset.RasterYSize, -1)
-    nodata, transform = dataset.GetRasterBand(1).GetNoDataValue(), dataset.GetGeoTransform()
-    dataset = None
-    values[values == nodata] = np.nan
-    return values, transform
+from tests.engine.rasters import bands
 
 
 def compared(path, truth, told):

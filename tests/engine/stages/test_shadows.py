@@ -7,19 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osgeo import gdal
 
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from tests.engine.rasters import bands
 
 AFTERNOON = "2023-06-21T16:40:00Z"  # over Toulouse, where the simulated town stands: the sun is at 33 degrees
-
-
-def bands(path):
-    dataset = gdal.Open(path)
-    values = dataset.ReadAsArray().astype(float)
-    values[values == dataset.GetRasterBand(1).GetNoDataValue()] = np.nan
-    return values if values.ndim == 3 else values[None]
 
 
 def fused(run, folder, said, acquired, parameters, **options):
@@ -30,7 +23,7 @@ def fused(run, folder, said, acquired, parameters, **options):
     folder.mkdir()
     files = {"output": str(folder / "dsm.tif"), "confidence": str(folder / "confidence.tif")}
     facts = run_stage("dsmfuse", {"scene": path, **files, **options}, said, parameters)
-    return bands(files["output"])[0], bands(files["confidence"]), facts
+    return bands(files["output"])[0][0], bands(files["confidence"])[0], facts
 
 
 @pytest.mark.parametrize("fill", ["occlusions", "all"])
