@@ -7,7 +7,7 @@ from typing import Callable, Iterator, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Window
+from ..arrays import FloatImage, Mask, Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..scene import View
 from ..workspace import writing
@@ -33,11 +33,13 @@ class FittedBlock:
 @dataclass(frozen=True)
 class FitTask:
     """All a worker needs to fit a block: what gives the ``heights`` of a window of the ``grid`` (m above the ellipsoid,
-    NaN = none), the ``wide`` window on which its own cells depend, and the views, the most vertical ones first."""
+    NaN = none) and which of them are ``weak``, because the images hardly support them; the ``wide`` window on which its
+    own cells depend; and the views, the most vertical ones first."""
 
     block: FittedBlock
     wide: Window
     heights: Callable[[Window], FloatImage]
+    weak: Callable[[Window], Mask]
     grid: CellGrid
     crs: str
     views: Tuple[View, ...]
@@ -65,7 +67,7 @@ def fit_block(task: FitTask) -> None:
     around = SurfaceAround(height, light, grid.cell, p.strays)
     if around.walls:
         height = around.without_strays()
-        ground = widened_over_shadow(height, light, grid.cell, p)
+        ground = widened_over_shadow(height, light, task.weak(task.wide), grid.cell, p)
         height = np.where(np.isfinite(ground), ground, height)
         # What is left of a roof over the shadow strays now.
         height = SurfaceAround(height, light, grid.cell, p.strays).without_strays()

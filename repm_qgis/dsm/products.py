@@ -36,7 +36,7 @@ from .holes import fill_holes
 from .painting import opened_paint
 from .parameters import FUSION, FusionParameters
 from .point_cloud import created_cloud
-from .shaded import NOTHING, Sun, shaded_ground, support
+from .shaded import NOTHING, WEAK, Sun, shaded_ground, support
 
 BACKGROUND, INTERPOLATED, _INTERPOLATED_ON_DEM = 1, 2, 3
 _SUPPORT, _FILLED = 2, 3  # bands of the raster of joined tiles, after the heights
@@ -163,6 +163,11 @@ class JoinedTiles:
         """(H, W) the cells of a window that have a height of their own, not the background's."""
         matched: Mask = (self._read(self.path, window, _FILLED) == 0) & np.isnan(self.ground(window))
         return matched
+
+    def weak(self, window: Window) -> Mask:
+        """(H, W) the cells of a window whose height is a single map's, which the images hardly support."""
+        weak: Mask = (self._read(self.path, window, _SUPPORT) == WEAK) & np.isnan(self.ground(window))
+        return weak
 
     def ground(self, window: Window) -> FloatImage:
         """(H, W) the ground in shadows, for the cells of a window that take it; NaN for others."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import reduce
-from typing import Callable, List, Optional, Tuple
+from typing import Callable, List, Optional, Tuple, Union
 
 import numpy as np
 
@@ -33,13 +33,20 @@ def sample(image: Floats, cols: Floats, rows: Floats) -> Floats:
     return result
 
 
+def quantile_of_known(stack: Floats, share: Union[float, Floats], least: int = 1) -> Floats:
+    """A quantile along the first axis of what is not NaN, the lower of two values; NaN where fewer than ``least``
+    values are known. ``share`` (0 to 1) of the others lie below it: one number, or one for each place."""
+    count = np.isfinite(stack).sum(axis=0)
+    ordered = np.sort(stack, axis=0)  # NaN last
+    place = np.floor(share * np.maximum(count - 1, 0)).astype(np.intp)
+    found = np.take_along_axis(ordered, place[None], axis=0)[0]
+    return np.where(count >= least, found, np.float32(np.nan))
+
+
 def median_of_known(stack: Floats, least: int = 1) -> Floats:
     """Median along the first axis of what is not NaN, the lower of two middle values; NaN where fewer than ``least``
     values are known."""
-    count = np.isfinite(stack).sum(axis=0)
-    ordered = np.sort(stack, axis=0)  # NaN last
-    middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[None], axis=0)[0]
-    return np.where(count >= least, middle, np.float32(np.nan))
+    return quantile_of_known(stack, 0.5, least)
 
 
 def median_of_neighbours(image: Floats, side: int, least: int) -> Floats:

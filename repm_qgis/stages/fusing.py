@@ -106,7 +106,7 @@ def _fitted(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> List[Fit
         progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
     grid, crs = fusion.layout.grid.part(joined.crop), fusion.layout.crs
     tasks = [
-        FitTask(block, wide, joined.heights, grid, crs, views, numbers)
+        FitTask(block, wide, joined.heights, joined.weak, grid, crs, views, numbers)
         for block, wide in blocks_of(grid, str(fusion.folder), numbers)
     ]
     takes = fitting_mib(max(task.wide.width * task.wide.height for task in tasks))

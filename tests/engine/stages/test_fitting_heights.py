@@ -15,7 +15,8 @@ from repm_qgis.stages.parameters import ENGINE
 from tests.engine.rasters import bands
 
 _FUSION = ENGINE.fusion
-STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=replace(_FUSION.widened, contrast=1e6)))
+_NO_ROOF = replace(_FUSION.widened, contrast=1e6, weak_contrast=1e6)
+STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=_NO_ROOF))
 
 
 @pytest.fixture
