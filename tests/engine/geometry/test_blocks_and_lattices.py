@@ -8,7 +8,7 @@ import pytest
 from repm_qgis.arrays import Bounds, Window
 from repm_qgis.geometry.cell_grid import CellGrid, overlapping_blocks
 from repm_qgis.geometry.interpolation import bilinear, interpolate_grid, interpolate_steps, on_lattice
-from repm_qgis.imagery.sampling import mean_of_known, median_of_known, median_of_neighbours
+from repm_qgis.imagery.sampling import mean_of_known, median_of_known, median_of_neighbours, quantile_of_known
 
 
 @pytest.mark.parametrize(
@@ -79,3 +79,11 @@ def test_means_and_medians_of_what_is_known():
     mean, share = mean_of_known(image, known, lambda values: np.full(values.shape, values.mean()), 1e-6)
     np.testing.assert_allclose(mean, np.nanmean(stack[0]), rtol=1e-5)
     np.testing.assert_allclose(share, known.mean(), rtol=1e-6)
+
+
+def test_quantiles_of_what_is_known_differ_from_place_to_place():
+    nan = np.nan
+    stack = np.array([[4.0, nan, 1.0], [1.0, 7.0, nan], [3.0, nan, nan], [2.0, 5.0, nan], [nan, nan, nan]])
+    np.testing.assert_array_equal(quantile_of_known(stack, 0.75), [3.0, 5.0, 1.0])
+    np.testing.assert_array_equal(quantile_of_known(stack, np.array([1.0, 1.0, 0.5]), 2), [4.0, 7.0, nan])
+    np.testing.assert_array_equal(quantile_of_known(stack[:4], np.array([0.0, 0.5, 0.5])), [1.0, 5.0, 1.0])
