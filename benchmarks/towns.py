@@ -258,8 +258,8 @@ def chance() -> List[str]:
         )
     return [
         "How much of this is chance: the same with another threshold of the keypoints' contrast "
-        f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of 0.02), which moves the pointings by less than 0.01 px. "
-        "Rectified images then have their pixels elsewhere, and each match in a shadow falls anew. Mean, standard "
+        f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of 0.02), which moves the pointings by some thousandths of a "
+        "px. Rectified images then have their pixels elsewhere, and each match in a shadow falls anew. Mean, standard "
         "deviation and range of such runs; a row above is one more draw.",
         table("images | runs | C1, % | MAE, m | RMSE, m", rows),
     ]

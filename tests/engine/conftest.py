@@ -98,7 +98,7 @@ def told():
 def as_they_are():
     """Parameters with which no height gives way because it does not fit the images."""
     fusion = ENGINE.fusion
-    strays, widened = replace(fusion.strays, least_m=1e6), replace(fusion.widened, contrast=1e6)
+    strays, widened = replace(fusion.strays, least_m=1e6), replace(fusion.widened, step_m=1e6)
     return replace(ENGINE, fusion=replace(fusion, strays=strays, widened=widened))
 
 

@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from repm_qgis.arrays import Window
+from repm_qgis.dsm.products import JoinedTiles
+from repm_qgis.dsm.shaded import NOTHING, SUPPORTED, WEAK
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.imagery.raster import created
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
 from tests.engine.rasters import bands
 
 _FUSION = ENGINE.fusion
-_NO_ROOF = replace(_FUSION.widened, contrast=1e6, weak_contrast=1e6)
-STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=_NO_ROOF))
+STRAYS_ONLY = replace(ENGINE, fusion=replace(_FUSION, widened=replace(_FUSION.widened, step_m=1e6)))
 
 
 @pytest.fixture
@@ -60,6 +63,22 @@ def test_what_roofs_are_cut_back_by_is_the_grounds_and_marked(fused, as_they_are
     assert np.unique(after[4, cut]).size == 1 and after[4, cut][0] > np.nanmedian(after[4])
     assert facts["background"] - without["background"] == without["matched"] - facts["matched"] == cut.sum()
     assert facts["matched"] == (after[3] == 0).sum() and facts["background"] == (after[3] == 1).sum()
+
+
+def test_which_heights_are_weak_is_known_until_the_ground_replaces_them(tmp_path):
+    shape, nothing = (40, 50), np.float32(np.nan)
+    support, ground = np.full(shape, SUPPORTED, np.float32), np.full(shape, nothing)
+    support[10:20, 10:30], support[30:, :], ground[15:20, 10:30] = WEAK, NOTHING, 12.0
+    heights, filled = np.full(shape, 20.0, np.float32), np.zeros(shape, np.float32)
+    for name, values in (("joined", (heights, support, filled)), ("shaded", (ground,))):
+        with created(str(tmp_path / f"{name}.tif"), shape, np.dtype(np.float32), len(values), None, "") as raster:
+            for band, part in enumerate(values, start=1):
+                raster.write(part, 0, 0, band)
+    path, whole, part = str(tmp_path / "joined.tif"), Window(0, 0, 50, 40), Window(20, 5, 20, 10)
+    plain, shaded = (JoinedTiles(whole, path, shade) for shade in ("", str(tmp_path / "shaded.tif")))
+    np.testing.assert_array_equal(plain.weak(whole), support == WEAK)
+    np.testing.assert_array_equal(shaded.weak(whole), (support == WEAK) & np.isnan(ground))
+    np.testing.assert_array_equal(shaded.weak(part), shaded.weak(whole)[5:15, 20:40])
 
 
 def test_without_filling_they_become_holes(fused):
