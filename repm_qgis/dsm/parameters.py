@@ -169,9 +169,7 @@ class WidenedRoofParameters(Parameters):
     least_cells: int = 8  # of these places, that must show a surface; chosen
     like_m: float = 1.5  # of height by which a surface varies there, or half the step between two surfaces; chosen
     contrast: float = 0.45  # by which the roof is brighter; 0.4 and 0.5 do as well, with 0.3 dark roofs go
-    weak_contrast: float = (
-        0.3  # by which its brighter part is, where images hardly support the height; 0.2 does as well
-    )
+    weak_contrast: float = 0.3  # the same of its brighter part, for heights of weak support; 0.2 does as well
     weak_share: float = 0.75  # of the roof that is darker than this part; 0.9 does as well, for all heights roofs go
     at_once: int = 1 << 12  # cells; bounds the memory
 
