@@ -16,6 +16,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
 from repm_qgis.progress import Progress, Silent
 from repm_qgis.stages import run_stage
+from repm_qgis.stages.parameters import ENGINE, EngineParameters
 
 ROOT = Path(__file__).resolve().parents[1]
 CORES = len(os.sched_getaffinity(0))
@@ -63,10 +64,16 @@ def stage(name: str, progress: Progress = Silent(), **options: Any) -> Dict[str,
     return run_stage(name, options, progress)
 
 
-def pipeline(images: Sequence[str], folder: Any, progress: Progress = Silent(), **options: Any) -> Dict[str, Any]:
+def pipeline(
+    images: Sequence[str],
+    folder: Any,
+    progress: Progress = Silent(),
+    parameters: EngineParameters = ENGINE,
+    **options: Any,
+) -> Dict[str, Any]:
     """The pipeline's results; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
     made = {"images": list(images), "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **options}
-    return run_stage("pipeline", made, progress)
+    return run_stage("pipeline", made, progress, parameters)
 
 
 # In a process of its own ------------------------------------------------------------------------------------------

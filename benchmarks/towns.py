@@ -18,7 +18,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.runner import ROOT, earlier, few, measured, say, stage
+from benchmarks.runner import ROOT, earlier, few, measured, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, default, made_once, real
 from benchmarks.tables import Section, table
 from repm_qgis.evaluation import coregistration
@@ -30,7 +30,6 @@ from repm_qgis.options import QUALITIES
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters
-from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
 
 _FOLDER = SHARED / "jax_068"
@@ -47,7 +46,7 @@ _FIGURES = (
     "valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | C1 without mid-air, % | ground, % | trees, % | "
     "buildings, % | walls off, m | wider, m | CPU s"
 )
-_CONTRASTS = (0.019, 0.021, 0.0195, 0.0205, 0.01925, 0.02075, 0.01975, 0.02025)  # of keypoints; 0.02 is the engine's
+_CONTRASTS = (0.019, 0.021, 0.0195, 0.0205, 0.01925, 0.02075, 0.01975, 0.02025)  # of keypoints, about the engine's
 _STEP_M, _WINDOW_M = 3.0, 2.5  # a wall: the truth's heights differ by so much within a window of this side
 
 
@@ -55,6 +54,11 @@ def _names() -> List[str]:
     """The images' numbers in the order of their dates."""
     with open(_FOLDER / "acquisitions.csv", encoding="utf-8", newline="") as stream:
         return [row["image"].split("_")[2] for row in csv.DictReader(stream)]
+
+
+def _images(names: Sequence[str]) -> List[str]:
+    """The images' files by their numbers."""
+    return [str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in names]
 
 
 def _surroundings(truth: np.ndarray, cell: float) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -104,7 +108,7 @@ def _made(images: Sequence[str], folder: str, tree: Path = ROOT, **options: Any)
 
 def _rows(label: str, names: Sequence[str]) -> List[List[Any]]:
     """The DSM of some images with its holes, and with holes interpolated."""
-    images = [str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in names]
+    images = _images(names)
     with tempfile.TemporaryDirectory() as folder:
         dsm, cost = _made(images, folder)
         full = stage("dsmfuse", scene=f"{folder}/w/reconstructed.json", output=f"{folder}/full.tif", fill="all")[
@@ -208,7 +212,7 @@ def limits() -> List[str]:
     for label, chosen in sets.items():
         say(f"limits, {label} ...")
         with tempfile.TemporaryDirectory() as folder:
-            dsm = _made([str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in chosen], folder)[0]
+            dsm = _made(_images(chosen), folder)[0]
             errors[label] = score_files(dsm, _LIDAR.heights, "3d").error
             spread = spread or _aligned_otherwise(dsm, 0.15)
     whole, *halves = errors.values()
@@ -238,11 +242,8 @@ def _run(names: Sequence[str], contrast: float) -> List[float]:
     """C1, MAE and RMSE of some images' DSM with other keypoints, and so with ties and pointings a little different."""
     pointing = replace(ENGINE.pointing, keypoints=replace(ENGINE.pointing.keypoints, contrast=contrast))
     with tempfile.TemporaryDirectory() as folder:
-        made = {"images": [str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in names], "workspace": f"{folder}/w"}
-        dsm = {"output": f"{folder}/dsm.tif", "resolution": 0.5}
-        run_stage("pipeline", {**made, **dsm}, Silent(), replace(ENGINE, pointing=pointing))
-        metrics = score_files(dsm["output"], _LIDAR.heights, "3d").metrics
-    return [dict(metrics.completeness)[1.0], metrics.mae, metrics.rmse]
+        dsm = pipeline(_images(names), folder, parameters=replace(ENGINE, pointing=pointing), resolution=0.5)["output"]
+        return _c1_mae_rmse(score_files(dsm, _LIDAR.heights, "3d").error)
 
 
 def chance() -> List[str]:
@@ -258,9 +259,9 @@ def chance() -> List[str]:
         )
     return [
         "How much of this is chance: the same with another threshold of the keypoints' contrast "
-        f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of 0.02), which moves the pointings by some thousandths of a "
-        "px. Rectified images then have their pixels elsewhere, and each match in a shadow falls anew. Mean, standard "
-        "deviation and range of such runs; a row above is one more draw.",
+        f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of {ENGINE.pointing.keypoints.contrast}), which moves the "
+        "pointings by some thousandths of a px. Rectified images then have their pixels elsewhere, and each match in a "
+        "shadow falls anew. Mean, standard deviation and range of such runs; a row above is one more draw.",
         table("images | runs | C1, % | MAE, m | RMSE, m", rows),
     ]
 
@@ -273,7 +274,7 @@ def quality() -> List[str]:
     cases: List[Tuple[str, List[str], str, str]] = []
     if _FOLDER.exists():
         for label, names in (("6 images", _names()[:6]), ("3, January", _JANUARY)):
-            images = [str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in names]
+            images = _images(names)
             cases.append((f"`jax_068`, {label}", images, _LIDAR.heights, "3d"))
     scenes = [*real("truth_urban", "pleiades_pair"), default("urban", 800, 4), default("mountains", 400, 7)]
     cases += [(f"`{scene.name}`", list(scene.images), scene.reference, "cells") for scene in scenes]

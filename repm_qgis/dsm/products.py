@@ -161,19 +161,22 @@ class JoinedTiles:
 
     def matched(self, window: Window) -> Mask:
         """(H, W) the cells of a window that have a height of their own, not the background's."""
-        matched: Mask = (self._read(self.path, window, _FILLED) == 0) & np.isnan(self.ground(window))
-        return matched
+        return self._kept(window, _FILLED, 0)
 
     def weak(self, window: Window) -> Mask:
         """(H, W) the cells of a window whose height is a single map's, which the images hardly support."""
-        weak: Mask = (self._read(self.path, window, _SUPPORT) == WEAK) & np.isnan(self.ground(window))
-        return weak
+        return self._kept(window, _SUPPORT, WEAK)
 
     def ground(self, window: Window) -> FloatImage:
         """(H, W) the ground in shadows, for the cells of a window that take it; NaN for others."""
         if not self.shaded:
             return np.full((window.height, window.width), np.nan, np.float32)
         return self._read(self.shaded, window, 1)
+
+    def _kept(self, window: Window, band: int, value: int) -> Mask:
+        """(H, W) the cells whose band has that value, and whose height no ground in shadows has replaced."""
+        kept: Mask = (self._read(self.path, window, band) == value) & np.isnan(self.ground(window))
+        return kept
 
     @staticmethod
     def _read(path: str, window: Window, band: int) -> FloatImage:

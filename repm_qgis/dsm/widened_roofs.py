@@ -20,6 +20,7 @@ from ..imagery.sampling import median_of_known, quantile_of_known
 from .parameters import FUSION, FusionParameters
 
 _AROUND = np.ones((3, 3), np.uint8)
+_NOTHING = np.float32(np.nan)
 
 
 def widened_over_shadow(
@@ -35,10 +36,10 @@ def widened_over_shadow(
     surface = np.asarray(height, np.float32).copy()
     result = np.full(surface.shape, np.nan, np.float32)
     known: Mask = np.isfinite(brightness) & np.isfinite(surface)
-    asked = known
+    asked, seen = known, _Appearance(brightness, weak, cell, parameters)
     for _ in range(p.rounds(cell)):
         cells, ground = _beside_lower(surface, asked, step)
-        taken = _in_shadow(cells, ground, surface, brightness, weak, cell, parameters)
+        taken = seen.in_shadow(cells, ground, surface)
         if not taken.any():
             break
         cells, ground = cells[taken], ground[taken]
@@ -57,45 +58,48 @@ def _beside_lower(surface: FloatImage, asked: Mask, step: float) -> Tuple[IntArr
     return cells, lowest.ravel()[cells]
 
 
-def _in_shadow(
-    cells: IntArray,
-    ground: FloatImage,
-    surface: FloatImage,
-    brightness: FloatImage,
-    weak: Mask,
-    cell: float,
-    p: FusionParameters,
-) -> Mask:
-    """(N,) whether cells are far darker than the surface whose height they have, and more like the ground's."""
-    numbers, columns = p.widened, surface.shape[1]
-    step, reach = numbers.window(cell)
-    nothing = np.float32(np.nan)
-    sure = np.where(weak, nothing, brightness)
-    heights, lights, sure_lights = (
-        np.pad(values, reach, constant_values=nothing) for values in (surface, brightness, sure)
-    )
-    like = max(numbers.like_m, 0.5 * surface_step(cell, p.gridding))
-    offsets = [(down, right) for down in range(0, 2 * reach + 1, step) for right in range(0, 2 * reach + 1, step)]
-    contrast, share = (
-        np.where(weak.ravel()[cells], np.float32(less), np.float32(usual))
-        for less, usual in ((numbers.weak_contrast, numbers.contrast), (numbers.weak_share, 0.5))
-    )
+class _Appearance:
+    """What the images show of the cells of a surface, which changes while roofs are cut back."""
 
-    def around(image: FloatImage, some: IntArray) -> FloatImage:
-        row, column = np.divmod(some, columns)
-        return np.stack([image[row + down, column + right] for down, right in offsets])
+    def __init__(self, brightness: FloatImage, weak: Mask, cell: float, parameters: FusionParameters) -> None:
+        p = self._parameters = parameters.widened
+        step, self._reach = p.window(cell)
+        places = range(0, 2 * self._reach + 1, step)
+        self._offsets = [(down, right) for down in places for right in places]
+        self._like = max(p.like_m, 0.5 * surface_step(cell, parameters.gridding))
+        self._brightness = brightness
+        self._lights, self._sure_lights = map(self._padded, (brightness, np.where(weak, _NOTHING, brightness)))
+        self._contrast, self._share = (
+            np.where(weak, np.float32(less), np.float32(usual))
+            for less, usual in ((p.weak_contrast, p.contrast), (p.weak_share, 0.5))
+        )
 
-    result = np.zeros(len(cells), dtype=bool)
-    for first in range(0, len(cells), numbers.at_once):
-        part = np.arange(first, min(first + numbers.at_once, len(cells)))
-        light, seen = brightness.ravel()[cells[part]], around(lights, cells[part])
-        maybe = np.fmax.reduce(seen) - light > contrast[part]  # most cells have nothing so bright near them
-        part, light, seen = part[maybe], light[maybe], seen[:, maybe]
-        z, sure_seen = around(heights, cells[part]), around(sure_lights, cells[part])
-        with np.errstate(invalid="ignore"):
-            on_roof, below = (np.abs(z - level) < like for level in (surface.ravel()[cells[part]], ground[part]))
-            roof = quantile_of_known(np.where(on_roof, sure_seen, nothing), share[part], numbers.least_cells)
-            shade = median_of_known(np.where(below, seen, nothing), numbers.least_cells)
-            brighter = roof - light
-            result[part] = (brighter > contrast[part]) & (np.abs(light - shade) < brighter)
-    return result
+    def in_shadow(self, cells: IntArray, ground: FloatImage, surface: FloatImage) -> Mask:
+        """(N,) whether cells are far darker than the surface whose height they have, and more like the ground's."""
+        p, heights = self._parameters, self._padded(surface)
+        result = np.zeros(len(cells), dtype=bool)
+        for first in range(0, len(cells), p.at_once):
+            part = np.arange(first, min(first + p.at_once, len(cells)))
+            light, seen = self._brightness.ravel()[cells[part]], self._around(self._lights, cells[part])
+            contrast = self._contrast.ravel()[cells[part]]
+            maybe = np.fmax.reduce(seen) - light > contrast  # most cells have nothing so bright near them
+            part, light, seen, contrast = part[maybe], light[maybe], seen[:, maybe], contrast[maybe]
+            some = cells[part]
+            z, sure_seen = self._around(heights, some), self._around(self._sure_lights, some)
+            with np.errstate(invalid="ignore"):
+                on_roof, below = (np.abs(z - level) < self._like for level in (surface.ravel()[some], ground[part]))
+                roof = quantile_of_known(
+                    np.where(on_roof, sure_seen, _NOTHING), self._share.ravel()[some], p.least_cells
+                )
+                shade = median_of_known(np.where(below, seen, _NOTHING), p.least_cells)
+                brighter = roof - light
+                result[part] = (brighter > contrast) & (np.abs(light - shade) < brighter)
+        return result
+
+    def _padded(self, values: FloatImage) -> FloatImage:
+        return np.pad(values, self._reach, constant_values=_NOTHING)
+
+    def _around(self, padded: FloatImage, cells: IntArray) -> FloatImage:
+        """(places, N) the values in the window of each of N cells."""
+        row, column = np.divmod(cells, self._brightness.shape[1])
+        return np.stack([padded[row + down, column + right] for down, right in self._offsets])
