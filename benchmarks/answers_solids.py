@@ -25,10 +25,10 @@ from benchmarks.clouds import make, megabytes
 from benchmarks.runner import ROOT, Alone, Failed, alone, few, say, stage
 from benchmarks.scenes import SHARED
 from benchmarks.tables import table
-from repm_qgis.dsm.mesh import write_mesh
-from repm_qgis.dsm.parameters import FUSION
-from repm_qgis.dsm.point_cloud import created_cloud
 from repm_qgis.imagery.raster import opened, read, write
+from repm_qgis.solids.mesh import write_mesh
+from repm_qgis.solids.parameters import SOLIDS
+from repm_qgis.solids.point_cloud import created_cloud
 
 _PYTHON = os.environ.get("REPM_SOLIDS_PYTHON", "")
 _SHIFTS_M = ((0.3, -0.2, 0.1), (1.37, -2.21, 0.83), (-4.1, 3.3, -6.0))
@@ -160,7 +160,7 @@ def _clouds() -> List[str]:
 
 def make_ept(cloud: str, folder: str) -> None:
     """Write an EPT of a cloud."""
-    from repm_qgis.dsm.ept import write_ept
+    from repm_qgis.solids.ept import write_ept
 
     write_ept(cloud, folder, "EPSG:32631")
 
@@ -308,7 +308,7 @@ def write_thinned(dsm: str, path: str, step: int) -> List[int]:
     """Write the mesh of every ``step``-th row and column; its vertices and triangles."""
     with opened(dsm) as dataset:
         most = math.ceil(dataset.RasterXSize * dataset.RasterYSize / step**2)
-    few_cells = replace(FUSION, simplification=replace(FUSION.simplification, cells=most))
+    few_cells = replace(SOLIDS, simplification=replace(SOLIDS.simplification, cells=most))
     facts = write_mesh(dsm, path, most, parameters=few_cells)
     return [facts.vertices, facts.faces]
 

@@ -27,9 +27,9 @@ def heights(rows: range, columns: int) -> np.ndarray:
 
 def make(folder: str, side: int) -> None:
     """A cloud of a point a cell, and a DSM of the same cells."""
-    from repm_qgis.dsm.point_cloud import created_cloud
     from repm_qgis.geometry.vertical import HeightDatum
     from repm_qgis.imagery.raster import created
+    from repm_qgis.solids.point_cloud import created_cloud
 
     numbers = np.random.default_rng(0)
     wkt = HeightDatum.of("").file_crs(CRS)
@@ -48,13 +48,13 @@ def make(folder: str, side: int) -> None:
 
 
 def ept(folder: str) -> None:
-    from repm_qgis.dsm.ept import write_ept
+    from repm_qgis.solids.ept import write_ept
 
     write_ept(f"{folder}/c.laz", f"{folder}/e", CRS)
 
 
 def mesh(folder: str, vertices: int) -> None:
-    from repm_qgis.dsm.mesh import write_mesh
+    from repm_qgis.solids.mesh import write_mesh
 
     write_mesh(f"{folder}/d.tif", f"{folder}/m.ply", vertices)
 

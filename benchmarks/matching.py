@@ -20,10 +20,10 @@ import numpy as np
 from benchmarks.runner import few, is_quick, pipeline
 from benchmarks.scenes import Scene, absent, default, real
 from benchmarks.tables import Details, Section, table
-from repm_qgis.dsm.aggregation import aggregate
-from repm_qgis.dsm.fusion import grid_height_map
-from repm_qgis.dsm.parameters import FUSION
 from repm_qgis.evaluation.scoring import score
+from repm_qgis.fusion.aggregation import aggregate
+from repm_qgis.fusion.parameters import FUSION
+from repm_qgis.fusion.tile_fusion import grid_height_map
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.imagery.raster import opened, read

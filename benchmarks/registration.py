@@ -21,8 +21,8 @@ from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, sta
 from benchmarks.scenes import CACHE, SHARED, Scene, absent, quick_size, real, simulated, zy3
 from benchmarks.scoring import difference
 from benchmarks.tables import Section, table
-from repm_qgis.dsm.own_surface import own_surface
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.fusion.own_surface import own_surface
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.tiles import enclosing
 from repm_qgis.geometry.vertical import HeightDatum

@@ -154,7 +154,7 @@ def refining_mib(width: float) -> float:
     return _PROCESS_MIB + _BYTES_PER_REFINED_PX * width / _MIB
 
 
-_PART_CELLS = 536**2  # that are fused at once, with their margin (dsm/fusion.py)
+_PART_CELLS = 536**2  # that are fused at once, with their margin (fusion/tile_fusion.py)
 CLOUD_POINT, CLOUD_NORMAL = 32.0, 24.0  # bytes of a point that is kept for the cloud, and more of one with a normal
 
 
@@ -174,13 +174,13 @@ def fusing_mib(pixels: Sequence[int], cells: int, point: float = 0.0) -> float:
 
 
 def fitting_mib(cells: int) -> float:
-    """Peak memory of a worker that compares so many cells with the images (dsm/fitting.py), MiB. Fitted to measured
+    """Peak memory of a worker that compares so many cells with the images (fusion/fitting.py), MiB. Fitted to measured
     peaks of 0.02 to 1.2 million cells, with six views: 149 to 313 MiB."""
     return 150.0 + 155.0 * cells / _MIB
 
 
 def colouring_mib(cells: int, views: int, bands: int) -> float:
-    """Peak memory of a worker that colours a block of so many cells with so many views (dsm/colour_ortho.py), MiB.
+    """Peak memory of a worker that colours a block of so many cells with so many views (ortho/colour_ortho.py), MiB.
 
     Fitted to measured peaks of 1 to 8 views of 3 bands and 1 to 3 pansharpened ones of 4, on 0.1 to 0.9 million cells:
     one view alone takes what its own colours need, several take what choosing between them needs. What hides a cell is

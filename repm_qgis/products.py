@@ -103,7 +103,7 @@ class Product:
     ``wanted``: whether it is written always, unless the user skips it, or on request. ``style`` is its kind of layer,
     "" for none, ``layer`` the layer's name where that is not the title. ``filter`` are a file's types in dialogs.
     ``tiled``: where a raster's name ends in .vrt, it is a VRT with a folder of tiles (:func:`tiles_folder`).
-    ``maker`` is the module of :mod:`repm_qgis.dsm` that makes it from the finished DSM, "" where its stage does.
+    ``maker`` is the module of :mod:`repm_qgis.solids` that makes it from the finished DSM, "" where its stage does.
     """
 
     stage: str

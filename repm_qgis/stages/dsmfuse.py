@@ -12,24 +12,25 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..disk_space import fusion_needs, require_space
-from ..dsm.colour_ortho import make_colour_ortho
-from ..dsm.colour_sources import ColourPlan, colour_plan
-from ..dsm.derived import FinishedDsm, make_derived
-from ..dsm.ept import require_ept_place
-from ..dsm.fusion import StoredTile
-from ..dsm.outliers import automatic_radius
-from ..dsm.products import DsmLayout, clouds_of, write_cloud
 from ..errors import EmptyResultError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
+from ..fusion.layout import DsmLayout
+from ..fusion.outliers import automatic_radius
+from ..fusion.tile_fusion import StoredTile
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
 from ..options import DsmFuseOptions, ViewerOptions, is_textured
+from ..ortho.colour_ortho import make_colour_ortho
+from ..ortho.colour_sources import ColourPlan, colour_plan
 from ..parallel import run_whole
 from ..products import not_requested, paths_of, product, products_of
 from ..progress import Part, Progress
 from ..records import FusionFacts, ViewPair
 from ..scene import Scene
+from ..solids.cloud import clouds_of, write_cloud
+from ..solids.derived import FinishedDsm, make_derived
+from ..solids.ept import require_ept_place
 from ..workspace import ensure_folder, temporary_folder
 from . import viewer
 from .early import require_cell
@@ -62,7 +63,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
             parts = cloud, layout, stored, ortho, normals
             points = run_whole(_cloud_written, parts, progress, "writing the cloud")
             facts = replace(facts, points=points)
-        finished = FinishedDsm(options, clouds[-1] if facts.points else None, layout.file_crs, parameters.fusion, ortho)
+        finished = FinishedDsm(options, clouds[-1] if facts.points else None, layout.file_crs, parameters.solids, ortho)
         made = _derived(finished, progress)
         if options.viewer:
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
@@ -135,7 +136,7 @@ def colours_of(
     if not any(shown) or options.colour == "greys":
         return None
     scene.require_images()
-    plan = colour_plan(scene, options, progress, parameters.fusion)
+    plan = colour_plan(scene, options, progress, parameters.ortho.sharpening)
     files = {os.path.realpath(path) for path in (plan.files if plan else ())}
     for each, path in paths_of("dsmfuse", options):
         if os.path.realpath(path) in files:
@@ -153,7 +154,7 @@ def _matched(scene: Scene) -> List[ViewPair]:
 def _coloured(fusion: Fusion, plan: ColourPlan, ortho: Optional[str], progress: Progress) -> str:
     """Make the orthophoto in colour from the finished DSM, a temporary one if nobody keeps it; gives its path."""
     path = ortho or f"{fusion.folder}/colours.tif"
-    make_colour_ortho(plan, fusion.options, path, fusion.layout, str(fusion.folder), progress, fusion.parameters.fusion)
+    make_colour_ortho(plan, fusion.options, path, fusion.layout, str(fusion.folder), progress, fusion.parameters.ortho)
     if ortho:
         write_style(product("dsmfuse", "ortho").style, ortho, taken=fusion.scene.taken())
     return path

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import List, Optional, Tuple
 
-from ..dsm.coarse_means import CoarseMeans
-from ..dsm.fitting import FitTask, FittedBlock, blocks_of, fit_block
-from ..dsm.fusion import FuseTask, StoredTile, fuse_to_disk
-from ..dsm.ortho import nadir_first
-from ..dsm.products import DsmLayout, JoinedTiles, join_tiles, write_products
 from ..errors import RepmError
 from ..evaluation.styles import write_style
+from ..fusion.coarse_means import CoarseMeans
+from ..fusion.fitting import FitTask, FittedBlock, blocks_of, fit_block
+from ..fusion.layout import DsmLayout
+from ..fusion.rasters import JoinedTiles, join_tiles, write_products
+from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
+from ..fusion.visible import nadir_first
 from ..imagery.raster import raster_identity
 from ..memory import CLOUD_NORMAL, CLOUD_POINT, Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions

@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 from typing import Any, List, Tuple
 
 from ..altitudes import AltitudeParameters
-from ..dsm.parameters import FusionParameters
+from ..fusion.parameters import FusionParameters
 from ..imagery.parameters import StretchParameters
 from ..matching.parameters import MatchingParameters
 from ..mosaic.parameters import MosaicParameters
+from ..ortho.parameters import OrthoParameters
 from ..parameters import Parameters
 from ..registration.parameters import RegistrationParameters
 from ..sfm.parameters import PointingParameters
+from ..solids.parameters import SolidsParameters
 from ..terrain.parameters import TerrainParameters
 
 
@@ -44,6 +46,8 @@ class EngineParameters(Parameters):
     pointing: PointingParameters = PointingParameters()
     matching: MatchingParameters = MatchingParameters()
     fusion: FusionParameters = FusionParameters()
+    ortho: OrthoParameters = OrthoParameters()
+    solids: SolidsParameters = SolidsParameters()
     registration: RegistrationParameters = RegistrationParameters()
     mosaic: MosaicParameters = MosaicParameters()
     terrain: TerrainParameters = TerrainParameters()

@@ -10,7 +10,6 @@ from typing import Any, Callable, Dict, List, Sequence
 from osgeo import ogr
 
 from ..disk_space import Need, fusion_needs, heights_need, require_space
-from ..dsm.ept import require_ept_place
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
@@ -24,6 +23,7 @@ from ..scene import Scene
 from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
 from ..sfm.overlap import views_of
+from ..solids.ept import require_ept_place
 from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine, register
 from .early import require_cell

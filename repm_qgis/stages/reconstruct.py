@@ -14,10 +14,10 @@ from osgeo import ogr
 from ..altitudes import AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray
 from ..disk_space import heights_need, require_space
-from ..dsm.map_offsets import with_agreeing_maps
 from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
+from ..fusion.map_offsets import with_agreeing_maps
 from ..imagery.enhancement import Stretch
 from ..imagery.parameters import StretchParameters
 from ..imagery.raster import raster_identity

@@ -12,9 +12,9 @@ import numpy as np
 import pyproj
 
 from ..disk_space import images_need, require_space
-from ..dsm.own_surface import lon_lat_bounds, own_surface
 from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
+from ..fusion.own_surface import lon_lat_bounds, own_surface
 from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
 from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface

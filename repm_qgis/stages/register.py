@@ -13,10 +13,10 @@ import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..dsm.own_surface import own_surface
 from ..errors import EmptyResultError, OverlapError, SceneError
 from ..evaluation.registration_section import registration_page
 from ..evaluation.styles import write_style
+from ..fusion.own_surface import own_surface
 from ..geometry.cell_grid import CellGrid
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum

@@ -13,8 +13,8 @@ from typing import List, Sequence, Tuple
 import numpy as np
 
 from ..arrays import FloatArray, FloatImage, Mask, Window
-from ..dsm.products import INTERPOLATED
 from ..evaluation.grids import read_heights
+from ..fusion.rasters import INTERPOLATED
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import halved
 from ..imagery import raster

@@ -57,8 +57,8 @@ end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record.metres_p
 FUSING = (
     BEGIN
     + """
-from repm_qgis.dsm.fusion import FuseTask, fuse_to_disk
-from repm_qgis.dsm.products import DsmLayout
+from repm_qgis.fusion.layout import DsmLayout
+from repm_qgis.fusion.tile_fusion import FuseTask, fuse_to_disk
 from repm_qgis.geometry.vertical import HeightDatum
 records = tuple(tile.heights[:1] * int(extra))
 layout = DsmLayout.of(scene, [tile], scene.crs, HeightDatum.of(""), side)
@@ -74,18 +74,18 @@ COLOURING = (
 from dataclasses import replace
 from pathlib import Path
 from repm_qgis.arrays import Window
-from repm_qgis.dsm.colour_ortho import ColourTask, _block, _cells
-from repm_qgis.dsm.colour_sources import ColourPlan, ColourSource
-from repm_qgis.dsm.parameters import FUSION
-from repm_qgis.dsm.products import DsmLayout
+from repm_qgis.fusion.layout import DsmLayout
 from repm_qgis.geometry.vertical import HeightDatum
+from repm_qgis.ortho.colour_ortho import ColourTask, _block, _cells
+from repm_qgis.ortho.colour_sources import ColourPlan, ColourSource
+from repm_qgis.ortho.parameters import ORTHO
 views, bands = int(side), int(extra)
 dsm = str(Path(out).parent / "dsm.tif")
 grid, _ = _cells(dsm)
 own = Window(0, 0, *grid.size)
 sources = tuple(ColourSource(scene.views[i % 2], (1,) * bands) for i in range(views))
 plan = ColourPlan(sources, tuple("abcdef"[:bands]), False, "uint16")
-every = replace(FUSION, colour=replace(FUSION.colour, least_views=views, most_views=views))
+every = replace(ORTHO, colour=replace(ORTHO.colour, least_views=views, most_views=views))
 layout = DsmLayout(grid, scene.crs, HeightDatum.of(""), ())
 _block(ColourTask(plan, dsm, grid, layout, 200, 1, every, own, (20.0,) * bands, f"{out}{side}{extra}.npy"))
 end(own.width * own.height, views, bands)

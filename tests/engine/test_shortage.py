@@ -15,13 +15,13 @@ import pytest
 from osgeo import ogr
 
 from repm_qgis import las, shortage
-from repm_qgis.dsm.ept import write_ept
-from repm_qgis.dsm.mesh import write_mesh
-from repm_qgis.dsm.point_cloud import created_cloud
 from repm_qgis.errors import EmptyResultError, ImageError, MissingPackageError, OutOfMemoryError, WorkspaceError
 from repm_qgis.exports.images import encode
 from repm_qgis.imagery.raster import write
 from repm_qgis.shortage import said_in_a_sentence, speaks_of_memory
+from repm_qgis.solids.ept import write_ept
+from repm_qgis.solids.mesh import write_mesh
+from repm_qgis.solids.point_cloud import created_cloud
 from repm_qgis.stages import run_stage
 from repm_qgis.vector import write_layer
 from repm_qgis.workspace import write_text, writing

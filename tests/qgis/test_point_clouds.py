@@ -23,9 +23,9 @@ def crs_of(vertical):
 @pytest.fixture(params=["", "EGM96"])
 def ept(request, tmp_path):
     """A slope that rises to the east, as EPT of several levels: folder and points."""
-    from repm_qgis.dsm.ept import write_ept
-    from repm_qgis.dsm.parameters import EptParameters
-    from repm_qgis.dsm.point_cloud import created_cloud
+    from repm_qgis.solids.ept import write_ept
+    from repm_qgis.solids.parameters import EptParameters
+    from repm_qgis.solids.point_cloud import created_cloud
 
     numbers = np.random.default_rng(0)
     x, y = WEST + numbers.uniform(0, 200, 60000), NORTH - numbers.uniform(0, 100, 60000)
@@ -70,8 +70,8 @@ def test_an_ept_is_drawn_where_its_points_are_and_coloured_by_height(plugin, ept
 
 @pytest.mark.parametrize("vertical", ("", "EGM96"))
 def test_a_mesh_opens_with_its_triangles_and_heights(plugin, tmp_path, vertical):
-    from repm_qgis.dsm.mesh import write_mesh
     from repm_qgis.imagery.raster import write
+    from repm_qgis.solids.mesh import write_mesh
 
     heights = np.random.default_rng(0).uniform(100, 130, (20, 30)).astype(np.float32)
     heights[5:9, 10:12] = np.nan

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.dsm.products import overlap_m2
 from repm_qgis.evaluation import verdict
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.gcp_page import gcp_page
@@ -15,6 +14,7 @@ from repm_qgis.evaluation.metrics import height_metrics
 from repm_qgis.evaluation.parameters import VERDICT
 from repm_qgis.evaluation.report import Report
 from repm_qgis.evaluation.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
+from repm_qgis.fusion.rasters import overlap_m2
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.options import CheckGcpsOptions
 from repm_qgis.records import FusionFacts

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from repm_qgis.arrays import Window
-from repm_qgis.dsm.products import JoinedTiles
-from repm_qgis.dsm.shaded import NOTHING, SUPPORTED, WEAK
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.fusion.rasters import JoinedTiles
+from repm_qgis.fusion.shaded import NOTHING, SUPPORTED, WEAK
 from repm_qgis.imagery.raster import created
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage

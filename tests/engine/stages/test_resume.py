@@ -331,16 +331,16 @@ def test_a_scene_in_place(again, told):
 
 STOP_AFTER_TWO = """
 import json, os, signal, sys
-from repm_qgis.dsm import fusion
+from repm_qgis.fusion import tile_fusion
 from repm_qgis.progress import Silent
 from repm_qgis.stages import run_stage
-fuse, done = fusion.fuse_tile, []
+fuse, done = tile_fusion.fuse_tile, []
 def fuse_tile(task):
     if len(done) == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     done.append(task)
     return fuse(task)
-fusion.fuse_tile = fuse_tile
+tile_fusion.fuse_tile = fuse_tile
 run_stage("dsmfuse", json.loads(sys.argv[1]), Silent())
 """
 

@@ -1,1 +1,0 @@
-"""From height maps to a surface model: gridding, aggregation, outliers, orthophoto and point cloud."""

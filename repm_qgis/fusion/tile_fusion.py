@@ -1,0 +1,273 @@
+"""Fusing the height maps of one tile into its cells of the DSM."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass, fields, replace
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from ..arrays import Bounds, FloatArray, FloatImage, Floats, Mask, Window
+from ..geometry.cell_grid import CellGrid, overlapping_blocks
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..geometry.gridding import grid_points, surface_step
+from ..geometry.interpolation import on_lattice
+from ..matching.backends import height_source
+from ..matching.parameters import MATCHING, MatchingParameters
+from ..records import FilePath, HeightMapRecord, Record
+from ..scene import Scene, View
+from ..stereo.height_maps import HeightMap, HeightSource, require_whole
+from ..workspace import write_text, writing
+from .aggregation import FusedCells, HeightLayer, aggregate
+from .cloud_points import cloud_points
+from .occluded import occluded_ground
+from .outliers import radius_outliers, remove_isolated_points
+from .overhangs import without_overhangs
+from .parameters import FUSION, FusionParameters
+from .sight_lines import SightLines, Witnesses
+from .visible import orthophoto
+
+
+@dataclass(frozen=True)
+class FuseTask:
+    """All a worker needs to fuse one tile.
+
+    ``scene`` without its tiles; ``bounds`` are the tile's, ``window`` has the tile's cells in the whole ``grid``.
+    ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. ``ortho_views`` are
+    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept, and ``normals`` whether
+    they have normals. Each ``step``-th pixel of the height maps is taken.
+    """
+
+    scene: Scene
+    bounds: Bounds
+    records: Tuple[HeightMapRecord, ...]
+    grid: CellGrid
+    window: Window
+    crs: str
+    method: str = "median"
+    fill: str = "occlusions"
+    radius: float = 0.0
+    ortho_views: Tuple[View, ...] = ()
+    cloud: bool = False
+    normals: bool = False
+    step: int = 1
+    parameters: FusionParameters = FUSION
+    matching: MatchingParameters = MATCHING
+
+
+@dataclass(frozen=True)
+class FusedTile:
+    """A tile's own cells, and the points on them and on their walls if there is a cloud: (N, 4)
+    x, y, height, score, and with normals (N, 7) these east, north and up.
+
+    ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
+    within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.
+    """
+
+    fused: FusedCells
+    ortho: Optional[FloatImage]
+    points: Optional[FloatArray]
+    removed: int
+    needed: int
+    wide: Floats
+    own: Optional[Mask] = None
+
+
+@dataclass(frozen=True)
+class StoredTile(Record):
+    """A fused tile on disk, and the facts that the layout of the DSM needs, which lie beside it.
+
+    ``valid`` counts the cells with a height, ``filled`` those of them that have the background's, ``cells`` the tile's
+    own. ``known`` is the part of the window that holds all heights, None where there are none; ``metres_per_px`` is
+    that of each height map. ``reused``: an earlier, stopped run had fused the tile.
+    """
+
+    path: FilePath
+    valid: int
+    filled: int
+    cells: int
+    removed: int
+    needed: int
+    known: Optional[Window]
+    metres_per_px: Tuple[float, ...]
+    reused: bool = False
+
+    @classmethod
+    def finished(cls, path: str) -> Optional[StoredTile]:
+        """The tile that an earlier run has stored at a path; None where it is not there as a whole."""
+        try:
+            with open(_facts_file(path), encoding="utf-8") as stream:
+                tile = replace(cls.from_mapping(json.load(stream)), path=path, reused=True)
+            tile.load()  # which compares the checksums that the file has
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+            return None
+        return tile
+
+    def load(self) -> FusedTile:
+        """The tile's cells again, in the precision that products have."""
+        with np.load(self.path, allow_pickle=False) as kept:
+            part = {name: kept[name] for name in kept.files}
+        fused = FusedCells(*(part[field.name] for field in fields(FusedCells)))
+        ortho, points, own = (part.get(name) for name in ("ortho", "points", "own"))
+        return FusedTile(fused, ortho, points, self.removed, self.needed, self.wide(), own)
+
+    def points(self) -> Optional[FloatArray]:
+        """The points alone; None where no cloud was wanted."""
+        with np.load(self.path, allow_pickle=False) as kept:
+            return kept["points"] if "points" in kept.files else None
+
+    def wide(self) -> Floats:
+        """The heights with the margin; they are read from the file only where they are used."""
+        heights: Floats = np.load(wide_file(self.path), mmap_mode="r", allow_pickle=False)
+        return heights
+
+
+def wide_file(path: str) -> str:
+    """The file that holds a stored tile's heights with the margin."""
+    return path + ".wide.npy"
+
+
+def _facts_file(path: str) -> str:
+    """The file that holds what a :class:`StoredTile` says; it is written last, so that the others are whole."""
+    return path + ".json"
+
+
+def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
+    """Fuse a tile and keep it in a file, so that memory does not grow with the number of tiles.
+
+    A tile that an earlier, stopped run has stored there is taken as it is.
+    """
+    task, path = work
+    done = StoredTile.finished(path)
+    if done is not None:
+        return done
+    tile = fuse_tile(task)
+    fused, known = tile.fused, np.isfinite(tile.fused.height)
+    parts: Dict[str, Any] = {"count": fused.count, "filled": fused.filled}
+    parts.update({name: getattr(fused, name).astype(np.float32) for name in ("height", "spread", "score")})
+    parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
+    with writing(path):
+        np.savez(path, **parts)
+        np.save(wide_file(path), tile.wide.astype(np.float32))
+    columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
+    ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
+    stored = StoredTile(
+        path,
+        valid=int(known.sum()),
+        filled=int(fused.filled.sum()),
+        cells=known.size if tile.own is None else int(tile.own.sum()),
+        removed=tile.removed,
+        needed=tile.needed,
+        known=Window.spanning(*map(int, ends)) if ends else None,
+        metres_per_px=tuple(record.metres_per_px for record in task.records),
+    )
+    write_text(_facts_file(path), json.dumps(stored.to_mapping()))
+    return stored
+
+
+def fuse_tile(task: FuseTask) -> FusedTile:
+    """Grid each height map, aggregate, remove outliers, and cut the result to the tile's own cells."""
+    wide = task.window.grown(task.parameters.feather_cells, task.grid.size)
+    grid = task.grid.part(wide)
+    if task.step == 1:  # where only some pixels are read, GDAL's own checks of the blocks that are read have to do
+        for record in task.records:
+            require_whole(record)
+    sources = [height_source(task.scene, task.bounds, record, task.crs, task.matching) for record in task.records]
+    fused = _fuse_blocks(task, grid, sources)
+    if task.fill == "none":
+        fused = fused.without(fused.filled)
+    removed, needed = 0, 0
+    if task.radius > 0:
+        outliers, needed = radius_outliers(fused.height, grid.cell, task.radius, task.parameters.outliers)
+        removed = int(outliers.sum())
+        fused = fused.without(outliers)
+    ortho = None
+    if task.ortho_views:
+        ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs, task.parameters.visibility)
+    inner = task.window.inside(wide)
+    cut = FusedCells(*(getattr(fused, field.name)[inner] for field in fields(fused)))
+    ortho = None if ortho is None else ortho[inner]
+    own = _own_cells(task)
+    if own is not None:
+        cut = cut.without(~own)
+        ortho = None if ortho is None else np.where(own, ortho, np.float32(np.nan))
+    points = None
+    if task.cloud:
+        here = np.zeros(grid.shape, dtype=bool)
+        here[inner] = True if own is None else own
+        scales = [record.metres_per_px for record in task.records]
+        points = cloud_points(sources, scales, grid, fused.height, here, task.normals, task.parameters)
+    return FusedTile(cut, ortho, points, removed, needed, fused.height, own)
+
+
+def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> FusedCells:
+    """The fused cells of a grid, in blocks that bound the memory and overlap by the reach of the aggregation."""
+    whole: Dict[str, Any] = {}
+    everything = Window(0, 0, *grid.size)
+    parameters = task.parameters
+    for own, wide in overlapping_blocks(grid.size, parameters.block_cells, parameters.aggregation.reach_cells):
+        part = grid.part(wide)
+        bounds = part.bounds.grown(part.cell)
+        layers: List[HeightLayer] = []
+        maps: List[SightLines] = []
+        for source, record in zip(sources, task.records):
+            heights, metres_per_px = source.within(bounds, task.step), task.step * record.metres_per_px
+            layers.append(grid_height_map(part, heights, metres_per_px, task.step * task.scene.gsd_m, parameters))
+            sight = SightLines.of(heights, metres_per_px, parameters.sight_lines) if len(sources) > 1 else None
+            maps += [] if sight is None else [sight]
+        witnesses = Witnesses(part, maps, parameters.sight_lines) if maps else None
+        fused = aggregate(layers, task.method, parameters, witnesses)
+        for field in fields(fused):
+            values = getattr(fused, field.name)
+            target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
+            target[own.inside(everything)] = values[own.inside(wide)]
+    return FusedCells(**whole)
+
+
+def grid_height_map(
+    grid: CellGrid, heights: HeightMap, metres_per_px: float, spacing: float, parameters: FusionParameters
+) -> HeightLayer:
+    """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.
+
+    Cells of which the background covers more than what was matched, and lies below, have the background alone.
+    """
+    filled = np.flatnonzero(heights.filled)
+    own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding
+    matched = remove_isolated_points(own, metres_per_px, parameters.isolated)
+    height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing, gridding)
+    height, score = without_overhangs(grid, heights, matched, height, score, metres_per_px, spacing, parameters)
+    known = np.where(heights.filled, heights.height, matched)
+    occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
+    maps = (heights.x, heights.y, heights.height)
+    x, y, z = (np.concatenate([part.ravel()[filled], more]) for part, more in zip(maps, occluded))
+    half = parameters.covered * (grid.cell / spacing) ** 2
+    if not z.size:
+        return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, covered < half)
+    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing, gridding)
+    # A roof's last pixels reach into cells that are mostly occluded ground.
+    with np.errstate(invalid="ignore"):
+        mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))
+    height[mostly_behind] = np.nan
+    score[mostly_behind] = np.nan
+    return HeightLayer(height, score, background, metres_per_px, covered < half, behind < half)
+
+
+def _own_cells(task: FuseTask) -> Optional[Mask]:
+    """Which cells of the window lie in the tile: in another CRS than the scene's, tiles are turned and windows overlap.
+
+    None in the scene's CRS, where they do not overlap.
+    """
+    grid = task.grid.part(task.window)
+    if task.crs == task.scene.crs or not all(grid.shape):
+        return None
+
+    def to_scene(xy: FloatArray) -> FloatArray:
+        return projected_from_geodetic(task.scene.crs, geodetic_from_projected(task.crs, xy))
+
+    xy = on_lattice(*grid.centres(), to_scene)
+    # A millimetre more, so that no cell falls between two tiles.
+    x0, y0, x1, y1 = Bounds(*task.bounds).grown(1e-3)
+    own: Mask = (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
+    return own

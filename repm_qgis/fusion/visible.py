@@ -1,0 +1,95 @@
+"""A true orthophoto: each cell takes the intensity of a view that really sees it."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import List, Protocol, Sequence
+
+import numpy as np
+
+from ..arrays import FloatArray, FloatImage, Floats, Mask
+from ..geometry.cell_grid import CellGrid
+from ..geometry.footprints import ray_slope
+from ..geometry.frames import geodetic_from_projected
+from ..geometry.interpolation import on_lattice
+from ..imagery.raster import opened_masked
+from ..imagery.warping import sample_source
+from ..scene import Scene, View
+from .parameters import FUSION, VisibilityParameters
+
+
+class Camera(Protocol):
+    """What takes longitude, latitude and height (..., 3) to an image's column and row (..., 2)."""
+
+    def project(self, lon_lat_h: FloatArray) -> FloatArray: ...
+
+
+def nadir_first(scene: Scene) -> List[View]:
+    """The views, the most vertical one first."""
+    centre = np.array([scene.frame.lon, scene.frame.lat])
+    altitude = sum(scene.altitudes) / 2
+    return sorted(scene.views, key=lambda view: float(np.linalg.norm(ray_slope(view, centre, altitude))))
+
+
+def orthophoto(
+    views: Sequence[View],
+    grid: CellGrid,
+    height: Floats,
+    crs: str,
+    parameters: VisibilityParameters = FUSION.visibility,
+) -> FloatImage:
+    """Intensity of each cell from the first of ``views`` that sees it; NaN where none does, or without a height."""
+    result = np.full(grid.shape, np.nan, dtype=np.float32)
+    if not np.isfinite(height).any():
+        return result
+    for view in views:
+        open_cells = np.isnan(result) & np.isfinite(height)
+        if not open_cells.any():
+            break
+        seen = open_cells & ~blocked(view, grid, height, crs, parameters.clearance_m)
+        with opened_masked(view.image, view.mask) as dataset:
+            pixels = pixels_on(view, grid, height, crs, parameters.nodes)
+            values = sample_source(dataset, view.band, pixels, "bilinear")
+        result = np.where(seen, values, result)
+    return result
+
+
+def pixels_on(camera: Camera, grid: CellGrid, height: Floats, crs: str, nodes: int) -> FloatArray:
+    """(H, W, 2) pixels of the cells: exact on a lattice at two heights, linear between."""
+    low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
+
+    def project(xy: FloatArray, altitude: float) -> FloatArray:
+        lon_lat = geodetic_from_projected(crs, xy)
+        return camera.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1))
+
+    at_low, at_high = (on_lattice(*grid.centres(), partial(project, altitude=z), (nodes, nodes)) for z in (low, high))
+    share: FloatArray = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
+    return at_low + share * (at_high - at_low)
+
+
+def blocked(view: View, grid: CellGrid, height: Floats, crs: str, clearance_m: float) -> Mask:
+    """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up."""
+    xs, ys = grid.centres()
+    centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
+    slope = ray_slope(view, centre, float(np.nanmedian(height)))
+    steepness = float(np.linalg.norm(slope))
+    blocked = np.zeros(grid.shape, dtype=bool)
+    relief = float(np.nanmax(height) - np.nanmin(height))
+    reach = int(relief * steepness / grid.cell) + 1
+    if steepness < 1e-3:
+        return blocked
+    rows, columns = grid.shape
+    for step in range(1, min(reach, max(rows, columns)) + 1):
+        # One cell nearer to the satellite, the ray is cell / steepness metres higher.
+        dc = int(round(step * slope[0] / steepness))
+        dr = -int(round(step * slope[1] / steepness))
+        rise = math.hypot(dr, dc) * grid.cell / steepness
+        r0, r1 = max(0, -dr), min(rows, rows - dr)
+        c0, c1 = max(0, -dc), min(columns, columns - dc)
+        if r0 >= r1 or c0 >= c1:
+            break
+        ray = height[r0:r1, c0:c1] + rise + clearance_m
+        with np.errstate(invalid="ignore"):
+            blocked[r0:r1, c0:c1] |= height[r0 + dr : r1 + dr, c0 + dc : c1 + dc] > ray
+    return blocked

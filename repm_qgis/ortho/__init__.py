@@ -1,0 +1,1 @@
+"""From a finished surface model and its images to an orthophoto in colour."""

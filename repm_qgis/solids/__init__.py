@@ -1,0 +1,1 @@
+"""From a finished surface model to point clouds and meshes."""

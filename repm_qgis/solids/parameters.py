@@ -1,0 +1,48 @@
+"""The numbers that point clouds and meshes choose; docs/method.md says more about each subject."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Tuple
+
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class PaintingParameters(Parameters):
+    """Colours of points and vertices (solids/painting.py); both values are chosen."""
+
+    percents: Tuple[float, float] = (2.0, 98.0)  # shown as black and white, of orthophotos of more than 8 bits
+    preview_px: int = 1200  # side of the reduced orthophoto from which these are taken
+
+
+@dataclass(frozen=True)
+class EptParameters(Parameters):
+    """Sizes of Entwine Point Tiles, in points."""
+
+    leaf: int = 1 << 16  # a node with so many keeps all: files of about 300 kB, as Entwine writes
+    batch: int = 1 << 21  # sorted in memory at once: about 200 MB
+    chunk: int = 1 << 20  # read at once
+
+
+@dataclass(frozen=True)
+class SimplificationParameters(Parameters):
+    """Meshes of fewer vertices than the DSM has cells."""
+
+    lost: float = 0.3  # squared distance at which a cell counts that a hole takes with it, by its triangle's; tuned
+    negligible_m2: float = 1e-4  # sum of squared distances: a cell is not needed that is one centimetre off; chosen
+    root_cells: int = 256  # side of the largest squares, longer where few vertices are wanted; a power of two
+    cells: int = 1 << 24  # from which vertices are chosen; bounds the memory
+
+
+@dataclass(frozen=True)
+class SolidsParameters(Parameters):
+    """From a finished DSM to point clouds and meshes."""
+
+    painting: PaintingParameters = PaintingParameters()
+    ept: EptParameters = EptParameters()
+    simplification: SimplificationParameters = SimplificationParameters()
+    mesh_block_cells: int = 1 << 18  # of the mesh that are read at once; bounds the memory
+
+
+SOLIDS = SolidsParameters()
