@@ -18,13 +18,14 @@ from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage
 from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
 from benchmarks.tables import table
 from repm_qgis.arrays import Window
-from repm_qgis.fusion.layout import DsmLayout
+from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.options import DsmFuseOptions
-from repm_qgis.ortho.colour_ortho import ColourTask, _cells
+from repm_qgis.ortho.colour_ortho import ColourTask
 from repm_qgis.ortho.colour_sources import colour_plan
 from repm_qgis.ortho.parameters import ORTHO
+from repm_qgis.ortho.seen_surface import SeenSurface
 from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.simulation.scene import SceneSpec
@@ -157,11 +158,10 @@ def _views_apart(scene_path: str, dsm: str) -> np.ndarray:
     """(N,) cells between the orthophotos of two views, in each block of each pair of the most vertical ones."""
     scene = Scene.load(scene_path)
     plan = colour_plan(scene, DsmFuseOptions(scene=scene_path, output=dsm), Silent(), ORTHO.sharpening)
-    grid, _ = _cells(dsm)
-    layout = DsmLayout(grid, scene.crs, HeightDatum.of(""), ())
-    task = ColourTask(plan, dsm, grid, layout, ORTHO.colour.reach_cells, 1, ORTHO, Window(0, 0, 0, 0))
-    whole = Window(0, 0, *grid.size)
-    heights = task.heights(whole)
+    surface = FinishedSurface.of(dsm, scene.crs, HeightDatum.of(""))
+    task = ColourTask(plan, SeenSurface(surface, 0.0, ORTHO.reach_cells), 1, ORTHO, Window(0, 0, 0, 0))
+    whole = Window(0, 0, *surface.grid.size)
+    heights = surface.heights(whole)
     own = [task.colours(source, whole, heights).mean(axis=0) for source in plan.sources[:5]]
     found = []
     for first, second in combinations(own, 2):

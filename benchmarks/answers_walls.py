@@ -146,7 +146,7 @@ def _figures(town: Town3d, points: np.ndarray) -> List[Any]:
 
 def walls() -> List[str]:
     """What the rule for points on walls keeps, and what it costs."""
-    cloud = ENGINE.fusion.cloud
+    cloud = ENGINE.solids.cloud
     rules: Dict[str, Any] = {
         "on the DSM alone": replace(cloud, wall_cells=0),
         "and on walls, of one cell around": replace(cloud, wall_cells=1),
@@ -161,7 +161,7 @@ def walls() -> List[str]:
         first = b""
         for name, rule in list(rules.items())[: 3 if number else None]:
             say(f"walls: {town.name}, {name}")
-            changed = replace(ENGINE, fusion=replace(ENGINE.fusion, cloud=rule))
+            changed = replace(ENGINE, solids=replace(ENGINE.solids, cloud=rule))
             with tempfile.TemporaryDirectory() as folder:
                 dsm, points = fused(town, folder, changed)
                 heights = Path(dsm).read_bytes()

@@ -23,7 +23,7 @@ from .workspace import existing_place, free_bytes, size_of
 _LEAST = 1 / 3  # of what is expected: less is not refused
 _HEIGHT_MAP = 6.5  # bytes for each pixel of ground that a pair sees: three bands, compressed
 _REFINED_IMAGE = 1.2  # for each pixel of 16 bits, compressed
-_FUSED_CELL, _FUSED_ORTHO, _FUSED_POINT = 18.0, 4.0, 32.0  # between the two halves of fusion, not compressed
+_FUSED_CELL, _GREY_CELL, _POINT = 18.0, 4.0, 32.0  # fused tiles, blocks of greys, points of tiles, not compressed
 _JOINED_CELL = 24.0  # of the joined tiles, the ground in shadows, and the blocks compared with the images
 _RASTERS = {"output": 3.2, "confidence": 12.0, "ortho": 3.5}  # for each cell, with overviews
 _COLOURED = 2.0  # for each cell and band of 16 bits
@@ -72,8 +72,8 @@ def fusion_needs(
     """
     cells, points = _area(scene) / cell**2, seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
-    ortho = bands * _COLOURED if bands else _FUSED_ORTHO if options.ortho or options.viewer else 0.0
-    each = _FUSED_POINT + (2 * _NORMAL if options.cloud and options.cloud_normals else 0.0)
+    ortho = bands * _COLOURED if bands else _GREY_CELL if options.ortho or options.viewer else 0.0
+    each = _POINT + (2 * _NORMAL if options.cloud and options.cloud_normals else 0.0)
     between = cells * (_FUSED_CELL + _JOINED_CELL + ortho) + points * each
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":

@@ -123,6 +123,7 @@ def workers_within(workers: int, work: Work, budget_mib: int, progress: Progress
 
 
 _PROCESS_MIB = 125.0  # a worker with its libraries, before it does anything
+_LEAN_PROCESS_MIB = 111.0  # the same of one that needs no SciPy
 _BYTES_PER_PX = 115.0  # of the rectified tile
 _RECTIFIED = 1.2  # side of a rectified tile by that of its ground, where memory is planned
 _BYTES_PER_REFINED_PX = 22_000.0  # of a refined image's width: it is made in strips of 512 rows
@@ -149,19 +150,17 @@ def planned_mib(side: float, disparities: float, paths: int = 3) -> float:
 def refining_mib(width: float) -> float:
     """Peak memory of a worker that writes refined images ``width`` px wide, MiB; with 0, of one that writes none.
 
-    Fitted to the peaks of workers that wrote images of 300, 800 and 2400 px: 126, 138 and 171 MiB, 121 without any.
+    Fitted to the peaks of workers that wrote images 1200 px wide, 133 MiB, and none, 108 MiB.
     """
-    return _PROCESS_MIB + _BYTES_PER_REFINED_PX * width / _MIB
+    return _LEAN_PROCESS_MIB + _BYTES_PER_REFINED_PX * width / _MIB
 
 
 _PART_CELLS = 536**2  # that are fused at once, with their margin (fusion/tile_fusion.py)
-CLOUD_POINT, CLOUD_NORMAL = 32.0, 24.0  # bytes of a point that is kept for the cloud, and more of one with a normal
 
 
-def fusing_mib(pixels: Sequence[int], cells: int, point: float = 0.0) -> float:
+def fusing_mib(pixels: Sequence[int], cells: int) -> float:
     """Peak memory of a worker that fuses height maps of so many pixels each into a tile of so many cells, MiB.
 
-    ``point`` are the bytes of each point that is kept for a cloud: they are there twice when the maps' are joined.
     Maps are read one after the other, as much of each as a part of the tile needs; their heights stay as witnesses, and
     where they are in conflict each is compared with each. Fitted to measured peaks of 1 to 26 maps on 0.02 to 6.3
     million cells, as :func:`matching_mib`.
@@ -170,7 +169,16 @@ def fusing_mib(pixels: Sequence[int], cells: int, point: float = 0.0) -> float:
     share = min(1.0, 1.3 * _PART_CELLS / max(cells, 1))
     read = (115.0 * max(pixels, default=0) + 8.0 * sum(pixels[1:])) * share
     fused = read + (45.0 * maps + 4.0 * maps * (maps - 1)) * part + 30.0 * cells
-    return 105.0 + (fused + 2.0 * point * sum(pixels)) / _MIB
+    return 105.0 + fused / _MIB
+
+
+def gathering_mib(pixels: Sequence[int], cells: int) -> float:
+    """Peak memory of a worker that gathers the points of height maps of so many pixels each on so many cells, MiB.
+
+    Maps are read one after the other, each as a whole. Fitted to measured peaks of 1 to 4 maps of 1.5 Mpx: 345 to 371
+    MiB, and 377 with normals.
+    """
+    return 105.0 + (155.0 * max(pixels, default=0) + 30.0 * cells) / _MIB
 
 
 def fitting_mib(cells: int) -> float:

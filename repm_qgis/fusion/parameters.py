@@ -214,17 +214,6 @@ class VisibilityParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class CloudParameters(Parameters):
-    """Which matched points are in the cloud (fusion/cloud_points.py); part "solids" of `make bench-answers`."""
-
-    surface_px: float = 1.0  # of disparity from the height of its own cell: such a point lies on the surface; chosen
-    wall_cells: int = 2  # around a point, whose lowest and highest are the ends of a wall; measured against 1
-    wall_px: float = 0.5  # of disparity from both ends: a point of a wall lies between them; measured against 0 and 1
-    normal_neighbours: int = 16  # of a point, whose plane gives its normal; measured against 9 and 24
-    normals_at_once: int = 1 << 15  # points; bounds the memory
-
-
-@dataclass(frozen=True)
 class FusionParameters(Parameters):
     """From height maps to a DSM."""
 
@@ -242,7 +231,6 @@ class FusionParameters(Parameters):
     holes: HoleParameters = HoleParameters()
     error: ExpectedErrorParameters = ExpectedErrorParameters()
     visibility: VisibilityParameters = VisibilityParameters()
-    cloud: CloudParameters = CloudParameters()
     step_px: float = MATCHING.occlusions.step_px  # of disparity: higher steps hide ground, as where matching fills it
     covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen
     feather_cells: int = 8  # over which tiles change into each other on both sides of a seam; chosen

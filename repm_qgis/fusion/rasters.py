@@ -1,4 +1,4 @@
-"""The rasters of fusion: DSM, confidence and grey orthophoto."""
+"""The rasters of fusion: DSM and confidence."""
 
 from __future__ import annotations
 
@@ -49,7 +49,6 @@ class _Products:
     crop: Window
     dsm: RasterWriter
     confidence: Optional[RasterWriter]
-    ortho: Optional[RasterWriter]
     whole: Optional[RasterWriter]
 
     @classmethod
@@ -69,12 +68,11 @@ class _Products:
 
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", layout.file_crs)
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
-        ortho = raster(options.ortho, ("brightness",)) if options.ortho else None
         whole = None
         if options.fill == "all":
             heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
             whole = stack.enter_context(heights)
-        return cls(crop, dsm, confidence, ortho, whole)
+        return cls(crop, dsm, confidence, whole)
 
     def write_tile(self, tile: FusedTile, error: Floats, window: Window) -> None:
         """Write the facts of a tile's cells, as far as they lie in the crop."""
@@ -92,7 +90,6 @@ class _Products:
                     raster.write(values[rows, columns].astype(np.float32), *place, index, tile.own is not None)
 
         put(self.confidence, count, fused.spread, fused.score, source, error)
-        put(self.ortho, tile.ortho)
 
     def mark(self, window: Window, cells: Mask, error: Optional[float]) -> None:
         """Note that cells of a window of the crop took the background's height, with that expected error (m; None: they
@@ -198,7 +195,7 @@ def write_products(
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
 ) -> FusionFacts:
-    """Write DSM, confidence and grey orthophoto; gives what was counted, without a cloud's points.
+    """Write DSM and confidence; gives what was counted, without a cloud's points.
 
     ``blocks`` have the DSM's heights, ``joined`` and the fused tiles the facts about them. ``folder`` is for temporary
     files. ``means`` take up the heights above the ellipsoid, before holes are filled. Raises WorkspaceError where a

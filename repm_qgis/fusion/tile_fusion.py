@@ -9,25 +9,22 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, FloatImage, Floats, Mask, Window
+from ..arrays import Bounds, Floats, Mask, Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
-from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.gridding import grid_points, surface_step
-from ..geometry.interpolation import on_lattice
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
 from ..records import FilePath, HeightMapRecord, Record
-from ..scene import Scene, View
+from ..scene import Scene
 from ..stereo.height_maps import HeightMap, HeightSource, require_whole
 from ..workspace import write_text, writing
 from .aggregation import FusedCells, HeightLayer, aggregate
-from .cloud_points import cloud_points
+from .layout import own_cells
 from .occluded import occluded_ground
 from .outliers import radius_outliers, remove_isolated_points
 from .overhangs import without_overhangs
 from .parameters import FUSION, FusionParameters
 from .sight_lines import SightLines, Witnesses
-from .visible import orthophoto
 
 
 @dataclass(frozen=True)
@@ -35,9 +32,8 @@ class FuseTask:
     """All a worker needs to fuse one tile.
 
     ``scene`` without its tiles; ``bounds`` are the tile's, ``window`` has the tile's cells in the whole ``grid``.
-    ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. ``ortho_views`` are
-    those of the orthophoto, the most vertical first; ``cloud`` says whether points are kept, and ``normals`` whether
-    they have normals. Each ``step``-th pixel of the height maps is taken.
+    ``method`` and ``fill`` are options, ``radius`` (m) is that of the outlier filter, 0 for none. Each ``step``-th
+    pixel of the height maps is taken.
     """
 
     scene: Scene
@@ -49,9 +45,6 @@ class FuseTask:
     method: str = "median"
     fill: str = "occlusions"
     radius: float = 0.0
-    ortho_views: Tuple[View, ...] = ()
-    cloud: bool = False
-    normals: bool = False
     step: int = 1
     parameters: FusionParameters = FUSION
     matching: MatchingParameters = MATCHING
@@ -59,16 +52,13 @@ class FuseTask:
 
 @dataclass(frozen=True)
 class FusedTile:
-    """A tile's own cells, and the points on them and on their walls if there is a cloud: (N, 4)
-    x, y, height, score, and with normals (N, 7) these east, north and up.
+    """A tile's own cells.
 
     ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
     within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.
     """
 
     fused: FusedCells
-    ortho: Optional[FloatImage]
-    points: Optional[FloatArray]
     removed: int
     needed: int
     wide: Floats
@@ -110,13 +100,7 @@ class StoredTile(Record):
         with np.load(self.path, allow_pickle=False) as kept:
             part = {name: kept[name] for name in kept.files}
         fused = FusedCells(*(part[field.name] for field in fields(FusedCells)))
-        ortho, points, own = (part.get(name) for name in ("ortho", "points", "own"))
-        return FusedTile(fused, ortho, points, self.removed, self.needed, self.wide(), own)
-
-    def points(self) -> Optional[FloatArray]:
-        """The points alone; None where no cloud was wanted."""
-        with np.load(self.path, allow_pickle=False) as kept:
-            return kept["points"] if "points" in kept.files else None
+        return FusedTile(fused, self.removed, self.needed, self.wide(), part.get("own"))
 
     def wide(self) -> Floats:
         """The heights with the margin; they are read from the file only where they are used."""
@@ -147,7 +131,8 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     fused, known = tile.fused, np.isfinite(tile.fused.height)
     parts: Dict[str, Any] = {"count": fused.count, "filled": fused.filled}
     parts.update({name: getattr(fused, name).astype(np.float32) for name in ("height", "spread", "score")})
-    parts.update({name: getattr(tile, name) for name in ("ortho", "points", "own") if getattr(tile, name) is not None})
+    if tile.own is not None:
+        parts["own"] = tile.own
     with writing(path):
         np.savez(path, **parts)
         np.save(wide_file(path), tile.wide.astype(np.float32))
@@ -183,23 +168,12 @@ def fuse_tile(task: FuseTask) -> FusedTile:
         outliers, needed = radius_outliers(fused.height, grid.cell, task.radius, task.parameters.outliers)
         removed = int(outliers.sum())
         fused = fused.without(outliers)
-    ortho = None
-    if task.ortho_views:
-        ortho = orthophoto(task.ortho_views, grid, fused.height, task.crs, task.parameters.visibility)
     inner = task.window.inside(wide)
     cut = FusedCells(*(getattr(fused, field.name)[inner] for field in fields(fused)))
-    ortho = None if ortho is None else ortho[inner]
-    own = _own_cells(task)
+    own = own_cells(task.grid.part(task.window), task.crs, task.bounds, task.scene.crs)
     if own is not None:
         cut = cut.without(~own)
-        ortho = None if ortho is None else np.where(own, ortho, np.float32(np.nan))
-    points = None
-    if task.cloud:
-        here = np.zeros(grid.shape, dtype=bool)
-        here[inner] = True if own is None else own
-        scales = [record.metres_per_px for record in task.records]
-        points = cloud_points(sources, scales, grid, fused.height, here, task.normals, task.parameters)
-    return FusedTile(cut, ortho, points, removed, needed, fused.height, own)
+    return FusedTile(cut, removed, needed, fused.height, own)
 
 
 def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> FusedCells:
@@ -252,22 +226,3 @@ def grid_height_map(
     height[mostly_behind] = np.nan
     score[mostly_behind] = np.nan
     return HeightLayer(height, score, background, metres_per_px, covered < half, behind < half)
-
-
-def _own_cells(task: FuseTask) -> Optional[Mask]:
-    """Which cells of the window lie in the tile: in another CRS than the scene's, tiles are turned and windows overlap.
-
-    None in the scene's CRS, where they do not overlap.
-    """
-    grid = task.grid.part(task.window)
-    if task.crs == task.scene.crs or not all(grid.shape):
-        return None
-
-    def to_scene(xy: FloatArray) -> FloatArray:
-        return projected_from_geodetic(task.scene.crs, geodetic_from_projected(task.crs, xy))
-
-    xy = on_lattice(*grid.centres(), to_scene)
-    # A millimetre more, so that no cell falls between two tiles.
-    x0, y0, x1, y1 = Bounds(*task.bounds).grown(1e-3)
-    own: Mask = (xy[..., 0] >= x0) & (xy[..., 0] <= x1) & (xy[..., 1] >= y0) & (xy[..., 1] <= y1)
-    return own

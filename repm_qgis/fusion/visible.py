@@ -1,10 +1,10 @@
-"""A true orthophoto: each cell takes the intensity of a view that really sees it."""
+"""What views show of a surface: which cells each one sees, at which pixels, and how bright they are there."""
 
 from __future__ import annotations
 
 import math
 from functools import partial
-from typing import List, Protocol, Sequence
+from typing import Callable, List, Optional, Protocol, Sequence
 
 import numpy as np
 
@@ -38,8 +38,13 @@ def orthophoto(
     height: Floats,
     crs: str,
     parameters: VisibilityParameters = FUSION.visibility,
+    seen: Optional[Callable[[View], Mask]] = None,
 ) -> FloatImage:
-    """Intensity of each cell from the first of ``views`` that sees it; NaN where none does, or without a height."""
+    """Intensity of each cell from the first of ``views`` that sees it; NaN where none does, or without a height.
+
+    ``seen`` says which cells a view sees, where more of the surface is known than the grid; without it, what stands on
+    the grid alone hides cells.
+    """
     result = np.full(grid.shape, np.nan, dtype=np.float32)
     if not np.isfinite(height).any():
         return result
@@ -47,11 +52,13 @@ def orthophoto(
         open_cells = np.isnan(result) & np.isfinite(height)
         if not open_cells.any():
             break
-        seen = open_cells & ~blocked(view, grid, height, crs, parameters.clearance_m)
         with opened_masked(view.image, view.mask) as dataset:
             pixels = pixels_on(view, grid, height, crs, parameters.nodes)
             values = sample_source(dataset, view.band, pixels, "bilinear")
-        result = np.where(seen, values, result)
+        open_cells &= np.isfinite(values)
+        if open_cells.any():  # what hides cells takes longest to find
+            open_cells &= seen(view) if seen else ~blocked(view, grid, height, crs, parameters.clearance_m)
+            result = np.where(open_cells, values, result)
     return result
 
 

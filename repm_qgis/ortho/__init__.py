@@ -1,1 +1,1 @@
-"""From a finished surface model and its images to an orthophoto in colour."""
+"""From a finished surface model and its images to an orthophoto."""

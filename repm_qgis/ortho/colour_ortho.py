@@ -13,105 +13,72 @@ from typing import List, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, FloatImage, Floats, Mask, Size, Window
-from ..fusion.layout import DsmLayout
-from ..fusion.visible import blocked
-from ..geometry.cell_grid import CellGrid, overlapping_blocks
+from ..arrays import FloatArray, FloatImage, Floats, Window
+from ..fusion.finished import FinishedSurface
+from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
-from ..imagery.raster import NODATA, created, opened, read
 from ..memory import Work, colouring_mib, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
-from ..scene import View
 from ..workspace import ensure_folder, writing
 from .colour_balance import balanced, contrasts
 from .colour_sources import ColourPlan, ColourSource
 from .pansharpening import Multispectral, fitted
-from .parameters import OrthoParameters
+from .parameters import ORTHO, OrthoParameters
+from .seen_surface import Blocks, SeenSurface, write_blocks
 from .view_choice import chosen_views, feathered_colours
 
 
 @dataclass(frozen=True)
 class ColourTask:
-    """What a worker needs to make one block: the file of the DSM, whose ``grid`` and ``layout`` (without windows)
-    say where it lies; how many cells away (``reach``) its surface may hide something; and the ``own`` cells.
+    """What a worker needs to make one block: the surface, and the ``own`` cells of the block.
 
     Each ``step``-th cell is compared between views; ``contrast`` is the unit of their differences; ``path`` is where
     the block's colours are kept.
     """
 
     plan: ColourPlan
-    dsm: str
-    grid: CellGrid
-    layout: DsmLayout
-    reach: int
+    surface: SeenSurface
     step: int
     parameters: OrthoParameters
     own: Window
     contrast: Tuple[float, ...] = ()
     path: str = ""
 
-    def heights(self, window: Window) -> Floats:
-        """(H, W) m above the ellipsoid; NaN where the DSM has none."""
-        with opened(self.dsm) as dataset:
-            height = read(dataset, window)
-        return height + self.layout.undulation(self.grid.part(window))
-
     def colours(self, source: ColourSource, window: Window, height: Floats, step: int = 1) -> FloatImage:
         """(B, H, W) colours of every ``step``-th cell of a window of these heights; NaN where the view sees none."""
-        nodes, crs = self.parameters.visibility.nodes, self.layout.crs
-        found = source.colours(self.grid.part(window), height, crs, nodes, step)
-        return np.where(self.seen(source.view, window, height)[::step, ::step], found, np.float32(np.nan))
-
-    def seen(self, view: View, window: Window, height: Floats) -> Mask:
-        """(H, W) the cells of a window of these heights that nothing hides from a view."""
-        middle = geodetic_from_projected(self.layout.crs, np.array(self.grid.part(window).middle))
-        east, north = ray_slope(view, middle, float(np.nanmedian(height)))
-        steepness = max(math.hypot(east, north), 1e-9)
-        right, up = (int(self.reach * way / steepness) for way in (east, north))
-        wide = Window.spanning(
-            max(window.col + min(right, 0), 0),
-            max(window.row - max(up, 0), 0),
-            min(window.col + window.width + max(right, 0), self.grid.size[0]),
-            min(window.row + window.height - min(up, 0), self.grid.size[1]),
-        )
-        clearance = self.parameters.visibility.clearance_m
-        hidden = blocked(view, self.grid.part(wide), self.heights(wide), self.layout.crs, clearance)
-        mask: Mask = np.isfinite(height) & ~hidden[window.inside(wide)]
-        return mask
+        dsm, nodes = self.surface.dsm, self.surface.parameters.nodes
+        found = source.colours(dsm.grid.part(window), height, dsm.layout.crs, nodes, step)
+        return np.where(self.surface.seen(source.view, window, height)[::step, ::step], found, np.float32(np.nan))
 
 
 def make_colour_ortho(
     plan: ColourPlan,
+    dsm: FinishedSurface,
     options: DsmFuseOptions,
     path: str,
-    layout: DsmLayout,
     folder: str,
     progress: Progress,
-    parameters: OrthoParameters,
+    parameters: OrthoParameters = ORTHO,
 ) -> None:
-    """Write the orthophoto of the finished DSM (``options.output``) on its cells.
+    """Write the orthophoto of a finished DSM on its cells.
 
     ``folder`` is for blocks. Raises OverlapError for a multispectral image that shows nothing of its panchromatic one,
     WorkspaceError where the file cannot be written.
     """
-    grid, heights = _cells(options.output)
     numbers = parameters.colour
-    middle = geodetic_from_projected(layout.crs, np.array(grid.middle))
-    steepest = max(float(np.linalg.norm(ray_slope(s.view, middle, sum(heights) / 2))) for s in plan.sources)
-    reach = min(math.ceil((heights[1] - heights[0]) * steepest / grid.cell) + 1, numbers.reach_cells)
-    side = numbers.block_cells + 2 * numbers.halo_cells
+    surface = SeenSurface.of(dsm, [source.view for source in plan.sources], parameters)
+    side = parameters.block_cells + 2 * numbers.halo_cells
     takes = colouring_mib(side**2, numbers.most_views, len(plan.names))
     work = Work("one block of the orthophoto in colour", takes, lambda _: "choose COLOUR=greys")
     workers = workers_within(options.workers, work, options.memory, progress)
-    plan = _sharpened(plan, sum(heights) / 2, workers, Part(progress, 0.0, 0.1), parameters)
-    step = max(1, math.ceil(math.sqrt(grid.size[0] * grid.size[1] / parameters.balance.samples)))
-    whole = ColourTask(
-        plan, options.output, grid, replace(layout, windows=()), reach, step, parameters, Window(0, 0, 0, 0)
-    )
-    tasks = [replace(whole, own=own) for own, _ in overlapping_blocks(grid.size, numbers.block_cells)]
+    plan = _sharpened(plan, surface.level, workers, Part(progress, 0.0, 0.1), parameters)
+    size = dsm.grid.size
+    step = max(1, math.ceil(math.sqrt(size[0] * size[1] / parameters.balance.samples)))
+    whole = ColourTask(plan, surface, step, parameters, Window(0, 0, 0, 0))
+    tasks = [replace(whole, own=own) for own, _ in overlapping_blocks(size, parameters.block_cells)]
     sampled = run_tasks(_samples, tasks, workers, Part(progress, 0.1, 0.4), lambda _: "comparing the views' colours")
     plan, contrast = _balanced(plan, np.concatenate(sampled), progress, parameters)
     ensure_folder(folder)
@@ -120,15 +87,8 @@ def make_colour_ortho(
         for index, task in enumerate(tasks)
     ]
     run_tasks(_block, tasks, workers, Part(progress, 0.4, 0.95), lambda _: "taking colours")
-    _write(path, plan, grid, options.output, tasks)
-
-
-def _cells(dsm: str) -> Tuple[CellGrid, Altitudes]:
-    """The cells of a DSM, and its least and greatest height."""
-    with opened(dsm) as dataset:
-        place, size = dataset.GetGeoTransform(), (dataset.RasterXSize, dataset.RasterYSize)
-        low, high = dataset.GetRasterBand(1).ComputeRasterMinMax(False)
-    return CellGrid(place[0], place[3], place[1], (size[1], size[0])), (low, high)
+    parts = tuple((task.own, task.path) for task in tasks)
+    write_blocks(path, Blocks(dsm, parts, plan.names, plan.kind, plan.nodata, plan.natural), progress)
 
 
 def _sharpened(
@@ -161,7 +121,7 @@ def _fit(work: Tuple[Multispectral, float, OrthoParameters]) -> Multispectral:
 
 def _samples(task: ColourTask) -> FloatImage:
     """(N, views, bands) colours of every ``step``-th cell of a block that two views see."""
-    height = task.heights(task.own)
+    height = task.surface.dsm.heights(task.own)
     shape = 0, len(task.plan.sources), len(task.plan.names)
     if not np.isfinite(height).any():
         return np.empty(shape, np.float32)
@@ -186,14 +146,14 @@ def _balanced(
 
 def _block(task: ColourTask) -> str:
     """Write the colours of a block's own cells into a file of its own."""
-    numbers = task.parameters.colour
-    wide = task.own.grown(numbers.halo_cells, task.grid.size)
-    height = task.heights(wide)
+    numbers, dsm = task.parameters.colour, task.surface.dsm
+    wide = task.own.grown(numbers.halo_cells, dsm.grid.size)
+    height = dsm.heights(wide)
     inner = task.own.inside(wide)
     found = np.full((len(task.plan.names), *height.shape), np.nan, np.float32)
     chosen, colours, others = _candidates(task, wide, height) if np.isfinite(height).any() else ([], [], found)
     if chosen:
-        middle = geodetic_from_projected(task.layout.crs, np.array(task.grid.part(wide).middle))
+        middle = geodetic_from_projected(dsm.layout.crs, np.array(dsm.grid.part(wide).middle))
         level = float(np.nanmedian(height))
         steepness = [float(np.linalg.norm(ray_slope(source.view, middle, level))) for source in chosen]
         stack, contrast, seams = np.stack(colours), np.array(task.contrast), task.parameters.seams
@@ -228,19 +188,3 @@ def _candidates(
             others = np.where(shown & missing, found, others)
         missing &= ~shown
     return chosen, colours, others
-
-
-def _write(path: str, plan: ColourPlan, grid: CellGrid, dsm: str, tasks: List[ColourTask]) -> None:
-    """Put the blocks together."""
-    with opened(dsm) as dataset:
-        crs, metadata = dataset.GetProjection(), dataset.GetMetadata()
-    kept = {name: value for name, value in metadata.items() if name in ("REPM_SCENE", "REPM_ENGINE")}
-    size: Size = grid.size
-    frame = (size[1], size[0]), np.dtype(plan.kind), len(plan.names), grid.geotransform, crs
-    nodata = NODATA if plan.nodata is None else plan.nodata
-    with created(path, *frame, nodata=nodata, descriptions=plan.names, metadata=kept, cog=True) as raster:
-        if plan.natural:
-            raster.set_natural_colours()
-        for task in tasks:
-            for band, values in enumerate(np.load(task.path, allow_pickle=False), start=1):
-                raster.write(values, task.own.col, task.own.row, band)

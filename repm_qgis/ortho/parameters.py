@@ -58,9 +58,7 @@ class PansharpeningParameters(Parameters):
 class ColourParameters(Parameters):
     """The orthophoto in colour (ortho/colour_ortho.py)."""
 
-    block_cells: int = 512  # side of what is made at once; bounds the memory
     halo_cells: int = 32  # around it, so that seams go on from block to block
-    reach_cells: int = 512  # how far away things that hide a cell are looked for, at most
     most_views: int = 6  # of a block; the time grows with their square
     least_views: int = 3  # of a block, so that there is a choice of seams
     worthwhile: float = 0.002  # share of the block's cells that a further view must add
@@ -75,6 +73,8 @@ class OrthoParameters(Parameters):
     balance: BalanceParameters = BalanceParameters()
     seams: SeamParameters = SeamParameters()
     sharpening: PansharpeningParameters = PansharpeningParameters()
+    block_cells: int = 512  # side of what is made at once; bounds the memory
+    reach_cells: int = 512  # how far away things that hide a cell are looked for, at most
 
 
 ORTHO = OrthoParameters()

@@ -9,6 +9,17 @@ from ..parameters import Parameters
 
 
 @dataclass(frozen=True)
+class CloudParameters(Parameters):
+    """Which matched points are in the cloud (solids/cloud_points.py); part "solids" of `make bench-answers`."""
+
+    surface_px: float = 1.0  # of disparity from the height of its own cell: such a point lies on the surface; chosen
+    wall_cells: int = 2  # around a point, whose lowest and highest are the ends of a wall; measured against 1
+    wall_px: float = 0.5  # of disparity from both ends: a point of a wall lies between them; measured against 0 and 1
+    normal_neighbours: int = 16  # of a point, whose plane gives its normal; measured against 9 and 24
+    normals_at_once: int = 1 << 15  # points; bounds the memory
+
+
+@dataclass(frozen=True)
 class PaintingParameters(Parameters):
     """Colours of points and vertices (solids/painting.py); both values are chosen."""
 
@@ -39,6 +50,7 @@ class SimplificationParameters(Parameters):
 class SolidsParameters(Parameters):
     """From a finished DSM to point clouds and meshes."""
 
+    cloud: CloudParameters = CloudParameters()
     painting: PaintingParameters = PaintingParameters()
     ept: EptParameters = EptParameters()
     simplification: SimplificationParameters = SimplificationParameters()

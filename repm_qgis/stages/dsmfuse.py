@@ -8,29 +8,33 @@ import shutil
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from ..disk_space import fusion_needs, require_space
 from ..errors import EmptyResultError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
+from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
 from ..fusion.outliers import automatic_radius
-from ..fusion.tile_fusion import StoredTile
+from ..fusion.visible import nadir_first
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
 from ..options import DsmFuseOptions, ViewerOptions, is_textured
 from ..ortho.colour_ortho import make_colour_ortho
 from ..ortho.colour_sources import ColourPlan, colour_plan
+from ..ortho.grey_ortho import make_grey_ortho
 from ..parallel import run_whole
 from ..products import not_requested, paths_of, product, products_of
 from ..progress import Part, Progress
 from ..records import FusionFacts, ViewPair
 from ..scene import Scene
-from ..solids.cloud import clouds_of, write_cloud
+from ..solids.cloud import TilePoints, clouds_of, gathered_points, write_cloud
 from ..solids.derived import FinishedDsm, make_derived
 from ..solids.ept import require_ept_place
+from ..solids.parameters import PaintingParameters
 from ..workspace import ensure_folder, temporary_folder
 from . import viewer
 from .early import require_cell
@@ -39,6 +43,7 @@ from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
 
 _DRAPED = ("ortho", "confidence")
+_ORTHO, _POINTS = 0.25, 0.2  # of the time that the DSM takes, for the orthophoto and for the points of a cloud
 
 
 def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
@@ -51,19 +56,19 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     bands = len(plan.names) if plan else 0
     require_space("fusion", fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands), progress)
     whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for what all pairs make together
-    grey = 0.8 * whole if plan else whole
     with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
-        fusion = Fusion.within(kept, replace(draped, ortho=None) if plan else draped, parameters, scene, layout)
+        fusion = Fusion.within(kept, draped, parameters, scene, layout)
         drop_others(kept, fusion.folder)
-        facts, stored = fused(fusion, Part(progress, 0.0, grey))
-        ortho = _coloured(fusion, plan, draped.ortho, Part(progress, grey, whole)) if plan else None
         clouds = clouds_of(options, str(fusion.folder))
-        for cloud in clouds:
-            normals = options.cloud_normals and cloud == options.cloud
-            parts = cloud, layout, stored, ortho, normals
-            points = run_whole(_cloud_written, parts, progress, "writing the cloud")
-            facts = replace(facts, points=points)
-        finished = FinishedDsm(options, clouds[-1] if facts.points else None, layout.file_crs, parameters.solids, ortho)
+        painted = bool(plan or draped.ortho)
+        ends = [whole * each for each in _ends(1.0, _ORTHO * painted, _POINTS * bool(clouds))]
+        facts, stored = fused(fusion, Part(progress, 0.0, ends[0]))
+        dsm = FinishedSurface.of(options.output, layout.crs, layout.datum)
+        ortho = _orthophoto(fusion, dsm, plan, Part(progress, ends[0], ends[1])) if painted else None
+        colours = ortho if plan else None
+        facts = _clouds(fusion, dsm, clouds, colours, facts, Part(progress, ends[1], ends[2]))
+        cloud = clouds[-1] if facts.points else None
+        finished = FinishedDsm(options, cloud, layout.file_crs, parameters.solids, colours)
         made = _derived(finished, progress)
         if options.viewer:
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
@@ -151,18 +156,54 @@ def _matched(scene: Scene) -> List[ViewPair]:
     return [pair for pair in scene.pairs if pair.names in made]
 
 
-def _coloured(fusion: Fusion, plan: ColourPlan, ortho: Optional[str], progress: Progress) -> str:
-    """Make the orthophoto in colour from the finished DSM, a temporary one if nobody keeps it; gives its path."""
-    path = ortho or f"{fusion.folder}/colours.tif"
-    make_colour_ortho(plan, fusion.options, path, fusion.layout, str(fusion.folder), progress, fusion.parameters.ortho)
-    if ortho:
-        write_style(product("dsmfuse", "ortho").style, ortho, taken=fusion.scene.taken())
+def _orthophoto(fusion: Fusion, dsm: FinishedSurface, plan: Optional[ColourPlan], progress: Progress) -> str:
+    """Make the orthophoto from the finished DSM, in colour where there is a plan, and a temporary one if nobody keeps
+    it; gives its path."""
+    wanted, folder = fusion.options.ortho, str(fusion.folder)
+    path, numbers = wanted or f"{folder}/colours.tif", fusion.parameters.ortho
+    if plan:
+        make_colour_ortho(plan, dsm, fusion.options, path, folder, progress, numbers)
+    else:
+        make_grey_ortho(nadir_first(fusion.scene), dsm, fusion.options, path, folder, progress, numbers)
+    if wanted:
+        write_style(product("dsmfuse", "ortho").style, wanted, taken=fusion.scene.taken())
     return path
 
 
-def _cloud_written(task: Tuple[str, DsmLayout, List[StoredTile], Optional[str], bool], progress: Progress) -> int:
-    """The number of points that were written, with the colours of an orthophoto where there is one."""
+def _clouds(
+    fusion: Fusion,
+    dsm: FinishedSurface,
+    clouds: List[str],
+    ortho: Optional[str],
+    facts: FusionFacts,
+    progress: Progress,
+) -> FusionFacts:
+    """Write the clouds of the finished DSM, with the colours of an orthophoto where there is one; gives the facts with
+    the number of their points."""
+    if not clouds:
+        return facts
+    options, numbers = fusion.options, fusion.parameters
+    cloud, isolated, matching = numbers.solids.cloud, numbers.fusion.isolated, numbers.matching
+    where = fusion.layout, options, str(fusion.folder), progress
+    tiles = gathered_points(fusion.scene, dsm, *where, cloud, isolated, matching)
+    points = 0
+    for path in clouds:
+        normals = options.cloud_normals and path == options.cloud
+        parts = path, fusion.layout, tiles, ortho, normals, numbers.solids.painting
+        points = run_whole(_cloud_written, parts, progress, "writing the cloud")
+    return replace(facts, points=points)
+
+
+def _cloud_written(
+    task: Tuple[str, DsmLayout, List[TilePoints], Optional[str], bool, PaintingParameters], progress: Progress
+) -> int:
+    """The number of points that were written."""
     return write_cloud(*task)
+
+
+def _ends(*weights: float) -> List[float]:
+    """Where steps of these weights end, as shares of all of them."""
+    return [end / sum(weights) for end in accumulate(weights)]
 
 
 def _derived(finished: FinishedDsm, progress: Progress) -> Dict[str, Optional[str]]:

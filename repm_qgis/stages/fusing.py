@@ -15,11 +15,10 @@ from ..fusion.layout import DsmLayout
 from ..fusion.rasters import JoinedTiles, join_tiles, write_products
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.visible import nadir_first
-from ..imagery.raster import raster_identity
-from ..memory import CLOUD_NORMAL, CLOUD_POINT, Work, fitting_mib, fusing_mib, tile_work, workers_within
+from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
-from ..products import paths_of
+from ..products import product
 from ..progress import Part, Progress, counted
 from ..records import DemOffset, FusionFacts
 from ..registration.dem_offset import dem_offset
@@ -47,16 +46,14 @@ class Fusion:
     ) -> Fusion:
         """With a folder of its own in ``kept``: another one wherever a fused tile would have other cells."""
         records = [record.to_mapping() for tile in scene.tiles for record in tile.heights]
-        images = [raster_identity(view.image) for view in scene.views] if options.ortho else []
-        chosen = options.method, options.fill, options.outlier_radius, bool(options.cloud or options.ept)
-        normals = bool(options.cloud and options.cloud_normals)
+        chosen = options.method, options.fill, options.outlier_radius
         cells = layout.crs, layout.grid.bounds, layout.grid.cell, layout.windows
-        parts = "dsmfuse", scene.fingerprint, records, images, chosen, normals, cells, *parameters.in_fingerprint()
+        parts = "dsmfuse", scene.fingerprint, records, chosen, cells, *parameters.in_fingerprint()
         return cls(options, parameters, scene, layout, kept / fingerprint(*parts))
 
 
 def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredTile]]:
-    """Fuse tile by tile and write the products, but for the cloud; gives what was counted, and the tiles."""
+    """Fuse tile by tile and write DSM and confidence; gives what was counted, and the tiles."""
     options, parameters, scene, layout = fusion.options, fusion.parameters, fusion.scene, fusion.layout
     task = FuseTask(
         scene=scene.lean(),
@@ -68,9 +65,6 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         method=options.method,
         fill=options.fill,
         radius=options.outlier_radius or 0.0,
-        ortho_views=tuple(nadir_first(scene)) if options.ortho else (),
-        cloud=bool(options.cloud or options.ept),
-        normals=bool(options.cloud and options.cloud_normals),
         parameters=parameters.fusion,
         matching=parameters.matching,
     )
@@ -118,16 +112,16 @@ def _fitted(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> List[Fit
 
 
 def _written(task: Tuple[Fusion, List[StoredTile], JoinedTiles, List[FittedBlock]], progress: Progress) -> FusionFacts:
-    """Write the products, with their styles, and compare the heights with the scene's DEM."""
+    """Write DSM and confidence, with their styles, and compare the heights with the scene's DEM."""
     fusion, stored, joined, blocks = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
     facts = write_products(options, fusion.scene, layout, stored, joined, blocks, folder, numbers.fusion, means)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
-    for each, path in paths_of("dsmfuse", options):
-        if each.style and not each.maker:
-            write_style(each.style, path, taken=fusion.scene.taken())
+    for name, path in (("output", options.output), ("confidence", options.confidence)):
+        if path:
+            write_style(product("dsmfuse", name).style, path, taken=fusion.scene.taken())
     return facts
 
 
@@ -146,9 +140,7 @@ def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optio
 def _workers(fusion: Fusion, progress: Progress) -> int:
     """How many workers the memory allows, by the tile that takes most."""
     options, sizes = fusion.options, [[record.pixels for record in tile.heights] for tile in fusion.scene.tiles]
-    point = CLOUD_POINT if options.cloud or options.ept else 0.0
-    point += CLOUD_NORMAL if options.cloud and options.cloud_normals else 0.0
-    each = [fusing_mib(pixels, w.width * w.height, point) for pixels, w in zip(sizes, fusion.layout.windows)]
+    each = [fusing_mib(pixels, w.width * w.height) for pixels, w in zip(sizes, fusion.layout.windows)]
     xmin, ymin, xmax, ymax = fusion.scene.tiles[each.index(max(each))].bounds
     side = math.ceil(max(xmax - xmin, ymax - ymin) / fusion.scene.gsd_m)
     return workers_within(options.workers, tile_work(side, max(each)), options.memory, progress)

@@ -13,11 +13,10 @@ import pytest
 from repm_qgis import memory
 from repm_qgis.errors import OptionError
 from repm_qgis.memory import (
-    CLOUD_NORMAL,
-    CLOUD_POINT,
     colouring_mib,
     free_mib,
     fusing_mib,
+    gathering_mib,
     largest_tile,
     matching_mib,
     refining_mib,
@@ -68,26 +67,39 @@ fuse_to_disk((task, f"{out}{side}{extra}.npz"))
 end([record.pixels for record in records], grid.shape[0] * grid.shape[1])
 """
 )
+GATHERING = (
+    BEGIN
+    + """
+from pathlib import Path
+from repm_qgis.arrays import Window
+from repm_qgis.fusion.finished import FinishedSurface
+from repm_qgis.geometry.vertical import HeightDatum
+from repm_qgis.solids.cloud import CloudTask, gather
+dsm = FinishedSurface.of(str(Path(out).parent / "dsm.tif"), scene.crs, HeightDatum.of(""))
+records, window = tuple(tile.heights[:1] * int(side)), dsm.grid.window(tile.bounds)
+gather(CloudTask(scene.lean(), tile.bounds, records, dsm, window, f"{out}{side}{extra}.npy", bool(extra)))
+end([record.pixels for record in records], window.width * window.height)
+"""
+)
 COLOURING = (
     BEGIN
     + """
 from dataclasses import replace
 from pathlib import Path
 from repm_qgis.arrays import Window
-from repm_qgis.fusion.layout import DsmLayout
+from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
-from repm_qgis.ortho.colour_ortho import ColourTask, _block, _cells
+from repm_qgis.ortho.colour_ortho import ColourTask, _block
 from repm_qgis.ortho.colour_sources import ColourPlan, ColourSource
 from repm_qgis.ortho.parameters import ORTHO
+from repm_qgis.ortho.seen_surface import SeenSurface
 views, bands = int(side), int(extra)
-dsm = str(Path(out).parent / "dsm.tif")
-grid, _ = _cells(dsm)
-own = Window(0, 0, *grid.size)
+dsm = FinishedSurface.of(str(Path(out).parent / "dsm.tif"), scene.crs, HeightDatum.of(""))
+own = Window(0, 0, *dsm.grid.size)
 sources = tuple(ColourSource(scene.views[i % 2], (1,) * bands) for i in range(views))
 plan = ColourPlan(sources, tuple("abcdef"[:bands]), False, "uint16")
 every = replace(ORTHO, colour=replace(ORTHO.colour, least_views=views, most_views=views))
-layout = DsmLayout(grid, scene.crs, HeightDatum.of(""), ())
-_block(ColourTask(plan, dsm, grid, layout, 200, 1, every, own, (20.0,) * bands, f"{out}{side}{extra}.npy"))
+_block(ColourTask(plan, SeenSurface(dsm, 0.0, 200), 1, every, own, (20.0,) * bands, f"{out}{side}{extra}.npy"))
 end(own.width * own.height, views, bands)
 """
 )
@@ -165,12 +177,10 @@ def test_the_estimate_of_refining_is_right_within_a_tenth(measured, writes):
 
 
 @linux
-@pytest.mark.parametrize("normals", (False, True))
-def test_the_estimate_of_fusing_counts_the_points_of_a_cloud(measured, normals):
-    code = FUSING.replace("radius=1.5", f"radius=1.5, cloud=True, normals={normals}").replace("npz", f"{normals}.npz")
-    peak, *facts = measured(code, 0.5, 4)
-    point = CLOUD_POINT + (CLOUD_NORMAL if normals else 0.0)
-    assert peak / 1.5 < fusing_mib(*facts, point) < 1.5 * peak
+@pytest.mark.parametrize("maps, normals", ((1, False), (4, False), (2, True)))
+def test_the_estimate_of_gathering_points_is_right_within_a_half(measured, maps, normals):
+    peak, *facts = measured(GATHERING, maps, int(normals))
+    assert peak / 1.5 < gathering_mib(*facts) < 1.5 * peak
 
 
 def test_a_budget_bounds_the_workers_and_says_so(told):

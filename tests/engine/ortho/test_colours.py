@@ -198,7 +198,7 @@ def test_sixteen_bits_stay_and_bands_say_what_they_are(sharp):
 
 def test_the_number_of_workers_and_who_else_runs_change_no_byte(town, sharp, tmp_path, told):
     """In blocks so small that there are many, and the same blocks by one worker and by three."""
-    small = replace(ENGINE, ortho=replace(ENGINE.ortho, colour=replace(ENGINE.ortho.colour, block_cells=150)))
+    small = replace(ENGINE, ortho=replace(ENGINE.ortho, block_cells=150))
     found = []
     for workers in (1, 3):
         folder = tmp_path / str(workers)
@@ -213,22 +213,20 @@ def test_the_number_of_workers_and_who_else_runs_change_no_byte(town, sharp, tmp
 def test_what_a_tower_hides_is_nodata_or_from_another_view(town, sharp, tmp_path):
     """With one view alone, the cells behind roofs are empty; others fill most of them."""
     from repm_qgis.arrays import Window
-    from repm_qgis.fusion.layout import DsmLayout
+    from repm_qgis.fusion.finished import FinishedSurface
     from repm_qgis.geometry.vertical import HeightDatum
-    from repm_qgis.ortho.colour_ortho import ColourTask, _cells
+    from repm_qgis.ortho.seen_surface import SeenSurface
 
     scene = Scene.load(town["scene"])
-    grid, _ = _cells(sharp[0]["output"])
-    layout = DsmLayout(grid, scene.crs, HeightDatum.of(""), ())
-    task = ColourTask(None, sharp[0]["output"], grid, layout, 200, 1, ENGINE.ortho, Window(0, 0, 0, 0))
-    whole = Window(0, 0, *grid.size)
-    part = Window(grid.size[0] // 3, grid.size[1] // 3, 60, 60)
-    view = scene.views[0]
-    seen = task.seen(view, whole, task.heights(whole))
-    inner = task.seen(view, part, task.heights(part))
+    dsm = FinishedSurface.of(sharp[0]["output"], scene.crs, HeightDatum.of(""))
+    whole = Window(0, 0, *dsm.grid.size)
+    part = Window(dsm.grid.size[0] // 3, dsm.grid.size[1] // 3, 60, 60)
+    view, surface = scene.views[0], SeenSurface.of(dsm, scene.views, ENGINE.ortho)
+    seen = surface.seen(view, whole, dsm.heights(whole))
+    inner = surface.seen(view, part, dsm.heights(part))
     rows, columns = part.inside(whole)
     assert (seen[rows, columns] == inner).mean() > 0.99  # what lies outside the window hides cells, too
-    hidden = np.isfinite(task.heights(whole)) & ~seen
+    hidden = np.isfinite(dsm.heights(whole)) & ~seen
     assert hidden.mean() > 0.005
     assert (pixels(sharp[0]["ortho"])[0][hidden] > 0).mean() > 0.5
 

@@ -366,7 +366,14 @@ def test_fusion_goes_on_with_the_tiles_it_has_finished(killed_fusion, whole, tol
     assert not folder.exists() and parts(folder.parent) == []
 
 
-@pytest.mark.parametrize("change", ({"method": "median"}, {"resolution": 1.0}, {"fill": "none"}, {"cloud": None}))
+@pytest.mark.parametrize("change", ({"cloud": None}, {"cloud_normals": True}))
+def test_fusion_takes_its_tiles_whatever_is_made_of_the_finished_dsm(killed_fusion, told, change):
+    options, _ = killed_fusion
+    run_stage("dsmfuse", {**options, **change}, said := told())
+    assert any("Reused 2 of 4 fused tiles" in note for note in said.notes)
+
+
+@pytest.mark.parametrize("change", ({"method": "median"}, {"resolution": 1.0}, {"fill": "none"}))
 def test_fusion_takes_no_tile_of_other_options(killed_fusion, told, tmp_path, change):
     options, folder = killed_fusion
     result = run_stage("dsmfuse", {**options, **change}, said := told())

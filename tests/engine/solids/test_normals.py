@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.fusion.normals import normals
-from repm_qgis.fusion.parameters import FUSION
+from repm_qgis.solids.normals import normals
+from repm_qgis.solids.parameters import SOLIDS
 
 MIDDLE = np.array([654321.0, 4812345.0, 100.0])  # coordinates as large as UTM's lose small differences
 
@@ -62,5 +62,5 @@ def test_too_few_points_have_the_line_of_sight(count):
 
 def test_parts_do_not_change_them():
     xyz, wall = plane([0.8, 0, 0.6], [0, 1, 0], noise=0.1), np.zeros(400, bool)
-    small = replace(FUSION.cloud, normals_at_once=37)
+    small = replace(SOLIDS.cloud, normals_at_once=37)
     assert np.array_equal(normals(xyz, wall, (0.1, 0.1)), normals(xyz, wall, (0.1, 0.1), small))

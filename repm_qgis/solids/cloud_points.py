@@ -7,55 +7,57 @@ errs, and if the height map goes on there: wrong matches in mid-air stand alone.
 
 from __future__ import annotations
 
-from typing import List, Sequence, Tuple
+from typing import List, Tuple
 
 import numpy as np
 
 from ..arrays import FloatArray, Floats, IntArray, Mask
+from ..fusion.outliers import remove_isolated_points
+from ..fusion.parameters import FUSION, IsolatedPointParameters
 from ..geometry.cell_grid import CellGrid
-from ..stereo.height_maps import HeightMap, HeightSource
+from ..stereo.height_maps import HeightMap
 from .normals import normals
-from .outliers import remove_isolated_points
-from .parameters import FUSION, FusionParameters
+from .parameters import SOLIDS, CloudParameters
 
 
 def cloud_points(
-    sources: Sequence[HeightSource],
-    metres_per_px: Sequence[float],
+    heights: HeightMap,
+    metres_per_px: float,
     grid: CellGrid,
-    height: Floats,
+    surface: Floats,
     own: Mask,
     with_normals: bool = False,
-    parameters: FusionParameters = FUSION,
+    parameters: CloudParameters = SOLIDS.cloud,
+    isolated: IsolatedPointParameters = FUSION.isolated,
 ) -> FloatArray:
-    """(N, 4) x, y, height, score of all matched points that lie on the fused surface or on its walls; (N, 7) with the
-    unit normal east, north, up where that is wanted.
+    """(N, 4) x, y, height, score of a map's matched points that lie on the DSM or on its walls; (N, 7) with the unit
+    normal east, north, up where that is wanted.
 
     Parameters
     ----------
-    sources, metres_per_px : the height maps, and how many metres of height a px of disparity is in each.
-    grid, height : the fused cells and their heights (rows, columns), NaN where there are none. They should reach
-        ``parameters.cloud.wall_cells`` beyond the cells that have points, because walls are known from both sides.
+    heights, metres_per_px : the height map, and how many metres of height a px of disparity is in it.
+    grid, surface : the DSM's cells and their heights (rows, columns), NaN where there are none. They should reach
+        ``parameters.wall_cells`` beyond the cells that have points, because walls are known from both sides.
     own : (rows, columns) the cells that have points.
-
-    Raises SceneError where a height map is missing or damaged.
     """
-    parts = [np.empty((0, 7 if with_normals else 4))]
-    for source, scale in zip(sources, metres_per_px):
-        heights = source.within()
-        points, wall = _of_map(heights, scale, grid, height, own, parameters)
-        if with_normals:
-            points = np.column_stack([points, normals(points[:, :3], wall, heights.ray, parameters.cloud)])
-        parts.append(points)
-    return np.concatenate(parts)
+    points, wall = _kept(heights, metres_per_px, grid, surface, own, parameters, isolated)
+    if not with_normals:
+        return points
+    return np.column_stack([points, normals(points[:, :3], wall, heights.ray, parameters)])
 
 
-def _of_map(
-    heights: HeightMap, scale: float, grid: CellGrid, height: Floats, own: Mask, parameters: FusionParameters
+def _kept(
+    heights: HeightMap,
+    scale: float,
+    grid: CellGrid,
+    height: Floats,
+    own: Mask,
+    parameters: CloudParameters,
+    isolated: IsolatedPointParameters,
 ) -> Tuple[FloatArray, Mask]:
-    """(N, 4) the points of one map that are kept, and which of them lie on walls."""
+    """(N, 4) the points of the map that are kept, and which of them lie on walls."""
     matched = np.where(heights.filled, np.nan, heights.height)
-    continued = np.isfinite(remove_isolated_points(matched, scale, parameters.isolated))
+    continued = np.isfinite(remove_isolated_points(matched, scale, isolated))
     known = np.flatnonzero(np.isfinite(matched))
     x, y, z, score = (part.ravel()[known] for part in (heights.x, heights.y, matched, heights.score))
     row, column, inside = grid.cells_of(x, y)
@@ -63,10 +65,10 @@ def _of_map(
     points = np.column_stack([x, y, z, score])[inside]
     z, row, column, continued = z[inside], row[inside], column[inside], continued.ravel()[known][inside]
     with np.errstate(invalid="ignore"):
-        surface = np.abs(z - height[row, column]) <= parameters.cloud.surface_px * scale
+        surface = np.abs(z - height[row, column]) <= parameters.surface_px * scale
     other = np.flatnonzero(~surface & continued)
-    low, high = _around(height, row[other], column[other], parameters.cloud.wall_cells)
-    margin = parameters.cloud.wall_px * scale
+    low, high = _around(height, row[other], column[other], parameters.wall_cells)
+    margin = parameters.wall_px * scale
     wall = np.zeros(len(z), dtype=bool)
     wall[other] = (z[other] >= low + margin) & (z[other] <= high - margin)
     kept = surface | wall

@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, Mask
 from ..geometry.neighbours import principal_axes
-from .parameters import FUSION, CloudParameters
+from .parameters import SOLIDS, CloudParameters
 
 
 def normals(
-    xyz: FloatArray, wall: Mask, ray: Tuple[float, float], parameters: CloudParameters = FUSION.cloud
+    xyz: FloatArray, wall: Mask, ray: Tuple[float, float], parameters: CloudParameters = SOLIDS.cloud
 ) -> FloatArray:
     """(N, 3) unit normals east, north, up of the points ``xyz`` (N, 3) of one height map, in metres.
 

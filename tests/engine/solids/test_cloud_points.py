@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from repm_qgis.fusion.cloud_points import cloud_points
-from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.geometry.cell_grid import CellGrid
+from repm_qgis.solids.cloud_points import cloud_points
+from repm_qgis.solids.parameters import SOLIDS
 from repm_qgis.stereo.height_maps import HeightMap
 
 GRID = CellGrid(500.0, 900.0, 1.0, (20, 20))
@@ -32,13 +31,12 @@ def source(x, z, rows=range(2, 12)):
     known = np.broadcast_to(z, shape).copy()
     places = np.broadcast_to(GRID.west + x, shape), np.broadcast_to(y[:, None], shape)
     heights = HeightMap(*places, known, np.full(shape, 0.9, np.float32), np.zeros(shape, bool))
-    return SimpleNamespace(within=lambda: heights, heights=heights)
+    return heights
 
 
-def kept(*sources, height=None, own=ALL, scale=1.0, normals=False, **cloud):
-    numbers = replace(FUSION, cloud=replace(FUSION.cloud, **cloud))
-    scales = [scale] * len(sources)
-    return cloud_points(sources, scales, GRID, surface() if height is None else height, own, normals, numbers)
+def kept(heights, height=None, own=ALL, scale=1.0, normals=False, **cloud):
+    height = surface() if height is None else height
+    return cloud_points(heights, scale, GRID, height, own, normals, replace(SOLIDS.cloud, **cloud))
 
 
 def profile(points):
@@ -73,15 +71,15 @@ def test_walls_reach_two_cells_and_lie_between_their_ends():
 
 def test_a_point_that_the_map_does_not_go_on_from_is_no_wall():
     lone = source(ACROSS, FACADE)
-    lone.heights.height[:, 2:7] = np.nan
-    lone.heights.height[4, 4] = 5.5
+    lone.height[:, 2:7] = np.nan
+    lone.height[4, 4] = 5.5
     assert 5.5 not in profile(kept(lone))
     assert len(kept(lone)) == 40
 
 
 def test_what_was_filled_is_no_point():
     filled = source(ACROSS, FACADE)
-    filled.heights.filled[:, 2:7] = True
+    filled.filled[:, 2:7] = True
     assert profile(kept(filled)) == [0.0, 0.2, 10.0]
 
 
@@ -100,7 +98,18 @@ def test_only_own_cells_have_points_and_neighbours_count():
     assert profile(points) == [0.0, 0.2, 2.5, 4.0, 5.5, 7.0, 8.5]
 
 
-def test_several_maps_and_none():
-    one = source(ACROSS, FACADE)
-    assert len(kept(one, one)) == 2 * len(kept(one))
-    assert kept().shape == (0, 4)
+def test_a_map_without_points_has_none():
+    empty = source(ACROSS, np.full(len(ACROSS), np.nan))
+    assert kept(empty).shape == (0, 4) and kept(empty, normals=True).shape == (0, 7)
+
+
+def test_a_roof_that_the_dsm_cut_back_goes_and_the_wall_stays():
+    """Where a strip of the roof became ground, its points lie on nothing; those of a wall stand at the edge."""
+    strip = source([*ACROSS, 5.2, 6.2, 7.2], [*FACADE, 10.0, 10.0, 10.0])
+    assert len(kept(strip)) == 10 * (len(FACADE) + 3)
+    cut = surface()
+    cut[:, 5:EDGE] = 0.0
+    left = kept(strip, height=cut)
+    assert profile(left) == [0.0, 0.2]
+    wall = source([5.1, 5.2, 5.3, 5.2, 5.1], [8.0, 6.5, 5.0, 3.5, 2.0])
+    assert len(kept(wall, height=cut)) == 50 and not len(kept(wall))

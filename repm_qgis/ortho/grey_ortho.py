@@ -1,0 +1,72 @@
+"""The orthophoto in greys, made from the finished DSM block by block: each cell from the most vertical view that sees
+it. What hides a cell is looked for in the whole DSM around a block; the number of workers changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Sequence, Tuple
+
+import numpy as np
+
+from ..arrays import Window
+from ..fusion.finished import FinishedSurface
+from ..fusion.visible import orthophoto
+from ..geometry.cell_grid import overlapping_blocks
+from ..memory import Work, colouring_mib, workers_within
+from ..options import DsmFuseOptions
+from ..parallel import run_tasks
+from ..progress import Progress
+from ..scene import View
+from ..workspace import ensure_folder, writing
+from .parameters import ORTHO, OrthoParameters
+from .seen_surface import Blocks, SeenSurface, write_blocks
+
+
+@dataclass(frozen=True)
+class GreyTask:
+    """What a worker needs to make one block: the views, the most vertical one first, the surface, the block's ``own``
+    cells of it, and the file for their brightness."""
+
+    views: Tuple[View, ...]
+    surface: SeenSurface
+    own: Window
+    path: str
+
+
+def make_grey_ortho(
+    views: Sequence[View],
+    dsm: FinishedSurface,
+    options: DsmFuseOptions,
+    path: str,
+    folder: str,
+    progress: Progress,
+    parameters: OrthoParameters = ORTHO,
+) -> None:
+    """Write the orthophoto of a finished DSM on its cells, from ``views``, the most vertical one first.
+
+    ``folder`` is for blocks. Raises ImageError where a view cannot be read, WorkspaceError where the file cannot be
+    written.
+    """
+    side = parameters.block_cells
+    work = Work("one block of the orthophoto", colouring_mib(side**2, 1, 1), lambda _: "do without ORTHO")
+    workers = workers_within(options.workers, work, options.memory, progress)
+    whole = GreyTask(tuple(views), SeenSurface.of(dsm, views, parameters), Window(0, 0, 0, 0), "")
+    ensure_folder(folder)
+    tasks = [
+        replace(whole, own=own, path=f"{folder}/greys_{index}.npy")
+        for index, (own, _) in enumerate(overlapping_blocks(dsm.grid.size, side))
+    ]
+    run_tasks(_block, tasks, workers, progress, lambda _: "taking greys")
+    parts = tuple((task.own, task.path) for task in tasks)
+    write_blocks(path, Blocks(dsm, parts, ("brightness",)), progress)
+
+
+def _block(task: GreyTask) -> None:
+    """Write the brightness of a block's cells into its file."""
+    dsm, numbers = task.surface.dsm, task.surface.parameters
+    height = dsm.heights(task.own)
+    seen = partial(task.surface.seen, window=task.own, height=height)
+    found = orthophoto(task.views, dsm.grid.part(task.own), height, dsm.layout.crs, numbers, seen)
+    with writing(task.path):
+        np.save(task.path, found[None])

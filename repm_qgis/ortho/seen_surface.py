@@ -1,0 +1,98 @@
+"""The finished DSM as views see it, block by block, and the raster that the blocks of an orthophoto make."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Optional, Sequence, Tuple
+
+import numpy as np
+import pyproj
+
+from ..arrays import Floats, Mask, Window
+from ..fusion.finished import FinishedSurface
+from ..fusion.parameters import VisibilityParameters
+from ..fusion.visible import blocked
+from ..geometry.footprints import ray_slope
+from ..geometry.frames import geodetic_from_projected
+from ..imagery.raster import NODATA, created, opened
+from ..parallel import run_whole
+from ..progress import Progress
+from ..scene import View
+from .parameters import ORTHO, OrthoParameters
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """A finished DSM, the middle of its heights (``level``, m above its datum), and how many cells away its surface may
+    hide something (``reach``)."""
+
+    dsm: FinishedSurface
+    level: float
+    reach: int
+    parameters: VisibilityParameters = ORTHO.visibility
+
+    @classmethod
+    def of(cls, dsm: FinishedSurface, views: Sequence[View], parameters: OrthoParameters = ORTHO) -> SeenSurface:
+        """As far as the most oblique of these views needs it, or the parameters allow."""
+        middle = geodetic_from_projected(dsm.layout.crs, np.array(dsm.grid.middle))
+        low, high = dsm.levels()
+        steepest = max(float(np.linalg.norm(ray_slope(view, middle, (low + high) / 2))) for view in views)
+        reach = min(math.ceil((high - low) * steepest / dsm.grid.cell) + 1, parameters.reach_cells)
+        return cls(dsm, (low + high) / 2, reach, parameters.visibility)
+
+    def seen(self, view: View, window: Window, height: Floats) -> Mask:
+        """(H, W) the cells of a window of these heights (m above the ellipsoid) that nothing hides from a view, inside
+        the window or around it."""
+        grid, crs = self.dsm.grid, self.dsm.layout.crs
+        middle = geodetic_from_projected(crs, np.array(grid.part(window).middle))
+        east, north = ray_slope(view, middle, float(np.nanmedian(height)))
+        steepness = max(math.hypot(east, north), 1e-9)
+        right, up = (int(self.reach * way / steepness) for way in (east, north))
+        wide = Window.spanning(
+            max(window.col + min(right, 0), 0),
+            max(window.row - max(up, 0), 0),
+            min(window.col + window.width + max(right, 0), grid.size[0]),
+            min(window.row + window.height - min(up, 0), grid.size[1]),
+        )
+        hidden = blocked(view, grid.part(wide), self.dsm.heights(wide), crs, self.parameters.clearance_m)
+        mask: Mask = np.isfinite(height) & ~hidden[window.inside(wide)]
+        return mask
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """An orthophoto in parts: the windows of a DSM's cells, and the files of (B, H, W) values that they have.
+
+    ``names`` and ``kind`` are those of its bands and numbers, ``nodata`` None is that of rasters of heights;
+    ``natural``: the first bands are red, green and blue.
+    """
+
+    dsm: FinishedSurface
+    parts: Tuple[Tuple[Window, str], ...]
+    names: Tuple[str, ...]
+    kind: str = "float32"
+    nodata: Optional[float] = None
+    natural: bool = False
+
+
+def write_blocks(path: str, blocks: Blocks, progress: Progress) -> None:
+    """Put an orthophoto together. Raises WorkspaceError where the file cannot be written."""
+    run_whole(_written, (path, blocks), progress, "writing the products")
+
+
+def _written(task: Tuple[str, Blocks], progress: Progress) -> None:
+    path, blocks = task
+    dsm = blocks.dsm
+    with opened(dsm.path) as dataset:
+        metadata = dataset.GetMetadata()
+    kept = {name: value for name, value in metadata.items() if name in ("REPM_SCENE", "REPM_ENGINE")}
+    grid, wkt = dsm.grid, pyproj.CRS.from_user_input(dsm.layout.crs).to_wkt()
+    frame: Tuple[Any, ...] = grid.shape, np.dtype(blocks.kind), len(blocks.names), grid.geotransform, wkt
+    empty = NODATA if blocks.nodata is None else blocks.nodata
+    with created(path, *frame, nodata=empty, descriptions=blocks.names, metadata=kept, cog=True) as raster:
+        if blocks.natural:
+            raster.set_natural_colours()
+        for own, file in blocks.parts:
+            for band, values in enumerate(np.load(file, allow_pickle=False), start=1):
+                raster.write(values, own.col, own.row, band)
