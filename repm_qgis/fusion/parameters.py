@@ -50,45 +50,43 @@ class OutlierParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class OverhangParameters(Parameters):
-    """Cells in which one map sees two surfaces (docs/method.md, "Fusion"; `make bench-towns`)."""
+class EvidenceParameters(Parameters):
+    """What a map says of a cell (fusion/aggregation.py; `make bench-ablation`). Gross errors were counted on scenes of
+    four kinds with true surfaces; C1 hardly depends on these values."""
 
-    step_px: float = 1.5  # of disparity between two surfaces, and not less than a cell's two have; 1 and 2.5 do as well
-    least_share: float = 0.1  # of a cell's points that each of the two has; 0.25 does as well
-    widest_cell: float = 2.0  # distances between points: wider cells hold edges of roofs as they are; chosen
-    widest_base_to_height: float = MATCHING.subpixel.planes.widest_base_to_height  # of a narrow pair
-    along: Tuple[float, ...] = (0.25, 0.5, 0.75)  # of the way up to the roof; 0.1 and 0.35 first are worse
-
-
-@dataclass(frozen=True)
-class AggregationParameters(Parameters):
-    """One height from several maps (docs/method.md, "Fusion"); found on truth scenes (`make bench-views`)."""
-
-    sigma_px: float = 0.2  # errors of matching, px of disparity (`make bench-subpixel`: 0.12 narrow, 0.25 wide)
-    tolerance: float = 2.5  # sigmas: heights this close mean the same surface
-    weight_power: float = 0.5  # of metres_per_px ** -0.5: between equal weights and those of disparity noise alone
-    neighbours: int = 3  # of eight, of the same map, that a height in conflict must agree with
-    neighbour_tolerance: float = 1.9  # times the tolerance, for neighbours: surfaces slope
-    agreed_cells: int = 500  # fewer do not show how scores are distributed
-    rank_single: float = 0.03  # least rank of a lower group's score among the agreed cells', against one map
-    rank_outvoted: float = 0.05  # against two maps or more
-    rank_unsupported: float = 0.1  # where no agreed cell nearby has its height
-    confirmed: float = 0.45  # of backgrounds, where two maps were matched: else gaps are failures, not occlusions
-    background_directions: int = 2  # of eight in which the agreed surface has a background's height
-    reach_cells: int = 12  # how far away the agreed surface is looked for
+    best_px: float = 0.15  # standard deviation of a matched disparity at a correlation of 1
+    per_score_px: float = 0.5  # and more for each 1 of correlation less
+    same: float = 3.0  # standard deviations within which heights mean the same surface; 2 and 4 do as well
+    rim_px: float = 2.5  # from a step down, where matching may have widened what stands above it
+    step_m: float = 1.5  # of such a step, and not less than
+    step_px: float = 1.5  # so much disparity
+    doubtful: float = 0.5  # evidence of a height there, beside a hole, or that covers half of its cell at most
+    background: float = 0.35  # evidence of an occlusion's background
+    background_px: float = 0.75  # its standard deviation
+    above: float = 0.8  # of what a map has against a height below its own: gross errors lie too high
+    ground_m: float = 0.5  # standard deviation of the ground in a shadow; its evidence is 1
+    in_shadow: float = 0.3  # of the evidence of what maps have there
 
 
 @dataclass(frozen=True)
-class SightLineParameters(Parameters):
-    """Heights that other maps look through (docs/method.md, "Fusion"; `make bench-towns`, `make bench-views`)."""
+class ChoiceParameters(Parameters):
+    """One height for each cell of a town (fusion/choice.py; `make bench-ablation`)."""
 
-    same_px: float = 1.25  # of disparity: a map that is so close to a height sees it
-    through_px: float = 2.0  # of disparity: one that lies farther below, with all around it, looks through it
-    rim_px: int = 2  # around a pixel: with 1, gross errors in mountains of narrow pairs take away what is right
-    outvoting: int = 2  # maps that look through a height replace it if more than half as many see it
-    rounds: int = 3  # of replacing; what is still looked through is dropped
-    least_pixels: int = 100  # matched ones, of a map that is heard
-    fitted_pixels: int = 4000  # of a map from which the course of its lines of sight is found, about
+    smoothness: float = 4.0  # evidence against a height that is far from all heights around it; 2 and 6 do as well
+    scale_m: float = 0.5  # of the differences between neighbours
+    most: float = 2.0  # of these scales that count: farther away is another surface
+    near_m: float = 1.5  # half the side of the window of neighbours, and standard deviation of their weights
+    near_cells: int = 5  # and no more: bounds the time
+    contrast: float = 0.15  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.2 do as well
+    appearance: float = 6.0  # evidence of what a cell looks like, for each power of e; 4 does as well
+    rings_m: Tuple[float, ...] = (1.5, 3.0, 5.0, 8.0)  # at which cells show what a surface looks like
+    far_cells: int = 16  # and no farther: bounds the time
+    directions: int = 12  # of a ring
+    least_cells: int = 4  # of these that must show a surface
+    step_m: float = 3.0  # of height between two surfaces
+    floor: float = 0.05  # of the density of a surface's brightness: no brightness is impossible
+    sweeps: int = 6  # over the cells; 10 do as well
+    at_once: int = 1 << 13  # cells; fits into a processor's cache
 
 
 @dataclass(frozen=True)
@@ -137,55 +135,12 @@ class BrightnessParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class StrayParameters(Parameters):
-    """Heights that stray from the surface around them (docs/method.md, "Fusion"; `make bench-towns`)."""
+class WallParameters(Parameters):
+    """Whether a scene has walls (fusion/walls.py)."""
 
-    reach_m: float = 1.5  # half a window's side; 2 m does as well, for more time
-    reach_cells: int = 5  # and no more: bounds the time
-    sigma_m: float = 1.5  # of the weights by distance; 4 m does as well
-    contrast: float = 0.1  # of brightness, at which a cell's weight has fallen to 1 / e; 0.05 and 0.2 do as well
-    unknown: float = 1.0  # of these contrasts, the difference from a cell of unknown brightness; with 0 roofs erode
-    sigmas: float = 3.0  # of the distances from the median: heights farther away are replaced; 2 and 4.5 do as well
-    least_m: float = 0.2  # and no nearer ones; with 0.5 less is gained
-    tail: float = 9.0  # root mean square of these distances, in usual ones: 12 to 21 in towns, 3 to 7 in natural ground
-    least_usual_m: float = 0.05  # and no smaller ones: windows of few cells have their own cell's height; chosen
-    at_once: int = 1 << 14  # cells; bounds the memory
-
-    def reach(self, cell: float) -> int:
-        """Cells of the side ``cell`` (m) on each side of a cell in its window."""
-        return max(1, min(round(self.reach_m / cell), self.reach_cells))
-
-
-@dataclass(frozen=True)
-class WidenedRoofParameters(Parameters):
-    """Roofs over the shadow beside them (docs/method.md, "Fusion"; `make bench-towns`)."""
-
-    step_m: float = 3.0  # from roof to ground, and not less than between two surfaces of a cell; 2 and 5 do as well
-    reach_m: float = 6.0  # by which a roof may be too wide; 10 does as well
-    reach_cells: int = 24  # and no more: bounds the time
-    around_m: float = 8.0  # half the side of the window that shows what roof and ground look like; 6 and 12 do as well
-    around_cells: int = 16  # and no more: bounds the time
-    lattice: int = 8  # places on each side of a cell, in that window; chosen
-    least_cells: int = 8  # of these places, that must show a surface; chosen
-    like_m: float = 1.5  # of height by which a surface varies there, or half the step between two surfaces; chosen
-    contrast: float = 0.45  # by which the roof is brighter; 0.4 and 0.5 do as well, with 0.3 dark roofs go
-    weak_contrast: float = 0.3  # the same of its brighter part, for heights of weak support; 0.2 does as well
-    weak_share: float = 0.75  # of the roof that is darker than this part; 0.9 does as well, for all heights roofs go
-    at_once: int = 1 << 12  # cells; bounds the memory
-
-    def rounds(self, cell: float) -> int:
-        """Cells of the side ``cell`` (m) by which a roof is cut back at most."""
-        return max(1, min(round(self.reach_m / cell), self.reach_cells))
-
-    def window(self, cell: float) -> Tuple[int, int]:
-        """Cells between the places of the window, and from its middle to the last of them."""
-        reach = max(1, min(round(self.around_m / cell), self.around_cells))
-        step = max(1, reach // self.lattice)
-        return step, reach // step * step
-
-    def halo(self, cell: float) -> int:
-        """Cells around a block on which its own cells depend, on either side."""
-        return self.rounds(cell) + self.window(cell)[1]
+    least_tail: float = 14.0  # of the details of its maps (matching/detail.py): 25 to 180 in towns, 2 to 7 elsewhere
+    maps: int = 9  # that are asked, evenly spread; their median decides
+    window_px: int = 1000  # side of the part of each
 
 
 @dataclass(frozen=True)
@@ -197,12 +152,16 @@ class HoleParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class ExpectedErrorParameters(Parameters):
-    """Errors in px of disparity (docs/method.md, "Confidence"; `make bench-confidence`)."""
+class ErrorParameters(Parameters):
+    """Where heights come from, and their likely errors (docs/method.md, "Confidence"; `make bench-confidence`)."""
 
-    at_best_px: float = 0.15  # at a correlation of 1
-    per_score_px: float = 0.85  # more for each 1 of correlation less
-    background_px: float = 1.5  # of the background of an occlusion
+    same: float = 3.0  # standard deviations of a map within which a height is still the map's
+    ground_m: float = 0.5  # within which a height is still that of the ground in a shadow
+    of_sigma: float = 1.0  # of a map's standard deviation that is expected
+    least_m: float = 0.3  # of heights that no map has, and more
+    of_background: float = 0.3  # of the relief around them: behind an occlusion
+    of_shadow: float = 0.3  # in a shadow
+    of_neighbours: float = 0.3  # from the cells beside them
 
 
 @dataclass(frozen=True)
@@ -220,16 +179,14 @@ class FusionParameters(Parameters):
     isolated: IsolatedPointParameters = IsolatedPointParameters()
     offsets: MapOffsetParameters = MapOffsetParameters()
     gridding: GriddingParameters = GriddingParameters()
-    overhangs: OverhangParameters = OverhangParameters()
-    aggregation: AggregationParameters = AggregationParameters()
-    sight_lines: SightLineParameters = SightLineParameters()
+    evidence: EvidenceParameters = EvidenceParameters()
+    walls: WallParameters = WallParameters()
+    choice: ChoiceParameters = ChoiceParameters()
     outliers: OutlierParameters = OutlierParameters()
     brightness: BrightnessParameters = BrightnessParameters()
-    strays: StrayParameters = StrayParameters()
-    widened: WidenedRoofParameters = WidenedRoofParameters()
     shaded: ShadedGroundParameters = ShadedGroundParameters()
     holes: HoleParameters = HoleParameters()
-    error: ExpectedErrorParameters = ExpectedErrorParameters()
+    error: ErrorParameters = ErrorParameters()
     visibility: VisibilityParameters = VisibilityParameters()
     step_px: float = MATCHING.occlusions.step_px  # of disparity: higher steps hide ground, as where matching fills it
     covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen

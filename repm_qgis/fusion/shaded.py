@@ -20,7 +20,7 @@ from ..imagery.sampling import median_of_known
 from ..imagery.warping import gaussian_mean
 from ..scene import Scene
 from ..sfm.pair_selection import sun_over
-from .aggregation import FusedCells
+from .aggregation import Candidate
 from .parameters import FUSION, ShadedGroundParameters
 
 SUPPORTED, WEAK, NOTHING = range(3)
@@ -49,13 +49,13 @@ class Sun:
         return cls(azimuth + math.degrees(math.atan2(x_north - x, y_north - y)), elevation)
 
 
-def support(fused: FusedCells, parameters: ShadedGroundParameters = FUSION.shaded) -> ByteImage:
+def support(first: Candidate, parameters: ShadedGroundParameters = FUSION.shaded) -> ByteImage:
     """What is behind the heights of cells: :data:`SUPPORTED` by the images, :data:`WEAK` (a single map's, which the
     images hardly support), or :data:`NOTHING` (no height, or one that matching took from the background)."""
-    result = np.full(fused.height.shape, SUPPORTED, np.uint8)
+    result = np.full(first.height.shape, SUPPORTED, np.uint8)
     with np.errstate(invalid="ignore"):
-        result[(fused.count == 1) & ~(fused.score >= parameters.weak_score)] = WEAK
-    result[fused.filled | np.isnan(fused.height)] = NOTHING
+        result[(first.count == 1) & ~(first.score >= parameters.weak_score)] = WEAK
+    result[first.filled | np.isnan(first.height)] = NOTHING
     return result
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import zipfile
-from dataclasses import dataclass, fields, replace
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from dataclasses import dataclass, replace
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -18,13 +18,11 @@ from ..records import FilePath, HeightMapRecord, Record
 from ..scene import Scene
 from ..stereo.height_maps import HeightMap, HeightSource, require_whole
 from ..workspace import write_text, writing
-from .aggregation import FusedCells, HeightLayer, aggregate
+from .aggregation import FIELDS, FusedCells, HeightLayer, aggregate, rim_cells
 from .layout import own_cells
 from .occluded import occluded_ground
 from .outliers import radius_outliers, remove_isolated_points
-from .overhangs import without_overhangs
 from .parameters import FUSION, FusionParameters
-from .sight_lines import SightLines, Witnesses
 
 
 @dataclass(frozen=True)
@@ -69,19 +67,16 @@ class FusedTile:
 class StoredTile(Record):
     """A fused tile on disk, and the facts that the layout of the DSM needs, which lie beside it.
 
-    ``valid`` counts the cells with a height, ``filled`` those of them that have the background's, ``cells`` the tile's
-    own. ``known`` is the part of the window that holds all heights, None where there are none; ``metres_per_px`` is
-    that of each height map. ``reused``: an earlier, stopped run had fused the tile.
+    ``valid`` counts the cells with a height, ``cells`` the tile's own. ``known`` is the part of the window that holds
+    all heights, None where there are none. ``reused``: an earlier, stopped run had fused the tile.
     """
 
     path: FilePath
     valid: int
-    filled: int
     cells: int
     removed: int
     needed: int
     known: Optional[Window]
-    metres_per_px: Tuple[float, ...]
     reused: bool = False
 
     @classmethod
@@ -98,9 +93,8 @@ class StoredTile(Record):
     def load(self) -> FusedTile:
         """The tile's cells again, in the precision that products have."""
         with np.load(self.path, allow_pickle=False) as kept:
-            part = {name: kept[name] for name in kept.files}
-        fused = FusedCells(*(part[field.name] for field in fields(FusedCells)))
-        return FusedTile(fused, self.removed, self.needed, self.wide(), part.get("own"))
+            fused, own = FusedCells.of(list(kept["cells"])), kept["own"] if "own" in kept.files else None
+        return FusedTile(fused, self.removed, self.needed, self.wide(), own)
 
     def wide(self) -> Floats:
         """The heights with the margin; they are read from the file only where they are used."""
@@ -128,25 +122,19 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     if done is not None:
         return done
     tile = fuse_tile(task)
-    fused, known = tile.fused, np.isfinite(tile.fused.height)
-    parts: Dict[str, Any] = {"count": fused.count, "filled": fused.filled}
-    parts.update({name: getattr(fused, name).astype(np.float32) for name in ("height", "spread", "score")})
-    if tile.own is not None:
-        parts["own"] = tile.own
+    known, own = np.isfinite(tile.fused.height), {} if tile.own is None else {"own": tile.own}
     with writing(path):
-        np.savez(path, **parts)
+        np.savez(path, cells=np.stack(tile.fused.arrays()), **own)
         np.save(wide_file(path), tile.wide.astype(np.float32))
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
     stored = StoredTile(
         path,
         valid=int(known.sum()),
-        filled=int(fused.filled.sum()),
         cells=known.size if tile.own is None else int(tile.own.sum()),
         removed=tile.removed,
         needed=tile.needed,
         known=Window.spanning(*map(int, ends)) if ends else None,
-        metres_per_px=tuple(record.metres_per_px for record in task.records),
     )
     write_text(_facts_file(path), json.dumps(stored.to_mapping()))
     return stored
@@ -162,14 +150,14 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     sources = [height_source(task.scene, task.bounds, record, task.crs, task.matching) for record in task.records]
     fused = _fuse_blocks(task, grid, sources)
     if task.fill == "none":
-        fused = fused.without(fused.filled)
+        fused = fused.without_backgrounds()
     removed, needed = 0, 0
     if task.radius > 0:
         outliers, needed = radius_outliers(fused.height, grid.cell, task.radius, task.parameters.outliers)
         removed = int(outliers.sum())
         fused = fused.without(outliers)
     inner = task.window.inside(wide)
-    cut = FusedCells(*(getattr(fused, field.name)[inner] for field in fields(fused)))
+    cut = FusedCells.of([values[inner] for values in fused.arrays()])
     own = own_cells(task.grid.part(task.window), task.crs, task.bounds, task.scene.crs)
     if own is not None:
         cut = cut.without(~own)
@@ -178,26 +166,22 @@ def fuse_tile(task: FuseTask) -> FusedTile:
 
 def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> FusedCells:
     """The fused cells of a grid, in blocks that bound the memory and overlap by the reach of the aggregation."""
-    whole: Dict[str, Any] = {}
+    parameters, spacing = task.parameters, task.step * task.scene.gsd_m
+    rim = rim_cells(spacing, grid.cell, parameters.evidence)
+    whole = np.empty((2 * FIELDS + 1, *grid.shape), np.float32)
     everything = Window(0, 0, *grid.size)
-    parameters = task.parameters
-    for own, wide in overlapping_blocks(grid.size, parameters.block_cells, parameters.aggregation.reach_cells):
+    for own, wide in overlapping_blocks(grid.size, parameters.block_cells, rim):
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers: List[HeightLayer] = []
-        maps: List[SightLines] = []
         for source, record in zip(sources, task.records):
-            heights, metres_per_px = source.within(bounds, task.step), task.step * record.metres_per_px
-            layers.append(grid_height_map(part, heights, metres_per_px, task.step * task.scene.gsd_m, parameters))
-            sight = SightLines.of(heights, metres_per_px, parameters.sight_lines) if len(sources) > 1 else None
-            maps += [] if sight is None else [sight]
-        witnesses = Witnesses(part, maps, parameters.sight_lines) if maps else None
-        fused = aggregate(layers, task.method, parameters, witnesses)
-        for field in fields(fused):
-            values = getattr(fused, field.name)
-            target = whole.setdefault(field.name, np.empty(grid.shape, values.dtype))
-            target[own.inside(everything)] = values[own.inside(wide)]
-    return FusedCells(**whole)
+            heights = source.within(bounds, task.step)
+            layers.append(grid_height_map(part, heights, task.step * record.metres_per_px, spacing, parameters))
+        fused = aggregate(layers, task.method, rim, parameters.evidence)
+        inner, target = own.inside(wide), own.inside(everything)
+        for array, values in zip(whole, fused.arrays()):
+            array[target] = values[inner]
+    return FusedCells.of(list(whole))
 
 
 def grid_height_map(
@@ -211,7 +195,6 @@ def grid_height_map(
     own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding
     matched = remove_isolated_points(own, metres_per_px, parameters.isolated)
     height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing, gridding)
-    height, score = without_overhangs(grid, heights, matched, height, score, metres_per_px, spacing, parameters)
     known = np.where(heights.filled, heights.height, matched)
     occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
     maps = (heights.x, heights.y, heights.height)

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import List, NamedTuple
 
 from osgeo import gdal
 
 from ..errors import ImageError
 
+
+class Provenance(IntEnum):
+    """Where a height comes from: the values of the band ``source``."""
+
+    MATCHED = 0
+    BACKGROUND = 1
+    INTERPOLATED = 2
+    INTERPOLATED_ON_DEM = 3
+    SHADOW = 4
+    NEIGHBOURS = 5
+
+
 CONFIDENCE_BANDS = (
     "height maps that agree",
     "spread between them (m)",
     "mean matching score",
-    "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM",
+    "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM, "
+    "4 ground in a shadow, 5 from the cells beside it",
     "expected error (m): two thirds are within",
 )
 SOURCE_BAND = 4

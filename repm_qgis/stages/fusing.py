@@ -10,11 +10,13 @@ from typing import List, Optional, Tuple
 from ..errors import RepmError
 from ..evaluation.styles import write_style
 from ..fusion.coarse_means import CoarseMeans
-from ..fusion.fitting import FitTask, FittedBlock, blocks_of, fit_block
+from ..fusion.joining import JoinedTiles, join_tiles
 from ..fusion.layout import DsmLayout
-from ..fusion.rasters import JoinedTiles, join_tiles, write_products
+from ..fusion.rasters import write_products
+from ..fusion.surface import SurfaceBlock, SurfaceTask, blocks_of, make_block
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.visible import nadir_first
+from ..fusion.walls import has_walls
 from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
@@ -81,42 +83,48 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
     reused = sum(tile.reused for tile in stored)
     if reused:
         progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
-    joined: JoinedTiles = run_whole(_joined, (fusion, stored), progress, "joining the tiles")
-    blocks = _fitted(fusion, joined, Part(progress, _TILES, 1.0))
-    facts: FusionFacts = run_whole(_written, (fusion, stored, joined, blocks), progress, "writing the products")
+    walls: bool = run_whole(_walls, fusion, progress, "looking for walls")
+    joined: JoinedTiles = run_whole(_joined, (fusion, stored, walls), progress, "joining the tiles")
+    blocks = _chosen(fusion, joined, walls, Part(progress, _TILES, 1.0))
+    facts: FusionFacts = run_whole(_written, (fusion, joined, blocks), progress, "writing the products")
     return facts, stored
 
 
-def _joined(task: Tuple[Fusion, List[StoredTile]], progress: Progress) -> JoinedTiles:
-    fusion, stored = task
-    return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, str(fusion.folder), fusion.parameters.fusion)
+def _walls(fusion: Fusion, progress: Progress) -> bool:
+    return has_walls(fusion.scene, fusion.parameters.fusion.walls, fusion.parameters.matching.subpixel)
 
 
-def _fitted(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> List[FittedBlock]:
-    """The heights of all blocks that fit the images."""
+def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> JoinedTiles:
+    fusion, stored, walls = task
+    folder, numbers = str(fusion.folder), fusion.parameters.fusion
+    return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, folder, walls, numbers)
+
+
+def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> List[SurfaceBlock]:
+    """The surface of all blocks."""
     options, scene, numbers = fusion.options, fusion.scene, fusion.parameters.fusion
     views = tuple(view for view in nadir_first(scene) if not view.missing)
-    if len(views) < len(scene.views):
+    if walls and len(views) < len(scene.views):
         missing = counted(len(scene.views) - len(views), "image")
         progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
-    grid, crs = fusion.layout.grid.part(joined.crop), fusion.layout.crs
+    grid, filled = fusion.layout.grid.part(joined.crop), options.fill != "none"
     tasks = [
-        FitTask(block, wide, joined.heights, joined.weak, grid, crs, views, numbers)
-        for block, wide in blocks_of(grid, str(fusion.folder), numbers)
+        SurfaceTask(block, wide, joined, grid, fusion.layout.crs, views, walls, filled, numbers)
+        for block, wide in blocks_of(grid, str(fusion.folder), walls, numbers)
     ]
     takes = fitting_mib(max(task.wide.width * task.wide.height for task in tasks))
     work = Work("one block of the DSM", takes, lambda _: "choose a larger RESOLUTION")
     workers = workers_within(options.workers, work, options.memory, progress)
-    run_tasks(fit_block, tasks, workers, progress, lambda _: "comparing heights with the images")
+    run_tasks(make_block, tasks, workers, progress, lambda _: "choosing heights")
     return [task.block for task in tasks]
 
 
-def _written(task: Tuple[Fusion, List[StoredTile], JoinedTiles, List[FittedBlock]], progress: Progress) -> FusionFacts:
+def _written(task: Tuple[Fusion, JoinedTiles, List[SurfaceBlock]], progress: Progress) -> FusionFacts:
     """Write DSM and confidence, with their styles, and compare the heights with the scene's DEM."""
-    fusion, stored, joined, blocks = task
+    fusion, joined, blocks = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
-    facts = write_products(options, fusion.scene, layout, stored, joined, blocks, folder, numbers.fusion, means)
+    facts = write_products(options, fusion.scene, layout, joined, blocks, folder, numbers.fusion, means)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
     for name, path in (("output", options.output), ("confidence", options.confidence)):

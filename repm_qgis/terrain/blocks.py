@@ -14,10 +14,10 @@ import numpy as np
 
 from ..arrays import FloatArray, FloatImage, Mask, Window
 from ..evaluation.grids import read_heights
-from ..fusion.rasters import INTERPOLATED
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import halved
 from ..imagery import raster
+from ..imagery.confidence import Provenance
 from ..workspace import writing
 from . import ground, objects
 from .inputs import Surface
@@ -211,7 +211,8 @@ def _read(task: BlockTask) -> Tuple[FloatImage, FloatArray]:
             error = np.where(np.isfinite(error), np.maximum(error, surface.usual_error), surface.usual_error)
             weight *= (surface.usual_error / error) ** 2
             if surface.source_band:
-                weight[raster.read(dataset, task.wide, surface.source_band) >= INTERPOLATED] = 0.0
+                source = raster.read(dataset, task.wide, surface.source_band)
+                weight[np.isin(source, (Provenance.INTERPOLATED, Provenance.INTERPOLATED_ON_DEM))] = 0.0
     return height, weight
 
 

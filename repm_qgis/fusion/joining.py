@@ -1,0 +1,113 @@
+"""The tiles joined: their candidates on the cells of the whole DSM, and the ground on which shadows lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Iterator, List, Sequence, Tuple
+
+import numpy as np
+
+from ..arrays import FloatImage, Window
+from ..errors import EmptyResultError
+from ..geometry.cell_grid import overlapping_blocks
+from ..imagery.raster import created, opened, read
+from ..options import DsmFuseOptions
+from ..scene import Scene
+from .aggregation import FIELDS, FusedCells
+from .feathering import feathered
+from .layout import DsmLayout
+from .parameters import FUSION, FusionParameters
+from .shaded import Sun, shaded_ground, support
+from .tile_fusion import FusedTile, StoredTile
+
+
+@dataclass(frozen=True)
+class JoinedTiles:
+    """The candidates of all tiles on the ``crop`` of the layout, feathered into each other: temporary rasters, that of
+    the ground in shadows only where the sun is known. ``removed`` cells had too few neighbours."""
+
+    crop: Window
+    path: str
+    removed: int
+    shaded: str = ""
+
+    def fused(self, window: Window) -> FusedCells:
+        """The candidates of a window of the crop; heights in m above the ellipsoid."""
+        with opened(self.path) as dataset:
+            return FusedCells.of([read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)])
+
+    def ground(self, window: Window) -> FloatImage:
+        """(H, W) the ground in shadows, for the cells of a window where shadows lie on it; NaN for others."""
+        if not self.shaded:
+            return np.full((window.height, window.width), np.nan, np.float32)
+        with opened(self.shaded) as dataset:
+            return read(dataset, window, 1)
+
+
+def join_tiles(
+    options: DsmFuseOptions,
+    scene: Scene,
+    layout: DsmLayout,
+    stored: Sequence[StoredTile],
+    folder: str,
+    walls: bool,
+    parameters: FusionParameters = FUSION,
+) -> JoinedTiles:
+    """Write the candidates of all tiles into one raster in ``folder``, and of a scene with ``walls`` the ground in
+    shadows.
+
+    Raises EmptyResultError where no cell has a height, WorkspaceError where a file cannot be written.
+    """
+    if not any(tile.valid for tile in stored):
+        cells = sum(tile.cells for tile in stored)
+        raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
+    crop, path, shaded = _known_part(layout, stored), f"{folder}/joined.tif", f"{folder}/shaded.tif"
+    frame = (crop.height, crop.width), np.dtype(np.float32)
+    with created(path, *frame, 2 * FIELDS + 1, None, "", compress=False) as raster:
+        for window, result in _feathered(scene, layout, stored, parameters):
+            common = window.common(crop)
+            if common is None:
+                continue
+            place, inner = common.within(crop), common.inside(window)
+            for band, values in enumerate(result.fused.arrays(), start=1):
+                part = values[inner]
+                if result.own is not None:
+                    part = np.where(result.own[inner], part, np.float32(np.nan))
+                raster.write(part, place.col, place.row, band, result.own is not None)
+    joined = JoinedTiles(crop, path, sum(tile.removed for tile in stored))
+    sun = Sun.over(scene, layout.crs, parameters.shaded) if walls and options.fill != "none" else None
+    if sun is None:
+        return joined
+    with created(shaded, *frame, 1, None, "", compress=False) as raster:
+        cell, numbers = layout.grid.cell, parameters.shaded
+        for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
+            first = joined.fused(wide).first
+            found = shaded_ground(first.height, support(first, numbers), cell, sun, numbers)
+            raster.write(found[own.inside(wide)], own.col, own.row)
+    return replace(joined, shaded=shaded)
+
+
+def _feathered(
+    scene: Scene, layout: DsmLayout, stored: Sequence[StoredTile], parameters: FusionParameters
+) -> Iterator[Tuple[Window, FusedTile]]:
+    """The window of each tile and the tile, with heights that change into its neighbours'."""
+    metres = [record.metres_per_px for tile in scene.tiles for record in tile.heights]
+    numbers = float(np.median(metres)), parameters.feather_cells
+    for index, (window, tile) in enumerate(zip(layout.windows, stored)):
+        result = tile.load()
+        # Turned tiles overlap in their windows: there each tile has only its own cells.
+        if result.own is None:
+            height = feathered(result.fused.height, index, layout.windows, stored, layout.grid.size, *numbers)
+            result = replace(result, fused=result.fused.with_height(height.astype(np.float32)))
+        yield window, result
+
+
+def _known_part(layout: DsmLayout, stored: Sequence[StoredTile]) -> Window:
+    """The window of the grid that holds all heights: tiles extend beyond the area that the images see."""
+    ends: List[Tuple[int, int, int, int]] = []
+    for window, tile in zip(layout.windows, stored):
+        if tile.known is not None:
+            col, row = window.col + tile.known.col, window.row + tile.known.row
+            ends.append((col, row, col + tile.known.width, row + tile.known.height))
+    first_cols, first_rows, end_cols, end_rows = zip(*ends)
+    return Window.spanning(min(first_cols), min(first_rows), max(end_cols), max(end_rows))

@@ -1,0 +1,82 @@
+"""Where a height comes from, and its likely error: what the confidence raster states.
+
+A height of the surface is one of its cell's maps' if it lies as near to theirs as their noise lets expect; then their
+number, their spread and their score are its own. Else it comes from the ground behind an occlusion or in a shadow, or
+from the cells beside it, and no map stands behind it. Each kind has an error of its own, compared with true surfaces
+(docs/method.md#confidence).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Tuple
+
+import cv2
+import numpy as np
+
+from ..arrays import FloatImage, Mask
+from ..imagery.confidence import Provenance
+from .aggregation import Candidate, FusedCells
+from .parameters import FUSION, ErrorParameters
+
+
+@dataclass(frozen=True)
+class SurfaceCells:
+    """The finished heights of cells, (H, W) each: ``height`` (m, NaN = none), the ``count`` of height maps that agree,
+    their ``spread`` (m) and mean ``score`` (NaN where no map has the height), the ``source`` (:class:`.Provenance`) and
+    the ``error`` within which about two thirds of such heights are right (m)."""
+
+    height: FloatImage
+    count: FloatImage
+    spread: FloatImage
+    score: FloatImage
+    source: FloatImage
+    error: FloatImage
+
+    def facts(self) -> Tuple[FloatImage, ...]:
+        """What the confidence raster has, in the order of its bands."""
+        return self.count, self.spread, self.score, self.source, self.error
+
+
+def described(
+    fused: FusedCells, ground: FloatImage, height: FloatImage, reach: int, parameters: ErrorParameters = FUSION.error
+) -> SurfaceCells:
+    """The surface with the chosen heights (H, W), m, of cells with these candidates.
+
+    ``ground`` (H, W) is that of shadows, NaN = none. Relief within ``reach`` cells tells how wrong a height may be that
+    no map has. Pointing errors, which all cells share, are not included: the report states them.
+    """
+    nothing = np.full(height.shape, np.nan, np.float32)
+    count, spread, score, source, error = (nothing.copy() for _ in range(5))
+    known = np.isfinite(height)
+    relief = _relief(height, known, reach)
+    unsure = ((Provenance.NEIGHBOURS, parameters.of_neighbours), (Provenance.SHADOW, parameters.of_shadow))
+    kinds = [(known, unsure[0]), (known & (np.abs(height - ground) <= parameters.ground_m), unsure[1])]
+    for each in (fused.second, fused.first):
+        behind = each.filled & _meant(each, height, parameters)
+        kinds.append((behind, (Provenance.BACKGROUND, parameters.of_background)))
+    for cells, (kind, share) in kinds:
+        source[cells], error[cells] = kind, (parameters.least_m + share * relief)[cells]
+    for each in (fused.second, fused.first):
+        cells = (each.count > 0) & _meant(each, height, parameters)
+        # Pairs share images and so share errors: three maps count as two.
+        own = np.float32(parameters.of_sigma) * each.sigma / np.sqrt((1.0 + each.count) / 2.0)
+        away = np.hypot(np.nan_to_num(each.spread), np.abs(height - each.height))
+        parts = (each.count, each.spread, each.score, np.full_like(height, Provenance.MATCHED), np.hypot(own, away))
+        for target, values in zip((count, spread, score, source, error), parts):
+            target[cells] = values[cells]
+    return SurfaceCells(height, count, spread, score, source, error)
+
+
+def _meant(candidate: Candidate, height: FloatImage, parameters: ErrorParameters) -> Mask:
+    with np.errstate(invalid="ignore"):
+        result: Mask = np.abs(height - candidate.height) <= np.float32(parameters.same) * candidate.sigma
+    return result
+
+
+def _relief(height: FloatImage, known: Mask, reach: int) -> FloatImage:
+    """(H, W) the difference between the highest and the lowest height around each cell, m."""
+    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    high = cv2.dilate(np.where(known, height, np.float32(-np.inf)), around)
+    low = cv2.erode(np.where(known, height, np.float32(np.inf)), around)
+    return np.where(known, high - low, np.float32(np.nan))
