@@ -4,8 +4,8 @@ Each map is one witness. Its height is known to the error that matching leaves a
 about which it says nothing: so what a map has against a height grows with the square of their distance, in its
 standard deviations, up to a limit (the truncated quadratic of Blake and Zisserman 1987, "Visual reconstruction").
 Scores hardly tell gross errors, places do: of matched heights 5 % are gross errors, of those beside a step down or a
-hole of their own map 20 to 60 %, on real and simulated towns, mountains and three-line images alike. Nearly all of
-these lie too high, because matching widens what stands up. Backgrounds of occlusions are witnesses, too, weaker ones.
+hole of their own map 20 to 60 %, on real and simulated towns, mountains and three-line images alike. Such
+heights have less evidence, and so have backgrounds of occlusions.
 
 The height with the least against it is the first candidate of a cell; what other maps say instead is its second one.
 ``choice.py`` decides between them, and neighbours, where the scene has walls.
@@ -125,8 +125,8 @@ def aggregate(
 ) -> FusedCells:
     """The candidates of cells from height maps on them.
 
-    ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by their inverse variances in both. ``rim``
-    is as of :func:`rim_cells`.
+    ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by their inverse standard deviations in
+    both. ``rim`` is as of :func:`rim_cells`.
     """
     shape = layers[0].height.shape
     witnesses = _Witnesses.of(layers, rim, parameters)
@@ -178,10 +178,10 @@ class _Witnesses:
         return _Witnesses(height, evidence, sigma, score, self.matched[:, cells], self.parameters)
 
     def mean(self, members: Mask) -> FloatImage:
-        """(N,) the mean of the members' heights, weighted by their inverse variances; NaN without any."""
+        """(N,) the mean of the members' heights, weighted by their inverse standard deviations; NaN without any."""
         total, value = np.zeros((2, members.shape[1]))
         for height, sigma, member in zip(self.height, self.sigma, members):
-            weight = np.where(member, sigma.astype(np.float64) ** -2, 0.0)
+            weight = np.where(member, 1.0 / sigma.astype(np.float64), 0.0)
             total += weight
             value += np.where(member, weight * height, 0.0)
         with np.errstate(invalid="ignore"):
@@ -237,7 +237,7 @@ class _Witnesses:
         spread = np.where(count > 1, np.sqrt(variance), np.float32(np.nan))
         if method == "median" and len(self.height) > 2:
             several = members.sum(axis=0) > 2
-            inverse = np.where(members[:, several], self.sigma[:, several] ** -2, 0.0)
+            inverse = np.where(members[:, several], 1.0 / self.sigma[:, several], 0.0)
             mean[several] = _weighted_median(self.height[:, several], inverse)
         arrays = (mean, evidence, deviation, count, spread, score)
         return Candidate(*(values.astype(np.float32) for values in arrays))
@@ -246,14 +246,11 @@ class _Witnesses:
 def objection(
     height: FloatImage, own: FloatImage, evidence: FloatImage, sigma: FloatImage, parameters: EvidenceParameters
 ) -> FloatImage:
-    """(N,) what a witness with its ``own`` heights (m, NaN = none) has against heights (m) of N cells.
-
-    It is the witness's ``evidence`` at most, and less against lower heights: its own may be a widened roof.
-    """
+    """(N,) what a witness with its ``own`` heights (m, NaN = none) has against heights (m) of N cells: nothing against
+    its own, and its ``evidence`` against those that lie too far from it."""
     with np.errstate(invalid="ignore"):
         apart = (height - own) / (np.float32(parameters.same) * sigma)
-        limit = np.where(own > height, np.float32(parameters.above) * evidence, evidence)
-    return np.where(np.isnan(apart), np.float32(0), limit * np.minimum(apart * apart, np.float32(1)))
+    return np.where(np.isnan(apart), np.float32(0), evidence * np.minimum(apart * apart, np.float32(1)))
 
 
 def _witness(layer: HeightLayer, rim: int, p: EvidenceParameters) -> Tuple[FloatImage, ...]:

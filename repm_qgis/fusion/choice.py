@@ -53,8 +53,8 @@ class Problem:
     parameters: ChoiceParameters = FUSION.choice
 
     def witnesses(self, cells: IntArray) -> List[Witness]:
-        """What speaks for the candidates of (N,) cells, and for the ground. In a shadow maps have less evidence, because
-        the images show little there."""
+        """What speaks for the candidates of (N,) cells, and for the ground. In a shadow the images show little, so that
+        maps have less evidence there."""
         ground, p = self.ground.ravel()[cells], self.evidence
         shaded = np.isfinite(ground)
         less = np.where(shaded, np.float32(p.in_shadow), np.float32(1))
@@ -164,7 +164,8 @@ class _Sweeper:
         alike /= np.maximum(alike.sum(axis=0), np.float32(1e-6))
         seen = self._surroundings(padded, place[front], self._far)
         limits = self._limits.ravel()[cells]
-        least, best = np.full(len(cells), _INFINITE), own.copy()
+        least = np.full(len(cells), _INFINITE)
+        best: FloatImage = own.copy()
         for candidate in candidates:
             cost = np.zeros(len(cells), np.float32)
             for witness in witnesses:
