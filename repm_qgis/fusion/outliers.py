@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Tuple
+from typing import List, Tuple
 
 import numpy as np
 
@@ -19,12 +19,10 @@ def remove_isolated_points(
     Matching leaves none, because it removes speckles by disparity. This is for height maps of other origin and damaged
     ones, and for cells with so few points that the others do not outvote an isolated one.
     """
-    known = np.isfinite(height)
-    level = float(height[known].mean()) if known.any() else 0.0
-    z = np.pad((height - level).astype(np.float32), 1, constant_values=np.nan)
+    z = np.pad(height.astype(np.float64), 1, constant_values=np.nan)
     count = np.zeros(height.shape, np.uint8)
     rows, columns = height.shape
-    tolerance = np.float32(parameters.tolerance_px * metres_per_px)
+    tolerance = parameters.tolerance_px * metres_per_px
     centre = z[1:-1, 1:-1]
     with np.errstate(invalid="ignore"):
         for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):  # each pair of neighbours once
@@ -44,25 +42,34 @@ def automatic_radius(cell: float, spacing: float = 0.0, parameters: OutlierParam
     return max(parameters.radius_cells * max(cell, spacing), parameters.radius_m)
 
 
+def needed_neighbours(cell: float, radius: float, parameters: OutlierParameters = FUSION.outliers) -> int:
+    """How many neighbours a cell needs within a radius (m): a share of all cells there."""
+    return max(parameters.neighbours, round(parameters.share * len(_disc(cell, radius))))
+
+
 def radius_outliers(
     height: Floats, cell: float, radius: float, parameters: OutlierParameters = FUSION.outliers
-) -> Tuple[Mask, int]:
-    """Cells with too few neighbours within ``radius`` metres, and the number of neighbours that a cell needs.
+) -> Mask:
+    """Cells with too few neighbours within ``radius`` metres.
 
     Neighbours count on a disc of that radius where they differ by no more than the radius in height: in a ball, a
-    steep slope would have fewer neighbours than level ground. A cell needs a share of what half the cells have.
+    steep slope would have fewer neighbours than level ground.
     """
-    reach = max(1, int(radius / cell))
+    disc = _disc(cell, radius)
+    reach = max(max(map(abs, place)) for place in disc) if disc else 0
     rows, columns = height.shape
     neighbours = np.zeros(height.shape, dtype=np.uint16)
     padded = np.pad(height, reach, constant_values=np.nan)
-    for dr in range(-reach, reach + 1):
-        for dc in range(-reach, reach + 1):
-            if (dr or dc) and math.hypot(dr, dc) * cell <= radius + 1e-9:
-                other = padded[reach + dr : reach + dr + rows, reach + dc : reach + dc + columns]
-                with np.errstate(invalid="ignore"):
-                    neighbours += np.abs(other - height) <= radius
-    known = np.isfinite(height)
-    usual = float(np.median(neighbours[known])) if known.any() else 0.0
-    needed = max(parameters.neighbours, int(round(parameters.share * usual)))
-    return known & (neighbours < needed), needed
+    for dr, dc in disc:
+        other = padded[reach + dr : reach + dr + rows, reach + dc : reach + dc + columns]
+        with np.errstate(invalid="ignore"):
+            neighbours += np.abs(other - height) <= radius
+    lonely: Mask = np.isfinite(height) & (neighbours < needed_neighbours(cell, radius, parameters))
+    return lonely
+
+
+def _disc(cell: float, radius: float) -> List[Tuple[int, int]]:
+    """The rows and columns to the cells within a radius of a cell."""
+    reach = max(1, int(radius / cell))
+    places = [(row, column) for row in range(-reach, reach + 1) for column in range(-reach, reach + 1)]
+    return [place for place in places if any(place) and math.hypot(*place) * cell <= radius + 1e-9]

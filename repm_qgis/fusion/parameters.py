@@ -76,7 +76,7 @@ class ChoiceParameters(Parameters):
     most: float = 2.0  # of these scales that count: farther away is another surface
     near_m: float = 1.5  # half the side of the window of neighbours, and standard deviation of their weights
     near_cells: int = 5  # and no more: bounds the time
-    contrast: float = 0.15  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.2 do as well
+    contrast: float = 0.2  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.15 do as well
     appearance: float = 6.0  # evidence of what a cell looks like, for each power of e; 4 does as well
     rings_m: Tuple[float, ...] = (1.5, 3.0, 5.0, 8.0)  # at which cells show what a surface looks like
     far_cells: int = 16  # and no farther: bounds the time
@@ -128,9 +128,10 @@ class ShadedGroundParameters(Parameters):
 class BrightnessParameters(Parameters):
     """How bright cells are (fusion/brightness.py)."""
 
-    views: int = 6  # the most vertical ones; with 10 the time grows, and nothing else; towns table
-    percents: Tuple[float, float] = (2.0, 98.0)  # of a view's values, which become 0 and 1; chosen
-    least_range: float = 1e-3  # of its values: less is one brightness; chosen, for images in any unit
+    views: int = 6  # the most vertical ones; with 10 the time grows, and nothing else
+    clearance_m: float = 1.0  # by which a surface must stand above a line of sight to block it
+    square_cells: int = 256  # side of the squares on whose lattice views are projected exactly
+    nodes: int = 5  # a side of this lattice
 
 
 @dataclass(frozen=True)
@@ -156,11 +157,13 @@ class ErrorParameters(Parameters):
 
     same: float = 3.0  # standard deviations of a map within which a height is still the map's
     ground_m: float = 0.5  # within which a height is still that of the ground in a shadow
-    of_sigma: float = 1.0  # of a map's standard deviation that is expected
-    least_m: float = 0.3  # of heights that no map has, and more
-    of_background: float = 0.3  # of the relief around them: behind an occlusion
+    of_sigma: float = 0.8  # of the standard deviation of matched heights, over the root of their number
+    of_relief: float = 0.12  # of the relief around them, which a cell's own part is not known of, but not of more than
+    relief_m: float = 4.0  # so much
+    least_m: float = 0.7  # of heights that no map has, and more:
+    of_background: float = 0.35  # of the relief around them, behind an occlusion
     of_shadow: float = 0.3  # in a shadow
-    of_neighbours: float = 0.3  # from the cells beside them
+    of_neighbours: float = 0.35  # from the cells beside them
 
 
 @dataclass(frozen=True)

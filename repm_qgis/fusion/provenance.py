@@ -50,6 +50,7 @@ def described(
     count, spread, score, source, error = (nothing.copy() for _ in range(5))
     known = np.isfinite(height)
     relief = _relief(height, known, reach)
+    steps = np.float32(parameters.of_relief) * np.minimum(relief, np.float32(parameters.relief_m))
     unsure = ((Provenance.NEIGHBOURS, parameters.of_neighbours), (Provenance.SHADOW, parameters.of_shadow))
     kinds = [(known, unsure[0]), (known & (np.abs(height - ground) <= parameters.ground_m), unsure[1])]
     for each in (fused.second, fused.first):
@@ -59,10 +60,12 @@ def described(
         source[cells], error[cells] = kind, (parameters.least_m + share * relief)[cells]
     for each in (fused.second, fused.first):
         cells = (each.count > 0) & _meant(each, height, parameters)
-        # Pairs share images and so share errors: three maps count as two.
-        own = np.float32(parameters.of_sigma) * each.sigma / np.sqrt((1.0 + each.count) / 2.0)
-        away = np.hypot(np.nan_to_num(each.spread), np.abs(height - each.height))
-        parts = (each.count, each.spread, each.score, np.full_like(height, Provenance.MATCHED), np.hypot(own, away))
+        # What others contradict is less sure.
+        agree = each.evidence / np.maximum(fused.evidence, each.evidence)
+        own = np.float32(parameters.of_sigma) * each.sigma / (agree * np.sqrt(each.count))
+        apart = [own, np.nan_to_num(each.spread), height - each.height, steps]
+        whole = np.sqrt(sum(part * part for part in apart))
+        parts = (each.count, each.spread, each.score, np.full_like(height, Provenance.MATCHED), whole)
         for target, values in zip((count, spread, score, source, error), parts):
             target[cells] = values[cells]
     return SurfaceCells(height, count, spread, score, source, error)

@@ -10,9 +10,8 @@ import numpy as np
 from ..arrays import Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..imagery.confidence import Provenance
-from ..scene import View
 from ..workspace import writing
-from .brightness import brightness
+from .brightness import Witnesses, brightness
 from .choice import Problem, chosen, near_reach, reach_cells
 from .joining import JoinedTiles
 from .parameters import FUSION, FusionParameters
@@ -36,15 +35,14 @@ class SurfaceBlock:
 @dataclass(frozen=True)
 class SurfaceTask:
     """All a worker needs to make a block: the ``joined`` tiles on the ``grid``, the ``wide`` window on which its own
-    cells depend, and the views, the most vertical ones first. ``walls``: heights are chosen among several. ``filled``:
-    cells may have heights that no map has."""
+    cells depend, and the ``witnesses`` of brightness. ``walls``: heights are chosen among several. ``filled``: cells
+    may have heights that no map has."""
 
     block: SurfaceBlock
     wide: Window
     joined: JoinedTiles
     grid: CellGrid
-    crs: str
-    views: Tuple[View, ...]
+    witnesses: Witnesses
     walls: bool
     filled: bool
     parameters: FusionParameters = FUSION
@@ -65,7 +63,7 @@ def make_block(task: SurfaceTask) -> None:
     ground, height = task.joined.ground(task.wide), fused.height
     if task.walls:
         start = np.where(np.isfinite(ground), ground, height)
-        light = brightness(task.views, grid, start, task.crs, p)
+        light = brightness(task.witnesses, grid, start, p.brightness)
         height = chosen(Problem(fused, ground, light, grid.cell, p.evidence, p.choice))
     surface = described(fused, ground, height, near_reach(grid.cell, p.choice), p.error)
     values = np.stack([getattr(surface, field.name) for field in fields(surface)]).astype(np.float32)

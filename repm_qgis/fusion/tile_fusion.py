@@ -52,13 +52,12 @@ class FuseTask:
 class FusedTile:
     """A tile's own cells.
 
-    ``removed`` cells had fewer than ``needed`` neighbours. ``wide`` are the heights with the margin for feathering,
+    ``removed`` cells had too few neighbours. ``wide`` are the heights with the margin for feathering,
     within the whole grid. ``own`` are the window's cells that belong to the tile; None stands for all.
     """
 
     fused: FusedCells
     removed: int
-    needed: int
     wide: Floats
     own: Optional[Mask] = None
 
@@ -75,7 +74,6 @@ class StoredTile(Record):
     valid: int
     cells: int
     removed: int
-    needed: int
     known: Optional[Window]
     reused: bool = False
 
@@ -94,7 +92,7 @@ class StoredTile(Record):
         """The tile's cells again, in the precision that products have."""
         with np.load(self.path, allow_pickle=False) as kept:
             fused, own = FusedCells.of(list(kept["cells"])), kept["own"] if "own" in kept.files else None
-        return FusedTile(fused, self.removed, self.needed, self.wide(), own)
+        return FusedTile(fused, self.removed, self.wide(), own)
 
     def wide(self) -> Floats:
         """The heights with the margin; they are read from the file only where they are used."""
@@ -133,7 +131,6 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
         valid=int(known.sum()),
         cells=known.size if tile.own is None else int(tile.own.sum()),
         removed=tile.removed,
-        needed=tile.needed,
         known=Window.spanning(*map(int, ends)) if ends else None,
     )
     write_text(_facts_file(path), json.dumps(stored.to_mapping()))
@@ -151,9 +148,9 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     fused = _fuse_blocks(task, grid, sources)
     if task.fill == "none":
         fused = fused.without_backgrounds()
-    removed, needed = 0, 0
+    removed = 0
     if task.radius > 0:
-        outliers, needed = radius_outliers(fused.height, grid.cell, task.radius, task.parameters.outliers)
+        outliers = radius_outliers(fused.height, grid.cell, task.radius, task.parameters.outliers)
         removed = int(outliers.sum())
         fused = fused.without(outliers)
     inner = task.window.inside(wide)
@@ -161,7 +158,7 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     own = own_cells(task.grid.part(task.window), task.crs, task.bounds, task.scene.crs)
     if own is not None:
         cut = cut.without(~own)
-    return FusedTile(cut, removed, needed, fused.height, own)
+    return FusedTile(cut, removed, fused.height, own)
 
 
 def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> FusedCells:

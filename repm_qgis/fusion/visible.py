@@ -57,7 +57,11 @@ def orthophoto(
             values = sample_source(dataset, view.band, pixels, "bilinear")
         open_cells &= np.isfinite(values)
         if open_cells.any():  # what hides cells takes longest to find
-            open_cells &= seen(view) if seen else ~blocked(view, grid, height, crs, parameters.clearance_m)
+            open_cells &= (
+                seen(view)
+                if seen
+                else ~blocked(slope_over(view, grid, height, crs), grid, height, parameters.clearance_m)
+            )
             result = np.where(open_cells, values, result)
     return result
 
@@ -75,11 +79,16 @@ def pixels_on(camera: Camera, grid: CellGrid, height: Floats, crs: str, nodes: i
     return at_low + share * (at_high - at_low)
 
 
-def blocked(view: View, grid: CellGrid, height: Floats, crs: str, clearance_m: float) -> Mask:
-    """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up."""
+def slope_over(view: View, grid: CellGrid, height: Floats, crs: str) -> FloatArray:
+    """How far a view's line of sight goes east and north for each m up, over the middle of some cells."""
     xs, ys = grid.centres()
     centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
-    slope = ray_slope(view, centre, float(np.nanmedian(height)))
+    return ray_slope(view, centre, float(np.nanmedian(height)))
+
+
+def blocked(slope: FloatArray, grid: CellGrid, height: Floats, clearance_m: float) -> Mask:
+    """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up; ``slope`` is as of
+    :func:`slope_over`."""
     steepness = float(np.linalg.norm(slope))
     blocked = np.zeros(grid.shape, dtype=bool)
     relief = float(np.nanmax(height) - np.nanmin(height))

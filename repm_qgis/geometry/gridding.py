@@ -66,7 +66,7 @@ def grid_points(
     scores[empty] = np.nan
     shape = grid.shape[0] + 2, grid.shape[1] + 2
     heights, scores, weights = (values.reshape(shape)[1:-1, 1:-1].copy() for values in (heights, scores, weights))
-    return heights + points.offset, scores, weights
+    return heights, scores, weights
 
 
 def _wide_cells(
@@ -97,14 +97,13 @@ def _wide_cells(
 @dataclass(frozen=True)
 class _Points:
     """Points on the grid, (N,) each: the number of the ``cell`` to the upper left, in the grid with a rim of one cell,
-    and how far ``right`` and ``below`` its centre the point lies (0..1); ``height`` above ``offset``, ``score``."""
+    and how far ``right`` and ``below`` its centre the point lies (0..1); ``height`` and ``score``."""
 
     cell: IntArray
     right: FloatArray
     below: FloatArray
     height: FloatArray
     score: FloatArray
-    offset: float
 
 
 def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, score: Floats) -> _Points:
@@ -116,10 +115,8 @@ def _placed(grid: CellGrid, x: FloatArray, y: FloatArray, height: FloatArray, sc
         known, column, row = known[inside], column[inside], row[inside]
     left, top = column.astype(np.int64), row.astype(np.int64)
     z = height.ravel()[known].astype(np.float64)
-    # Squares of heights are summed: relative to the mean they keep their precision.
-    offset = float(z.mean()) if z.size else 0.0
     cell, scores = top * (grid.shape[1] + 2) + left, np.nan_to_num(score.ravel()[known]).astype(np.float64)
-    return _Points(cell, column - left, row - top, z - offset, scores, offset)
+    return _Points(cell, column - left, row - top, z, scores)
 
 
 def _splats(

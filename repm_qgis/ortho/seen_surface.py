@@ -12,7 +12,7 @@ import pyproj
 from ..arrays import Floats, Mask, Window
 from ..fusion.finished import FinishedSurface
 from ..fusion.parameters import VisibilityParameters
-from ..fusion.visible import blocked
+from ..fusion.visible import blocked, slope_over
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.raster import NODATA, created, opened
@@ -55,7 +55,8 @@ class SeenSurface:
             min(window.col + window.width + max(right, 0), grid.size[0]),
             min(window.row + window.height - min(up, 0), grid.size[1]),
         )
-        hidden = blocked(view, grid.part(wide), self.dsm.heights(wide), crs, self.parameters.clearance_m)
+        cells, heights = grid.part(wide), self.dsm.heights(wide)
+        hidden = blocked(slope_over(view, cells, heights, crs), cells, heights, self.parameters.clearance_m)
         mask: Mask = np.isfinite(height) & ~hidden[window.inside(wide)]
         return mask
 

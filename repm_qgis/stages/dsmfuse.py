@@ -17,7 +17,7 @@ from ..errors import EmptyResultError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
-from ..fusion.outliers import automatic_radius
+from ..fusion.outliers import automatic_radius, needed_neighbours
 from ..fusion.visible import nadir_first
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
@@ -74,7 +74,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
             run_whole(viewer.written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         _each_alone(fusion, pairs, Part(progress, whole, 1.0))
-    _log(options, parameters, facts, [tile.needed for tile in stored], progress)
+    _log(options, parameters, facts, progress)
     progress.step(1.0, "DSM fused")
     paths = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
     seconds = round(time.monotonic() - start, 3)
@@ -245,13 +245,11 @@ def _round_cell(cell: float) -> float:
     return float(f"{cell:.2g}")
 
 
-def _log(
-    options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFacts, needed: List[int], progress: Progress
-) -> None:
+def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFacts, progress: Progress) -> None:
     """What was filtered and filled, in the log."""
     radius = options.outlier_radius or 0.0
     if radius > 0:
-        least = f"{min(needed)}" if min(needed) == max(needed) else f"{min(needed)} to {max(needed)}, by tile"
+        least = needed_neighbours(facts.resolution, radius, parameters.fusion.outliers)
         progress.info(
             f"Removed {facts.removed} isolated cells: fewer neighbours within {radius:g} m than needed ({least})."
         )

@@ -9,13 +9,13 @@ from typing import List, Optional, Tuple
 
 from ..errors import RepmError
 from ..evaluation.styles import write_style
+from ..fusion.brightness import Witnesses
 from ..fusion.coarse_means import CoarseMeans
 from ..fusion.joining import JoinedTiles, join_tiles
 from ..fusion.layout import DsmLayout
 from ..fusion.rasters import write_products
 from ..fusion.surface import SurfaceBlock, SurfaceTask, blocks_of, make_block
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
-from ..fusion.visible import nadir_first
 from ..fusion.walls import has_walls
 from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
@@ -100,16 +100,23 @@ def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> 
     return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, folder, walls, numbers)
 
 
+def _witnesses(task: Tuple[Fusion, bool], progress: Progress) -> Witnesses:
+    """The views that tell how bright cells are; none where nobody asks."""
+    fusion, walls = task
+    scene = fusion.scene if walls else replace(fusion.scene, views=())
+    return Witnesses.of(scene, fusion.layout.crs, fusion.parameters.stretch)
+
+
 def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> List[SurfaceBlock]:
     """The surface of all blocks."""
     options, scene, numbers = fusion.options, fusion.scene, fusion.parameters.fusion
-    views = tuple(view for view in nadir_first(scene) if not view.missing)
-    if walls and len(views) < len(scene.views):
-        missing = counted(len(scene.views) - len(views), "image")
+    witnesses: Witnesses = run_whole(_witnesses, (fusion, walls), progress, "reading brightness")
+    if walls and len(witnesses.views) < len(scene.views):
+        missing = counted(len(scene.views) - len(witnesses.views), "image")
         progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
     grid, filled = fusion.layout.grid.part(joined.crop), options.fill != "none"
     tasks = [
-        SurfaceTask(block, wide, joined, grid, fusion.layout.crs, views, walls, filled, numbers)
+        SurfaceTask(block, wide, joined, grid, witnesses, walls, filled, numbers)
         for block, wide in blocks_of(grid, str(fusion.folder), walls, numbers)
     ]
     takes = fitting_mib(max(task.wide.width * task.wide.height for task in tasks))
