@@ -59,9 +59,11 @@ def earlier(revision: str, folder: Path) -> Optional[Path]:
 # In this process --------------------------------------------------------------------------------------------------
 
 
-def stage(name: str, progress: Progress = Silent(), **options: Any) -> Dict[str, Any]:
-    """A stage's results."""
-    return run_stage(name, options, progress)
+def stage(
+    name: str, progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, **options: Any
+) -> Dict[str, Any]:
+    """A stage's results; ``parameters`` are for the stages that take them."""
+    return run_stage(name, options, progress, parameters)
 
 
 def pipeline(

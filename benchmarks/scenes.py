@@ -94,6 +94,17 @@ def real(*names: str) -> List[Scene]:
     return found
 
 
+def whu_tlc() -> List[Scene]:
+    """The real three-line images of WHU-TLC's four neighbouring blocks that are there, with their DSMs of lidar."""
+    folder, found = SHARED / "whu_tlc", []
+    for block in ("0066", "0067", "0072", "0073"):
+        images = [str(folder / f"block{block}_view{number}.tif") for number in range(3)]
+        reference = str(folder / f"truth_{block}.tif")
+        if all(map(os.path.exists, (*images, reference))):
+            found.append(Scene(f"whu_tlc {block}", images, reference, 5.0, True))
+    return found
+
+
 def absent(*names: str) -> List[str]:
     """A sentence about real scenes that are not there."""
     missing = [name for name in names or _REAL if not real(name)]
