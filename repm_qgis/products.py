@@ -42,7 +42,14 @@ class Style:
     title: str = ""
 
 
-_SOURCE_CLASSES = ("Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM")
+_SOURCE_CLASSES = (
+    "Matched",
+    "Background of an occlusion",
+    "Interpolated",
+    "Interpolated on the DEM",
+    "Ground in a shadow",
+    "From the cells beside it",
+)
 STYLES = (
     Style("gcps"),
     Style("tie_points"),

@@ -405,9 +405,9 @@ class DemOffset(Record):
 @dataclass(frozen=True)
 class FusionFacts(Record):
     """What fusion counted, in cells of the DSM: ``cells`` that two images see, ``valid`` ones with a height, of these
-    ``matched``, ``background`` (of an occlusion) and ``interpolated`` ones; ``removed`` were outliers. ``points`` are
-    the cloud's, ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was
-    given, or none that could be compared."""
+    ``matched``, ``background`` (all other sources but interpolation) and ``interpolated`` ones; ``removed`` were
+    outliers. ``points`` are the cloud's, ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset``
+    is None where no DEM was given, or none that could be compared."""
 
     cells: int
     valid: int

@@ -257,8 +257,8 @@ def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFac
     matched, background, interpolated = (100.0 * count / facts.cells for count in counts)
     progress.info(
         f"Heights in {facts.valid_percent:.1f} % of {facts.cells} cells that two images see: "
-        f"{matched:.1f} % matched, {background:.1f} % from the ground behind occlusions and in shadows, "
-        f"{interpolated:.1f} % interpolated."
+        f"{matched:.1f} % matched, {background:.1f} % from the ground behind occlusions and in shadows and from the "
+        f"cells beside them, {interpolated:.1f} % interpolated."
     )
     if facts.dem_offset is not None:
         say = progress.warn if facts.dem_offset.unexpected else progress.info
