@@ -55,7 +55,7 @@ def brightness(
     """(H, W) brightness of cells with their heights (m above the ellipsoid), 0 to 1; NaN = unknown.
 
     The first views that show the grid are taken, as many as the parameters say; each counts where it sees a cell past
-    all that stands higher.
+    all that stands higher within ``hidden_cells`` of it.
     """
     nothing = np.full(grid.shape, np.nan, np.float32)
     known = np.isfinite(height)
@@ -71,7 +71,7 @@ def brightness(
         with opened_masked(view.image, view.mask) as dataset:
             pixels = _pixels_on(view, witnesses, grid, height, parameters)
             values = sample_source(dataset, view.band, pixels, "bilinear")
-        hidden = blocked(slope, grid, height, parameters.clearance_m)
+        hidden = blocked(slope, grid, height, parameters.clearance_m, parameters.hidden_cells)
         seen.append(np.where(known & ~hidden, stretch.apply(values), np.float32(np.nan)))
     return median_of_known(np.stack(seen)) if seen else nothing
 

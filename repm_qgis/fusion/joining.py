@@ -36,6 +36,12 @@ class JoinedTiles:
         with opened(self.path) as dataset:
             return FusedCells.of([read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)])
 
+    def first_heights(self, window: Window) -> FloatImage:
+        """(H, W) the heights to begin with: those of the first candidates, in shadows the ground."""
+        ground = self.ground(window)
+        with opened(self.path) as dataset:
+            return np.where(np.isfinite(ground), ground, read(dataset, window, 1))
+
     def ground(self, window: Window) -> FloatImage:
         """(H, W) the ground in shadows, for the cells of a window where shadows lie on it; NaN for others."""
         if not self.shaded:
@@ -82,7 +88,9 @@ def join_tiles(
         cell, numbers = layout.grid.cell, parameters.shaded
         for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
             first = joined.fused(wide).first
-            found = shaded_ground(first.height, support(first, numbers), cell, sun, numbers)
+            corner = layout.grid.part(crop).part(wide)
+            origin = -round(corner.north / cell), round(corner.west / cell)
+            found = shaded_ground(first.height, support(first, numbers), cell, sun, numbers, origin)
             raster.write(found[own.inside(wide)], own.col, own.row)
     return replace(joined, shaded=shaded)
 

@@ -121,7 +121,8 @@ class ShadedGroundParameters(Parameters):
 
     def halo(self, cell: float) -> int:
         """Cells around a block on which its own cells depend, on either side."""
-        return self.reach(cell) + self.lattice(cell)[1]
+        # The place where a shadow ends is as far away, and what shades that place farther by as much.
+        return 2 * self.reach(cell) + self.lattice(cell)[1]
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,7 @@ class BrightnessParameters(Parameters):
 
     views: int = 6  # the most vertical ones; with 10 the time grows, and nothing else
     clearance_m: float = 1.0  # by which a surface must stand above a line of sight to block it
+    hidden_cells: int = 160  # and no farther away: bounds the time
     square_cells: int = 256  # side of the squares on whose lattice views are projected exactly
     nodes: int = 5  # a side of this lattice
 

@@ -31,7 +31,7 @@ from .joining import JoinedTiles
 from .layout import DsmLayout
 from .parameters import FUSION, FusionParameters
 from .provenance import SurfaceCells
-from .surface import SurfaceBlock
+from .surface import Block
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def write_products(
     scene: Scene,
     layout: DsmLayout,
     joined: JoinedTiles,
-    blocks: Sequence[SurfaceBlock],
+    blocks: Sequence[Block],
     folder: str,
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
@@ -96,7 +96,7 @@ def write_products(
     with ExitStack() as stack:
         products = _Products.opened(stack, options, scene, layout, crop, folder)
         for block in blocks:
-            surface, own = block.load(), block.own
+            surface, own = block.surface(), block.own
             known = np.isfinite(surface.height)
             if known.any():
                 levels.append(float(np.median(surface.height[known])))

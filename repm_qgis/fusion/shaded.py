@@ -60,13 +60,19 @@ def support(first: Candidate, parameters: ShadedGroundParameters = FUSION.shaded
 
 
 def shaded_ground(
-    height: Floats, behind: ByteImage, cell: float, sun: Sun, parameters: ShadedGroundParameters = FUSION.shaded
+    height: Floats,
+    behind: ByteImage,
+    cell: float,
+    sun: Sun,
+    parameters: ShadedGroundParameters = FUSION.shaded,
+    first: Tuple[int, int] = (0, 0),
 ) -> FloatImage:
     """(H, W) heights of the ground on which shadows lie, for cells that take them; NaN for all others.
 
     Cells in shadow take them that have no height of their own, or a weak one on a slope, above that ground: what
     matching makes of nothing leads down from the roof. ``height`` (H, W) is in m, NaN = none, ``behind`` (H, W) as of
-    :func:`support`; ``cell`` in m. Rows run from north to south.
+    :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row and column of the first cell on the
+    ground: rays are the same whatever part of a DSM is asked for.
 
     The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
     support its height. Several directions about the sun's are asked, and the lower ones that agree are believed,
@@ -76,7 +82,7 @@ def shaded_ground(
     doubted = (behind == NOTHING) | (behind == WEAK) & _steep(height, cell, parameters)
     trusted = np.where(doubted, np.float32(np.nan), height.astype(np.float32))
     steep = _steep(trusted, cell, parameters)
-    shadow = cast_shadow(trusted, cell, sun, parameters)  # what is wrong may cast one, or stand out of one
+    shadow = cast_shadow(trusted, cell, sun, parameters, first)  # what is wrong may cast one, or stand out of one
     cells = _within(np.flatnonzero(shadow & doubted), doubted, np.isfinite(height), cell, sun, parameters)
     sure = ~doubted & (~shadow | (behind == SUPPORTED) & ~steep)
     ground = np.full(height.shape, np.nan, np.float32)
@@ -165,19 +171,26 @@ def _steep(height: Floats, cell: float, parameters: ShadedGroundParameters) -> M
     return steep
 
 
-def cast_shadow(height: Floats, cell: float, sun: Sun, parameters: ShadedGroundParameters = FUSION.shaded) -> Mask:
-    """(H, W) cells in the shadow of others; what has no height casts none, and may lie as low as what follows it."""
+def cast_shadow(
+    height: Floats,
+    cell: float,
+    sun: Sun,
+    parameters: ShadedGroundParameters = FUSION.shaded,
+    first: Tuple[int, int] = (0, 0),
+) -> Mask:
+    """(H, W) cells in the shadow of others; what has no height casts none, and may lie as low as what follows it.
+    ``first`` is as of :func:`shaded_ground`."""
     rise = cell * math.tan(math.radians(sun.elevation))
 
     def in_shadow(columns: FloatImage, step: float) -> FloatImage:
-        rays = np.arange(len(columns), dtype=np.float32)[:, None] * np.float32(rise * step)
+        rays = np.arange(len(columns))[:, None] * (rise * step)
         known = np.isfinite(columns)
         low = _following(columns, known) + rays
-        highest = np.maximum.accumulate(np.where(known, columns + rays, np.float32(-np.inf)), axis=0)
-        hidden: FloatImage = (highest > low + np.float32(parameters.clear_m)).astype(np.float32)
+        highest = np.maximum.accumulate(np.where(known, columns + rays, -np.inf), axis=0)
+        hidden: FloatImage = (highest > low + parameters.clear_m).astype(np.float32)
         return hidden
 
-    shadow: Mask = _along(height.astype(np.float32), sun.azimuth + 180.0, in_shadow) > 0
+    shadow: Mask = _along(height.astype(np.float32), sun.azimuth + 180.0, in_shadow, first) > 0
     return shadow
 
 
@@ -190,7 +203,9 @@ def _following(columns: FloatImage, known: Mask) -> FloatImage:
     return np.where(np.isfinite(found), found, np.float32(-np.inf))
 
 
-def _along(values: FloatImage, towards: float, work: Callable[[FloatImage, float], FloatImage]) -> FloatImage:
+def _along(
+    values: FloatImage, towards: float, work: Callable[[FloatImage, float], FloatImage], first: Tuple[int, int]
+) -> FloatImage:
     """Work on lines that run in a direction (degrees clockwise from north), as columns, from their first cell on.
 
     Rows are shifted by whole cells, so that the lines become columns; ``work`` also gets the distance between two cells
@@ -198,13 +213,14 @@ def _along(values: FloatImage, towards: float, work: Callable[[FloatImage, float
     """
     east, south = math.sin(math.radians(towards)), -math.cos(math.radians(towards))
     turned = abs(east) > abs(south)
+    begin = first[0]
     if turned:
-        values, east, south = values.T, south, east
-    if south < 0:
-        values = values[::-1]
-    slope = east / abs(south)
+        values, east, south, begin = values.T, south, east, first[1]
     rows, columns = values.shape
-    shift = np.rint(np.arange(rows) * slope).astype(np.intp)
+    if south < 0:
+        values, begin = values[::-1], -(begin + rows - 1)
+    slope = east / abs(south)
+    shift = np.rint((begin + np.arange(rows)) * slope).astype(np.intp)
     shift -= shift.min()
     place = np.arange(columns)[None, :] + (shift.max() - shift)[:, None]
     lines = np.full((rows, columns + int(shift.max())), np.nan, np.float32)

@@ -1,13 +1,16 @@
-"""The surface, block by block: the heights that are chosen, where each comes from, and its likely error."""
+"""The surface, block by block: how bright cells are, the heights that are chosen, where each comes from, and its error.
+
+What is made in a block depends on the cells around it as far as its halo, and on nothing else of the block.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Iterator, Tuple
+from typing import Iterator, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Window
+from ..arrays import FloatImage, Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..imagery.confidence import Provenance
 from ..workspace import writing
@@ -21,54 +24,91 @@ _FROM_MAPS = (Provenance.MATCHED,)
 
 
 @dataclass(frozen=True)
-class SurfaceBlock:
-    """A block's ``own`` cells of the whole, whose surface is, or will be, in a file."""
+class Block:
+    """A block's ``own`` cells of the whole, of which something is, or will be, in a file."""
 
     own: Window
     path: str
 
-    def load(self) -> SurfaceCells:
+    def keep(self, wide: Window, values: FloatImage) -> None:
+        """Write (..., H, W) values of the window around the block, as far as they are the block's own."""
+        with writing(self.path):
+            np.save(self.path, values[(..., *self.own.inside(wide))].astype(np.float32))
+
+    def surface(self) -> SurfaceCells:
         """The surface of the block's own cells; heights are above the ellipsoid."""
         return SurfaceCells(*np.load(self.path, allow_pickle=False))
+
+
+def blocks_of(
+    grid: CellGrid, name: str, halo: int, parameters: FusionParameters = FUSION
+) -> Iterator[Tuple[Block, Window]]:
+    """The blocks of a grid, with the windows of ``halo`` cells around them; the names of their files begin with
+    ``name``."""
+    for number, (own, wide) in enumerate(overlapping_blocks(grid.size, parameters.hole_block_cells, halo)):
+        yield Block(own, f"{name}_{number}.npy"), wide
+
+
+@dataclass(frozen=True)
+class LightTask:
+    """All a worker needs to tell how bright a block is: the ``joined`` tiles on the ``grid``, the ``wide`` window in
+    which things may hide its cells, and the ``witnesses``."""
+
+    block: Block
+    wide: Window
+    joined: JoinedTiles
+    grid: CellGrid
+    witnesses: Witnesses
+    parameters: FusionParameters = FUSION
+
+
+def light_block(task: LightTask) -> None:
+    """Write the brightness of a block into its file. Raises ImageError where a view cannot be read."""
+    height = task.joined.first_heights(task.wide)
+    light = brightness(task.witnesses, task.grid.part(task.wide), height, task.parameters.brightness)
+    task.block.keep(task.wide, light)
 
 
 @dataclass(frozen=True)
 class SurfaceTask:
     """All a worker needs to make a block: the ``joined`` tiles on the ``grid``, the ``wide`` window on which its own
-    cells depend, and the ``witnesses`` of brightness. ``walls``: heights are chosen among several. ``filled``: cells
-    may have heights that no map has."""
+    cells depend, and the blocks of brightness; without these, in a scene without walls, nothing is chosen. ``filled``:
+    cells may have heights that no map has."""
 
-    block: SurfaceBlock
+    block: Block
     wide: Window
     joined: JoinedTiles
     grid: CellGrid
-    witnesses: Witnesses
-    walls: bool
+    lights: Tuple[Block, ...]
     filled: bool
     parameters: FusionParameters = FUSION
 
 
-def blocks_of(
-    grid: CellGrid, folder: str, walls: bool, parameters: FusionParameters = FUSION
-) -> Iterator[Tuple[SurfaceBlock, Window]]:
-    """The blocks of a grid, with the windows on which they depend; their files are in ``folder``."""
-    halo = near_reach(grid.cell, parameters.choice) + (reach_cells(grid.cell, parameters.choice) if walls else 0)
-    for number, (own, wide) in enumerate(overlapping_blocks(grid.size, parameters.hole_block_cells, halo)):
-        yield SurfaceBlock(own, f"{folder}/surface_{number}.npy"), wide
+def halo(grid: CellGrid, walls: bool, parameters: FusionParameters = FUSION) -> int:
+    """How many cells around a block its surface depends on."""
+    return near_reach(grid.cell, parameters.choice) + (reach_cells(grid.cell, parameters.choice) if walls else 0)
 
 
 def make_block(task: SurfaceTask) -> None:
-    """Write the surface of a block into its file. Raises ImageError where a view cannot be read."""
-    p, grid, fused = task.parameters, task.grid.part(task.wide), task.joined.fused(task.wide)
+    """Write the surface of a block into its file."""
+    p, cell, fused = task.parameters, task.grid.cell, task.joined.fused(task.wide)
     ground, height = task.joined.ground(task.wide), fused.height
-    if task.walls:
-        start = np.where(np.isfinite(ground), ground, height)
-        light = brightness(task.witnesses, grid, start, p.brightness)
-        height = chosen(Problem(fused, ground, light, grid.cell, p.evidence, p.choice))
-    surface = described(fused, ground, height, near_reach(grid.cell, p.choice), p.error)
-    values = np.stack([getattr(surface, field.name) for field in fields(surface)]).astype(np.float32)
+    if task.lights:
+        light = _light(task.lights, task.wide)
+        height = chosen(Problem(fused, ground, light, cell, p.evidence, p.choice))
+    surface = described(fused, ground, height, near_reach(cell, p.choice), p.error)
+    values = np.stack([getattr(surface, field.name) for field in fields(surface)])
     if not task.filled:
         values[:, ~np.isin(surface.source, _FROM_MAPS)] = np.nan
-    own = (slice(None), *task.block.own.inside(task.wide))
-    with writing(task.block.path):
-        np.save(task.block.path, values[own])
+    task.block.keep(task.wide, values)
+
+
+def _light(blocks: Sequence[Block], window: Window) -> FloatImage:
+    """(H, W) brightness of a window, from the blocks that it has parts of."""
+    light = np.full((window.height, window.width), np.nan, np.float32)
+    for block in blocks:
+        common = block.own.common(window)
+        if common is not None:
+            kept = np.load(block.path, mmap_mode="r", allow_pickle=False)
+            light[common.inside(window)] = kept[common.inside(block.own)]
+    return light

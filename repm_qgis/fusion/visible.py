@@ -86,9 +86,11 @@ def slope_over(view: View, grid: CellGrid, height: Floats, crs: str) -> FloatArr
     return ray_slope(view, centre, float(np.nanmedian(height)))
 
 
-def blocked(slope: FloatArray, grid: CellGrid, height: Floats, clearance_m: float) -> Mask:
+def blocked(
+    slope: FloatArray, grid: CellGrid, height: Floats, clearance_m: float, most_cells: Optional[int] = None
+) -> Mask:
     """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up; ``slope`` is as of
-    :func:`slope_over`."""
+    :func:`slope_over`. What stands more than ``most_cells`` away blocks nothing."""
     steepness = float(np.linalg.norm(slope))
     blocked = np.zeros(grid.shape, dtype=bool)
     relief = float(np.nanmax(height) - np.nanmin(height))
@@ -96,7 +98,7 @@ def blocked(slope: FloatArray, grid: CellGrid, height: Floats, clearance_m: floa
     if steepness < 1e-3:
         return blocked
     rows, columns = grid.shape
-    for step in range(1, min(reach, max(rows, columns)) + 1):
+    for step in range(1, min(reach, most_cells or max(rows, columns)) + 1):
         # One cell nearer to the satellite, the ray is cell / steepness metres higher.
         dc = int(round(step * slope[0] / steepness))
         dr = -int(round(step * slope[1] / steepness))

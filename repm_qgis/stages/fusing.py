@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import List, Optional, Tuple
 
+from ..arrays import Window
 from ..errors import RepmError
 from ..evaluation.styles import write_style
 from ..fusion.brightness import Witnesses
@@ -14,7 +15,7 @@ from ..fusion.coarse_means import CoarseMeans
 from ..fusion.joining import JoinedTiles, join_tiles
 from ..fusion.layout import DsmLayout
 from ..fusion.rasters import write_products
-from ..fusion.surface import SurfaceBlock, SurfaceTask, blocks_of, make_block
+from ..fusion.surface import Block, LightTask, SurfaceTask, blocks_of, halo, light_block, make_block
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
 from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
@@ -100,33 +101,51 @@ def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> 
     return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, folder, walls, numbers)
 
 
-def _witnesses(task: Tuple[Fusion, bool], progress: Progress) -> Witnesses:
-    """The views that tell how bright cells are; none where nobody asks."""
-    fusion, walls = task
-    scene = fusion.scene if walls else replace(fusion.scene, views=())
-    return Witnesses.of(scene, fusion.layout.crs, fusion.parameters.stretch)
-
-
-def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> List[SurfaceBlock]:
+def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> List[Block]:
     """The surface of all blocks."""
-    options, scene, numbers = fusion.options, fusion.scene, fusion.parameters.fusion
-    witnesses: Witnesses = run_whole(_witnesses, (fusion, walls), progress, "reading brightness")
-    if walls and len(witnesses.views) < len(scene.views):
-        missing = counted(len(scene.views) - len(witnesses.views), "image")
-        progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
-    grid, filled = fusion.layout.grid.part(joined.crop), options.fill != "none"
+    options, numbers = fusion.options, fusion.parameters.fusion
+    grid, name = fusion.layout.grid.part(joined.crop), f"{fusion.folder}/surface"
+    lights = _lights(fusion, joined, Part(progress, 0.0, 0.3)) if walls else ()
+    around, filled = halo(grid, walls, numbers), options.fill != "none"
     tasks = [
-        SurfaceTask(block, wide, joined, grid, witnesses, walls, filled, numbers)
-        for block, wide in blocks_of(grid, str(fusion.folder), walls, numbers)
+        SurfaceTask(block, wide, joined, grid, lights, filled, numbers)
+        for block, wide in blocks_of(grid, name, around, numbers)
     ]
-    takes = fitting_mib(max(task.wide.width * task.wide.height for task in tasks))
-    work = Work("one block of the DSM", takes, lambda _: "choose a larger RESOLUTION")
-    workers = workers_within(options.workers, work, options.memory, progress)
-    run_tasks(make_block, tasks, workers, progress, lambda _: "choosing heights")
+    workers = _workers_of_blocks(fusion, [task.wide for task in tasks], progress)
+    part = Part(progress, 0.3 if walls else 0.0, 1.0)
+    run_tasks(make_block, tasks, workers, part, lambda _: "choosing heights")
     return [task.block for task in tasks]
 
 
-def _written(task: Tuple[Fusion, JoinedTiles, List[SurfaceBlock]], progress: Progress) -> FusionFacts:
+def _lights(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> Tuple[Block, ...]:
+    """How bright the cells of all blocks are."""
+    numbers, grid = fusion.parameters.fusion, fusion.layout.grid.part(joined.crop)
+    witnesses: Witnesses = run_whole(_witnesses, fusion, progress, "reading brightness")
+    if len(witnesses.views) < len(fusion.scene.views):
+        missing = counted(len(fusion.scene.views) - len(witnesses.views), "image")
+        progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
+    around = numbers.brightness.hidden_cells
+    tasks = [
+        LightTask(block, wide, joined, grid, witnesses, numbers)
+        for block, wide in blocks_of(grid, f"{fusion.folder}/light", around, numbers)
+    ]
+    workers = _workers_of_blocks(fusion, [task.wide for task in tasks], progress)
+    run_tasks(light_block, tasks, workers, progress, lambda _: "comparing heights with the images")
+    return tuple(task.block for task in tasks)
+
+
+def _witnesses(fusion: Fusion, progress: Progress) -> Witnesses:
+    return Witnesses.of(fusion.scene, fusion.layout.crs, fusion.parameters.stretch)
+
+
+def _workers_of_blocks(fusion: Fusion, windows: List[Window], progress: Progress) -> int:
+    """How many workers the memory allows, by the largest window of a block."""
+    takes = fitting_mib(max(window.width * window.height for window in windows))
+    work = Work("one block of the DSM", takes, lambda _: "choose a larger RESOLUTION")
+    return workers_within(fusion.options.workers, work, fusion.options.memory, progress)
+
+
+def _written(task: Tuple[Fusion, JoinedTiles, List[Block]], progress: Progress) -> FusionFacts:
     """Write DSM and confidence, with their styles, and compare the heights with the scene's DEM."""
     fusion, joined, blocks = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
