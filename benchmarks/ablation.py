@@ -130,7 +130,8 @@ def _fused(scene: Scene, made: str, off: FrozenSet[str], folder: str) -> List[fl
     own = {"scene": made, "output": f"{folder}/dsm.tif", "resolution": scene.resolution, "workers": 1}
     dsm = stage("dsmfuse", parameters=parameters, **own, **options)["output"]
     cost = time.process_time() - start
-    return [*towns._c1_mae_rmse(score_files(dsm, scene.reference, "3d").error), cost]
+    m = score_files(dsm, scene.reference, "3d").metrics
+    return [dict(m.completeness)[1.0], m.mae, m.rmse, cost]
 
 
 def _measured(scene: Scene) -> np.ndarray:
