@@ -132,7 +132,8 @@ class _Sweeper:
         p, known = self._problem.parameters, np.isfinite(height)
         low, high = _extremes(height, known)
         others = np.isfinite(self._problem.fused.second.height) | np.isfinite(self._problem.ground)
-        result: Mask = known & ((high - low > p.scale_m) | others)
+        with np.errstate(invalid="ignore"):
+            result: Mask = known & ((high - low > p.scale_m) | others)
         return result
 
     def sweep(self, height: FloatImage, cells: IntArray) -> FloatImage:

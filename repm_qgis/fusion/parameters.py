@@ -45,7 +45,7 @@ class OutlierParameters(Parameters):
     radius_cells: float = 3.0  # default radius: the disc has 28 neighbours on a whole surface
     radius_m: float = 1.5  # and not less
     most_cells: float = 30.0  # of a radius: 2800 neighbours; the time grows with their number, and more are refused
-    share: float = 0.2  # of the neighbours that half the cells have: the corner of a roof has a quarter
+    share: float = 0.2  # of all cells within the radius: the corner of a roof has a quarter
     neighbours: int = 2  # and not less
 
 
@@ -77,7 +77,7 @@ class ChoiceParameters(Parameters):
     near_m: float = 1.5  # half the side of the window of neighbours, and standard deviation of their weights
     near_cells: int = 5  # and no more: bounds the time
     contrast: float = 0.2  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.15 do as well
-    appearance: float = 6.0  # evidence of what a cell looks like, for each power of e; 4 does as well
+    appearance: float = 12.0  # evidence of what a cell looks like, for each power of e; 6 and 16 do as well
     rings_m: Tuple[float, ...] = (1.5, 3.0, 5.0, 8.0)  # at which cells show what a surface looks like
     far_cells: int = 16  # and no farther: bounds the time
     directions: int = 12  # of a ring

@@ -60,14 +60,13 @@ def described(
         source[cells], error[cells] = kind, (parameters.least_m + share * relief)[cells]
     for each in (fused.second, fused.first):
         cells = (each.count > 0) & _meant(each, height, parameters)
+        count[cells], spread[cells], score[cells] = each.count[cells], each.spread[cells], each.score[cells]
+        source[cells] = Provenance.MATCHED
         # What others contradict is less sure.
-        agree = each.evidence / np.maximum(fused.evidence, each.evidence)
-        own = np.float32(parameters.of_sigma) * each.sigma / (agree * np.sqrt(each.count))
-        apart = [own, np.nan_to_num(each.spread), height - each.height, steps]
-        whole = np.sqrt(sum(part * part for part in apart))
-        parts = (each.count, each.spread, each.score, np.full_like(height, Provenance.MATCHED), whole)
-        for target, values in zip((count, spread, score, source, error), parts):
-            target[cells] = values[cells]
+        agree = each.evidence[cells] / np.maximum(fused.evidence, each.evidence)[cells]
+        own = np.float32(parameters.of_sigma) * each.sigma[cells] / (agree * np.sqrt(each.count[cells]))
+        apart = np.nan_to_num(each.spread[cells]), height[cells] - each.height[cells]
+        error[cells] = np.hypot(np.hypot(own, steps[cells]), np.hypot(*apart))
     return SurfaceCells(height, count, spread, score, source, error)
 
 
@@ -82,4 +81,5 @@ def _relief(height: FloatImage, known: Mask, reach: int) -> FloatImage:
     around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     high = cv2.dilate(np.where(known, height, np.float32(-np.inf)), around)
     low = cv2.erode(np.where(known, height, np.float32(np.inf)), around)
-    return np.where(known, high - low, np.float32(np.nan))
+    with np.errstate(invalid="ignore"):
+        return np.where(known, high - low, np.float32(np.nan))
