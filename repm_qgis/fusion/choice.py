@@ -132,7 +132,7 @@ class _Sweeper:
         p, known = self._problem.parameters, np.isfinite(height)
         low, high = _extremes(height, known)
         others = np.isfinite(self._problem.fused.second.height) | np.isfinite(self._problem.ground)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             result: Mask = known & ((high - low > p.scale_m) | others)
         return result
 

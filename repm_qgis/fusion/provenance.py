@@ -81,5 +81,5 @@ def _relief(height: FloatImage, known: Mask, reach: int) -> FloatImage:
     around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     high = cv2.dilate(np.where(known, height, np.float32(-np.inf)), around)
     low = cv2.erode(np.where(known, height, np.float32(np.inf)), around)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         return np.where(known, high - low, np.float32(np.nan))
