@@ -188,10 +188,9 @@ class _Sweeper:
         with np.errstate(invalid="ignore"):
             same = (np.abs(around - candidate) < p.step_m) & np.isfinite(alike)
         count = same.sum(axis=0)
-        share = np.where(same, alike, np.float32(0)).sum(axis=0) / np.maximum(count, 1)
-        # Of a surface that few cells show nothing is known: half of its cells may look like this one.
-        share = np.where(count >= p.least_cells, share, np.float32(0.5))
-        cost: FloatImage = -np.log(share + np.float32(p.floor)).astype(np.float32)
+        # Laplace's rule of succession: of a surface that no cell shows, half may look like this one.
+        share = (np.where(same, alike, np.float32(0)).sum(axis=0) + 1) / (count + 2)
+        cost: FloatImage = -np.log(share).astype(np.float32)
         return cost
 
     def _surroundings(self, padded: FloatImage, place: IntArray, offsets: Offsets) -> Tuple[FloatImage, FloatImage]:

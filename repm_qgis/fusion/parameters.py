@@ -81,9 +81,7 @@ class ChoiceParameters(Parameters):
     rings_m: Tuple[float, ...] = (1.5, 3.0, 5.0, 8.0)  # at which cells show what a surface looks like
     far_cells: int = 16  # and no farther: bounds the time
     directions: int = 12  # of a ring
-    least_cells: int = 4  # of these that must show a surface
     step_m: float = 3.0  # of height between two surfaces
-    floor: float = 0.05  # of the density of a surface's brightness: no brightness is impossible
     sweeps: int = 6  # over the cells; 10 do as well
     at_once: int = 1 << 13  # cells; fits into a processor's cache
 
@@ -95,9 +93,7 @@ class ShadedGroundParameters(Parameters):
     weak_score: float = 0.85  # of a single map's height: below, the images hardly support it; 0.8 and 0.9 do as well
     least_slope: float = 0.3  # of what matching makes of nothing, m per m
     slope_sigma_cells: float = 1.5  # of the mean whose slope that is; chosen
-    gap_m: float = 1.0  # along the sun's direction: narrower ones may belong to the roof
     clear_m: float = 0.5  # by which a shadow's edge must pass over a cell
-    above_m: float = 0.5  # by which a weak height must stand above the ground to be replaced
     reach_m: float = 100.0  # of the search for a shadow's end
     reach_cells: int = 400  # and no farther: bounds the memory
     directions_deg: Tuple[float, ...] = tuple(

@@ -69,42 +69,34 @@ def shaded_ground(
 ) -> FloatImage:
     """(H, W) heights of the ground on which shadows lie, for cells that take them; NaN for all others.
 
-    Cells in shadow take them that have no height of their own, or a weak one on a slope, above that ground: what
+    Cells in shadow take them that have no height of their own, or a weak one on a slope: what
     matching makes of nothing leads down from the roof. ``height`` (H, W) is in m, NaN = none, ``behind`` (H, W) as of
     :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row and column of the first cell on the
     ground: rays are the same whatever part of a DSM is asked for.
 
     The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
     support its height. Several directions about the sun's are asked, and the lower ones that agree are believed,
-    because some end on roofs. On slopes nothing is known, nor in narrow gaps, which may belong to the roof's edge, nor
-    beyond the DSM's border. At last cells take the median of what is found around them.
+    because some end on roofs. On slopes nothing is known, nor beyond the DSM's border. At last cells take
+    the median of what is found around them.
     """
     doubted = (behind == NOTHING) | (behind == WEAK) & _steep(height, cell, parameters)
     trusted = np.where(doubted, np.float32(np.nan), height.astype(np.float32))
     steep = _steep(trusted, cell, parameters)
     shadow = cast_shadow(trusted, cell, sun, parameters, first)  # what is wrong may cast one, or stand out of one
-    cells = _within(np.flatnonzero(shadow & doubted), doubted, np.isfinite(height), cell, sun, parameters)
+    cells = _within(np.flatnonzero(shadow & doubted), np.isfinite(height), cell, sun, parameters)
     sure = ~doubted & (~shadow | (behind == SUPPORTED) & ~steep)
     ground = np.full(height.shape, np.nan, np.float32)
     ground.ravel()[cells] = _ends(height, cells, sure, steep, cell, sun, parameters)
-    agreed = _like_around(ground, cells, cell, parameters)
-    with np.errstate(invalid="ignore"):
-        taken = np.isfinite(agreed) & ~(height.ravel()[cells] <= agreed + parameters.above_m)
-    result = np.full(height.shape, np.nan, np.float32)
-    result.ravel()[cells[taken]] = agreed[taken]
-    return result
+    smooth = np.full(height.shape, np.nan, np.float32)
+    smooth.ravel()[cells] = _like_around(ground, cells, cell, parameters)
+    return smooth
 
 
-def _within(
-    cells: IntArray, doubted: Mask, known: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters
-) -> IntArray:
-    """Those of (N,) cells that lie in no narrow gap along the sun's direction, and have heights on both of its sides:
-    beyond the DSM's border there is nothing to see a shadow by."""
-    away, narrow = sun.azimuth + 180.0, math.ceil(parameters.gap_m / cell)
-    apart = sum(_next(~doubted, cells, towards, narrow + 1)[1] for towards in (sun.azimuth, away))
-    cells = cells[(apart - 1.0) * cell >= parameters.gap_m]
+def _within(cells: IntArray, known: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters) -> IntArray:
+    """Those of (N,) cells that have heights on both sides across the sun's direction: beyond the DSM's border there is
+    nothing to see a shadow by."""
     for side in (90.0, -90.0):
-        cells = cells[_next(known, cells, away + side, parameters.reach(cell))[0] >= 0]
+        cells = cells[_next(known, cells, sun.azimuth + 180.0 + side, parameters.reach(cell))[0] >= 0]
     return cells
 
 
