@@ -1,6 +1,6 @@
 """How bright the cells of a DSM are: the median of several views, so that a shadow that moved counts for little.
 
-Neither the block in which cells are asked for nor its place has a part in their brightness: views have one stretch for
+Neither the block in which cells are asked for nor its place has a part in their brightness: views have one range for
 the whole scene, and what is interpolated lies on a lattice that is fixed on the ground.
 """
 
@@ -52,7 +52,7 @@ class Witnesses:
 def brightness(
     witnesses: Witnesses, grid: CellGrid, height: FloatImage, parameters: BrightnessParameters = FUSION.brightness
 ) -> FloatImage:
-    """(H, W) brightness of cells with their heights (m above the ellipsoid), 0 to 1; NaN = unknown.
+    """(H, W) brightness of cells with their heights (m above the ellipsoid), where 0 to 1 is the range of nearly all; NaN = unknown.
 
     The first views that show the grid are taken, as many as the parameters say; each counts where it sees a cell past
     all that stands higher within ``hidden_cells`` of it.
@@ -72,7 +72,8 @@ def brightness(
             pixels = _pixels_on(view, witnesses, grid, height, parameters)
             values = sample_source(dataset, view.band, pixels, "bilinear")
         hidden = blocked(slope, grid, height, parameters.clearance_m, parameters.hidden_cells)
-        seen.append(np.where(known & ~hidden, stretch.apply(values), np.float32(np.nan)))
+        light = (values - np.float32(stretch.low)) / np.float32(stretch.high - stretch.low)
+        seen.append(np.where(known & ~hidden, light, np.float32(np.nan)))
     return median_of_known(np.stack(seen)) if seen else nothing
 
 
