@@ -96,10 +96,9 @@ def told():
 
 @pytest.fixture(scope="session")
 def as_they_are():
-    """Parameters with which no height gives way because it does not fit the images."""
+    """Parameters with which nothing is chosen: cells have what their own maps say."""
     fusion = ENGINE.fusion
-    strays, widened = replace(fusion.strays, least_m=1e6), replace(fusion.widened, step_m=1e6)
-    return replace(ENGINE, fusion=replace(fusion, strays=strays, widened=widened))
+    return replace(ENGINE, fusion=replace(fusion, walls=replace(fusion.walls, least_tail=1e9)))
 
 
 @pytest.fixture(scope="session")

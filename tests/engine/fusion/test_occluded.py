@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.fusion.occluded import occluded_ground
-from repm_qgis.fusion.visible import blocked
+from repm_qgis.fusion.visible import blocked, slope_over
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.scene import Scene
@@ -105,7 +105,8 @@ def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, cap
     right = (np.abs(errors[filled]) < 2.5).mean()
     grid = CellGrid(town.transform[0], town.transform[3], town.transform[1], town.surface.shape)
     views = [view for view in town.true_views if view.name in scene.tiles[0].heights[0].pair]
-    hidden = [blocked(view, grid, town.surface.astype(np.float32), town.crs, 0.5) for view in views]
+    surface = town.surface.astype(np.float32)
+    hidden = [blocked(slope_over(view, grid, surface, town.crs), grid, surface, 0.5) for view in views]
     known, seen = np.isfinite(errors), ~(hidden[0] | hidden[1])
     shares = known[seen].mean(), known[~seen].mean()
     with capsys.disabled():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from repm_qgis.fusion.aggregation import FusedCells
+from repm_qgis.fusion.aggregation import Candidate
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.fusion.shaded import NOTHING, SUPPORTED, WEAK, Sun, cast_shadow, shaded_ground, support
 from repm_qgis.geometry.sun import sun_position
@@ -116,12 +116,13 @@ def test_a_level_roof_in_a_shadow_stays_however_weak():
     assert np.isnan(ground_of(height, weak=weak)).all()
 
 
-def test_a_narrow_gap_at_the_roofs_edge_stays_empty():
+def test_rays_are_the_same_in_every_part_of_a_dsm():
+    """Lines run through whole cells, which must be the same ones whatever part is asked for."""
     height = town()
-    height[119:120, 130:150] = np.nan
-    assert np.isnan(ground_of(height)).all()
-    height[105:120, 130:150] = np.nan
-    assert np.isfinite(ground_of(height)).sum() > 100
+    whole = cast_shadow(height, CELL, Sun(151.3, 36.0))
+    part = cast_shadow(height[33:251, 41:262], CELL, Sun(151.3, 36.0), first=(33, 41))
+    assert whole.sum() > 500
+    np.testing.assert_array_equal(part, whole[33:251, 41:262])
 
 
 def test_on_slopes_hardly_anything_is_filled_and_nothing_wrongly():
@@ -198,9 +199,8 @@ def test_only_single_heights_with_a_low_score_are_weak():
     height = np.array([[1.0, 1, 1, 1, np.nan]])
     count = np.array([[1, 1, 2, 0, 0]], np.uint8)
     score = np.array([[0.5, 0.95, 0.5, np.nan, np.nan]])
-    filled = np.array([[False, False, False, True, False]])
-    fused = FusedCells(height, count, np.full((1, 5), np.nan), score, filled)
-    assert support(fused).tolist() == [[WEAK, SUPPORTED, SUPPORTED, NOTHING, NOTHING]]
+    first = Candidate(height, *(np.ones((1, 5)) for _ in range(2)), count, np.full((1, 5), np.nan), score)
+    assert support(first).tolist() == [[WEAK, SUPPORTED, SUPPORTED, NOTHING, NOTHING]]
 
 
 def scene(*times):
