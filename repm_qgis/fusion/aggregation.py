@@ -233,7 +233,7 @@ class _Witnesses:
         deviation = (share * np.where(members, self.sigma, np.float32(0))).sum(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
             score = np.where(matched, self.score, np.float32(0)).sum(axis=0) / count
-            variance = np.where(members, share * (self.height - mean) ** 2, np.float32(0)).sum(axis=0)
+            variance = np.where(matched, (self.height - mean) ** 2, np.float32(0)).sum(axis=0) / count
         spread = np.where(count > 1, np.sqrt(variance), np.float32(np.nan))
         if method == "median" and len(self.height) > 2:
             several = members.sum(axis=0) > 2

@@ -52,7 +52,8 @@ class Witnesses:
 def brightness(
     witnesses: Witnesses, grid: CellGrid, height: FloatImage, parameters: BrightnessParameters = FUSION.brightness
 ) -> FloatImage:
-    """(H, W) brightness of cells with their heights (m above the ellipsoid), where 0 to 1 is the range of nearly all; NaN = unknown.
+    """(H, W) brightness of cells with their heights (m above the ellipsoid): 0 to 1 is the range of nearly all pixels
+    of a view. NaN is unknown.
 
     The first views that show the grid are taken, as many as the parameters say; each counts where it sees a cell past
     all that stands higher within ``hidden_cells`` of it.

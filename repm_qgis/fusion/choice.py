@@ -6,9 +6,9 @@ ground in a shadow, and the heights of its neighbours, as the one with the least
 
 - what the maps have against it (``aggregation.py``), in units of a map's evidence. Pairs share images, so that the sum
   of n maps counts as the root of n;
-- how far it lies from the heights around it, in a truncated linear norm (Boykov, Veksler and Zabih 2001, "Fast
-  approximate energy minimization via graph cuts"), each weighted by how alike the images show the two cells, as in
-  adaptive support weights (Yoon and Kweon 2006);
+- how far it lies from the heights around it, carried on along the slope there, in a truncated linear norm (Boykov,
+  Veksler and Zabih 2001, "Fast approximate energy minimization via graph cuts"), each weighted by how alike the images
+  show the two cells, as in adaptive support weights (Yoon and Kweon 2006);
 - at steps, how little the cell looks like the surface whose height it would have: the negative logarithm of its
   brightness's density among the cells of that surface within some metres (a kernel estimate, as in "GrabCut", Rother,
   Kolmogorov and Blake 2004). This is what tells a roof from the shadow beside it.
@@ -74,7 +74,7 @@ def reach_cells(cell: float, parameters: ChoiceParameters = FUSION.choice) -> in
 def chosen(problem: Problem) -> FloatImage:
     """(H, W) heights, m; NaN where no map has a height and no shadow lies on ground."""
     height = np.where(np.isfinite(problem.ground), problem.ground, problem.fused.height)
-    sweeper = _Sweeper(problem)
+    sweeper = _Sweeper(problem, height)
     asked = sweeper.uneven(height)
     for _ in range(problem.parameters.sweeps):
         cells = np.flatnonzero(asked)
@@ -115,7 +115,7 @@ def _far(cell: float, parameters: ChoiceParameters) -> Offsets:
 class _Sweeper:
     """Decides cells of a problem, given the heights of all others."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, start: FloatImage) -> None:
         p, self._problem = problem.parameters, problem
         self._near, self._far = _near(problem.cell, p), _far(problem.cell, p)
         self._rim = max(max(map(abs, offset)) for offset in (*self._near, *self._far))
@@ -125,6 +125,9 @@ class _Sweeper:
         self._closeness = np.exp(-squares * np.float32((problem.cell / p.near_m) ** 2 / 2))[:, None]
         side = 2 * near_reach(problem.cell, p) + 1
         self.around = np.ones((side, side), np.uint8)
+        reach = near_reach(problem.cell, p)
+        level, steepest = p.level * problem.cell, p.steepest * problem.cell
+        self._slopes = [_slope(start, axis, reach, level, steepest) for axis in (0, 1)]
         self._limits = np.float32(1) / np.sqrt(np.maximum(problem.fused.evidence, np.float32(1)))
 
     def uneven(self, height: FloatImage) -> Mask:
@@ -156,9 +159,14 @@ class _Sweeper:
         own = padded.ravel()[place]
         candidates = [own, problem.fused.first.height.ravel()[cells], problem.fused.second.height.ravel()[cells]]
         candidates.append(problem.ground.ravel()[cells])
-        candidates += [padded.ravel()[place + down * self._width + right] for down, right in _NEIGHBOURS]
+        slopes = [slope.ravel()[cells] for slope in self._slopes]
+        for neighbour in _NEIGHBOURS:
+            there = padded.ravel()[place + neighbour[0] * self._width + neighbour[1]]
+            candidates.append(there - _rise(slopes, neighbour))
         witnesses = problem.witnesses(cells)
         around, alike = self._surroundings(padded, place, self._near)
+        for height, offset in zip(around, self._near):
+            height -= _rise(slopes, offset)
         alike = np.where(np.isnan(alike), np.float32(math.exp(-1.0)), alike) * self._closeness
         alike[np.isnan(around)] = 0
         around = np.nan_to_num(around)
@@ -212,6 +220,36 @@ class _Sweeper:
     def _padded(self, values: FloatImage) -> FloatImage:
         padded: FloatImage = np.pad(values.astype(np.float32), self._rim, constant_values=_NOTHING)
         return padded
+
+
+def _rise(slopes: Sequence[FloatImage], offset: Tuple[int, int]) -> FloatImage:
+    """(N,) by how much the ground rises from cells to those so many rows and columns away, m."""
+    rise: FloatImage = np.float32(offset[0]) * slopes[0] + np.float32(offset[1]) * slopes[1]
+    return rise
+
+
+def _slope(height: FloatImage, axis: int, reach: int, level: float, steepest: float) -> FloatImage:
+    """(H, W) the mean difference between neighbours along an axis, m a cell, of the surface around each cell: larger
+    differences than ``steepest`` are steps between surfaces, and have no part in it; what rises by less than ``level``
+    is level."""
+    difference = np.diff(height, axis=axis, append=np.float32(np.nan))
+    with np.errstate(invalid="ignore"):
+        known = np.abs(difference) < steepest
+    sums = [np.where(known, difference, np.float32(0)), known.astype(np.float32)]
+    for along in (0, 1):
+        sums = [_running_sum(part, along, reach) for part in sums]
+    slope: FloatImage = sums[0] / np.maximum(sums[1], np.float32(1))
+    return np.where(np.abs(slope) < level, np.float32(0), slope)
+
+
+def _running_sum(values: FloatImage, axis: int, reach: int) -> FloatImage:
+    """The sum of values up to so many places away along an axis, in an order that is the same everywhere."""
+    rows, columns = values.shape
+    wide = np.pad(values, [(reach, reach) if along == axis else (0, 0) for along in (0, 1)])
+    total = np.zeros_like(values)
+    for step in range(2 * reach + 1):
+        total += wide[step : step + rows] if axis == 0 else wide[:, step : step + columns]
+    return total
 
 
 def _extremes(height: FloatImage, known: Mask) -> Tuple[FloatImage, FloatImage]:

@@ -74,6 +74,8 @@ class ChoiceParameters(Parameters):
     smoothness: float = 4.0  # evidence against a height that is far from all heights around it; 2 and 6 do as well
     scale_m: float = 0.5  # of the differences between neighbours
     most: float = 2.0  # of these scales that count: farther away is another surface
+    level: float = 0.2  # m for each m: ground and roofs that rise by less are level
+    steepest: float = 1.0  # m for each m: steeper differences are steps, and no slope that a surface has
     near_m: float = 1.5  # half the side of the window of neighbours, and standard deviation of their weights
     near_cells: int = 5  # and no more: bounds the time
     contrast: float = 0.2  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.15 do as well
@@ -136,7 +138,8 @@ class BrightnessParameters(Parameters):
 class WallParameters(Parameters):
     """Whether a scene has walls (fusion/walls.py)."""
 
-    least_tail: float = 14.0  # of the details of its maps (matching/detail.py): 25 to 180 in towns, 2 to 7 elsewhere
+    least_tail: float = 10.0  # of the details of its maps (matching/detail.py): 16 to 140 in towns, 2 to 6 elsewhere
+    neighbours: int = 4  # of eight that a height needs to be asked: gross errors have long tails, too
     maps: int = 9  # that are asked, evenly spread; their median decides
     window_px: int = 1000  # side of the part of each
 

@@ -3,6 +3,8 @@ none. It is asked once, of the scene's height maps, so that no part of a scene i
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..arrays import Window
@@ -11,23 +13,31 @@ from ..matching.detail import tail
 from ..matching.parameters import MATCHING, SubpixelParameters
 from ..records import HeightMapRecord
 from ..scene import Scene
-from .parameters import FUSION, WallParameters
+from .outliers import remove_isolated_points
+from .parameters import FUSION, IsolatedPointParameters, WallParameters
 
 
 def has_walls(
-    scene: Scene, parameters: WallParameters = FUSION.walls, subpixel: SubpixelParameters = MATCHING.subpixel
+    scene: Scene,
+    parameters: WallParameters = FUSION.walls,
+    subpixel: SubpixelParameters = MATCHING.subpixel,
+    isolated: IsolatedPointParameters = FUSION.isolated,
 ) -> bool:
     """Whether the details of a scene's height maps have the long tail that walls give them."""
     records = [record for tile in scene.tiles for record in tile.heights]
     asked = records[:: max(1, -(-len(records) // parameters.maps))]
-    tails = [_tail(record, parameters.window_px, subpixel) for record in asked]
+    alike = replace(isolated, neighbours=parameters.neighbours)
+    tails = [_tail(record, parameters.window_px, subpixel, alike) for record in asked]
     return bool(tails) and float(np.median(tails)) >= parameters.least_tail
 
 
-def _tail(record: HeightMapRecord, side: int, parameters: SubpixelParameters) -> float:
+def _tail(
+    record: HeightMapRecord, side: int, parameters: SubpixelParameters, isolated: IsolatedPointParameters
+) -> float:
     with opened(record.file) as dataset:
         width, height = min(side, dataset.RasterXSize), min(side, dataset.RasterYSize)
         middle = Window((dataset.RasterXSize - width) // 2, (dataset.RasterYSize - height) // 2, width, height)
         values, filled = read(dataset, middle, 1), read(dataset, middle, 3) > 0
-    matched = np.where(filled, np.float32(np.nan), values / np.float32(record.metres_per_px))
-    return tail(matched.astype(np.float32), parameters)
+    matched = np.where(filled, np.nan, values / record.metres_per_px)
+    # In px of disparity; gross errors have long tails, too.
+    return tail(remove_isolated_points(matched, 1.0, isolated).astype(np.float32), parameters)

@@ -92,7 +92,8 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
 
 
 def _walls(fusion: Fusion, progress: Progress) -> bool:
-    return has_walls(fusion.scene, fusion.parameters.fusion.walls, fusion.parameters.matching.subpixel)
+    numbers = fusion.parameters.fusion
+    return has_walls(fusion.scene, numbers.walls, fusion.parameters.matching.subpixel, numbers.isolated)
 
 
 def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> JoinedTiles:

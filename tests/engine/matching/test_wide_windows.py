@@ -58,7 +58,7 @@ def test_weak_shading_gets_heights_within_their_stated_error(bank):
     found = kept(pair)
     known = np.isfinite(found.disparity[inside])
     off = np.abs(found.disparity - SLOPE)[inside][known]
-    stated = 0.15 + 0.85 * (1 - found.score[inside][known])  # px; fusion/expected_error.py
+    stated = 0.15 + 0.85 * (1 - found.score[inside][known])  # px
     assert known.mean() > 0.75  # the windows of its rim reach beyond it
     assert (off < stated).mean() > 0.6 and (off < 2 * stated).mean() > 0.9
     assert not found.filled[inside].any()
