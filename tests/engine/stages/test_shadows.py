@@ -50,8 +50,9 @@ def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_
         # What lies within the noise of a background or of a map, its first height or its second one, is that one's.
         assert np.isin(source[changed], (Provenance.SHADOW, Provenance.BACKGROUND, Provenance.MATCHED)).all()
         near = changed & (source == Provenance.MATCHED) & (confidence[:3] == before[:3])[[0, 2]].all(axis=0)
+        # Of a map at its worst score, three standard deviations.
         widest = max(r.metres_per_px for tile in Scene.load(urban_run.result["scene"]).tiles for r in tile.heights)
-        assert near.sum() > 20 and np.abs(dsm - plain)[near].max() < 3 * 0.65 * widest  # 3 standard deviations at the worst score
+        assert near.sum() > 20 and np.abs(dsm - plain)[near].max() < 3 * 0.65 * widest
     assert np.isnan(confidence[:3, taken]).all() and np.isfinite(error[taken]).all()
     assert facts["background"] == np.isin(source, (Provenance.BACKGROUND, Provenance.SHADOW)).sum()
     assert facts["background"] > without["background"] == (before[3] == Provenance.BACKGROUND).sum()
