@@ -8,12 +8,16 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from repm_qgis import memory
 from repm_qgis.errors import OptionError
+from repm_qgis.fusion.aggregation import HeightLayer, aggregate
+from repm_qgis.imagery.raster import created
 from repm_qgis.memory import (
     colouring_mib,
+    fitting_mib,
     free_mib,
     fusing_mib,
     gathering_mib,
@@ -111,6 +115,23 @@ _refined(RefineTask(scene.lean(), (tile,), "bilinear" if side else None))
 end(max(view.window.width for view in tile.views.values()) if side else 0)
 """
 )
+CHOOSING = """
+import json, sys
+from repm_qgis.parallel import begin_worker
+begin_worker()
+from repm_qgis.arrays import Window
+from repm_qgis.fusion.joining import JoinedTiles
+from repm_qgis.fusion.surface import Block, SurfaceTask, make_block
+from repm_qgis.geometry.cell_grid import CellGrid
+folder, side, walls = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+whole = Window(0, 0, side, side)
+joined = JoinedTiles(whole, folder + "/joined.tif", 0, folder + "/shaded.tif" if walls else "")
+lights = (Block(whole, folder + "/light.npy"),) if walls else ()
+grid = CellGrid(0.0, side * 0.5, 0.5, (side, side))
+make_block(SurfaceTask(Block(whole, folder + "/made.npy"), whole, joined, grid, lights, True))
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(json.dumps(int(peak.split()[1]) / 1024))
+"""
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak is told by Linux")
 
 
@@ -181,6 +202,30 @@ def test_the_estimate_of_refining_is_right_within_a_tenth(measured, writes):
 def test_the_estimate_of_gathering_points_is_right_within_a_half(measured, maps, normals):
     peak, *facts = measured(GATHERING, maps, int(normals))
     assert peak / 1.5 < gathering_mib(*facts) < 1.5 * peak
+
+
+@linux
+@pytest.mark.parametrize("side, walls", ((150, True), (1200, False), (1200, True)))
+def test_the_estimate_of_choosing_heights_is_right_within_a_half(tmp_path, side, walls):
+    """Roofs all over the block, a third of the maps displaced, and ground in shadows."""
+    rng = np.random.default_rng(1)
+    surface = np.full((side, side), 100.0)
+    for row, column in rng.integers(0, side, (side**2 // 900, 2)):
+        surface[row : row + 14, column : column + 14] = 110.0
+    nothing, score = np.full(surface.shape, np.nan), np.full(surface.shape, 0.9)
+    layers = [HeightLayer(np.roll(surface, shift, 1), score, nothing, 1.0) for shift in (0, 0, 3)]
+    ground = np.where(rng.uniform(size=surface.shape) < 0.1, np.float32(100), np.float32(np.nan))
+    for name, parts in (("joined", aggregate(layers, "median", 2).arrays()), ("shaded", (ground,))):
+        frame = surface.shape, np.dtype(np.float32), len(parts), None, ""
+        with created(str(tmp_path / f"{name}.tif"), *frame, compress=False) as raster:
+            for band, values in enumerate(parts, start=1):
+                raster.write(values, 0, 0, band)
+    np.save(tmp_path / "light.npy", (surface > 105).astype(np.float32))
+    command = [sys.executable, "-c", CHOOSING, str(tmp_path), str(side), str(int(walls))]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    peak = json.loads(done.stdout)
+    assert peak / 1.5 < fitting_mib(side**2) < 1.5 * peak
+    assert np.isfinite(np.load(tmp_path / "made.npy")[0]).all()
 
 
 def test_a_budget_bounds_the_workers_and_says_so(told):
