@@ -256,7 +256,8 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
         assert layer.renderer().type() == "paletted"
         found[layer.renderer().usesBands()[0]] = [each.label for each in layer.renderer().classes()]
     assert found[1] == ["1", "2", "3"]
-    assert found[4] == ["Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM"]
+    sources = ["Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM"]
+    assert found[4] == [*sources, "Ground in a shadow", "From the cells beside it"]
     assert len({tuple(pixel) for pixel in drawn(layer, layer.extent(), (4, 4)).reshape(-1, 3)}) == 4
 
 
