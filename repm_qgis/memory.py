@@ -168,7 +168,7 @@ def fusing_mib(pixels: Sequence[int], cells: int) -> float:
     maps, part = len(pixels), min(cells, _PART_CELLS)
     share = min(1.0, 1.3 * _PART_CELLS / max(cells, 1))
     read = (115.0 * max(pixels, default=0) + 8.0 * sum(pixels[1:])) * share
-    fused = read + (45.0 * maps + 4.0 * maps * (maps - 1)) * part + 30.0 * cells
+    fused = read + (45.0 * maps + 4.0 * maps * (maps - 1)) * part + 115.0 * cells
     return 105.0 + fused / _MIB
 
 
@@ -182,7 +182,7 @@ def gathering_mib(pixels: Sequence[int], cells: int) -> float:
 
 
 def fitting_mib(cells: int) -> float:
-    """Peak memory of a worker that compares so many cells with the images (fusion/fitting.py), MiB. Fitted to measured
+    """Peak memory of a worker that compares so many cells with the images (fusion/surface.py), MiB. Fitted to measured
     peaks of 0.02 to 1.2 million cells, with six views: 149 to 313 MiB."""
     return 150.0 + 155.0 * cells / _MIB
 

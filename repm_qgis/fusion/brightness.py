@@ -70,7 +70,8 @@ def brightness(
         if pixel_window(view.project, to_geodetic, grid.bounds, witnesses.altitudes, view.size, smallest=1) is None:
             continue
         with opened_masked(view.image, view.mask) as dataset:
-            pixels = _pixels_on(view, witnesses, grid, height, parameters)
+            # OpenCV resamples at 32nds of a pixel, counted from the window that is read: these are the same in any.
+            pixels = np.round(_pixels_on(view, witnesses, grid, height, parameters) * 32) / 32
             values = sample_source(dataset, view.band, pixels, "bilinear")
         hidden = blocked(slope, grid, height, parameters.clearance_m, parameters.hidden_cells)
         light = (values - np.float32(stretch.low)) / np.float32(stretch.high - stretch.low)

@@ -57,11 +57,7 @@ def test_without_filling_only_matched_heights_are_left(fused):
 
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
 def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
-    """Three sizes of blocks, in which tiles are gridded and heights are chosen, and the same bytes.
-
-    In a town pixels are resampled from windows of the images that depend on the block, in single precision: of a
-    hundred thousand cells, some few may be decided otherwise by the last bit of a brightness.
-    """
+    """Three sizes of blocks, in which tiles are gridded and heights are chosen, and the same bytes."""
     scene = request.getfixturevalue(f"{kind}_run").result["scene"]
     found = []
     for number, (side, part) in enumerate(((1024, 512), (300, 200), (160, 333))):
@@ -70,10 +66,8 @@ def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
         run_stage("dsmfuse", {"scene": scene, "resolution": 0.5, "output": path}, told(), parameters)
         found.append(bands(path)[0][0])
     assert np.isfinite(found[0]).mean() > 0.5
-    most = {"urban": 1e-4, "mountains": 0.0}[kind]
     for other in found[1:]:
-        np.testing.assert_array_equal(np.isnan(other), np.isnan(found[0]))
-        assert (other != found[0])[np.isfinite(found[0])].mean() <= most
+        np.testing.assert_array_equal(other, found[0])
 
 
 def test_without_its_images_a_scene_is_fused_and_that_is_said(fused, urban_run, tmp_path):
