@@ -32,7 +32,6 @@ from ..arrays import FloatImage, IntArray, Mask
 from .aggregation import FusedCells, objection
 from .parameters import FUSION, ChoiceParameters, EvidenceParameters
 
-_AROUND = np.ones((3, 3), np.uint8)
 _NEIGHBOURS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
 _NOTHING, _INFINITE = np.float32(np.nan), np.float32(np.inf)
 Offsets = Sequence[Tuple[int, int]]
@@ -67,8 +66,7 @@ class Problem:
 
 def reach_cells(cell: float, parameters: ChoiceParameters = FUSION.choice) -> int:
     """How many cells away from a cell of the side ``cell`` (m) its height may depend on, in all sweeps."""
-    places = (*_near(cell, parameters), *_far(cell, parameters))
-    return parameters.sweeps * max(max(map(abs, place)) for place in places)
+    return parameters.sweeps * _farthest(_near(cell, parameters), _far(cell, parameters))
 
 
 def chosen(problem: Problem) -> FloatImage:
@@ -112,20 +110,24 @@ def _far(cell: float, parameters: ChoiceParameters) -> Offsets:
     return sorted(set(places) - {(0, 0)})
 
 
+def _farthest(*offsets: Offsets) -> int:
+    """How many rows or columns away the farthest place is."""
+    return max(max(map(abs, place)) for part in offsets for place in part)
+
+
 class _Sweeper:
     """Decides cells of a problem, given the heights of all others."""
 
     def __init__(self, problem: Problem, start: FloatImage) -> None:
         p, self._problem = problem.parameters, problem
         self._near, self._far = _near(problem.cell, p), _far(problem.cell, p)
-        self._rim = max(max(map(abs, offset)) for offset in (*self._near, *self._far))
+        self._rim = _farthest(self._near, self._far)
         self._width = problem.brightness.shape[1] + 2 * self._rim
         self._brightness = self._padded(problem.brightness)
         squares = np.array([down**2 + right**2 for down, right in self._near], np.float32)
         self._closeness = np.exp(-squares * np.float32((problem.cell / p.near_m) ** 2 / 2))[:, None]
-        side = 2 * near_reach(problem.cell, p) + 1
-        self.around = np.ones((side, side), np.uint8)
         reach = near_reach(problem.cell, p)
+        self.around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         level, steepest = p.level * problem.cell, p.steepest * problem.cell
         self._slopes = [_slope(start, axis, reach, level, steepest) for axis in (0, 1)]
         self._limits = np.float32(1) / np.sqrt(np.maximum(problem.fused.evidence, np.float32(1)))
@@ -133,7 +135,7 @@ class _Sweeper:
     def uneven(self, height: FloatImage) -> Mask:
         """(H, W) known cells with other candidates, or with a neighbour at another height."""
         p, known = self._problem.parameters, np.isfinite(height)
-        low, high = _extremes(height, known)
+        low, high = extremes(height, known)
         others = np.isfinite(self._problem.fused.second.height) | np.isfinite(self._problem.ground)
         with np.errstate(invalid="ignore", over="ignore"):
             result: Mask = known & ((high - low > p.scale_m) | others)
@@ -143,7 +145,7 @@ class _Sweeper:
         """(N,) the heights of cells with the least cost, given the present heights (H, W)."""
         p = self._problem.parameters
         padded = self._padded(height)
-        low, _ = _extremes(height, np.isfinite(height))
+        low, _ = extremes(height, np.isfinite(height))
         with np.errstate(invalid="ignore"):
             front = (height - low > p.step_m).ravel()[cells]
         result = np.empty(len(cells), np.float32)
@@ -252,8 +254,9 @@ def _running_sum(values: FloatImage, axis: int, reach: int) -> FloatImage:
     return total
 
 
-def _extremes(height: FloatImage, known: Mask) -> Tuple[FloatImage, FloatImage]:
-    """(H, W) the lowest and the highest known height of each cell and its neighbours."""
-    low = cv2.erode(np.where(known, height, _INFINITE), _AROUND)
-    high = cv2.dilate(np.where(known, height, -_INFINITE), _AROUND)
+def extremes(height: FloatImage, known: Mask, reach: int = 1) -> Tuple[FloatImage, FloatImage]:
+    """(H, W) the lowest and the highest known height up to so many rows and columns away from each cell."""
+    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    low = cv2.erode(np.where(known, height, _INFINITE), around)
+    high = cv2.dilate(np.where(known, height, -_INFINITE), around)
     return low, high

@@ -13,7 +13,7 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..imagery.raster import created, opened, read
 from ..options import DsmFuseOptions
 from ..scene import Scene
-from .aggregation import FIELDS, FusedCells
+from .aggregation import FIELDS, Candidate, FusedCells
 from .feathering import feathered
 from .layout import DsmLayout
 from .parameters import FUSION, FusionParameters
@@ -35,6 +35,11 @@ class JoinedTiles:
         """The candidates of a window of the crop; heights in m above the ellipsoid."""
         with opened(self.path) as dataset:
             return FusedCells.of([read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)])
+
+    def first(self, window: Window) -> Candidate:
+        """The first candidates of a window of the crop alone."""
+        with opened(self.path) as dataset:
+            return Candidate(*(read(dataset, window, band) for band in range(1, FIELDS + 1)))
 
     def first_heights(self, window: Window) -> FloatImage:
         """(H, W) the heights to begin with: those of the first candidates, in shadows the ground."""
@@ -87,7 +92,7 @@ def join_tiles(
     with created(shaded, *frame, 1, None, "", compress=False) as raster:
         cell, numbers = layout.grid.cell, parameters.shaded
         for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
-            first = joined.fused(wide).first
+            first = joined.first(wide)
             corner = layout.grid.part(crop).part(wide)
             origin = -round(corner.north / cell), round(corner.west / cell)
             found = shaded_ground(first.height, support(first, numbers), cell, sun, numbers, origin)

@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Tuple
 
-import cv2
 import numpy as np
 
 from ..arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
 from .aggregation import Candidate, FusedCells
+from .choice import extremes
 from .parameters import FUSION, ErrorParameters
 
 
@@ -78,8 +78,6 @@ def _meant(candidate: Candidate, height: FloatImage, parameters: ErrorParameters
 
 def _relief(height: FloatImage, known: Mask, reach: int) -> FloatImage:
     """(H, W) the difference between the highest and the lowest height around each cell, m."""
-    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    high = cv2.dilate(np.where(known, height, np.float32(-np.inf)), around)
-    low = cv2.erode(np.where(known, height, np.float32(np.inf)), around)
+    low, high = extremes(height, known, reach)
     with np.errstate(invalid="ignore", over="ignore"):
         return np.where(known, high - low, np.float32(np.nan))

@@ -20,8 +20,6 @@ from .joining import JoinedTiles
 from .parameters import FUSION, FusionParameters
 from .provenance import SurfaceCells, described
 
-_FROM_MAPS = (Provenance.MATCHED,)
-
 
 @dataclass(frozen=True)
 class Block:
@@ -99,7 +97,7 @@ def make_block(task: SurfaceTask) -> None:
     surface = described(fused, ground, height, near_reach(cell, p.choice), p.error)
     values = np.stack([getattr(surface, field.name) for field in fields(surface)])
     if not task.filled:
-        values[:, ~np.isin(surface.source, _FROM_MAPS)] = np.nan
+        values[:, surface.source != Provenance.MATCHED] = np.nan
     task.block.keep(task.wide, values)
 
 
