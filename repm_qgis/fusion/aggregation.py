@@ -13,6 +13,7 @@ The height with the least against it is the first candidate of a cell; what othe
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Optional, Sequence, Tuple, Union
 
@@ -28,15 +29,23 @@ _AROUND = np.ones((3, 3), np.uint8)
 @dataclass(frozen=True)
 class HeightLayer:
     """A height map on the cells: ``height`` (m, NaN = not matched) with its ``score``, ``background`` (m, NaN = none)
-    where an occlusion hides the cell, and the height of one px of disparity. ``partial`` cells are covered by matched
-    points to less than half, ``partial_background`` by the background's (None: no cells are)."""
+    where an occlusion hides the cell, the height of one px of disparity, and the ``spacing`` of pixels on the ground
+    (m). ``partial`` cells are covered by matched points to less than half, ``partial_background`` by the background's
+    (None: no cells are)."""
 
     height: Floats
     score: Floats
     background: Floats
     metres_per_px: float
+    spacing: float
     partial: Optional[Mask] = None
     partial_background: Optional[Mask] = None
+
+    @property
+    def unit(self) -> float:
+        """In what standard deviations of heights are counted, m: pairs with a wider base see heights better by the
+        root of it only, because they also see relief otherwise (counted on towns, mountains, three-line images)."""
+        return math.sqrt(self.metres_per_px * self.spacing)
 
 
 @dataclass(frozen=True)
@@ -125,8 +134,7 @@ def aggregate(
 ) -> FusedCells:
     """The candidates of cells from height maps on them.
 
-    ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by their inverse standard deviations in
-    both. ``rim`` is as of :func:`rim_cells`.
+    ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by their inverse variances in both. ``rim`` is as of :func:`rim_cells`.
     """
     shape = layers[0].height.shape
     witnesses = _Witnesses.of(layers, rim, parameters)
@@ -178,10 +186,10 @@ class _Witnesses:
         return _Witnesses(height, evidence, sigma, score, self.matched[:, cells], self.parameters)
 
     def mean(self, members: Mask) -> FloatImage:
-        """(N,) the mean of the members' heights, weighted by their inverse standard deviations; NaN without any."""
+        """(N,) the mean of the members' heights, weighted by their inverse variances; NaN without any."""
         total, value = np.zeros((2, members.shape[1]))
         for height, sigma, member in zip(self.height, self.sigma, members):
-            weight = np.where(member, 1.0 / sigma.astype(np.float64), 0.0)
+            weight = np.where(member, 1.0 / sigma.astype(np.float64) ** 2, 0.0)
             total += weight
             value += np.where(member, weight * height, 0.0)
         with np.errstate(invalid="ignore"):
@@ -237,7 +245,7 @@ class _Witnesses:
         spread = np.where(count > 1, np.sqrt(variance), np.float32(np.nan))
         if method == "median" and len(self.height) > 2:
             several = members.sum(axis=0) > 2
-            inverse = np.where(members[:, several], 1.0 / self.sigma[:, several], 0.0)
+            inverse = np.where(members[:, several], 1.0 / self.sigma[:, several] ** 2, 0.0)
             mean[several] = _weighted_median(self.height[:, several], inverse)
         arrays = (mean, evidence, deviation, count, spread, score)
         return Candidate(*(values.astype(np.float32) for values in arrays))
@@ -269,7 +277,7 @@ def _witness(layer: HeightLayer, rim: int, p: EvidenceParameters) -> Tuple[Float
     behind = np.float32(p.background) * np.where(half_background, np.float32(p.doubtful), np.float32(1))
     evidence = np.where(known, evidence, np.where(np.isfinite(background), behind, np.float32(0)))
     loss = 1.0 - np.clip(np.nan_to_num(score), 0.0, 1.0)
-    sigma = np.where(known, p.best_px + p.per_score_px * loss, p.background_px) * layer.metres_per_px
+    sigma = np.where(known, p.best + p.per_score * loss, p.of_background) * layer.unit
     return np.where(known, height, background), evidence, sigma.astype(np.float32), score, known.astype(np.float32)
 
 

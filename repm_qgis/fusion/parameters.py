@@ -54,15 +54,15 @@ class EvidenceParameters(Parameters):
     """What a map says of a cell (fusion/aggregation.py; `make bench-ablation`). Gross errors were counted on scenes of
     four kinds with true surfaces; C1 hardly depends on these values."""
 
-    best_px: float = 0.15  # standard deviation of a matched disparity at a correlation of 1
-    per_score_px: float = 0.5  # and more for each 1 of correlation less
+    best: float = 0.16  # standard deviation of a matched height at a correlation of 1, in units of HeightLayer
+    per_score: float = 3.2  # and more for each 1 of correlation less; 2.4 does as well
     same: float = 2.5  # standard deviations within which heights mean the same surface; 2 and 3 do as well
     rim_px: float = 2.5  # from a step down, where matching may have widened what stands above it
     step_m: float = 1.5  # of such a step, and not less than
     step_px: float = 1.5  # so much disparity
     doubtful: float = 0.5  # evidence of a height there, beside a hole, or that covers half of its cell at most
     background: float = 0.2  # evidence of an occlusion's background
-    background_px: float = 0.75  # its standard deviation
+    of_background: float = 1.2  # its standard deviation, in these units
     ground_m: float = 0.5  # standard deviation of the ground in a shadow; its evidence is 1
     in_shadow: float = 0.3  # of the evidence of what maps have there
 

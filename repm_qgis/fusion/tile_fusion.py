@@ -198,11 +198,11 @@ def grid_height_map(
     x, y, z = (np.concatenate([part.ravel()[filled], more]) for part, more in zip(maps, occluded))
     half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
-        return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, covered < half)
+        return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half)
     background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing, gridding)
     # A roof's last pixels reach into cells that are mostly occluded ground.
     with np.errstate(invalid="ignore"):
         mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))
     height[mostly_behind] = np.nan
     score[mostly_behind] = np.nan
-    return HeightLayer(height, score, background, metres_per_px, covered < half, behind < half)
+    return HeightLayer(height, score, background, metres_per_px, spacing, covered < half, behind < half)
