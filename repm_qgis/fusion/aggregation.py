@@ -24,6 +24,7 @@ from ..arrays import FloatImage, Floats, IntArray, Mask
 from .parameters import FUSION, EvidenceParameters
 
 _AROUND = np.ones((3, 3), np.uint8)
+_SURER = np.float32(1e-3)  # of evidence for each m of a standard deviation: more than the order of sums changes
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,8 @@ def aggregate(
 ) -> FusedCells:
     """The candidates of cells from height maps on them.
 
-    ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by their inverse variances in both. ``rim`` is as of :func:`rim_cells`.
+    ``method`` is ``mean`` or ``median`` of the heights that agree, weighted by their inverse variances in both.
+    ``rim`` is as of :func:`rim_cells`.
     """
     shape = layers[0].height.shape
     witnesses = _Witnesses.of(layers, rim, parameters)
@@ -217,8 +219,9 @@ class _Witnesses:
         """(N,) the height, of those of the witnesses, that has the least against it; NaN without any."""
         least = np.full(self.height.shape[1], np.inf, np.float32)
         result = np.full(least.shape, np.nan, np.float32)
-        for candidate in self.height:
-            cost = np.where(np.isfinite(candidate), self._against(candidate), np.float32(np.inf))
+        for candidate, sigma in zip(self.height, self.sigma):
+            # Of two that have as much against them the surer one, so that the order of the maps does not matter.
+            cost = np.where(np.isfinite(candidate), self._against(candidate) + _SURER * sigma, np.float32(np.inf))
             better = cost < least
             least, result = np.where(better, cost, least), np.where(better, candidate, result)
         return result

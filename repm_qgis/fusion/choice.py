@@ -6,24 +6,24 @@ ground in a shadow, and the heights of its neighbours, as the one with the least
 
 - what the maps have against it (``aggregation.py``), in units of a map's evidence. Pairs share images, so that the sum
   of n maps counts as the root of n;
-- how far it lies from the heights around it, carried on along the slope there, in a truncated linear norm (Boykov,
-  Veksler and Zabih 2001, "Fast approximate energy minimization via graph cuts"), each weighted by how alike the images
-  show the two cells, as in adaptive support weights (Yoon and Kweon 2006);
+- how far it lies from the heights around it, in a truncated linear norm (Boykov, Veksler and Zabih 2001, "Fast
+  approximate energy minimization via graph cuts"), each weighted by how alike the images show the two cells, as in
+  adaptive support weights (Yoon and Kweon 2006);
 - at steps, how little the cell looks like the surface whose height it would have: the negative logarithm of its
   brightness's density among the cells of that surface within some metres (a kernel estimate, as in "GrabCut", Rother,
   Kolmogorov and Blake 2004). This is what tells a roof from the shadow beside it.
 
 All cells are decided at once, sweep after sweep (Besag's iterated conditional modes, 1986), and neighbours pass their
 heights on (as in PatchMatch stereo, Bleyer, Rhemann and Rother 2011). A sweep depends on cells within a fixed reach, so
-that heights do not depend on the blocks in which they are made. Level ground and relief without steps stay as they are,
-and so does all of a scene without walls (``walls.py``): there these terms would take away relief.
+that heights do not depend on the blocks in which they are made. Ground without steps stays as it is, and so does all of
+a scene without walls (``walls.py``): there these terms would take away relief.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Sequence, Tuple
+from typing import List, Tuple
 
 import cv2
 import numpy as np
@@ -31,10 +31,11 @@ import numpy as np
 from ..arrays import FloatImage, IntArray, Mask
 from .aggregation import FusedCells, objection
 from .parameters import FUSION, ChoiceParameters, EvidenceParameters
+from .surroundings import Offsets, extremes, farthest, others, places
 
-_NEIGHBOURS = tuple((down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if down or right)
+_NEIGHBOURS = others(places(1.0, 1.0))
+_AT_ONCE = 1 << 13  # cells whose arrays fit into a processor's cache
 _NOTHING, _INFINITE = np.float32(np.nan), np.float32(np.inf)
-Offsets = Sequence[Tuple[int, int]]
 Witness = Tuple[FloatImage, FloatImage, FloatImage]
 """(N,) heights of cells (m), the evidence for them, and their standard deviations (m)."""
 
@@ -66,13 +67,13 @@ class Problem:
 
 def reach_cells(cell: float, parameters: ChoiceParameters = FUSION.choice) -> int:
     """How many cells away from a cell of the side ``cell`` (m) its height may depend on, in all sweeps."""
-    return parameters.sweeps * _farthest(_near(cell, parameters), _far(cell, parameters))
+    return parameters.sweeps * max(near_reach(cell, parameters), farthest(places(parameters.far_m, cell)))
 
 
 def chosen(problem: Problem) -> FloatImage:
     """(H, W) heights, m; NaN where no map has a height and no shadow lies on ground."""
     height = np.where(np.isfinite(problem.ground), problem.ground, problem.fused.height)
-    sweeper = _Sweeper(problem, height)
+    sweeper = _Sweeper(problem)
     asked = sweeper.uneven(height)
     for _ in range(problem.parameters.sweeps):
         cells = np.flatnonzero(asked)
@@ -89,47 +90,22 @@ def chosen(problem: Problem) -> FloatImage:
 
 def near_reach(cell: float, parameters: ChoiceParameters = FUSION.choice) -> int:
     """Half the side of the window of a cell's neighbours, in cells of the side ``cell`` (m)."""
-    return max(1, min(round(parameters.near_m / cell), parameters.near_cells))
-
-
-def _near(cell: float, parameters: ChoiceParameters) -> Offsets:
-    """The cells around a cell whose heights its own should have."""
-    reach = near_reach(cell, parameters)
-    places = range(-reach, reach + 1)
-    return [(down, right) for down in places for right in places if down or right]
-
-
-def _far(cell: float, parameters: ChoiceParameters) -> Offsets:
-    """The places around a cell that show what the surfaces there look like: rings, the directions of which differ."""
-    places = []
-    for number, radius in enumerate(parameters.rings_m):
-        cells = min(radius / cell, parameters.far_cells)
-        for k in range(parameters.directions):
-            turn = 2 * math.pi * (k + 0.5 * (number % 2)) / parameters.directions
-            places.append((round(cells * math.sin(turn)), round(cells * math.cos(turn))))
-    return sorted(set(places) - {(0, 0)})
-
-
-def _farthest(*offsets: Offsets) -> int:
-    """How many rows or columns away the farthest place is."""
-    return max(max(map(abs, place)) for part in offsets for place in part)
+    return farthest(places(parameters.near_m, cell))
 
 
 class _Sweeper:
     """Decides cells of a problem, given the heights of all others."""
 
-    def __init__(self, problem: Problem, start: FloatImage) -> None:
+    def __init__(self, problem: Problem) -> None:
         p, self._problem = problem.parameters, problem
-        self._near, self._far = _near(problem.cell, p), _far(problem.cell, p)
-        self._rim = _farthest(self._near, self._far)
+        self._near, self._far = (others(places(reach, problem.cell)) for reach in (p.near_m, p.far_m))
+        self._rim = farthest([*self._near, *self._far])
         self._width = problem.brightness.shape[1] + 2 * self._rim
         self._brightness = self._padded(problem.brightness)
         squares = np.array([down**2 + right**2 for down, right in self._near], np.float32)
         self._closeness = np.exp(-squares * np.float32((problem.cell / p.near_m) ** 2 / 2))[:, None]
-        reach = near_reach(problem.cell, p)
-        self.around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-        level, steepest = p.level * problem.cell, p.steepest * problem.cell
-        self._slopes = [_slope(start, axis, reach, level, steepest) for axis in (0, 1)]
+        side = 2 * near_reach(problem.cell, p) + 1
+        self.around = np.ones((side, side), np.uint8)
         self._limits = np.float32(1) / np.sqrt(np.maximum(problem.fused.evidence, np.float32(1)))
 
     def uneven(self, height: FloatImage) -> Mask:
@@ -149,8 +125,8 @@ class _Sweeper:
         with np.errstate(invalid="ignore"):
             front = (height - low > p.step_m).ravel()[cells]
         result = np.empty(len(cells), np.float32)
-        for first in range(0, len(cells), p.at_once):
-            part = slice(first, first + p.at_once)
+        for first in range(0, len(cells), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
             result[part] = self._decided(padded, cells[part], front[part])
         return result
 
@@ -161,14 +137,9 @@ class _Sweeper:
         own = padded.ravel()[place]
         candidates = [own, problem.fused.first.height.ravel()[cells], problem.fused.second.height.ravel()[cells]]
         candidates.append(problem.ground.ravel()[cells])
-        slopes = [slope.ravel()[cells] for slope in self._slopes]
-        for neighbour in _NEIGHBOURS:
-            there = padded.ravel()[place + neighbour[0] * self._width + neighbour[1]]
-            candidates.append(there - _rise(slopes, neighbour))
+        candidates += [padded.ravel()[place + down * self._width + right] for down, right in _NEIGHBOURS]
         witnesses = problem.witnesses(cells)
         around, alike = self._surroundings(padded, place, self._near)
-        for height, offset in zip(around, self._near):
-            height -= _rise(slopes, offset)
         alike = np.where(np.isnan(alike), np.float32(math.exp(-1.0)), alike) * self._closeness
         alike[np.isnan(around)] = 0
         around = np.nan_to_num(around)
@@ -222,41 +193,3 @@ class _Sweeper:
     def _padded(self, values: FloatImage) -> FloatImage:
         padded: FloatImage = np.pad(values.astype(np.float32), self._rim, constant_values=_NOTHING)
         return padded
-
-
-def _rise(slopes: Sequence[FloatImage], offset: Tuple[int, int]) -> FloatImage:
-    """(N,) by how much the ground rises from cells to those so many rows and columns away, m."""
-    rise: FloatImage = np.float32(offset[0]) * slopes[0] + np.float32(offset[1]) * slopes[1]
-    return rise
-
-
-def _slope(height: FloatImage, axis: int, reach: int, level: float, steepest: float) -> FloatImage:
-    """(H, W) the mean difference between neighbours along an axis, m a cell, of the surface around each cell: larger
-    differences than ``steepest`` are steps between surfaces, and have no part in it; what rises by less than ``level``
-    is level."""
-    difference = np.diff(height, axis=axis, append=np.float32(np.nan))
-    with np.errstate(invalid="ignore"):
-        known = np.abs(difference) < steepest
-    sums = [np.where(known, difference, np.float32(0)), known.astype(np.float32)]
-    for along in (0, 1):
-        sums = [_running_sum(part, along, reach) for part in sums]
-    slope: FloatImage = sums[0] / np.maximum(sums[1], np.float32(1))
-    return np.where(np.abs(slope) < level, np.float32(0), slope)
-
-
-def _running_sum(values: FloatImage, axis: int, reach: int) -> FloatImage:
-    """The sum of values up to so many places away along an axis, in an order that is the same everywhere."""
-    rows, columns = values.shape
-    wide = np.pad(values, [(reach, reach) if along == axis else (0, 0) for along in (0, 1)])
-    total = np.zeros_like(values)
-    for step in range(2 * reach + 1):
-        total += wide[step : step + rows] if axis == 0 else wide[:, step : step + columns]
-    return total
-
-
-def extremes(height: FloatImage, known: Mask, reach: int = 1) -> Tuple[FloatImage, FloatImage]:
-    """(H, W) the lowest and the highest known height up to so many rows and columns away from each cell."""
-    around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    low = cv2.erode(np.where(known, height, _INFINITE), around)
-    high = cv2.dilate(np.where(known, height, -_INFINITE), around)
-    return low, high

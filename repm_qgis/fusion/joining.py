@@ -17,7 +17,7 @@ from .aggregation import FIELDS, Candidate, FusedCells
 from .feathering import feathered
 from .layout import DsmLayout
 from .parameters import FUSION, FusionParameters
-from .shaded import Sun, shaded_ground, support
+from .shaded import Sun, halo, shaded_ground, support
 from .tile_fusion import FusedTile, StoredTile
 
 
@@ -91,7 +91,9 @@ def join_tiles(
         return joined
     with created(shaded, *frame, 1, None, "", compress=False) as raster:
         cell, numbers = layout.grid.cell, parameters.shaded
-        for own, wide in overlapping_blocks((crop.width, crop.height), parameters.hole_block_cells, numbers.halo(cell)):
+        for own, wide in overlapping_blocks(
+            (crop.width, crop.height), parameters.hole_block_cells, halo(cell, numbers)
+        ):
             first = joined.first(wide)
             corner = layout.grid.part(crop).part(wide)
             origin = -round(corner.north / cell), round(corner.west / cell)

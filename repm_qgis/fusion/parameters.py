@@ -74,18 +74,12 @@ class ChoiceParameters(Parameters):
     smoothness: float = 4.0  # evidence against a height that is far from all heights around it; 2 and 6 do as well
     scale_m: float = 0.5  # of the differences between neighbours
     most: float = 2.0  # of these scales that count: farther away is another surface
-    level: float = 0.2  # m for each m: ground and roofs that rise by less are level
-    steepest: float = 1.0  # m for each m: steeper differences are steps, and no slope that a surface has
-    near_m: float = 1.5  # half the side of the window of neighbours, and standard deviation of their weights
-    near_cells: int = 5  # and no more: bounds the time
+    near_m: float = 1.5  # of the neighbours to each side, and standard deviation of their weights; 1.0 loses courts
     contrast: float = 0.2  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.15 do as well
     appearance: float = 12.0  # evidence of what a cell looks like, for each power of e; 6 and 16 do as well
-    rings_m: Tuple[float, ...] = (1.5, 3.0, 5.0, 8.0)  # at which cells show what a surface looks like
-    far_cells: int = 16  # and no farther: bounds the time
-    directions: int = 12  # of a ring
+    far_m: float = 5.0  # to each side, of the cells that show what a surface looks like; 8 m loses small roofs
     step_m: float = 3.0  # of height between two surfaces
     sweeps: int = 6  # over the cells; 10 do as well
-    at_once: int = 1 << 13  # cells; fits into a processor's cache
 
 
 @dataclass(frozen=True)
@@ -93,34 +87,15 @@ class ShadedGroundParameters(Parameters):
     """Ground in shadows without texture (docs/method.md, "Fusion"; `make bench-towns`)."""
 
     weak_score: float = 0.85  # of a single map's height: below, the images hardly support it; 0.8 and 0.9 do as well
-    least_slope: float = 0.3  # of what matching makes of nothing, m per m
+    least_slope: float = 0.3  # m per m: where it is steeper, no shadow ends
     slope_sigma_cells: float = 1.5  # of the mean whose slope that is; chosen
     clear_m: float = 0.5  # by which a shadow's edge must pass over a cell
     reach_m: float = 100.0  # of the search for a shadow's end
     reach_cells: int = 400  # and no farther: bounds the memory
-    directions_deg: Tuple[float, ...] = tuple(
-        range(-40, 41, 10)
-    )  # about the one away from the sun; 30 and 60 lose 0.1 %
-    quantile: float = 0.25  # of the ends in these directions: some lie on roofs; 0.35 loses courts in January
-    level_m: float = 1.0  # by which two directions may differ
-    lattice_m: float = 2.0  # between the places around a cell whose median it takes; 1 and 3 do as well
-    lattice_reach: int = 2  # of them to each side; 3 does as well
-    least_around: int = 5  # of these 25 that must have a ground; with 1 small gaps take what is far away
+    turns_deg: Tuple[float, ...] = tuple(range(-40, 41, 10))  # about the direction away from the sun
+    around_m: float = 4.0  # to each side, of the places around a cell whose median it takes
+    least_share: float = 0.35  # of these places that must have a ground; with 0.1 small gaps take what is far away
     least_elevation_deg: float = 10.0  # of the sun: with less, shadows have no end
-
-    def reach(self, cell: float) -> int:
-        """Cells of the side ``cell`` (m) within which a shadow's end is looked for."""
-        return max(1, min(int(self.reach_m / cell), self.reach_cells))
-
-    def lattice(self, cell: float) -> Tuple[int, int]:
-        """Cells between the places around a cell, and those to the farthest of them."""
-        step = max(1, round(self.lattice_m / cell))
-        return step, self.lattice_reach * step
-
-    def halo(self, cell: float) -> int:
-        """Cells around a block on which its own cells depend, on either side."""
-        # The place where a shadow ends is as far away, and what shades that place farther by as much.
-        return 2 * self.reach(cell) + self.lattice(cell)[1]
 
 
 @dataclass(frozen=True)
@@ -128,10 +103,7 @@ class BrightnessParameters(Parameters):
     """How bright cells are (fusion/brightness.py)."""
 
     views: int = 6  # the most vertical ones; with 10 the time grows, and nothing else
-    clearance_m: float = 1.0  # by which a surface must stand above a line of sight to block it
-    hidden_cells: int = 160  # and no farther away: bounds the time
-    square_cells: int = 256  # side of the squares on whose lattice views are projected exactly
-    nodes: int = 5  # a side of this lattice
+    hidden_cells: int = 160  # no farther away things hide a cell: bounds the time
 
 
 @dataclass(frozen=True)
@@ -171,7 +143,8 @@ class ErrorParameters(Parameters):
 class VisibilityParameters(Parameters):
     """Which cells of a surface a view shows, and where (fusion/visible.py); both values are chosen."""
 
-    nodes: int = 9  # a side of the lattice on which views are projected exactly
+    square_cells: int = 256  # side of the squares, fixed on the ground, on whose lattice views are projected exactly
+    nodes: int = 5  # a side of this lattice
     clearance_m: float = 1.0  # by which a surface must stand above a line of sight to block it
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from ..arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
 from .aggregation import Candidate, FusedCells
-from .choice import extremes
 from .parameters import FUSION, ErrorParameters
+from .surroundings import extremes
 
 
 @dataclass(frozen=True)

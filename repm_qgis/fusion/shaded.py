@@ -22,6 +22,7 @@ from ..scene import Scene
 from ..sfm.pair_selection import sun_over
 from .aggregation import Candidate
 from .parameters import FUSION, ShadedGroundParameters
+from .surroundings import farthest, places
 
 SUPPORTED, WEAK, NOTHING = range(3)
 """What is behind a height, see :func:`support`."""
@@ -69,22 +70,21 @@ def shaded_ground(
 ) -> FloatImage:
     """(H, W) heights of the ground on which shadows lie, for cells that take them; NaN for all others.
 
-    Cells in shadow take them that have no height of their own, or a weak one on a slope: what
-    matching makes of nothing leads down from the roof. ``height`` (H, W) is in m, NaN = none, ``behind`` (H, W) as of
-    :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row and column of the first cell on the
-    ground: rays are the same whatever part of a DSM is asked for.
+    Cells in shadow take them that have no height of their own, or a weak one. ``height`` (H, W) is in m, NaN = none,
+    ``behind`` (H, W) as of :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row and column
+    of the first cell on the ground: rays are the same whatever part of a DSM is asked for.
 
     The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
-    support its height. Several directions about the sun's are asked, and the lower ones that agree are believed,
-    because some end on roofs. On slopes nothing is known, nor beyond the DSM's border. At last cells take
-    the median of what is found around them.
+    support its height. Several directions about the sun's are asked, and the second lowest end is believed, because
+    some end on roofs. On slopes nothing is known, nor beyond the DSM's border. At last cells take the median of what is
+    found around them.
     """
-    doubted = (behind == NOTHING) | (behind == WEAK) & _steep(height, cell, parameters)
+    doubted = behind != SUPPORTED
     trusted = np.where(doubted, np.float32(np.nan), height.astype(np.float32))
     steep = _steep(trusted, cell, parameters)
     shadow = cast_shadow(trusted, cell, sun, parameters, first)  # what is wrong may cast one, or stand out of one
     cells = _within(np.flatnonzero(shadow & doubted), np.isfinite(height), cell, sun, parameters)
-    sure = ~doubted & (~shadow | (behind == SUPPORTED) & ~steep)
+    sure = ~doubted & ~(shadow & steep)
     ground = np.full(height.shape, np.nan, np.float32)
     ground.ravel()[cells] = _ends(height, cells, sure, steep, cell, sun, parameters)
     smooth = np.full(height.shape, np.nan, np.float32)
@@ -96,40 +96,44 @@ def _within(cells: IntArray, known: Mask, cell: float, sun: Sun, parameters: Sha
     """Those of (N,) cells that have heights on both sides across the sun's direction: beyond the DSM's border there is
     nothing to see a shadow by."""
     for side in (90.0, -90.0):
-        cells = cells[_next(known, cells, sun.azimuth + 180.0 + side, parameters.reach(cell))[0] >= 0]
+        cells = cells[_next(known, cells, sun.azimuth + 180.0 + side, _reach(cell, parameters))[0] >= 0]
     return cells
 
 
 def _ends(
     height: Floats, cells: IntArray, sure: Mask, steep: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters
 ) -> FloatImage:
-    """(N,) the level ground at which the shadow of each of N cells ends; NaN where directions do not agree on one."""
-    directions, reach = parameters.directions_deg, parameters.reach(cell)
-    ends = np.full((len(directions), len(cells)), np.nan, np.float32)
-    for end, turn in zip(ends, directions):
+    """(N,) the level ground at which the shadow of each of N cells ends; NaN where fewer than two directions end so."""
+    turns, reach = parameters.turns_deg, _reach(cell, parameters)
+    ends = np.full((len(turns), len(cells)), np.nan, np.float32)
+    for end, turn in zip(ends, turns):
         place, _ = _next(sure, cells, sun.azimuth + 180.0 + turn, reach)
         level = (place >= 0) & ~steep.ravel()[place]
         end[level] = height.ravel()[place[level]]
-    found = np.isfinite(ends).sum(axis=0)
-    ends = np.sort(ends, axis=0)  # NaN last
-    lower = np.maximum(1, (parameters.quantile * (found - 1)).astype(np.intp))
-    below, ground, above = (
-        np.take_along_axis(ends, np.minimum(lower + step, len(ends) - 1)[None], axis=0)[0] for step in (-1, 0, 1)
-    )
-    with np.errstate(invalid="ignore"):
-        alike = (ground - below <= parameters.level_m) | (above - ground <= parameters.level_m)
-    return np.where(alike, ground, np.float32(np.nan))
+    second: FloatImage = np.sort(ends, axis=0)[1]  # NaN last
+    return second
 
 
 def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: ShadedGroundParameters) -> FloatImage:
     """(N,) the ground of N cells: the median of what is found around them, so that rays leave no streaks."""
-    step, reach = parameters.lattice(cell)
+    around = places(parameters.around_m, cell)
+    reach, least = farthest(around), math.ceil(parameters.least_share * len(around))
     padded = np.pad(ground, reach, constant_values=np.nan)
     row, column = np.divmod(cells, ground.shape[1])
-    offsets = range(0, 2 * reach + 1, step)
-    around = np.stack([padded[row + down, column + right] for down in offsets for right in offsets])
-    middle = median_of_known(around, parameters.least_around)
+    found = np.stack([padded[row + reach + down, column + reach + right] for down, right in around])
+    middle = median_of_known(found, least)
     return np.where(np.isnan(middle), ground.ravel()[cells], middle)
+
+
+def halo(cell: float, parameters: ShadedGroundParameters = FUSION.shaded) -> int:
+    """Cells of the side ``cell`` (m) around a block on which its own cells depend, on either side."""
+    # The place where a shadow ends is as far away, and what shades that place farther by as much.
+    return 2 * _reach(cell, parameters) + farthest(places(parameters.around_m, cell))
+
+
+def _reach(cell: float, parameters: ShadedGroundParameters) -> int:
+    """How many cells away a shadow's end is looked for."""
+    return max(1, min(int(parameters.reach_m / cell), parameters.reach_cells))
 
 
 def _next(known: Mask, cells: IntArray, towards: float, reach: int) -> Tuple[IntArray, Floats]:

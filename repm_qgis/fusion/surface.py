@@ -63,7 +63,8 @@ class LightTask:
 def light_block(task: LightTask) -> None:
     """Write the brightness of a block into its file. Raises ImageError where a view cannot be read."""
     height = task.joined.first_heights(task.wide)
-    light = brightness(task.witnesses, task.grid.part(task.wide), height, task.parameters.brightness)
+    numbers = task.parameters.brightness, task.parameters.visibility
+    light = brightness(task.witnesses, task.grid.part(task.wide), height, *numbers)
     task.block.keep(task.wide, light)
 
 

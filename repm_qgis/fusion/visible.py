@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Callable, List, Optional, Protocol, Sequence
+from typing import Callable, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Floats, Mask
+from ..arrays import Altitudes, FloatArray, FloatImage, Floats, Mask, Window
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
@@ -53,7 +53,7 @@ def orthophoto(
         if not open_cells.any():
             break
         with opened_masked(view.image, view.mask) as dataset:
-            pixels = pixels_on(view, grid, height, crs, parameters.nodes)
+            pixels = pixels_on(view, grid, height, crs, parameters)
             values = sample_source(dataset, view.band, pixels, "bilinear")
         open_cells &= np.isfinite(values)
         if open_cells.any():  # what hides cells takes longest to find
@@ -66,17 +66,48 @@ def orthophoto(
     return result
 
 
-def pixels_on(camera: Camera, grid: CellGrid, height: Floats, crs: str, nodes: int) -> FloatArray:
-    """(H, W, 2) pixels of the cells: exact on a lattice at two heights, linear between."""
-    low, high = float(np.nanmin(height)), float(np.nanmax(height)) + 1.0
+def pixels_on(
+    camera: Camera,
+    grid: CellGrid,
+    height: Floats,
+    crs: str,
+    parameters: VisibilityParameters = FUSION.visibility,
+    altitudes: Optional[Altitudes] = None,
+) -> FloatArray:
+    """(H, W, 2) pixels of the cells: exact at two ``altitudes`` (m, those of the heights where None is given) on the
+    lattices of squares that are fixed on the ground, linear between."""
+    low, high = altitudes or (float(np.nanmin(height)), float(np.nanmax(height)))
+    high += 1.0
 
     def project(xy: FloatArray, altitude: float) -> FloatArray:
         lon_lat = geodetic_from_projected(crs, xy)
         return camera.project(np.concatenate([lon_lat, np.full(lon_lat.shape[:2] + (1,), altitude)], axis=-1))
 
-    at_low, at_high = (on_lattice(*grid.centres(), partial(project, altitude=z), (nodes, nodes)) for z in (low, high))
-    share: FloatArray = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
-    return at_low + share * (at_high - at_low)
+    result = np.empty((*grid.shape, 2))
+    share = np.nan_to_num((height - low) / (high - low), nan=-1e6)[..., None]
+    nodes = (parameters.nodes, parameters.nodes)
+    for square, place, inner in _squares(grid, parameters.square_cells):
+        at_low, at_high = (
+            on_lattice(*square.centres(), partial(project, altitude=z), nodes)[inner] for z in (low, high)
+        )
+        result[place] = at_low + share[place] * (at_high - at_low)
+    return result
+
+
+def _squares(grid: CellGrid, side: int) -> Iterator[Tuple[CellGrid, Tuple[slice, slice], Tuple[slice, slice]]]:
+    """The squares of cells, whole multiples of their side on the ground, that a grid has parts of; which part that is,
+    in the grid and in the square."""
+    first_column, first_row = math.floor(grid.west / grid.cell + 0.5), -math.floor(grid.north / grid.cell + 0.5)
+    east, north = grid.west - first_column * grid.cell, grid.north + first_row * grid.cell  # of a grid off the lattice
+    rows, columns = grid.shape
+    whole = Window(0, 0, columns, rows)
+    for row in range(math.floor(first_row / side) * side, first_row + rows, side):
+        for column in range(math.floor(first_column / side) * side, first_column + columns, side):
+            square = CellGrid(column * grid.cell + east, -row * grid.cell + north, grid.cell, (side, side))
+            place = Window(column - first_column, row - first_row, side, side)
+            common = place.common(whole)
+            if common is not None:
+                yield square, common.inside(whole), common.inside(place)
 
 
 def slope_over(view: View, grid: CellGrid, height: Floats, crs: str) -> FloatArray:

@@ -49,8 +49,8 @@ class ColourTask:
 
     def colours(self, source: ColourSource, window: Window, height: Floats, step: int = 1) -> FloatImage:
         """(B, H, W) colours of every ``step``-th cell of a window of these heights; NaN where the view sees none."""
-        dsm, nodes = self.surface.dsm, self.surface.parameters.nodes
-        found = source.colours(dsm.grid.part(window), height, dsm.layout.crs, nodes, step)
+        dsm, visibility = self.surface.dsm, self.surface.parameters
+        found = source.colours(dsm.grid.part(window), height, dsm.layout.crs, visibility, step)
         return np.where(self.surface.seen(source.view, window, height)[::step, ::step], found, np.float32(np.nan))
 
 

@@ -16,6 +16,7 @@ from osgeo import gdal
 
 from ..arrays import FloatArray, FloatImage, Floats
 from ..errors import ImageError, OptionError, OverlapError, RepmError
+from ..fusion.parameters import VisibilityParameters
 from ..fusion.visible import nadir_first, pixels_on
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import footprint, geometry_of, ray_slope
@@ -52,19 +53,27 @@ class ColourSource:
     offsets: Tuple[float, ...] = ()
 
     def colours(
-        self, grid: CellGrid, height: Floats, crs: str, nodes: int, step: int = 1, balanced: bool = True
+        self,
+        grid: CellGrid,
+        height: Floats,
+        crs: str,
+        visibility: VisibilityParameters,
+        step: int = 1,
+        balanced: bool = True,
     ) -> FloatImage:
         """(B, H, W) colours of every ``step``-th row and column of cells, whether the view sees them or not; NaN
         outside the image and without a height (above the ellipsoid, m)."""
-        found = self._sampled(grid, height, crs, nodes, step)
+        found = self._sampled(grid, height, crs, visibility, step)
         if balanced and self.gains:
             gains, offsets = (np.array(each, np.float32)[:, None, None] for each in (self.gains, self.offsets))
             found = found * gains + offsets
         return np.where(np.isfinite(found).all(axis=0), found, np.float32(np.nan))
 
-    def _sampled(self, grid: CellGrid, height: Floats, crs: str, nodes: int, step: int) -> FloatImage:
+    def _sampled(
+        self, grid: CellGrid, height: Floats, crs: str, visibility: VisibilityParameters, step: int
+    ) -> FloatImage:
         def pixels(camera: View | Multispectral) -> FloatArray:
-            return pixels_on(camera, grid, height, crs, nodes)[::step, ::step]
+            return pixels_on(camera, grid, height, crs, visibility)[::step, ::step]
 
         own = pixels(self.view)
         pair = self.multispectral

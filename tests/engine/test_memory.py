@@ -213,7 +213,7 @@ def test_the_estimate_of_choosing_heights_is_right_within_a_half(tmp_path, side,
     for row, column in rng.integers(0, side, (side**2 // 900, 2)):
         surface[row : row + 14, column : column + 14] = 110.0
     nothing, score = np.full(surface.shape, np.nan), np.full(surface.shape, 0.9)
-    layers = [HeightLayer(np.roll(surface, shift, 1), score, nothing, 1.0) for shift in (0, 0, 3)]
+    layers = [HeightLayer(np.roll(surface, shift, 1), score, nothing, 1.0, 1.0) for shift in (0, 0, 3)]
     ground = np.where(rng.uniform(size=surface.shape) < 0.1, np.float32(100), np.float32(np.nan))
     for name, parts in (("joined", aggregate(layers, "median", 2).arrays()), ("shaded", (ground,))):
         frame = surface.shape, np.dtype(np.float32), len(parts), None, ""

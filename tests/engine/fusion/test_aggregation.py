@@ -18,7 +18,7 @@ RIM = 2  # cells by which matching may widen what stands above a step
 def layers(stack, scores=0.9, background=np.nan, metres=1.0):
     metres = np.broadcast_to(metres, len(stack))
     return [
-        HeightLayer(height, np.broadcast_to(scores, SHAPE), np.broadcast_to(background, SHAPE), float(m))
+        HeightLayer(height, np.broadcast_to(scores, SHAPE), np.broadcast_to(background, SHAPE), float(m), 1.0)
         for height, m in zip(stack, metres)
     ]
 
@@ -49,21 +49,21 @@ def test_equal_maps_give_numpys(count, method, function):
 
 
 def test_narrow_pairs_weigh_less():
-    """Two maps: their mean, weighted by the inverse of their standard deviations, 0.2 px at a score of 0.9."""
+    """Two maps: their mean, weighted by the inverse of their variances, which grow with the metres for each px."""
     a, b = np.full(SHAPE, 100.0), np.full(SHAPE, 100.4)
     found = aggregate(layers([a, b], metres=(2.0, 8.0)), "mean", RIM)
     inner = np.s_[1:-1, 1:-1]
-    np.testing.assert_allclose(found.height[inner], (100 / 0.4 + 100.4 / 1.6) / (1 / 0.4 + 1 / 1.6), rtol=1e-6)
+    np.testing.assert_allclose(found.height[inner], (100 / 2 + 100.4 / 8) / (1 / 2 + 1 / 8), rtol=1e-6)
 
 
 def test_a_worse_score_weighs_less():
-    """0.15 px at a correlation of 1, 0.5 px more for each 1 less: 0.2 and 0.4 px at 0.9 and 0.5."""
+    """0.16 units at a correlation of 1, 3.2 more for each 1 less: 0.48 and 1.76 at 0.9 and 0.5."""
     a, b = np.full(SHAPE, 100.0), np.full(SHAPE, 100.2)
-    stack = [HeightLayer(h, np.full(SHAPE, s), np.full(SHAPE, np.nan), 1.0) for h, s in ((a, 0.9), (b, 0.5))]
+    stack = [HeightLayer(h, np.full(SHAPE, s), np.full(SHAPE, np.nan), 1.0, 1.0) for h, s in ((a, 0.9), (b, 0.5))]
     found = aggregate(stack, "mean", RIM)
-    np.testing.assert_allclose(found.height, (100 / 0.2 + 100.2 / 0.4) / (1 / 0.2 + 1 / 0.4), rtol=1e-6)
+    np.testing.assert_allclose(found.height, (100 / 0.48**2 + 100.2 / 1.76**2) / (1 / 0.48**2 + 1 / 1.76**2), rtol=1e-6)
     np.testing.assert_allclose(found.first.evidence, 2.0)
-    np.testing.assert_allclose(found.first.sigma, 0.3, rtol=1e-5)
+    np.testing.assert_allclose(found.first.sigma, 1.12, rtol=1e-5)
 
 
 @pytest.mark.parametrize("method", ("median", "mean"))
@@ -97,7 +97,7 @@ def test_one_in_ten_grossly_wrong_changes_little(count):
     for stack in (clean, dirty):
         score = np.full(truth.shape, 0.9)
         stack = [remove_isolated_points(h, 1.0) for h in stack]
-        found = aggregate([HeightLayer(h, score, np.full(truth.shape, np.nan), 1.0) for h in stack], "mean", RIM)
+        found = aggregate([HeightLayer(h, score, np.full(truth.shape, np.nan), 1.0, 1.0) for h in stack], "mean", RIM)
         height = np.where(radius_outliers(found.height, 1.0, automatic_radius(1.0)), np.nan, found.height)
         assert np.isfinite(height).mean() > 0.97
         errors.append(float(np.sqrt(np.nanmean((height - truth) ** 2))))
@@ -220,12 +220,12 @@ def test_a_map_that_brushes_a_cell_does_not_count_where_another_covers_it():
     """A roof's last pixels reach into cells of the street: 120 m over a fifth of the cell against 100 m over all."""
     roof, street = np.full(SHAPE, 120.0), np.full(SHAPE, 100.0)
     brushed, whole, nothing = np.ones(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool), np.full(SHAPE, np.nan)
-    high = HeightLayer(roof, np.full(SHAPE, 0.9), nothing, 1.0, brushed)
-    found = aggregate([high, HeightLayer(street, np.full(SHAPE, 0.9), nothing, 1.0, whole)], "mean", RIM)
+    high = HeightLayer(roof, np.full(SHAPE, 0.9), nothing, 1.0, 1.0, brushed)
+    found = aggregate([high, HeightLayer(street, np.full(SHAPE, 0.9), nothing, 1.0, 1.0, whole)], "mean", RIM)
     np.testing.assert_allclose(found.height, 100.0)
     np.testing.assert_allclose(found.second.height, 120.0)
     # The background of an occlusion has less evidence than a match, but is not forgotten.
-    found = aggregate([high, HeightLayer(nothing, nothing, street, 1.0, whole, whole)], "mean", RIM)
+    found = aggregate([high, HeightLayer(nothing, nothing, street, 1.0, 1.0, whole, whole)], "mean", RIM)
     np.testing.assert_allclose(found.height, 120.0)
     np.testing.assert_allclose(found.second.height, 100.0)
     assert found.second.filled.all() and not found.first.filled.any()

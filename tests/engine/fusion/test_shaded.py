@@ -107,15 +107,6 @@ def test_a_ramp_that_is_well_supported_stays():
     assert np.isnan(ground_of(wrong)).all()
 
 
-def test_a_level_roof_in_a_shadow_stays_however_weak():
-    height = town()
-    height[106:116, 126:140] = GROUND + 4
-    weak = np.zeros(height.shape, bool)
-    weak[110:112, 130:136] = True
-    assert cast_shadow(height, CELL, SUN)[weak].all()
-    assert np.isnan(ground_of(height, weak=weak)).all()
-
-
 def test_rays_are_the_same_in_every_part_of_a_dsm():
     """Lines run through whole cells, which must be the same ones whatever part is asked for."""
     height = town()
