@@ -63,11 +63,14 @@ def remedy_for(package: Package) -> str:
     return "install QGIS again with its Python modules: it is part of QGIS's own Python"
 
 
-def fresh_answer(code: str, seconds: float = _ASK_SECONDS) -> str:
-    """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure."""
+def fresh_answer(code: str, seconds: float = _ASK_SECONDS, options: tuple[str, ...] = ()) -> str:
+    """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure.
+
+    ``options`` are the interpreter's own.
+    """
     try:
         done = subprocess.run(  # nosec B603 # this interpreter, with code of our own
-            [sys.executable, "-c", code],
+            [sys.executable, *options, "-c", code],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -114,7 +117,7 @@ print(json.dumps(found))
 def gpus() -> list[Gpu]:
     """The CUDA devices that answer here; none where there is no driver, whatever the reason."""
     try:
-        found = json.loads(fresh_answer(_DRIVER) or "[]")
+        found = json.loads(fresh_answer(_DRIVER, options=("-I", "-S")) or "[]")  # alone, it starts at once
         return [Gpu(int(index), str(name), int(total), int(free)) for index, name, total, free in found]
     except (ValueError, TypeError):
         return []

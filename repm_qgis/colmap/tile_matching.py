@@ -107,7 +107,7 @@ def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner) -> L
 
 def _parts(task: GpuTask, allowed: int) -> List[TileFrame]:
     """The tile's frames: one for the whole, or for equal parts that fit into a GPU's memory."""
-    smallest_px = 4 * task.stereo.tile_margin_px
+    smallest_px = 8 * task.stereo.tile_margin_px
     for count in range(1, task.parameters.patch_match.most_parts + 1):
         frames = [frame for frame in map(task.frame, _divided(task.bounds, count)) if frame is not None]
         needed = max((bytes_needed(frame.largest_px, len(frame.views) - 1) for frame in frames), default=0)

@@ -24,7 +24,8 @@ from ..arrays import FloatImage, Floats, IntArray, Mask
 from .parameters import FUSION, EvidenceParameters
 
 _AROUND = np.ones((3, 3), np.uint8)
-_SURER = np.float32(1e-3)  # of evidence for each m of a standard deviation: more than the order of sums changes
+_SURER = np.float32(1e-3)  # of evidence for each m of a standard deviation
+_ALIKE = np.float32(1e-5)  # of evidence: more than the order of sums changes
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,10 @@ class FusedCells:
     def arrays(self) -> Tuple[FloatImage, ...]:
         """All fields of both candidates and the evidence, in their order."""
         return (*self.first.arrays(), *self.second.arrays(), self.evidence)
+
+    def without_choice(self) -> Tuple[FloatImage, ...]:
+        """The same without the second candidates."""
+        return (*self.first.arrays(), self.evidence)
 
     @property
     def height(self) -> FloatImage:
@@ -220,9 +225,11 @@ class _Witnesses:
         least = np.full(self.height.shape[1], np.inf, np.float32)
         result = np.full(least.shape, np.nan, np.float32)
         for candidate, sigma in zip(self.height, self.sigma):
-            # Of two that have as much against them the surer one, so that the order of the maps does not matter.
+            # Of two that have as much against them the surer one, or else the lower one: so the order of the maps,
+            # and of sums, does not matter.
             cost = np.where(np.isfinite(candidate), self._against(candidate) + _SURER * sigma, np.float32(np.inf))
-            better = cost < least
+            with np.errstate(invalid="ignore"):
+                better = (cost < least - _ALIKE) | (cost < least + _ALIKE) & (candidate < result)
             least, result = np.where(better, cost, least), np.where(better, candidate, result)
         return result
 

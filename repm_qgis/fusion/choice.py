@@ -33,7 +33,7 @@ from .aggregation import FusedCells, objection
 from .parameters import FUSION, ChoiceParameters, EvidenceParameters
 from .surroundings import Offsets, extremes, farthest, others, places
 
-_NEIGHBOURS = others(places(1.0, 1.0))
+_NEIGHBOURS = ((-1, 0), (0, -1), (0, 1), (1, 0))
 _AT_ONCE = 1 << 13  # cells whose arrays fit into a processor's cache
 _NOTHING, _INFINITE = np.float32(np.nan), np.float32(np.inf)
 Witness = Tuple[FloatImage, FloatImage, FloatImage]

@@ -23,8 +23,9 @@ from .tile_fusion import FusedTile, StoredTile
 
 @dataclass(frozen=True)
 class JoinedTiles:
-    """The candidates of all tiles on the ``crop`` of the layout, feathered into each other: temporary rasters, that of
-    the ground in shadows only where the sun is known. ``removed`` cells had too few neighbours."""
+    """The candidates of all tiles on the ``crop`` of the layout, feathered into each other: temporary rasters, with
+    second candidates only where there is a choice, and that of the ground in shadows only where the sun is known.
+    ``removed`` cells had too few neighbours."""
 
     crop: Window
     path: str
@@ -34,7 +35,9 @@ class JoinedTiles:
     def fused(self, window: Window) -> FusedCells:
         """The candidates of a window of the crop; heights in m above the ellipsoid."""
         with opened(self.path) as dataset:
-            return FusedCells.of([read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)])
+            bands = [read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)]
+        first, second, evidence = bands[:FIELDS], bands[FIELDS:-1], bands[-1]
+        return FusedCells(Candidate(*first), Candidate(*second) if second else Candidate.none(evidence.shape), evidence)
 
     def first(self, window: Window) -> Candidate:
         """The first candidates of a window of the crop alone."""
@@ -74,13 +77,15 @@ def join_tiles(
         raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     crop, path, shaded = _known_part(layout, stored), f"{folder}/joined.tif", f"{folder}/shaded.tif"
     frame = (crop.height, crop.width), np.dtype(np.float32)
-    with created(path, *frame, 2 * FIELDS + 1, None, "", compress=False) as raster:
+    count = 2 * FIELDS + 1 if walls else FIELDS + 1
+    with created(path, *frame, count, None, "", compress=False) as raster:
         for window, result in _feathered(scene, layout, stored, parameters):
             common = window.common(crop)
             if common is None:
                 continue
             place, inner = common.within(crop), common.inside(window)
-            for band, values in enumerate(result.fused.arrays(), start=1):
+            fused = result.fused
+            for band, values in enumerate(fused.arrays() if walls else fused.without_choice(), start=1):
                 part = values[inner]
                 if result.own is not None:
                     part = np.where(result.own[inner], part, np.float32(np.nan))

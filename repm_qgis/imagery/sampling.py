@@ -49,6 +49,11 @@ def median_of_known(stack: Floats, least: int = 1) -> Floats:
     return quantile_of_known(stack, 0.5, least)
 
 
+def known_or_zero(image: Floats) -> Floats:
+    """The image with 0 for NaN."""
+    return np.where(np.isnan(image), image.dtype.type(0), image)
+
+
 def median_of_neighbours(image: Floats, side: int, least: int) -> Floats:
     """:func:`median_of_known` of the square of ``side`` pixels around each pixel."""
     rows, columns = image.shape

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Callable, Iterator, Optional, Tuple
 
 import cv2
@@ -15,6 +16,7 @@ from .raster import Image, read
 
 PixelMap = Callable[[FloatArray], FloatArray]
 
+_NARROWEST = 1.5  # sigma of a Gaussian in a reduced image, in its pixels
 _MAX_SIDE = 32000  # OpenCV's remap counts source pixels in 16 bits
 
 KERNELS = {"bilinear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC, "lanczos": cv2.INTER_LANCZOS4}
@@ -27,10 +29,26 @@ def box_filter(side: int, border: int = cv2.BORDER_REFLECT) -> Callable[[FloatIm
 
 
 def gaussian_mean(known: Mask, sigma_px: float) -> Callable[[FloatImage], FloatImage]:
-    """A function that takes an image to the means of its known pixels in a Gaussian window."""
+    """A function that takes an image to the means of its known pixels in a Gaussian window.
+
+    Wide means are smooth, so that they are made of a reduced image: means of squares, their Gaussian, and what is
+    linear between have together the variance of the window that is asked for.
+    """
     weight = known.astype(np.float32)
-    share = cv2.GaussianBlur(weight, (0, 0), sigma_px) + np.float32(1e-6)
-    return lambda image: cv2.GaussianBlur(image * weight, (0, 0), sigma_px) / share
+    factor = 1
+    while factor * 2.0 * _NARROWEST <= sigma_px and factor * 4 <= min(known.shape):
+        factor *= 2
+    size = known.shape[::-1]
+    reduced = tuple(-(-side // factor) for side in size)
+    sigma = math.sqrt((sigma_px / factor) ** 2 - (0.25 if factor > 1 else 0.0))
+
+    def smooth(image: FloatImage) -> FloatImage:
+        small = cv2.resize(image, reduced, interpolation=cv2.INTER_AREA) if factor > 1 else image
+        blurred: FloatImage = cv2.GaussianBlur(small, (0, 0), sigma)
+        return cv2.resize(blurred, size, interpolation=cv2.INTER_LINEAR) if factor > 1 else blurred
+
+    share = smooth(weight) + np.float32(1e-6)
+    return lambda image: smooth(image * weight) / share
 
 
 def source_positions(to_source: PixelMap, size: Size) -> FloatArray:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from ..arrays import FloatImage, Mask
-from ..imagery.sampling import mean_of_known
+from ..imagery.sampling import known_or_zero, mean_of_known
 from ..imagery.warping import box_filter
 from .parameters import MATCHING, EdgeParameters
 
@@ -45,8 +45,8 @@ def correct_depth_edges(
     near &= known
     chosen = surface
     if near.any():
-        guide = np.nan_to_num(image)
-        cost = _cost_of(guide, np.nan_to_num(other), near, towards, parameters)
+        guide = known_or_zero(image)
+        cost = _cost_of(guide, known_or_zero(other), near, towards, parameters)
         evidence = np.zeros_like(surface)
         evidence[near] = cost(height_sign * upper[near]) - cost(height_sign * lower[near])
         chosen = np.where(near, np.where(_guided(guide, evidence, parameters) < 0, upper, lower), surface)

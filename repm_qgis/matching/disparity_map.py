@@ -59,7 +59,8 @@ def matched_positions(disparity: FloatImage, high: int) -> Tuple[FloatImage, Flo
     """(H, W) columns and rows of the second image that the first image's pixels are matched to; outside if unknown."""
     columns = np.arange(disparity.shape[1], dtype=np.float32)[None, :] - disparity + np.float32(high)
     rows = np.repeat(np.arange(disparity.shape[0], dtype=np.float32)[:, None], disparity.shape[1], axis=1)
-    return np.nan_to_num(columns, nan=_UNKNOWN), rows
+    columns[np.isnan(columns)] = _UNKNOWN
+    return columns, rows
 
 
 def match_correlation(

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from ..arrays import ByteImage, FloatImage, Mask
+from ..imagery.sampling import known_or_zero
 from .depth_edges import correct_depth_edges
 from .disparity_map import DisparityMap, match_correlation
 from .occlusions import fill_occlusions
@@ -25,7 +26,7 @@ _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv
 
 
 def intensity_bytes(image: FloatImage) -> ByteImage:
-    return (np.nan_to_num(image, nan=0.0) * 255).astype(np.uint8)
+    return (known_or_zero(image) * np.float32(255)).astype(np.uint8)
 
 
 def match(
@@ -108,7 +109,8 @@ def _consistent(left: FloatImage, right: FloatImage, high: int, most_px: float) 
     """Left-right consistency check: pixels of the first image whose match in the second image points back to them."""
     rows = np.arange(left.shape[0])[:, None]
     columns = np.arange(left.shape[1], dtype=np.float32) - left + np.float32(high)
-    target = np.rint(np.nan_to_num(columns, nan=-1.0)).astype(np.intp)
+    columns[np.isnan(columns)] = -1.0
+    target = np.rint(columns).astype(np.intp)
     inside = (target >= 0) & (target < right.shape[1])
     with np.errstate(invalid="ignore"):
         consistent: Mask = inside & (np.abs(right[rows, np.where(inside, target, 0)] - left) <= most_px)

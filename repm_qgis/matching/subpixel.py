@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, Tuple
+from typing import Callable, Dict, Optional, Tuple
 
 import cv2
 import numpy as np
 
 from ..arrays import FloatImage, Mask
-from ..imagery.sampling import NMAD_FACTOR
+from ..imagery.sampling import NMAD_FACTOR, known_or_zero
 from ..imagery.warping import gaussian_mean
 from .detail import bilateral_mean, tail, without_noise
 from .disparity_map import matched_positions
@@ -52,6 +52,9 @@ def _planes(disparity: FloatImage, step: _Step, parameters: SubpixelParameters) 
     return disparity
 
 
+_Statistics = Tuple[FloatImage, FloatImage, FloatImage, FloatImage]
+
+
 class _Step:
     """Gauss-Newton on the difference of intensity in a Gaussian window, without its mean (Lucas and Kanade 1981).
 
@@ -73,17 +76,18 @@ class _Step:
         known: Mask,
         parameters: SubpixelParameters,
     ) -> None:
-        self._first, self._second = np.nan_to_num(first), np.nan_to_num(second)
+        self._first, self._second = known_or_zero(first), known_or_zero(second)
         self._slope = cv2.Sobel(self._second, cv2.CV_32F, 1, 0, ksize=1) * np.float32(0.5)
         self._high, self._known, self._parameters = high, known, parameters
         self._mean = gaussian_mean(known, parameters.sigma_px)
         window_px = 4 * np.pi * parameters.sigma_px**2 * parameters.prior_px**2
         self._noise_share = np.float32(parameters.operations.count("step") / window_px)
+        self._last: Optional[_Statistics] = None
 
     def moved(self, disparity: FloatImage) -> FloatImage:
         """Disparities one step nearer to where the intensities of the two neighbourhoods agree best."""
         most = self._parameters.most_step_px
-        _, covariance, power, noise = self._statistics(disparity)
+        self._last = _, covariance, power, noise = self._statistics(disparity)
         moved: FloatImage = disparity - np.clip(covariance / (power + self._noise_share * noise), -most, most)
         return moved
 
@@ -92,17 +96,18 @@ class _Step:
         like theirs, px^2.
 
         Noise of neighbouring pixels that is alike (of a sensor's optics, of pansharpening, of compression) is as much
-        as that of fewer pixels: how alike it is, the differences of the images show.
+        as that of fewer pixels: how alike it is, the differences of the images show. They are those before the last
+        step, which changes little of them.
         """
         p = self._parameters
-        off, _, power, noise = self._statistics(disparity)
+        off, _, power, noise = self._last or self._statistics(disparity)
         alike = _correlated_px(off - gaussian_mean(self._known, p.correlation_sigma_px)(off), self._known, p)
         pixels = np.float32(4 * np.pi * p.sigma_px**2 / alike)
         information = pixels * power / noise + np.float32(p.prior_px**-2)
         around = gaussian_mean(self._known, p.variance_sigma_px)
         return around(1 / information), p.sigma_px**2 * alike
 
-    def _statistics(self, disparity: FloatImage) -> Tuple[FloatImage, FloatImage, FloatImage, FloatImage]:
+    def _statistics(self, disparity: FloatImage) -> _Statistics:
         """(H, W) each: the first image less the second where it was matched; of windows, its covariance with the
         second's slope there, that slope's variance, and its own."""
         columns, rows = matched_positions(disparity, self._high)

@@ -163,7 +163,7 @@ def best_detector(parameters: KeypointParameters = POINTING.keypoints) -> Detect
     if parameters.colmap_on_cpu:
         return ColmapSift("cpu", parameters)
     installed = importlib.util.find_spec("pycolmap") is not None
-    if installed and environment.cuda()["usable"] and answers("cuda", parameters):
+    if installed and environment.cuda_usable() and answers("cuda", parameters):
         return ColmapSift("cuda", parameters)
     return OpenCvSift(parameters)
 

@@ -11,7 +11,7 @@ from ..parameters import Parameters
 class StereoParameters(Parameters):
     """Rectified pairs, and the tables from which heights and ground positions are interpolated."""
 
-    tile_margin_px: int = 32  # matched beyond a tile's border, so that neighbours agree along it; chosen
+    tile_margin_px: int = 16  # matched beyond a tile's border, so that neighbours agree along it; 32 does as well
     smallest_px: int = 48  # side of an image of a tile: nothing is matched in a smaller one; chosen
     node_step_px: int = 32  # distance of the tables' nodes; each height map's record has their error, below 0.01 m
     levels: int = 5  # altitudes from which the tables' parabolas are fitted; the same record

@@ -114,7 +114,7 @@ def test_devices_are_those_that_give_a_context(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("answer", ("", "nonsense", "[[1, 2]]", "{}", '[["a", "b", "c", "d"]]'))
 def test_a_driver_that_answers_nonsense_is_none(monkeypatch, answer):
-    monkeypatch.setattr(environment, "fresh_answer", lambda code: answer)
+    monkeypatch.setattr(environment, "fresh_answer", lambda code, options: answer)
     assert environment.gpus() == []
 
 

@@ -107,7 +107,7 @@ def test_a_device_that_counts_pixels_otherwise_does_not_pass():
     ((False, True, CPU_DETECTOR), (True, False, CPU_DETECTOR), (True, True, ColmapSift("cuda"))),
 )
 def test_the_gpu_is_taken_where_one_answers(monkeypatch, usable, answers, expected):
-    monkeypatch.setattr(environment, "cuda", lambda: {"usable": usable})
+    monkeypatch.setattr(environment, "cuda_usable", lambda: usable)
     monkeypatch.setattr(keypoints, "answers", lambda device, parameters: answers)
     assert keypoints.best_detector() == expected
 
