@@ -20,7 +20,8 @@ from ..geometry.frames import projected_from_geodetic
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
-from ..imagery.warping import PixelMap, warp
+from ..imagery.sampling import known_or_zero
+from ..imagery.warping import PixelMap, gaussian_mean, warp
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
@@ -252,8 +253,9 @@ def _evened(
     season it has not, and ties would be dropped or displaced.
     """
     with opened_masked(view.image, view.mask) as dataset:
-        pixels = np.nan_to_num(stretch.apply(warp(dataset, view.band, to_original, size, "cubic")), nan=0.0)
-    away = pixels - cv2.GaussianBlur(pixels, (0, 0), parameters.even_px)
-    contrast = np.sqrt(cv2.GaussianBlur(away * away, (0, 0), parameters.even_px))
+        pixels = known_or_zero(stretch.apply(warp(dataset, view.band, to_original, size, "cubic")))
+    mean = gaussian_mean(np.ones(pixels.shape, bool), parameters.even_px)
+    away = pixels - mean(pixels)
+    contrast = np.sqrt(mean(away * away))
     evened = 128.0 + parameters.even_contrast * away / (contrast + parameters.noise)
     return np.asarray(np.clip(evened, 0, 255).astype(np.uint8))
