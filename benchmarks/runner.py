@@ -162,6 +162,14 @@ def measured(
     return printed[0], Cost(time.monotonic() - start, cpu, peak)
 
 
+def made_by(tree: Path, images: Sequence[str], folder: str, **options: Any) -> Tuple[str, Cost]:
+    """The DSM that the pipeline of a checkout makes of images in a folder, and its cost as a whole command."""
+    dsm, job = f"{folder}/dsm.tif", Path(folder, "job.json")
+    made = {"images": list(images), "workspace": f"{folder}/w", "output": dsm, **options}
+    job.write_text(json.dumps(made), encoding="utf-8")
+    return dsm, measured([sys.executable, "-m", "repm_qgis", "pipeline", str(job)], str(tree))[1]
+
+
 def tree_gib(root: int) -> float:
     """Memory of a process and all below it, GiB: what they share is divided among them (PSS) where the kernel does."""
     parents, sizes = {}, {}

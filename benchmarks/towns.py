@@ -7,9 +7,7 @@ rows are also those of an earlier revision's engine, that of REPM_BENCH_TOWNS_BE
 from __future__ import annotations
 
 import csv
-import json
 import os
-import sys
 import tempfile
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -18,7 +16,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.runner import ROOT, earlier, few, measured, pipeline, say, stage
+from benchmarks.runner import ROOT, earlier, few, made_by, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, default, made_once, real
 from benchmarks.tables import Section, table
 from repm_qgis.evaluation import coregistration
@@ -100,10 +98,8 @@ _LIDAR = Truth(str(_FOLDER / "truth_west.tif"), str(_FOLDER / "classes_west.tif"
 
 def _made(images: Sequence[str], folder: str, tree: Path = ROOT, **options: Any) -> Tuple[str, float]:
     """The DSM that a checkout's pipeline makes, and its CPU seconds."""
-    dsm, job = f"{folder}/dsm.tif", Path(folder, "job.json")
-    made = {"images": list(images), "workspace": f"{folder}/w", "output": dsm, "resolution": 0.5, **options}
-    job.write_text(json.dumps(made), encoding="utf-8")
-    return dsm, measured([sys.executable, "-m", "repm_qgis", "pipeline", str(job)], str(tree))[1].cpu_s
+    dsm, cost = made_by(tree, images, folder, **{"resolution": 0.5, **options})
+    return dsm, cost.cpu_s
 
 
 def _rows(label: str, names: Sequence[str]) -> List[List[Any]]:

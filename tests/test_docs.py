@@ -75,6 +75,23 @@ def test_every_algorithm_has_its_page_and_its_help():
     assert not [name for name in names if f"`repm:{name}`" not in readme]
 
 
+def row_of(page, name):
+    """The cells of the first row of a table that begins with a name."""
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    return next([cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith(f"| {name}"))
+
+
+@pytest.mark.parametrize(
+    "images, name", (("real Pleiades pair", "pleiades_pair"), ("real Pleiades triplet", "pleiades_triplet"))
+)
+def test_the_readme_has_the_figures_of_the_benchmarks(images, name):
+    _, _, nmad, _, _, valid, wall, cpu, peak = row_of("docs/benchmarks.md", name)
+    told = row_of("README.md", images)[1]
+    nmad, valid, wall, cpu, peak = map(float, (nmad, valid, wall, cpu, peak))
+    figures = (f"NMAD {nmad:.2f} m", f"{valid:.1f} %", f"{wall:.0f} s", f"{cpu:.1f} CPU s", f"{peak:.1f} GiB")
+    assert not [figure for figure in figures if figure not in told]
+
+
 def test_glossary_names_files_and_identifiers_that_exist():
     engine = ROOT / "repm_qgis"
     rows = [line.strip("|").split("|") for line in (ROOT / "docs" / "glossary.md").read_text("utf-8").splitlines()]
