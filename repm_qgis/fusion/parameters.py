@@ -128,8 +128,6 @@ class HoleParameters(Parameters):
 class ErrorParameters(Parameters):
     """Where heights come from, and their likely errors (docs/method.md, "Confidence"; `make bench-confidence`)."""
 
-    same: float = 3.0  # standard deviations of a map within which a height is still the map's
-    ground_m: float = 0.5  # within which a height is still that of the ground in a shadow
     of_sigma: float = 0.8  # of the standard deviation of matched heights, over the root of their number
     of_relief: float = 0.12  # of the relief around them, which a cell's own part is not known of, but not of more than
     relief_m: float = 4.0  # so much

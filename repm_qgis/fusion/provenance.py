@@ -16,7 +16,7 @@ import numpy as np
 from ..arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
 from .aggregation import Candidate, FusedCells
-from .parameters import FUSION, ErrorParameters
+from .parameters import FUSION, ErrorParameters, EvidenceParameters
 from .surroundings import extremes
 
 
@@ -39,7 +39,12 @@ class SurfaceCells:
 
 
 def described(
-    fused: FusedCells, ground: FloatImage, height: FloatImage, reach: int, parameters: ErrorParameters = FUSION.error
+    fused: FusedCells,
+    ground: FloatImage,
+    height: FloatImage,
+    reach: int,
+    evidence: EvidenceParameters = FUSION.evidence,
+    parameters: ErrorParameters = FUSION.error,
 ) -> SurfaceCells:
     """The surface with the chosen heights (H, W), m, of cells with these candidates.
 
@@ -52,14 +57,14 @@ def described(
     relief = _relief(height, known, reach)
     steps = np.float32(parameters.of_relief) * np.minimum(relief, np.float32(parameters.relief_m))
     unsure = ((Provenance.NEIGHBOURS, parameters.of_neighbours), (Provenance.SHADOW, parameters.of_shadow))
-    kinds = [(known, unsure[0]), (known & (np.abs(height - ground) <= parameters.ground_m), unsure[1])]
+    kinds = [(known, unsure[0]), (known & (np.abs(height - ground) <= evidence.ground_m), unsure[1])]
     for each in (fused.second, fused.first):
-        behind = each.filled & _meant(each, height, parameters)
+        behind = each.filled & _meant(each, height, evidence)
         kinds.append((behind, (Provenance.BACKGROUND, parameters.of_background)))
     for cells, (kind, share) in kinds:
         source[cells], error[cells] = kind, (parameters.least_m + share * relief)[cells]
     for each in (fused.second, fused.first):
-        cells = (each.count > 0) & _meant(each, height, parameters)
+        cells = (each.count > 0) & _meant(each, height, evidence)
         count[cells], spread[cells], score[cells] = each.count[cells], each.spread[cells], each.score[cells]
         source[cells] = Provenance.MATCHED
         # What others contradict is less sure.
@@ -70,7 +75,7 @@ def described(
     return SurfaceCells(height, count, spread, score, source, error)
 
 
-def _meant(candidate: Candidate, height: FloatImage, parameters: ErrorParameters) -> Mask:
+def _meant(candidate: Candidate, height: FloatImage, parameters: EvidenceParameters) -> Mask:
     with np.errstate(invalid="ignore"):
         result: Mask = np.abs(height - candidate.height) <= np.float32(parameters.same) * candidate.sigma
     return result

@@ -95,7 +95,7 @@ def make_block(task: SurfaceTask) -> None:
     if task.lights:
         light = _light(task.lights, task.wide)
         height = chosen(Problem(fused, ground, light, cell, p.evidence, p.choice))
-    surface = described(fused, ground, height, near_reach(cell, p.choice), p.error)
+    surface = described(fused, ground, height, near_reach(cell, p.choice), p.evidence, p.error)
     values = np.stack([getattr(surface, field.name) for field in fields(surface)])
     if not task.filled:
         values[:, surface.source != Provenance.MATCHED] = np.nan
