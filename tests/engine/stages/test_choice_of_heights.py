@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from osgeo import gdal
 
+from repm_qgis.arrays import Window
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.fusion.layout import DsmLayout
 from repm_qgis.imagery.confidence import Provenance
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
@@ -28,6 +31,13 @@ def fused(urban_run, tmp_path, told):
         return bands(files["output"])[0][0], bands(files["confidence"])[0], facts, log
 
     return made
+
+
+def corner(path):
+    """East and north of a raster's first corner, m."""
+    dataset = gdal.Open(path)
+    place = dataset.GetGeoTransform()
+    return place[0], place[3]
 
 
 def test_heights_are_chosen_and_each_says_where_it_comes_from(fused, as_they_are, urban, tmp_path):
@@ -68,6 +78,34 @@ def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
     assert np.isfinite(found[0]).mean() > 0.5
     for other in found[1:]:
         np.testing.assert_array_equal(other, found[0])
+
+
+@pytest.mark.parametrize("kind", ("urban", "mountains"))
+def test_heights_do_not_depend_on_what_lies_far_away(request, tmp_path, told, monkeypatch, kind):
+    """The same height maps, of which three EXTENTs are fused: farther than 50 m from their borders, the same bytes."""
+    scene, laid_out = request.getfixturevalue(f"{kind}_run").result["scene"], DsmLayout.of
+    found = {}
+    for cut in (0, 40, 74):  # cells of 0.5 m
+
+        def part(*arguments, cut=cut):
+            layout = laid_out(*arguments)
+            inner = Window(cut, cut, layout.grid.size[0] - 2 * cut, layout.grid.size[1] - 2 * cut)
+            windows = [window.common(inner).within(inner) for window in layout.windows]
+            return replace(layout, grid=layout.grid.part(inner), windows=tuple(windows))
+
+        monkeypatch.setattr(DsmLayout, "of", part)
+        path = str(tmp_path / f"{cut}.tif")
+        run_stage("dsmfuse", {"scene": scene, "resolution": 0.5, "output": path}, told())
+        found[cut] = (bands(path)[0][0], *corner(path))
+    whole, west, north = found[0]
+    for cut in (40, 74):
+        small, inner_west, inner_north = found[cut]
+        row, column = round((north - inner_north) / 0.5), round((inner_west - west) / 0.5)
+        same = whole[row : row + small.shape[0], column : column + small.shape[1]]
+        far = np.s_[100:-100, 100:-100]
+        assert small[far].size > 10_000 and np.isfinite(small[far]).mean() > 0.9
+        np.testing.assert_array_equal(small[far], same[far])
+        assert not np.array_equal(small, same)  # what lies beyond the border has a part in what lies beside it
 
 
 def test_without_its_images_a_scene_is_fused_and_that_is_said(fused, urban_run, tmp_path):
