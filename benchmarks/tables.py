@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import re
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, Sequence, Union
@@ -41,9 +42,15 @@ def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
+def _revision() -> str:
+    """The revision that is measured, in words that follow a comma; "" where this is no clone."""
+    found = subprocess.run(["git", "-C", str(DOCS), "rev-parse", "--short", "HEAD"], capture_output=True, check=False)
+    return f", revision {found.stdout.decode().strip()}" if found.returncode == 0 else ""
+
+
 def publish(section: Section, texts: Sequence[str], docs: Path = DOCS) -> None:
     """Write a section's texts into the pages, in the place of what the last run wrote there."""
-    made = f"`{section.command}`, Python {platform.python_version()} on {platform.machine()}."
+    made = f"`{section.command}`, Python {platform.python_version()} on {platform.machine()}{_revision()}."
     short = [text for text in texts if not isinstance(text, Details)]
     details = [text for text in texts if isinstance(text, Details)]
     if details:
