@@ -98,8 +98,9 @@ class FusedCells:
 
     @classmethod
     def of(cls, arrays: Sequence[FloatImage]) -> FusedCells:
-        """Of what :meth:`arrays` gives."""
-        return cls(Candidate(*arrays[:FIELDS]), Candidate(*arrays[FIELDS:-1]), arrays[-1])
+        """Of what :meth:`arrays` or :meth:`without_choice` gives."""
+        first, second, evidence = arrays[:FIELDS], arrays[FIELDS:-1], arrays[-1]
+        return cls(Candidate(*first), Candidate(*second) if second else Candidate.none(evidence.shape), evidence)
 
     def arrays(self) -> Tuple[FloatImage, ...]:
         """All fields of both candidates and the evidence, in their order."""

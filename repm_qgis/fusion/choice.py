@@ -112,9 +112,9 @@ class _Sweeper:
         """(H, W) known cells with other candidates, or with a neighbour at another height."""
         p, known = self._problem.parameters, np.isfinite(height)
         low, high = extremes(height, known)
-        others = np.isfinite(self._problem.fused.second.height) | np.isfinite(self._problem.ground)
+        choice = np.isfinite(self._problem.fused.second.height) | np.isfinite(self._problem.ground)
         with np.errstate(invalid="ignore", over="ignore"):
-            result: Mask = known & ((high - low > p.scale_m) | others)
+            result: Mask = known & ((high - low > p.scale_m) | choice)
         return result
 
     def sweep(self, height: FloatImage, cells: IntArray) -> FloatImage:

@@ -35,9 +35,7 @@ class JoinedTiles:
     def fused(self, window: Window) -> FusedCells:
         """The candidates of a window of the crop; heights in m above the ellipsoid."""
         with opened(self.path) as dataset:
-            bands = [read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)]
-        first, second, evidence = bands[:FIELDS], bands[FIELDS:-1], bands[-1]
-        return FusedCells(Candidate(*first), Candidate(*second) if second else Candidate.none(evidence.shape), evidence)
+            return FusedCells.of([read(dataset, window, band) for band in range(1, dataset.RasterCount + 1)])
 
     def first(self, window: Window) -> Candidate:
         """The first candidates of a window of the crop alone."""
