@@ -33,22 +33,20 @@ BEFORE = ("d774150", "913e92d")  # earlier revisions, for the part `whu`
 
 @dataclass(frozen=True)
 class Step:
-    """A step, and what switches it off: numbers of the groups of ENGINE.fusion, and options of dsmfuse. Where it is
-    alone, the steps ``together`` with it are on as well, because it does nothing without them."""
+    """A step, and what switches it off: numbers of the groups of ENGINE.fusion. Where it is alone, the steps
+    ``together`` with it are on as well, because it does nothing without them."""
 
     numbers: Mapping[str, Mapping[str, float]]
-    options: Mapping[str, float]
     together: Tuple[str, ...] = ()
 
 
 _CHOICE, _CHOSEN_BY = "choice as a whole", ("neighbours", "appearance", "ground in shadows")
 STEPS: Dict[str, Step] = {
-    "neighbours": Step({"choice": {"smoothness": 0.0}}, {}, (_CHOICE,)),
-    "appearance": Step({"choice": {"appearance": 0.0}}, {}, (_CHOICE,)),
-    "ground in shadows": Step({"shaded": {"least_elevation_deg": 90.0}}, {}, (_CHOICE,)),  # no sun is high enough
-    "doubt": Step({"evidence": {"doubtful": 1.0}}, {}),
-    "isolated cells": Step({}, {"outlier_radius": 0.0}),
-    _CHOICE: Step({"walls": {"least_tail": 1e9}}, {}, _CHOSEN_BY),
+    "neighbours": Step({"choice": {"smoothness": 0.0}}, (_CHOICE,)),
+    "appearance": Step({"choice": {"appearance": 0.0}}, (_CHOICE,)),
+    "ground in shadows": Step({"shaded": {"least_elevation_deg": 90.0}}, (_CHOICE,)),  # no sun is high enough
+    "doubt": Step({"evidence": {"doubtful": 1.0}}),
+    _CHOICE: Step({"walls": {"least_tail": 1e9}}, _CHOSEN_BY),
 }
 _ALL, _NONE = "all steps", "none of them"
 
@@ -62,14 +60,13 @@ def variants() -> Dict[str, FrozenSet[str]]:
     return {**found, _NONE: every}
 
 
-def without(steps: FrozenSet[str]) -> Tuple[EngineParameters, Dict[str, float]]:
-    """The engine's parameters and the options of dsmfuse with some steps off."""
-    fusion, options = ENGINE.fusion, {}
+def without(steps: FrozenSet[str]) -> EngineParameters:
+    """The engine's parameters with some steps off."""
+    fusion = ENGINE.fusion
     for name in steps:
         for group, numbers in STEPS[name].numbers.items():
             fusion = replace(fusion, **{group: replace(getattr(fusion, group), **numbers)})
-        options.update(STEPS[name].options)
-    return replace(ENGINE, fusion=fusion), options
+    return replace(ENGINE, fusion=fusion)
 
 
 # The scenes ---------------------------------------------------------------------------------------------------------
@@ -125,10 +122,9 @@ def _drawn(contrast: float) -> EngineParameters:
 
 def _fused(scene: Scene, made: str, off: FrozenSet[str], folder: str) -> List[float]:
     """C1 (%), MAE and RMSE (m) of a reconstructed scene's DSM without some steps, and the CPU seconds of fusing."""
-    parameters, options = without(off)
     start = time.process_time()
     own = {"scene": made, "output": f"{folder}/dsm.tif", "resolution": scene.resolution, "workers": 1}
-    dsm = stage("dsmfuse", parameters=parameters, **own, **options)["output"]
+    dsm = stage("dsmfuse", parameters=without(off), **own)["output"]
     cost = time.process_time() - start
     m = score_files(dsm, scene.reference, "3d").metrics
     return [dict(m.completeness)[1.0], m.mae, m.rmse, cost]

@@ -1356,8 +1356,8 @@
         <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter, und Zellen, die ein Schatten ohne Textur lässt, die des Bodens, auf dem er endet; all: übrige Lücken werden zudem interpoliert; beides ist im Konfidenzraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
-        <source>Outlier radius (m, empty: automatic, 0: off)</source>
-        <translation>Ausreißerradius (m, leer: automatisch, 0: aus)</translation>
+        <source>Outlier radius (m, 0: off)</source>
+        <translation>Ausreißerradius (m, 0: aus)</translation>
     </message>
     <message>
         <source>Points with too few neighbours within this distance are removed.</source>

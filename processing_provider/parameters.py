@@ -58,7 +58,9 @@ def advanced(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParame
     return parameter
 
 
-def number(stage: type[Options], name: str, label: str, text: str = "") -> QgsProcessingParameterDefinition:
+def number(
+    stage: type[Options], name: str, label: str, text: str = "", optional: bool = False
+) -> QgsProcessingParameterDefinition:
     """A number with the default and the bounds of an option; no default makes it optional."""
     option = stage.option(name)
     limits: Number = option.metadata["check"]
@@ -69,7 +71,7 @@ def number(stage: type[Options], name: str, label: str, text: str = "") -> QgsPr
         label,
         kinds.Integer if limits.whole else kinds.Double,
         option.default,
-        option.default is None,
+        optional or option.default is None,
         low,
         limits.high,
     )
@@ -564,8 +566,9 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
             number(
                 DsmFuseOptions,
                 "outlier_radius",
-                tr("Outlier radius (m, empty: automatic, 0: off)"),
+                tr("Outlier radius (m, 0: off)"),
                 tr("Points with too few neighbours within this distance are removed."),
+                optional=True,  # models that were saved when there was no default leave it empty
             )
         ),
         advanced(

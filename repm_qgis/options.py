@@ -44,7 +44,7 @@ PRESETS: Dict[str, Dict[str, Any]] = {
     "none": {},
     "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
     "mountains": {"model": "polynomial", "method": "mean", "fill": "all"},
-    "fast": {"quality": "fast", "pointing": "shift", "fill": "none", "outlier_radius": 0.0},
+    "fast": {"quality": "fast", "pointing": "shift", "fill": "none"},
 }
 """Values that go together, for options of the pipeline that are not given; docs/algorithms/pipeline.md has what each
 costs and gives."""
@@ -416,7 +416,7 @@ class DsmFuseOptions(Options):
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height, and those that a shadow leaves without texture that of the ground where it ends; ``all``,
-    remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres, None = from the data, 0 = off.
+    remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres, 0 = off.
     ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser): files to write, None = not
     wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone. ``mesh_vertices``: at most so
     many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``, the natural ones where the
@@ -432,7 +432,7 @@ class DsmFuseOptions(Options):
     crs: Optional[str] = None
     method: str = choice("mean", METHODS)
     fill: str = choice("occlusions", FILLS)
-    outlier_radius: Optional[float] = number(None, 0, 1000, "m")
+    outlier_radius: float = number(0.0, 0, 1000, "m")
     confidence: Optional[str] = None
     ortho: Optional[str] = None
     cloud: Optional[str] = None

@@ -33,15 +33,6 @@ def remove_isolated_points(
     return np.where(count >= parameters.neighbours, height, np.nan)
 
 
-def automatic_radius(cell: float, spacing: float = 0.0, parameters: OutlierParameters = FUSION.outliers) -> float:
-    """The radius of the outlier filter in metres where the user gives none.
-
-    The density of a grid is known: one point a cell, or one in ``spacing`` metres where points are sparser than cells,
-    whose heights are those of points around them.
-    """
-    return max(parameters.radius_cells * max(cell, spacing), parameters.radius_m)
-
-
 def needed_neighbours(cell: float, radius: float, parameters: OutlierParameters = FUSION.outliers) -> int:
     """How many neighbours a cell needs within a radius (m): a share of all cells there."""
     return max(parameters.neighbours, round(parameters.share * len(_disc(cell, radius))))

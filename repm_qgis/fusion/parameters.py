@@ -42,8 +42,6 @@ class MapOffsetParameters(Parameters):
 class OutlierParameters(Parameters):
     """Radius outlier removal on cells; the paper gives no numbers. All values are chosen for grids of known density."""
 
-    radius_cells: float = 3.0  # default radius: the disc has 28 neighbours on a whole surface
-    radius_m: float = 1.5  # and not less
     most_cells: float = 30.0  # of a radius: 2800 neighbours; the time grows with their number, and more are refused
     share: float = 0.2  # of all cells within the radius: the corner of a roof has a quarter
     neighbours: int = 2  # and not less
@@ -110,7 +108,7 @@ class BrightnessParameters(Parameters):
 class WallParameters(Parameters):
     """Whether a scene has walls (fusion/walls.py)."""
 
-    least_tail: float = 10.0  # of the details of its maps (matching/detail.py): 16 to 140 in towns, 2 to 6 elsewhere
+    least_tail: float = 10.0  # of the details of its maps (matching/detail.py): 14 to 140 in towns, 2 to 6 elsewhere
     neighbours: int = 4  # of eight that a height needs to be asked: gross errors have long tails, too
     maps: int = 9  # that are asked, evenly spread; their median decides
     window_px: int = 1000  # side of the part of each

@@ -22,8 +22,15 @@ def has_walls(
     parameters: WallParameters = FUSION.walls,
     subpixel: SubpixelParameters = MATCHING.subpixel,
     isolated: IsolatedPointParameters = FUSION.isolated,
+    near_m: float = FUSION.choice.near_m,
 ) -> bool:
-    """Whether the details of a scene's height maps have the long tail that walls give them."""
+    """Whether the details of a scene's height maps have the long tail that walls give them.
+
+    Where a pixel is wider than ``near_m``, the neighbourhood in which a height is chosen, it has no neighbour there;
+    and at 2 m a px a mountain's ridges have tails of 6 to 12, nearly those of towns.
+    """
+    if scene.gsd_m > near_m:
+        return False
     records = [record for tile in scene.tiles for record in tile.heights]
     asked = records[:: max(1, -(-len(records) // parameters.maps))]
     alike = replace(isolated, neighbours=parameters.neighbours)

@@ -17,7 +17,7 @@ from ..errors import EmptyResultError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
-from ..fusion.outliers import automatic_radius, needed_neighbours
+from ..fusion.outliers import needed_neighbours
 from ..fusion.visible import nadir_first
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
@@ -50,7 +50,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = reconstructed(options.scene)
-    layout, options = _laid_out(scene, options, progress, parameters)
+    layout = _laid_out(scene, options, progress, parameters)
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     plan = colours_of(scene, options, progress, parameters)
     bands = len(plan.names) if plan else 0
@@ -81,10 +81,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     return {**paths, **made, "vertical_datum": layout.datum.name, "seconds": seconds, **facts.to_mapping()}
 
 
-def _laid_out(
-    scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters
-) -> Tuple[DsmLayout, DsmFuseOptions]:
-    """The DSM's cells, and the options with their outlier radius; what cannot be made is refused here.
+def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters) -> DsmLayout:
+    """The DSM's cells; what cannot be made is refused here.
 
     Raises SceneError, OptionError, MissingPackageError and WorkspaceError.
     """
@@ -99,18 +97,15 @@ def _laid_out(
     cell, numbers = options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m), parameters.fusion
     layout = DsmLayout.of(scene, scene.tiles, crs, datum, cell)
     require_cell(options.resolution, min(layout.grid.shape) * cell, scene.gsd_m, parameters.tiles)
-    radius = options.outlier_radius
-    if radius is None:
-        radius = automatic_radius(cell, scene.gsd_m, numbers.outliers)
     rows, columns = layout.grid.shape
     cells = f"{columns} x {rows} cells of {cell:g} m in {crs}"
-    progress.info(f"DSM of {cells}, heights above the {datum.name}; outlier radius {radius:g} m.")
+    progress.info(f"DSM of {cells}, heights above the {datum.name}.")
     if widening(cell, scene.gsd_m, numbers.gridding) > 1:
         progress.info(
             f"Cells of {cell:g} m are finer than the images' ground sampling distance of {scene.gsd_m:.2g} "
             "m: between the matched points they are interpolated, and show no more detail."
         )
-    return layout, replace(options, outlier_radius=radius)
+    return layout
 
 
 @contextmanager
@@ -247,7 +242,7 @@ def _round_cell(cell: float) -> float:
 
 def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFacts, progress: Progress) -> None:
     """What was filtered and filled, in the log."""
-    radius = options.outlier_radius or 0.0
+    radius = options.outlier_radius
     if radius > 0:
         least = needed_neighbours(facts.resolution, radius, parameters.fusion.outliers)
         progress.info(

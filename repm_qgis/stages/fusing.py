@@ -67,7 +67,7 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         crs=layout.crs,
         method=options.method,
         fill=options.fill,
-        radius=options.outlier_radius or 0.0,
+        radius=options.outlier_radius,
         parameters=parameters.fusion,
         matching=parameters.matching,
     )
@@ -93,7 +93,8 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
 
 def _walls(fusion: Fusion, progress: Progress) -> bool:
     numbers = fusion.parameters.fusion
-    return has_walls(fusion.scene, numbers.walls, fusion.parameters.matching.subpixel, numbers.isolated)
+    subpixel, near_m = fusion.parameters.matching.subpixel, numbers.choice.near_m
+    return has_walls(fusion.scene, numbers.walls, subpixel, numbers.isolated, near_m)
 
 
 def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> JoinedTiles:

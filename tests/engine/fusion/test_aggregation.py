@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from repm_qgis.fusion.aggregation import HeightLayer, aggregate, objection, rim_cells
-from repm_qgis.fusion.outliers import automatic_radius, needed_neighbours, radius_outliers, remove_isolated_points
+from repm_qgis.fusion.outliers import needed_neighbours, radius_outliers, remove_isolated_points
 from repm_qgis.fusion.parameters import FUSION
 
 NUMBERS = np.random.default_rng(8)
@@ -98,7 +98,7 @@ def test_one_in_ten_grossly_wrong_changes_little(count):
         score = np.full(truth.shape, 0.9)
         stack = [remove_isolated_points(h, 1.0) for h in stack]
         found = aggregate([HeightLayer(h, score, np.full(truth.shape, np.nan), 1.0, 1.0) for h in stack], "mean", RIM)
-        height = np.where(radius_outliers(found.height, 1.0, automatic_radius(1.0)), np.nan, found.height)
+        height = np.where(radius_outliers(found.height, 1.0, 3.0), np.nan, found.height)
         assert np.isfinite(height).mean() > 0.97
         errors.append(float(np.sqrt(np.nanmean((height - truth) ** 2))))
     # What is gone from a cell's mean leaves more noise there: with two maps, a fifth of the cells have one only.
@@ -195,7 +195,7 @@ def test_islands_go_and_surfaces_stay():
     height[5:45, 5:25] = 100 + np.arange(20) * 0.8  # a steep slope
     height[20, 40], height[30:32, 35:37] = 120.0, 90.0
     height[10, 10] = 160.0
-    found, needed = radius_outliers(height, 1.0, automatic_radius(1.0)), needed_neighbours(1.0, 3.0)
+    found, needed = radius_outliers(height, 1.0, 3.0), needed_neighbours(1.0, 3.0)
     # A disc of three cells holds 28; of a slope of 0.8, heights within 3 m are all of them.
     assert needed == 6
     assert found[20, 40] and found[30:32, 35:37].all() and found[10, 10]
@@ -209,11 +209,6 @@ def test_what_a_cell_needs_does_not_depend_on_what_else_is_there():
     part = radius_outliers(height[20:60, 30:70], 1.0, 3.0)
     np.testing.assert_array_equal(part[3:-3, 3:-3], whole[23:57, 33:67])
     assert not radius_outliers(np.full((80, 80), 100.0), 1.0, 3.0).any()
-
-
-def test_the_automatic_radius():
-    assert automatic_radius(0.3) == 1.5 and automatic_radius(1.0) == 3.0
-    assert automatic_radius(0.5, 2.0) == 6.0
 
 
 def test_a_map_that_brushes_a_cell_does_not_count_where_another_covers_it():

@@ -15,7 +15,10 @@ from repm_qgis.stereo.height_maps import write_height_map
 
 
 def spoilt(scene_path, folder):
-    """A copy of a scene whose height maps have a tenth of their heights 10 to 40 m too high or too low."""
+    """A copy of a scene whose height maps have a tenth of their matched heights 10 to 40 m too high or too low.
+
+    Fills are made of the heights around them, and cannot be wrong alone.
+    """
     scene, rng = Scene.load(scene_path), np.random.default_rng(1)
     tiles = []
     for tile in scene.tiles:
@@ -23,7 +26,7 @@ def spoilt(scene_path, folder):
         for record in tile.heights:
             path = os.path.join(folder, os.path.basename(record.file))
             height, score, filled = gdal.Open(record.file).ReadAsArray()
-            wrong = (rng.random(height.shape) < 0.1) & (height > -9000)
+            wrong = (rng.random(height.shape) < 0.1) & (height > -9000) & (filled == 0)
             height[wrong] += (rng.uniform(10, 40, height.shape) * rng.choice([-1, 1], height.shape))[wrong]
             height, score = (np.where(values == -9999, np.float32(np.nan), values) for values in (height, score))
             records.append(write_height_map(path, "spoilt", record, height, score, filled > 0))

@@ -19,6 +19,14 @@ def test_towns_have_walls_and_mountains_have_none(request, kind, expected):
     assert has_walls(scene) is expected
 
 
+def test_pixels_wider_than_a_neighbourhood_show_no_walls(urban_run):
+    """A height is chosen among neighbours within 1.5 m, of which such a pixel has none; ridges of a mountain of which
+    three-line images have pixels of 2.1 m were taken for walls, and lost 1.5 m of RMSE (tiles of 1000 px)."""
+    scene = Scene.load(urban_run.result["scene"])
+    scenes = [replace(scene, views=tuple(replace(view, gsd_m=gsd) for view in scene.views)) for gsd in (1.4, 1.6, 2.1)]
+    assert [has_walls(each) for each in scenes] == [True, False, False]
+
+
 def test_a_scene_without_maps_has_none(urban_run):
     scene = Scene.load(urban_run.result["scene"])
     assert has_walls(scene.with_tiles(lambda tile: replace(tile, heights=()))) is False

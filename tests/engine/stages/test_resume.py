@@ -137,7 +137,7 @@ def test_control_points_that_say_something_else_are_found_again(again, urban, tm
     "change, kept",
     (
         ({"resolution": 1.0}, [True, True, True]),
-        ({"outlier_radius": 0.0}, [True, True, True]),
+        ({"outlier_radius": 3.0}, [True, True, True]),
         ({"model": "homography"}, [True, False, False]),
         ({"altitude_max": 275.0}, [False, False, False]),
     ),
