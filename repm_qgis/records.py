@@ -229,11 +229,12 @@ class PointingFigures(Record):
     """Tie points and the relative pointing that they gave.
 
     ``before_px`` and ``after_px`` are the ties' median residuals. ``shifts_px`` are the corrections (column, row) at
-    the images' centres. ``ties_by_tile`` and ``ties_by_part`` (north-west, north, ...) count ties on the ground.
-    ``control_noise_px`` is the control points' standard deviation, None where it cannot be estimated;
-    ``control_information`` (3, 3) is what they know of a shift of the whole (east, north, up), 1 / m²;
-    ``height_uncertainty_m`` is two standard deviations of the absolute height, None with ground control. ``ground_m``
-    are heights of the ground (low, middle, high) that nothing but the RPCs gives, None with a DEM or ground control.
+    the images' centres, and ``trends_px`` how much more they are in a corner at most. ``ties_by_tile`` and
+    ``ties_by_part`` (north-west, north, ...) count ties on the ground. ``control_noise_px`` is the control points'
+    standard deviation, None where it cannot be estimated; ``control_information`` (3, 3) is what they know of a shift
+    of the whole (east, north, up), 1 / m²; ``height_uncertainty_m`` is two standard deviations of the absolute height,
+    None with ground control. ``ground_m`` are heights of the ground (low, middle, high) that nothing but the RPCs
+    gives, None with a DEM or ground control.
     """
 
     count: Count
@@ -252,6 +253,7 @@ class PointingFigures(Record):
     ground_m: Optional[Tuple[float, float, float]] = None
     ties_by_tile: Dict[str, Count] = dataclasses.field(default_factory=dict)
     ties_by_part: Dict[str, Count] = dataclasses.field(default_factory=dict)
+    trends_px: Dict[str, Pixels] = dataclasses.field(default_factory=dict)
 
     @property
     def controlled(self) -> bool:
@@ -309,6 +311,26 @@ class LocalOffset(Record):
 
 
 @dataclass(frozen=True)
+class OtherRelief(Record):
+    """A surface whose relief is not that of a reference: the rank ``correlation`` of the two heights, and how many
+    times as high the surface's relief is (``ratio`` of the NMADs)."""
+
+    correlation: Annotated[float, Number(-1, 1)]
+    ratio: Annotated[float, Number(0, 1e9)]
+
+    def sentence(self, reference: str) -> str:
+        """What that means, for people."""
+        if self.correlation < 0.5:
+            what = "upside down, or of another place: check that each RPC belongs to its image, and the reference"
+        else:
+            what = "scaled: check the units of both heights"
+        return (
+            f"The surface's relief is not that of '{reference}' (correlation {self.correlation:+.2f}, "
+            f"{self.ratio:.2f} times as high): it may be {what}."
+        )
+
+
+@dataclass(frozen=True)
 class ReferenceFigures(Record):
     """A reference, and what it alone says of a scene's place.
 
@@ -316,7 +338,8 @@ class ReferenceFigures(Record):
     or footprints, 0 for points. ``seen`` heights lie on the scene's surface, ``used`` ones have a weight. ``moved`` (m
     east, north, up) with ``deviation`` (of a direction that the relief does not determine the vendor's promise), and
     ``determined`` horizontal directions (unit vectors). ``before_m`` and ``after_m`` are NMADs of the differences,
-    ``bias_m`` their median before; ``range_m`` is how far they are correlated.
+    ``bias_m`` their median before; ``range_m`` is how far they are correlated. ``other_relief`` is None where the
+    surface has the reference's relief, and where that has too little to tell.
     """
 
     file: str
@@ -332,6 +355,7 @@ class ReferenceFigures(Record):
     after_m: Metres
     bias_m: float
     range_m: Metres
+    other_relief: Optional[OtherRelief] = None
 
 
 @dataclass(frozen=True)
@@ -375,22 +399,26 @@ class DemOffset(Record):
     """How far the DSM lies above the DEM that was given, as ``file``: ``up_m`` with its standard deviation.
 
     ``most_m`` is to be expected at most, by what is stated of the absolute height; None where nothing is stated.
+    ``other_relief`` is None where the DSM has the DEM's relief, and where that has too little to tell.
     """
 
     file: str
     up_m: Offset
     deviation_m: Metres
     most_m: Optional[Metres] = None
+    other_relief: Optional[OtherRelief] = None
 
     @property
     def unexpected(self) -> bool:
-        """Whether it is more than is to be expected."""
-        return self.most_m is not None and abs(self.up_m) > self.most_m
+        """Whether it is more than is to be expected, or the relief is another one."""
+        return self.other_relief is not None or self.most_m is not None and abs(self.up_m) > self.most_m
 
     def sentence(self) -> str:
         """The offset in words, for people: as information, or as a warning where it is more than is to be expected."""
         where = f"{abs(self.up_m):.1f} m {'above' if self.up_m > 0 else 'below'} the DEM '{self.file}'"
         text = f"The DSM lies {where} (standard deviation {self.deviation_m:.2f} m)"
+        if self.other_relief is not None:
+            return self.other_relief.sentence(self.file)
         if self.most_m is None:
             return f"{text}."
         if not self.unexpected:

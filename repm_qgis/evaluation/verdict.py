@@ -234,6 +234,8 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
                 f"Only {100 * share:.0f} % of the heights of '{os.path.basename(each.file)}' agree with the surface "
                 f"(usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'."
             )
+        if each.other_relief is not None:
+            found.append(each.other_relief.sentence(os.path.basename(each.file)))
     return found
 
 

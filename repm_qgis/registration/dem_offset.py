@@ -43,7 +43,7 @@ def dem_offset(
     most = None
     if stated is not None:
         most = parameters.unexpected * math.hypot(stated, deviation, parameters.dem_m)
-    return DemOffset(scene.dem, up, deviation, most)
+    return DemOffset(scene.dem, up, deviation, most, shift.other_relief)
 
 
 def stated_height_deviation(scene: Scene) -> Optional[float]:

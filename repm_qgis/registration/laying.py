@@ -90,6 +90,7 @@ class Laid:
             after_m=float(nmad(self.shift.after_m, 0.0)),
             bias_m=float(np.median(before)) if len(before) else 0.0,
             range_m=self.shift.range_m,
+            other_relief=self.shift.other_relief,
         )
 
     def differences(self, ground: GroundShift) -> Tuple[FloatArray, FloatArray, FloatArray]:

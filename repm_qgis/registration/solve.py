@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Callable, Iterator, Tuple
+from typing import Callable, Iterator, Optional, Tuple
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.stats import spearmanr
 
 from ..arrays import FloatArray, IntArray, Mask
 from ..errors import EmptyResultError
 from ..imagery.sampling import NMAD_FACTOR, nmad
-from ..records import GroundShift, LocalOffset
+from ..records import GroundShift, LocalOffset, OtherRelief
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
 
@@ -49,6 +50,7 @@ class Shift:
     was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their differences (reference
     minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and their ``weight``;
     ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's parts.
+    ``other_relief``: the surface has not the reference's.
     """
 
     ground: GroundShift
@@ -60,6 +62,7 @@ class Shift:
     weight: FloatArray
     range_m: float
     offsets: Tuple[LocalOffset, ...] = ()
+    other_relief: Optional[OtherRelief] = None
 
     @property
     def moved(self) -> FloatArray:
@@ -119,7 +122,23 @@ def solve_shift(
         weight=solution.weight[seen],
         range_m=correlation.range_m,
         offsets=tuple(problem.local_offsets(solution, free, correlation)),
+        other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
     )
+
+
+def _other_relief(own: FloatArray, reference: FloatArray, parameters: RegistrationParameters) -> Optional[OtherRelief]:
+    """Whether (N,) heights of the surface have another relief than those of the reference; None where they have not,
+    or the reference is too level to tell.
+
+    All heights count, not only those with a weight: these agree by choice.
+    """
+    relief = nmad(reference)
+    if relief < parameters.relief_m:
+        return None
+    found = OtherRelief(float(spearmanr(own, reference)[0]), float(nmad(own) / relief))
+    most = parameters.most_scaled
+    alike = found.correlation >= parameters.least_alike and 1.0 / most <= found.ratio <= most
+    return None if alike else found
 
 
 def _carried(covariance: FloatArray, surface: SupportMeans, prior: Prior, parameters: RegistrationParameters) -> bool:

@@ -86,6 +86,14 @@ class Adjustment:
             shifts[name] = A[:, :2] @ centre + A[:, 2] - centre
         return shifts
 
+    @property
+    def trends_px(self) -> Dict[str, float]:
+        """How far the correction of each image differs between its centre and its corners at most, px."""
+        return {
+            name: float(np.hypot(*(np.abs(A[:, :2] - np.eye(2)) @ ((np.array(self.sizes[name]) - 1) / 2))))
+            for name, A in self.pointing.items()
+        }
+
 
 def tracks_from(matches: Sequence[PairMatches]) -> List[Track]:
     """Join pairwise matches into tracks: keypoints that are the same pixel (to a tenth) of a view are one.

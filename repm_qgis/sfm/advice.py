@@ -61,7 +61,8 @@ def advice(
     texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, spare, parameters)]
     texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, spare, limits)
     texts += _dates(pairs, spare, limits) + _thin(scene, figures, limits)
-    texts += _beyond_promise(scene, figures, parameters) + _outside(scene, figures, parameters)
+    texts += _beyond_promise(scene, figures, parameters) or _uncertain(scene, figures, parameters)
+    texts += _outside(scene, figures, parameters) + _trends(figures, limits)
     return texts
 
 
@@ -124,6 +125,46 @@ def _beyond_promise(scene: Scene, figures: PointingFigures, parameters: Pointing
         f"absolute height is uncertain by {figures.height_uncertainty_m:.1f} m; check that each RPC belongs to its "
         f"image{culprit}, give ground control points (GCPS), or align the DSM with a reference ('Compare a DSM with a "
         "reference', ALIGN=3d)."
+    ]
+
+
+def _uncertain(scene: Scene, figures: PointingFigures, parameters: PointingParameters) -> List[str]:
+    """RPCs that contradict each other or are corrected by much more than their vendors promise, and what follows for
+    the height; one sentence for all that has one cause."""
+    if figures.height_uncertainty_m is None:
+        return []
+    reasons, limits, known = [], parameters.advice, height_uncertainty(scene.views, figures, parameters)
+    uncertain_m, promised_m = figures.height_uncertainty_m, 2.0 * known.promised_m
+    if known.disagreement > limits.disagreement:
+        reasons.append(
+            f"they disagree {known.disagreement:.1f} times as much as the promise lets expect (sound ones less than "
+            f"{limits.disagreement:g} times)"
+        )
+    for view in scene.views:
+        moved_m = math.hypot(*figures.shifts_px.get(view.name, (0.0, 0.0))) * view.gsd_m
+        promise = promise_of(view, parameters.promises)
+        if moved_m > promise.horizontal_m:
+            most = f"CE90 {promise.horizontal_m:.1f} m, {promise.source}"
+            reasons.append(f"the pointing of {view.name} is corrected by {moved_m:.1f} m on the ground ({most})")
+    if uncertain_m > limits.uncertain * promised_m:
+        reasons.append(f"the absolute height is uncertain by {uncertain_m:.0f} m instead of {promised_m:.0f} m")
+    if not reasons:
+        return []
+    return [
+        f"The RPCs are worse than their vendors promise: {listed(reasons, '; ')}; check that each RPC belongs to its "
+        "image, or give ground control points (GCPS) or a reference."
+    ]
+
+
+def _trends(figures: PointingFigures, limits: AdviceParameters) -> List[str]:
+    """Corrections that change over an image by more than those of sound RPCs do."""
+    large = [f"{name} ({px:.1f} px)" for name, px in figures.trends_px.items() if px > limits.trend_px]
+    if not large:
+        return []
+    return [
+        f"The correction of the pointing changes from the middle of an image to its corners by more than "
+        f"{limits.trend_px:g} px: {listed(large)}. Sound RPCs need less: check that each RPC belongs to its image and "
+        "is not damaged, or give ground control points (GCPS)."
     ]
 
 

@@ -6,13 +6,14 @@ Images of another place would spoil what all have in common: the heights that ar
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
 
 from ..arrays import FloatArray
-from ..errors import OverlapError
+from ..errors import OverlapError, RpcInvalidError
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring
 from ..options import EpmFitOptions
 from ..progress import listed
@@ -46,9 +47,16 @@ def places(views: Sequence[View], least_px: float) -> List[Tuple[View, ...]]:
 def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: None) -> Tuple[View, ...]:
     """The views of a run: those of its images that show one place (:func:`of_one_place`), which EXTENT may choose.
 
-    Raises whatever :func:`~repm_qgis.scene.load_views` raises, and OverlapError where no two images overlap.
+    Raises whatever :func:`~repm_qgis.scene.load_views` raises, RpcInvalidError where two images have the same RPC, and
+    OverlapError where no two images overlap.
     """
     views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
+    for first, second in combinations(views, 2):
+        if first.rpc == second.rpc:
+            raise RpcInvalidError(
+                f"The images {first.name} and {second.name} have the same RPC: give each image its own (the file "
+                "beside it, or RPCS); give copies and parts of one image only once."
+            )
     return of_one_place(views, least_px, warn, _wanted(options))
 
 

@@ -203,6 +203,19 @@ class PromiseParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class ExchangeParameters(Parameters):
+    """Whether two images have each other's RPC (sfm/exchanged.py; `make bench-input`)."""
+
+    least_ties: int = 20  # of two images: fewer say nothing. Chosen
+    most_ties: int = 200  # that are asked: bounds the time. Chosen
+    limit: float = 5.0  # median residuals beyond which all ties count alike. Chosen
+    least_evidence: float = 10.0  # for a warning: "very strong" (Kass and Raftery 1995, "Bayes factors"); -2 at most
+    # on 20 sound scenes, and 14 to 480 on exchanged ones
+    sure_evidence: float = 30.0  # for a refusal, where the ties also fit to
+    sure_px: float = 0.15  # after the exchange, as ties of sound RPCs do (0.03 to 0.11 px)
+
+
+@dataclass(frozen=True)
 class RpcHeightParameters(Parameters):
     """When the ground lies outside the heights that the RPCs were made for."""
 
@@ -244,6 +257,9 @@ class AdviceParameters(Parameters):
     building_m: float = 10.0  # the example of a shadow
     few_ties: int = 5  # around a tile or in a part of the scene
     few_share: float = 0.25  # of a part's mean: with few ties in all, no part is worse than the others
+    trend_px: float = 1.0  # over an image: sound RPCs need 0.01 to 0.21 px
+    disagreement: float = 3.0  # of RPCs, in what their promise lets expect: sound ones have 0.005 to 0.14
+    uncertain: float = 2.0  # times the promised uncertainty of the height
     least_part: float = 0.1  # of a ninth of the area's bounds: less of it is a corner
     cells: int = 5  # along a side of the scene: ties of a tile are counted in at least such a cell around it
     small_overlap: float = 0.3  # of the smaller of two images: less of it is a strip along a border
@@ -264,11 +280,13 @@ class PointingParameters(Parameters):
     control: ControlParameters = ControlParameters()
     promises: PromiseParameters = PromiseParameters()
     rpc_heights: RpcHeightParameters = RpcHeightParameters()
+    exchange: ExchangeParameters = ExchangeParameters()
     places: PlaceParameters = PlaceParameters()
     colmap: ColmapAdjustmentParameters = ColmapAdjustmentParameters()
     advice: AdviceParameters = AdviceParameters()
     least_tracks: int = 20  # tie points after alignment; chosen
     usual_px: float = 2.0  # by which RPCs of one pass usually disagree in each direction: tells datums apart; chosen
+    most_trend_px: float = 10.0  # over an image, without ground control: no vendor's RPC drifts so far. Chosen
     good_px: float = 1.5  # a tie with a larger residual is a wrong match, and gives no altitude; chosen
     around: float = 0.25  # of a tile's side: ties so far around it also give its altitudes; chosen
     tail_percent: float = 0.5  # of these altitudes, at either end, that may be wrong; chosen

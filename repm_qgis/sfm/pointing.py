@@ -9,7 +9,7 @@ import numpy as np
 
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray
-from ..errors import EmptyResultError
+from ..errors import EmptyResultError, RpcInvalidError
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..imagery.sampling import nmad
@@ -20,6 +20,7 @@ from .adjustment import Adjustment, Track, adjust, tracks_from
 from .advice import absolute_height, ties_by_part, ties_by_tile
 from .colmap_adjustment import adjust_colmap
 from .control_information import control_information
+from .exchanged import require_own_rpcs
 from .ground_control import Gcp, intersect
 from .height_uncertainty import height_uncertainty
 from .keypoints import Detector, with_best_detector
@@ -88,10 +89,13 @@ def point_views(
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0), parameters, altitudes)
     else:
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
+    controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
+    require_own_rpcs(scene.views, tracks, sum(scene.altitudes) / 2, progress.warn, parameters)
+    if not controlled:
+        _require_small_trends(adjusted, parameters)
     views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
     before, after = (_parallax(seen, names, tracks, adjusted.ground) for seen in (scene.views, views))
     xy = projected_from_geodetic(scene.crs, adjusted.ground)
-    controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
     figures = PointingFigures(
         count=len(tracks),
         detector=detector.name,
@@ -107,6 +111,7 @@ def point_views(
         control_information=_control_information(gcps, views, adjusted) if controlled else None,
         ties_by_tile=ties_by_tile(scene, xy, parameters.advice),
         ties_by_part=ties_by_part(scene, xy, parameters.advice),
+        trends_px=adjusted.trends_px,
     )
     if not controlled:
         figures = replace(figures, ground_m=None if scene.dem else ground_heights(adjusted, parameters))
@@ -114,6 +119,18 @@ def point_views(
         figures = replace(figures, height_uncertainty_m=uncertain_m)
     _log(scene.views, figures, parameters, progress)
     return Pointing(views, tracks, adjusted, xy, figures)
+
+
+def _require_small_trends(adjusted: Adjustment, parameters: PointingParameters) -> None:
+    """Refuse RPCs that only corrections of many px over an image bring together: the heights would follow them."""
+    name, trend = max(adjusted.trends_px.items(), key=lambda each: each[1])
+    if trend > parameters.most_trend_px:
+        raise RpcInvalidError(
+            f"The RPC of {name} needs a correction that changes by {trend:.1f} px from the middle of the image to a "
+            f"corner (at most {parameters.most_trend_px:g} px; sound RPCs need less than "
+            f"{parameters.advice.trend_px:g} px): it is another image's, or damaged; give each image its own RPC, or "
+            "ground control points (GCPS)."
+        )
 
 
 def ground_heights(

@@ -192,3 +192,28 @@ def test_a_cell_may_be_wider_than_high():
         and (along > 0.01).sum() == 3
         and np.nanmax(across) == pytest.approx(1 / 12, abs=1e-6)
     )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    (
+        (lambda height: height, None),
+        (lambda height: height + 40.0, None),
+        (lambda height: -height, "upside down, or"),
+        (lambda height: 3.2808 * height, "scaled: check the units"),
+        (lambda height: np.roll(height, SIDE // 2, axis=(0, 1)), "or of another place"),
+    ),
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_another_relief_is_named(seed, change, words):
+    """Heights with a weight agree by choice: 9430 of 10372 heights of a reference were "used" for a surface upside
+    down. A plain says nothing."""
+    rng = np.random.default_rng(seed)
+    truth = relief(rng, 30.0)
+    given = reference(rng, truth, "30 m")
+    own = SupportMeans(CellGrid(WEST, NORTH, CELL, (SIDE, SIDE)), change(truth), given, REGISTRATION.covered)
+    found = solve_shift(own, given, replace(PROMISED, up_m=50.0)).other_relief
+    assert (found is None) == (words is None)
+    assert words is None or words in found.sentence("dem.tif")
+    level = replace(given, xyz=given.xyz * (1, 1, 0.05))
+    assert solve_shift(own, level, replace(PROMISED, up_m=50.0)).other_relief is None
