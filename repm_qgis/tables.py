@@ -14,6 +14,7 @@ from osgeo import gdal, ogr
 
 from .arrays import Bounds
 from .errors import InputTableError
+from .geometry.frames import on_earth
 from .untrusted import distrust
 from .vector import open_vector
 
@@ -113,9 +114,10 @@ class LayerTable:
         self.crs: Optional[pyproj.CRS] = None
         if reference is not None:
             try:
-                self.crs = pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"]))
+                crs = pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"]))
             except (RuntimeError, pyproj.exceptions.CRSError) as error:
                 raise self._damaged(error) from error
+            self.crs = on_earth(crs, path, InputTableError)
 
     def keep_within(self, bounds: Bounds) -> None:
         """Let :meth:`rows` give only those within bounds in the layer's CRS, where these are finite."""

@@ -14,7 +14,7 @@ from osgeo import gdal
 from pyproj import CRS, Transformer
 
 from ..arrays import FloatArray, Mask
-from ..geometry.frames import EnuFrame, flat_crs, vertical_part
+from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
 from ..imagery.sampling import nmad
 from ..scene import View
 from ..sfm.ground_control import Gcp, intersect, residuals
@@ -190,7 +190,9 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
 
 def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> List[str]:
     """Warnings of points that have no height, outside the DSM and inside."""
-    x, y = Transformer.from_crs("EPSG:4326", flat_crs(grid.crs), always_xy=True).transform(*places.T)
+    x, y = Transformer.from_crs("EPSG:4326", flat_crs(on_earth(grid.crs, grid.path)), always_xy=True).transform(
+        *places.T
+    )
     column, row = grid.to_cells(np.asarray(x), np.asarray(y))
     inside = (column >= 0) & (row >= 0) & (column <= grid.size[0]) & (row <= grid.size[1])
     warnings = []

@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from ..arrays import Bounds, FloatArray, FloatImage, Size, Window
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs, install_grid, vertical_operations, vertical_part
+from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery import raster
@@ -168,7 +168,8 @@ def cell_metres(grid: Grid) -> Tuple[float, float]:
 
 def overlap(dsm: Grid, reference: Grid) -> Bounds:
     """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
-    to_reference = Transformer.from_crs(flat_crs(dsm.crs), flat_crs(reference.crs), always_xy=True)
+    source, target = (flat_crs(on_earth(each.crs, each.path)) for each in (dsm, reference))
+    to_reference = Transformer.from_crs(source, target, always_xy=True)
     theirs = reference.bounds
     try:
         ours = Bounds(*to_reference.transform_bounds(*dsm.bounds, densify_pts=21))

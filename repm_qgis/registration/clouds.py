@@ -14,7 +14,7 @@ import pyproj
 from ..arrays import Bounds, FloatArray, Mask
 from ..errors import ImageError, RepmError
 from ..geometry.cell_grid import CellGrid
-from ..geometry.frames import flat_crs
+from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import metres_per_unit, stated_datum
 from ..las import impossible_header, required_laspy
 from ..untrusted import distrust
@@ -132,14 +132,14 @@ def _unreadable(path: str, reason: object) -> ImageError:
 
 
 def _system(path: str, header: Any) -> pyproj.CRS:
-    """The CRS of a cloud; raises ImageError where it has none."""
+    """The CRS of a cloud; raises ImageError where it has none on the Earth."""
     try:
         system: Optional[pyproj.CRS] = header.parse_crs()
     except (pyproj.exceptions.ProjError, ValueError, LookupError, struct.error) as error:
         raise _unreadable(path, error) from error
     if system is None:
         raise ImageError(f"The point cloud '{path}' has no coordinate reference system: assign it one first (PDAL).")
-    return system
+    return on_earth(system, path)
 
 
 class CellSums:
