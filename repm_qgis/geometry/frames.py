@@ -77,6 +77,16 @@ class EnuFrame(Record):
         return geodetic_from_ecef(np.asarray(enu_m, dtype=np.float64) @ self._rotation + self._origin)
 
 
+def mean_place(places: FloatArray) -> FloatArray:
+    """(D,) the mean of (N, D) longitudes, latitudes and what follows: across the line of 180 degrees, 179.9 and -179.9
+    have the mean 180, and not 0 on the other side of the Earth."""
+    middle: FloatArray = np.mean(places, axis=0)
+    lon = places[:, 0]
+    if np.ptp(lon) > 180.0:
+        middle[0] = lon[0] + np.mean((lon - lon[0] + 180.0) % 360.0 - 180.0)
+    return middle
+
+
 def utm_crs(lon: float, lat: float) -> str:
     """The PROJ name of the UTM zone a point lies in, southern hemisphere included: ``EPSG:32631``."""
     zone = int(np.floor((lon + 180.0) / 6.0)) % 60 + 1
