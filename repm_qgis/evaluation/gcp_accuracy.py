@@ -14,6 +14,7 @@ from osgeo import gdal
 from pyproj import CRS, Transformer
 
 from ..arrays import FloatArray, Mask
+from ..checks import as_text
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
 from ..imagery.sampling import nmad
 from ..scene import View
@@ -180,7 +181,7 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: 
 def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[str]:
     if vertical_part(grid.crs) is not None:
         return warper.warnings
-    if "ellipsoid" in (dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
+    if "ellipsoid" in as_text(dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
     return [
         f"'{grid.path}' does not state its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "

@@ -12,6 +12,7 @@ from osgeo import gdal
 from pyproj.exceptions import ProjError
 
 from ..arrays import Bounds, Window
+from ..checks import as_text
 from ..errors import ImageError, OptionError
 from ..evaluation.grids import Grid, metres_per_unit, require_metres, require_place
 from ..geometry.cell_grid import CellGrid
@@ -120,7 +121,7 @@ def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     crs = grid.crs
     vertical = vertical_part(crs)
     if vertical is None:
-        name = dataset.GetMetadataItem(TAG) or ""
+        name = as_text(dataset.GetMetadataItem(TAG) or "")
         return Found(grid, HeightDatum("", name) if name else None)
     if crs.is_compound:
         return Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")))
