@@ -410,6 +410,8 @@ def _found(folder: str, before: str, path: str) -> str:
 def _document(path: str) -> Dict[str, Any]:
     """The JSON object of a scene file, with format and schema checked."""
     try:
+        if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+            raise SceneError(f"The scene '{path}' is a pipe or a device, not a file: {_CHOOSE}")  # which would wait
         if os.path.getsize(path) > _MAX_SCENE_BYTES:
             raise SceneError(
                 f"The scene '{path}' is larger than {_MAX_SCENE_BYTES >> 20} MiB: choose one that REPM wrote."
