@@ -243,6 +243,9 @@ class Scene(Record):
                 return f"has a tile '{tile.id}' that {wrong}"
         if len({tile.id for tile in self.tiles}) < len(self.tiles):
             return "has two tiles of the same name"
+        unknown = {record.backend for tile in self.tiles for record in tile.heights} - {*BACKENDS[1:]}
+        if unknown:
+            return f"has height maps of the backend '{sorted(unknown)[0]}', which this version does not know"
         if not self._within_images():
             return "has an area or a tile that is larger than its images"
         for pair in (*(pair.names for pair in self.pairs), *self._tied):
@@ -485,7 +488,8 @@ def ground_of(path: str) -> Optional[GroundSeen]:
     """What a scene's images show, from its views alone, which is fast; None where the file is no scene."""
     try:
         entries = typed(Tuple[Any, ...], _document(path).get("views"))
-        return GroundSeen.of([View.from_mapping(mapping(entry)) for entry in entries])
+        views = [View.from_mapping(mapping(entry)) for entry in entries]
+        return GroundSeen.of(views) if views else None
     except (SceneError, Misfit, RpcInvalidError, IndexError):
         return None
 
