@@ -21,7 +21,7 @@ from typing import Iterator, Sequence, Set
 
 from .errors import WorkspaceError
 from .progress import Progress
-from .workspace import cannot_write, ensure_folder, real_target
+from .workspace import cannot_write, ensure_folder, keeping_place, real_target
 
 _POLL_S = 0.3
 _UNKNOWN = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)  # file systems that have no locks
@@ -83,7 +83,8 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
     _held.add(path)
     try:
         _sign(descriptor, stage)
-        yield
+        with keeping_place(path):
+            yield
     finally:
         _held.discard(path)
         with suppress(OSError):  # Windows does not remove an open file; the next run finds it unlocked

@@ -18,15 +18,54 @@ import time
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, FrozenSet, Iterable, Iterator, List, Optional, Set
+from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from . import __version__
 from .errors import Cancelled, RepmError, WorkspaceError
+
+_kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
+
+
+@contextmanager
+def keeping_place(file: str) -> Iterator[None]:
+    """Within the block, nothing is written into the folder of a file, or below it, once that folder has lost its name.
+
+    A folder that somebody renames amid a run would be made again with half of what belongs into it.
+    """
+    folder = os.path.dirname(file)
+    _kept[file] = os.stat(folder)
+    try:
+        yield
+    except Cancelled:
+        raise
+    except Exception:
+        _require_place(folder)  # else some file is missing, and that would be all that is said
+        raise
+    finally:
+        del _kept[file]
+
+
+def _require_place(path: str) -> None:
+    """Raise WorkspaceError where a path lies in a folder of :func:`keeping_place` that is another one now."""
+    place = os.path.realpath(path)
+    for file, known in list(_kept.items()):
+        folder = os.path.dirname(file)
+        if os.path.join(place, "").startswith(os.path.join(folder, "")) and not os.path.lexists(file):
+            try:
+                same = os.path.samestat(os.stat(folder), known)
+            except OSError:
+                same = False
+            if not same:
+                raise WorkspaceError(
+                    f"The folder '{folder}' was renamed, moved or removed while this run wrote there: give it its name "
+                    "back, and run again."
+                )
 
 
 def ensure_folder(path: str) -> Path:
     """Make a folder with its parents and see that files can be written there; raises WorkspaceError."""
     folder = Path(path)
+    _require_place(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

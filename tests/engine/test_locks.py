@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from repm_qgis.errors import Cancelled, WorkspaceError
 from repm_qgis.locks import exclusive
+from repm_qgis.workspace import write_text
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
@@ -81,6 +83,30 @@ def test_a_run_holds_what_its_stages_ask_for(told, tmp_path):
             assert os.listdir(folder) == [".repm.lock"]
         assert os.listdir(folder) == [".repm.lock"]
     assert said.warnings == [] and os.listdir(folder) == []
+
+
+@pytest.mark.parametrize("removed", (False, True))
+def test_a_folder_that_loses_its_name_amid_a_run_is_not_made_again(told, tmp_path, removed):
+    folder = tmp_path / "w"
+    with pytest.raises(WorkspaceError, match="w' was renamed, moved or removed while this run wrote there: give it"):
+        with exclusive("pipeline", told(), folders=[str(folder)]):
+            write_text(str(folder / "heights" / "a.txt"), "whole")
+            if removed:
+                shutil.rmtree(folder)
+            else:
+                os.rename(folder, tmp_path / "renamed")
+            write_text(str(folder / "heights" / "b.txt"), "half")
+    assert not folder.exists() and (removed or os.listdir(tmp_path / "renamed" / "heights") == ["a.txt"])
+    with exclusive("pipeline", told(), folders=[str(folder)]):
+        (folder / ".repm.lock").unlink()  # somebody takes it for a leftover: the folder is the same
+        write_text(str(folder / "a.txt"), "whole")
+
+
+def test_what_is_missed_in_a_folder_that_lost_its_name_is_not_blamed(told, tmp_path):
+    with pytest.raises(WorkspaceError, match="w' was renamed, moved or removed"):
+        with exclusive("pipeline", told(), folders=[str(tmp_path / "w")]):
+            os.rename(tmp_path / "w", tmp_path / "renamed")
+            os.listdir(tmp_path / "w")
 
 
 def _link(lock, precious):
