@@ -432,6 +432,25 @@ def memory_limits(bench: Bench, count: int, score: Score) -> None:
         shutil.rmtree(place, ignore_errors=True)
 
 
+def received(bench: Bench, count: int, score: Score) -> None:
+    """A workspace that came from elsewhere has a link or a pipe under a name that the run uses: nothing is lost."""
+    names = (".repm.lock", "report.html", "scene.json", "equivalent_error.html", "../.dsm.tif.lock")
+    for number in range(count):
+        name, pipe = names[number % len(names)], number // len(names) % 2 == 1
+        place = bench.place()
+        (place / "w").mkdir()
+        precious = place / "precious"
+        precious.write_text("years of work")
+        planted = place / "w" / name
+        os.mkfifo(planted) if pipe else planted.symlink_to(precious)
+        ended = bench.start("pipeline", bench.job(place)).end(HANG_S)
+        problems = ended.problems()
+        if precious.read_text() != "years of work":
+            problems.append("a file that nobody named was lost")
+        score.add(problems, f"{'pipe' if pipe else 'link'} as {name}")
+        shutil.rmtree(place, ignore_errors=True)
+
+
 def mutations(bench: Bench, count: int, score: Score) -> None:
     """Damaged scenes, jobs and tables, many to a process: each must be refused in a sentence, or work."""
     from tests.engine import fuzz_documents as documents
@@ -447,6 +466,7 @@ KINDS: Dict[str, Tuple[Callable[[Bench, int, Score], None], int]] = {
     "full or read-only disk": (full_disks, 40),
     "two runs side by side": (side_by_side, 20),
     "memory limit": (memory_limits, 10),
+    "link or pipe in a received workspace": (received, 10),
     "mutated scene, job or table": (mutations, 2000),
 }
 

@@ -68,6 +68,23 @@ def mapping(value: Any) -> Mapping[str, Any]:
     return value
 
 
+def as_text(value: object) -> str:
+    """A text that GDAL gives of a file that does not say its encoding: what is no UTF-8 is read as Latin-1.
+
+    GDAL gives such a text as bytes or with surrogates, which neither a page nor a file in UTF-8 can hold.
+    """
+    data = value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogateescape")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def as_texts(items: object) -> Dict[str, str]:
+    """GDAL's metadata by name, each of them :func:`as_text`; empty for None."""
+    return {as_text(name): as_text(text) for name, text in items.items()} if isinstance(items, Mapping) else {}
+
+
 def shown(value: object) -> str:
     """A value as a message may show it: short, and on one line."""
     return _words.repr(value)

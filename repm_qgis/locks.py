@@ -1,7 +1,9 @@
 """One run at a time where two would write the same files: the second says whom it waits for, and waits.
 
 The operating system holds the locks (flock, or LockFile on Windows), so they end with their process, however it ends:
-there are no stale locks. The file only says who has it.
+there are no stale locks. The file only says who has it. Its name can be foreseen, and the folder may have come from
+anybody: what lies there under that name and is no lock (a link, a pipe, a file of the user) is neither followed nor
+waited for nor written to.
 """
 
 from __future__ import annotations
@@ -10,17 +12,23 @@ import errno
 import json
 import os
 import socket
+import stat
 import sys
 import time
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from typing import Iterator, Sequence, Set
 
+from .errors import WorkspaceError
 from .progress import Progress
-from .workspace import cannot_write, ensure_folder, real_target
+from .workspace import cannot_write, ensure_folder, keeping_place, real_target
 
 _POLL_S = 0.3
 _UNKNOWN = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)  # file systems that have no locks
+_MOST_BYTES = 4096  # of what a lock's file says
+# A link is not followed and a pipe not waited for; Windows knows neither flag.
+_AS_IT_IS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
+_SIGNED = b'{"process":'  # what every lock's file begins with
 _held: Set[str] = set()
 
 
@@ -29,7 +37,7 @@ def exclusive(stage: str, progress: Progress, folders: Sequence[str] = (), files
     """Keep folders and files for this process within the block; waits while another process has one of them.
 
     A path that this process holds already is passed over, so that a run holds what its stages ask for. Raises
-    Cancelled while it waits, WorkspaceError where no lock can be made.
+    Cancelled while it waits, WorkspaceError where no lock can be made, or where its name is taken by what is no lock.
     """
     with ExitStack() as stack:
         inside = {str(real_target(folder) / ".repm.lock") for folder in folders}
@@ -50,6 +58,7 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
         descriptor = _opened(path)
         try:
             if _lock(descriptor) and _is_file(descriptor, path):
+                _require_ours(descriptor, path)
                 break
         except OSError as error:
             if error.errno in _UNKNOWN:
@@ -61,7 +70,10 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
                 return
             os.close(descriptor)
             raise cannot_write(path, error) from error
-        owner = _owner(path)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        owner = _owner(descriptor)
         os.close(descriptor)
         if not announced:
             progress.warn(f"'{os.path.dirname(path)}' is in use by {owner}: this run waits until that one ends.")
@@ -71,7 +83,8 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
     _held.add(path)
     try:
         _sign(descriptor, stage)
-        yield
+        with keeping_place(path):
+            yield
     finally:
         _held.discard(path)
         with suppress(OSError):  # Windows does not remove an open file; the next run finds it unlocked
@@ -91,8 +104,12 @@ def _opened(path: str) -> int:
         ensure_folder(os.path.dirname(path))
         attempts -= 1
         try:
-            return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            if os.path.islink(path):
+                raise _no_lock(path)
+            return os.open(path, os.O_RDWR | os.O_CREAT | _AS_IT_IS, 0o644)
         except OSError as error:
+            if error.errno in (errno.ELOOP, errno.ENXIO):
+                raise _no_lock(path) from error
             if not attempts or error.errno != errno.ENOENT:
                 raise cannot_write(path, error) from error
 
@@ -117,24 +134,47 @@ def _lock(descriptor: int) -> bool:
 def _is_file(descriptor: int, path: str) -> bool:
     """Whether the locked file still has its name: the run before removes it as it ends."""
     try:
-        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
     except FileNotFoundError:
         return False
+
+
+def _require_ours(descriptor: int, path: str) -> None:
+    """Raise WorkspaceError where the locked file is not one of this module's: it would be overwritten and removed.
+
+    A lock's file has one name and holds what a run has signed, whole or cut by a kill: its beginning tells.
+    """
+    status = os.fstat(descriptor)
+    plain = stat.S_ISREG(status.st_mode) and status.st_nlink <= 1
+    if not plain or not _SIGNED.startswith(_read(descriptor, len(_SIGNED))):
+        raise _no_lock(path)
+
+
+def _no_lock(path: str) -> WorkspaceError:
+    return WorkspaceError(
+        f"'{path}' is a link, a pipe or a file that is not this program's, where a lock is needed: remove it, or "
+        "choose another place."
+    )
+
+
+def _read(descriptor: int, most: int) -> bytes:
+    """The first bytes of an open file."""
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    return os.read(descriptor, most)
 
 
 def _sign(descriptor: int, stage: str) -> None:
     now = datetime.now().astimezone().isoformat(timespec="seconds")
     text = json.dumps({"process": os.getpid(), "computer": socket.gethostname(), "stage": stage, "since": now})
+    os.ftruncate(descriptor, 0)
     os.lseek(descriptor, 0, os.SEEK_SET)
-    os.truncate(descriptor, 0)
     os.write(descriptor, text.encode())
 
 
-def _owner(path: str) -> str:
+def _owner(descriptor: int) -> str:
     """Who has the lock, as its file says; a run that has just begun may not have signed yet."""
     try:
-        with open(path, encoding="utf-8") as stream:
-            known = json.loads(stream.read(4096))
+        known = json.loads(_read(descriptor, _MOST_BYTES))
         since = datetime.fromisoformat(str(known["since"])).strftime("%H:%M:%S on %Y-%m-%d")
         return f"process {int(known['process'])} on {known['computer']} ({known['stage']}, since {since})"
     except (OSError, ValueError, KeyError, TypeError):

@@ -183,7 +183,7 @@ class ViewPair(Record):
     first: Name
     second: Name
     angle_deg: Annotated[float, Number(0, 180, "degrees")]
-    base_to_height: Annotated[float, Number(0, 1e6)]
+    base_to_height: Annotated[float, Number(1e-6, 1e6)]
     tiles: Count
     share: Annotated[float, Number(0, 1e6)] = 1.0
     days: Optional[float] = None

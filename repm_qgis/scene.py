@@ -243,6 +243,9 @@ class Scene(Record):
                 return f"has a tile '{tile.id}' that {wrong}"
         if len({tile.id for tile in self.tiles}) < len(self.tiles):
             return "has two tiles of the same name"
+        unknown = {record.backend for tile in self.tiles for record in tile.heights} - {*BACKENDS[1:]}
+        if unknown:
+            return f"has height maps of the backend '{sorted(unknown)[0]}', which this version does not know"
         if not self._within_images():
             return "has an area or a tile that is larger than its images"
         for pair in (*(pair.names for pair in self.pairs), *self._tied):
@@ -410,6 +413,8 @@ def _found(folder: str, before: str, path: str) -> str:
 def _document(path: str) -> Dict[str, Any]:
     """The JSON object of a scene file, with format and schema checked."""
     try:
+        if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+            raise SceneError(f"The scene '{path}' is a pipe or a device, not a file: {_CHOOSE}")  # which would wait
         if os.path.getsize(path) > _MAX_SCENE_BYTES:
             raise SceneError(
                 f"The scene '{path}' is larger than {_MAX_SCENE_BYTES >> 20} MiB: choose one that REPM wrote."
@@ -483,7 +488,8 @@ def ground_of(path: str) -> Optional[GroundSeen]:
     """What a scene's images show, from its views alone, which is fast; None where the file is no scene."""
     try:
         entries = typed(Tuple[Any, ...], _document(path).get("views"))
-        return GroundSeen.of([View.from_mapping(mapping(entry)) for entry in entries])
+        views = [View.from_mapping(mapping(entry)) for entry in entries]
+        return GroundSeen.of(views) if views else None
     except (SceneError, Misfit, RpcInvalidError, IndexError):
         return None
 

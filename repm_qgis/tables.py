@@ -13,7 +13,9 @@ import pyproj
 from osgeo import gdal, ogr
 
 from .arrays import Bounds
+from .checks import as_text
 from .errors import InputTableError
+from .geometry.frames import on_earth
 from .untrusted import distrust
 from .vector import open_vector
 
@@ -105,7 +107,7 @@ class LayerTable:
         if self._layer is None:
             raise InputTableError(f"'{path}' has no layer '{name}': choose an existing one.")
         definition = self._layer.GetLayerDefn()
-        self.fields = [definition.GetFieldDefn(i).GetName().lower() for i in range(definition.GetFieldCount())]
+        self.fields = [as_text(definition.GetFieldDefn(i).GetName()).lower() for i in range(definition.GetFieldCount())]
         kind = self._layer.GetGeomType()
         self.placed, self.has_height = ogr.GT_Flatten(kind) == ogr.wkbPoint, bool(ogr.GT_HasZ(kind))
         self.known_count = self._layer.GetFeatureCount(0)  # 0: only where the format knows it without counting
@@ -113,9 +115,10 @@ class LayerTable:
         self.crs: Optional[pyproj.CRS] = None
         if reference is not None:
             try:
-                self.crs = pyproj.CRS.from_wkt(reference.ExportToWkt(["FORMAT=WKT2_2018"]))
+                crs = pyproj.CRS.from_wkt(as_text(reference.ExportToWkt(["FORMAT=WKT2_2018"])))
             except (RuntimeError, pyproj.exceptions.CRSError) as error:
                 raise self._damaged(error) from error
+            self.crs = on_earth(crs, path, InputTableError)
 
     def keep_within(self, bounds: Bounds) -> None:
         """Let :meth:`rows` give only those within bounds in the layer's CRS, where these are finite."""
@@ -131,7 +134,9 @@ class LayerTable:
         for line, feature in enumerate(iter(self._next, None), start=1):
             geometry = feature.GetGeometryRef() if self.placed else None
             place = None if geometry is None else (geometry.GetX(), geometry.GetY(), geometry.GetZ())
-            yield line, {name: feature.GetField(index) for index, name in enumerate(self.fields)}, place
+            values = (feature.GetField(index) for index in range(len(self.fields)))
+            texts = (as_text(value) if isinstance(value, str) else value for value in values)
+            yield line, dict(zip(self.fields, texts)), place
 
     def _next(self) -> Optional[ogr.Feature]:
         """The next feature; None at the end, which for OGR is also where it can read no further."""

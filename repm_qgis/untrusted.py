@@ -11,7 +11,8 @@ import os
 import re
 import stat
 from functools import lru_cache
-from typing import Any, List, Optional, Sequence, Set, Tuple
+from itertools import islice
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 from xml.parsers import expat  # declarations of types, and so of entities, are refused
 
 from osgeo import gdal
@@ -40,6 +41,10 @@ _REMOTE = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
 _DRIVER = re.compile(r'"?(\w{2,}):', re.ASCII)
 _MOST_BYTES = 64 << 20  # of a VRT; those of mosaics with 100,000 parts have 50 MB
 _DEEPEST = 8  # VRTs that name each other
+_MOST_FILES = 200_000  # that one file leads to; mosaics have 100,000 parts
+_MOST_OPENED = 1_000_000  # each counted as often as it is named: mosaics of VRTs with three bands name each part thrice
+_MOST_ENTRIES = 100_000  # of a folder that are looked at
+_AROUND_NAMES = re.compile(r"^img_|_r\d+c\d+$")  # of image files whose product has one file of metadata for all parts
 
 MOST_SIDE_PX = 1_000_000
 """The longest strips of today's satellites have 720,000 lines: 360 km of 0.5 m."""
@@ -75,7 +80,7 @@ def distrust(path: str) -> str:
 def _distrust(path: str, *_: Any) -> str:
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
-        _look_through(path, 0, set())
+        _look_through(path, 0, {})
     except _DistrustedError as error:
         return str(error)
     except RuntimeError:  # GDAL's, about a file that it cannot open: nothing comes of that
@@ -91,7 +96,7 @@ def claimed(dataset: gdal.Dataset) -> str:
     Raster files of a few kB can claim billions of pixels: reading them takes as long as if they were there.
     """
     try:
-        _look_at_metadata(dataset, os.path.abspath(dataset.GetDescription()), 0, set())
+        _look_at_metadata(dataset, os.path.abspath(dataset.GetDescription()), 0, {})
     except _DistrustedError as error:
         return str(error)
     size = f"{dataset.RasterXSize} x {dataset.RasterYSize} px"
@@ -130,19 +135,39 @@ class _DistrustedError(Exception):
     """The rest of a sentence that begins with the path that was given."""
 
 
-def _look_through(path: str, depth: int, seen: Set[str]) -> None:
-    """Raise _DistrustedError for what a file would make GDAL open: itself, what lies beside it, what it names."""
+def _look_through(path: str, depth: int, seen: Dict[str, int]) -> int:
+    """Raise _DistrustedError for what a file would make GDAL open: itself, what lies beside it, what it names.
+
+    Gives how many files GDAL opens for it, in which a file counts as often as others name it: ten VRTs, each of which
+    names the next one ten times, are ten files and ten thousand million openings.
+    """
     real = os.path.realpath(path)
     if real in seen:
-        return
-    seen.add(real)
+        return seen[real]
+    seen[real] = 1  # for files that name each other, which GDAL refuses
+    if len(seen) > _MOST_FILES:
+        raise _DistrustedError(f"leads to more than {_MOST_FILES} files: make one VRT of the images themselves.")
+    opened = 1 + _looked_through(path, depth, seen)
+    if opened > _MOST_OPENED:
+        raise _DistrustedError(
+            f"makes GDAL open more than {_MOST_OPENED} files, as its VRTs name each other many times: make one VRT of "
+            "the images themselves."
+        )
+    seen[real] = opened
+    return opened
+
+
+def _looked_through(path: str, depth: int, seen: Dict[str, int]) -> int:
+    """What :func:`_look_through` asks of a file that it has not seen; how many files it leads to."""
+    opened = 0
     if depth > _DEEPEST:
         raise _DistrustedError(f"is a VRT of VRTs more than {_DEEPEST} deep: make one VRT of the images themselves.")
+    _refuse_pipes(path)
     for beside in (f"{path}.ovr", f"{path}.msk"):
         if os.path.exists(beside):
-            _look_through(beside, depth + 1, seen)
+            opened += _look_through(beside, depth + 1, seen)
     if os.path.exists(f"{path}.aux.xml"):
-        _look_at_xml(f"{path}.aux.xml", depth, seen)
+        opened += _look_at_xml(f"{path}.aux.xml", depth, seen)
     head = _head(path)
     if b"\0" in head or not head:
         # Binary files hold pixels: only in their metadata can they name other files.
@@ -150,8 +175,8 @@ def _look_through(path: str, depth: int, seen: Set[str]) -> None:
             alone = [os.path.basename(path)]  # without a listing of its folder, which may have as many files as the VRT
             dataset = gdal.OpenEx(path, gdal.OF_RASTER, allowed_drivers=RASTERS, sibling_files=alone)
             if dataset is not None:
-                _look_at_metadata(dataset, path, depth, seen)
-        return
+                opened += _look_at_metadata(dataset, path, depth, seen)
+        return opened
     name, found = _format(path, gdal.OF_RASTER), ""
     if name not in RASTERS:
         found = _format(path, gdal.OF_VECTOR) or name
@@ -160,9 +185,40 @@ def _look_through(path: str, depth: int, seen: Set[str]) -> None:
             f"leads to a file of the format {found}, which is not opened here: use the data themselves."
         )
     if name in ("VRT", "DIMAP") or b"<VRTDataset" in head:
-        _look_at_xml(path, depth, seen)
+        opened += _look_at_xml(path, depth, seen)
     elif name == "TIL":
         _refuse_network(head.decode("latin-1"))
+    return opened
+
+
+def _refuse_pipes(path: str) -> None:
+    """Refuse a pipe or a device that has a name as of the files beside an image: GDAL opens these, and would wait."""
+    folder, name = os.path.split(os.path.abspath(path))
+    core = re.escape(_AROUND_NAMES.sub("", os.path.splitext(name)[0].lower()))
+    try:
+        found = _pipes_in(folder, os.stat(folder).st_mtime_ns)
+    except OSError:  # a folder that cannot be listed: GDAL tries the names themselves
+        found = tuple(f"{name}{ending}" for ending in (".ovr", ".msk", ".aux.xml") if _waits(f"{path}{ending}"))
+    for pipe in found:
+        if re.search(f"(?<![a-z0-9]){core}(?![a-z0-9])", pipe.lower()):
+            raise _DistrustedError(f"has the pipe or device '{pipe}' beside it: remove that.")
+
+
+@lru_cache(maxsize=256)
+def _pipes_in(folder: str, _: int) -> Tuple[str, ...]:
+    """The pipes and devices in a folder; the time of its last change tells when to look again."""
+    with os.scandir(folder) as entries:
+        some = islice(entries, _MOST_ENTRIES)
+        return tuple(sorted(e.name for e in some if not (e.is_file() or e.is_dir()) and _waits(e.path)))
+
+
+def _waits(path: str) -> bool:
+    """Whether something is a pipe or a device, on which reading would wait."""
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def _archived_description(path: str) -> str:
@@ -193,24 +249,27 @@ def _head(path: str) -> bytes:
         return b""
 
 
-def _look_at_xml(path: str, depth: int, seen: Set[str]) -> None:
-    """All texts and attributes of a VRT, and of the metadata beside an image, with entities replaced."""
+def _look_at_xml(path: str, depth: int, seen: Dict[str, int]) -> int:
+    """All texts and attributes of a VRT, and of the metadata beside an image, with entities replaced; how many files
+    they lead to."""
     try:
         texts = _texts(path)
     except OSError:
-        return
+        return 0
     except (expat.ExpatError, ValueError) as error:
         raise _DistrustedError(f"leads to '{path}', which cannot be read ({error}): get the file again.") from error
+    opened = 0
     for element, key, relative, text in texts:
         if element == "pixelfunctionlanguage" and text.lower() == "python":
             raise _DistrustedError("is a VRT that runs Python: save it as a GeoTIFF.")
         if element in ("mdi", "option"):
             if key in _FILE_KEYS or key == "RPC_DEM":
-                _look_at(text, path, depth, seen)
+                opened += _look_at(text, path, depth, seen)
         elif element.startswith("source") or element == "dempath":
-            _look_at(text, path, depth, seen, relative)
+            opened += _look_at(text, path, depth, seen, relative)
         else:
             _refuse_network(text)
+    return opened
 
 
 def _texts(path: str) -> List[Tuple[str, str, bool, str]]:
@@ -246,15 +305,18 @@ def _texts(path: str) -> List[Tuple[str, str, bool, str]]:
     return found
 
 
-def _look_at_metadata(dataset: gdal.Dataset, path: str, depth: int, seen: Set[str]) -> None:
+def _look_at_metadata(dataset: gdal.Dataset, path: str, depth: int, seen: Dict[str, int]) -> int:
+    opened = 0
     for key, domain in _FILE_KEYS.items():
         named = dataset.GetMetadataItem(key, domain)
         if named:
-            _look_at(named.replace(":::BASE:::", ""), path, depth, seen)
+            opened += _look_at(named.replace(":::BASE:::", ""), path, depth, seen)
+    return opened
 
 
-def _look_at(text: str, base: str, depth: int, seen: Set[str], relative: bool = True) -> None:
-    """What a file names as a source: it must be a file of this machine, and is looked through itself."""
+def _look_at(text: str, base: str, depth: int, seen: Dict[str, int], relative: bool = True) -> int:
+    """What a file names as a source: it must be a file of this machine, and is looked through itself; how many files
+    that makes GDAL open."""
     _refuse_network(text)
     driver = _DRIVER.match(text)
     elsewhere = os.name == "nt" and ntpath.splitdrive(text)[0].startswith(("\\\\", "//"))
@@ -269,9 +331,13 @@ def _look_at(text: str, base: str, depth: int, seen: Set[str], relative: bool = 
         name = os.fsdecode(text.encode("latin-1"))
     except UnicodeEncodeError:
         name = text
+    opened = 0
     for source in {os.path.join(os.path.dirname(base), name) if relative else name, name}:
         if os.path.isfile(source):
-            _look_through(source, depth + 1, seen)
+            opened = max(opened, _look_through(source, depth + 1, seen))
+        elif _waits(source):
+            raise _DistrustedError(f"leads to '{text}', which is a pipe or a device: use the data themselves.")
+    return opened
 
 
 def _refuse_network(text: str) -> None:

@@ -10,21 +10,62 @@ import json
 import os
 import shutil
 import socket
+import stat
 import sys
 import tempfile
 import threading
 import time
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Iterator, List, Optional, Set
+from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from . import __version__
 from .errors import Cancelled, RepmError, WorkspaceError
+
+_kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
+
+
+@contextmanager
+def keeping_place(file: str) -> Iterator[None]:
+    """Within the block, nothing is written into the folder of a file, or below it, once that folder has lost its name.
+
+    A folder that somebody renames amid a run would be made again with half of what belongs into it.
+    """
+    folder = os.path.dirname(file)
+    _kept[file] = os.stat(folder)
+    try:
+        yield
+    except Cancelled:
+        raise
+    except Exception:
+        _require_place(folder)  # else some file is missing, and that would be all that is said
+        raise
+    finally:
+        del _kept[file]
+
+
+def _require_place(path: str) -> None:
+    """Raise WorkspaceError where a path lies in a folder of :func:`keeping_place` that is another one now."""
+    place = os.path.realpath(path)
+    for file, known in list(_kept.items()):
+        folder = os.path.dirname(file)
+        if os.path.join(place, "").startswith(os.path.join(folder, "")) and not os.path.lexists(file):
+            try:
+                same = os.path.samestat(os.stat(folder), known)
+            except OSError:
+                same = False
+            if not same:
+                raise WorkspaceError(
+                    f"The folder '{folder}' was renamed, moved or removed while this run wrote there: give it its name "
+                    "back, and run again."
+                )
 
 
 def ensure_folder(path: str) -> Path:
     """Make a folder with its parents and see that files can be written there; raises WorkspaceError."""
     folder = Path(path)
+    _require_place(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -39,35 +80,56 @@ def ensure_folder(path: str) -> Path:
     return folder
 
 
-def temporary_name(path: str) -> str:
+_named: ContextVar[Optional[FrozenSet[str]]] = ContextVar("named", default=None)
+
+
+@contextmanager
+def following_links_of(paths: Iterable[str]) -> Iterator[None]:
+    """Within the block, only these paths, which the user has named, may be links that are followed.
+
+    All other names are the program's own. A workspace may have come from anybody: a link in it that has one of these
+    names leads to a file that no user of it has named, and is replaced.
+    """
+    token = _named.set(frozenset(map(os.path.abspath, paths)))
+    try:
+        yield
+    finally:
+        _named.reset(token)
+
+
+def temporary_name(path: str, own: bool = False) -> str:
     """A new name beside ``path`` to write to before renaming; its folder is made, its extension kept.
 
     The name holds this machine, this process and a random part, so that no two attempts share it. What processes of
     this machine that are gone have left of earlier attempts is removed. Raises WorkspaceError, also where ``path`` is
-    there and is no regular file: a device, say.
+    there and is no regular file: a device, say. ``own``: no user has named ``path``, see :func:`real_target`.
     """
-    target = real_target(path)
+    target = real_target(path, own)
     ensure_folder(str(target.parent))
-    drop_temporary(path)
+    drop_temporary(path, own)
     temporary = str(target.with_name(f"{_prefix(target)}{_MACHINE}-{os.getpid()}-{os.urandom(4).hex()}{target.suffix}"))
     _own_temporaries.add(temporary)
     return temporary
 
 
-def real_target(path: str) -> Path:
+def real_target(path: str, own: bool = False) -> Path:
     """The file or folder that writing to ``path`` replaces: links are followed, so that they stay links.
 
+    A link is replaced itself where its name is the program's ``own``, or none of :func:`following_links_of`.
     Raises WorkspaceError where something is there that is neither a regular file nor a folder.
     """
+    named = _named.get()
+    if os.path.islink(path) and (own or (named is not None and os.path.abspath(path) not in named)):
+        return Path(os.path.realpath(os.path.dirname(os.path.abspath(path))), os.path.basename(path))
     target = Path(os.path.realpath(path))
     if os.path.exists(target) and not (os.path.isfile(target) or os.path.isdir(target)):  # Path's raise for long names
         raise WorkspaceError(f"'{path}' is a device or a pipe, not a file: choose the name of a file.")
     return target
 
 
-def drop_temporary(path: str) -> None:
+def drop_temporary(path: str, own: bool = False) -> None:
     """Remove what processes of this machine that are gone have left of earlier attempts to write ``path``."""
-    target = Path(os.path.realpath(path))
+    target = real_target(path, own)
     _drop(target.parent, glob.escape(_prefix(target)))
 
 
@@ -141,13 +203,15 @@ def _remove(path: str) -> None:
     _own_temporaries.discard(path)
 
 
-def take_name(temporary: str, path: str) -> None:
-    """Give a whole file its name, for good: what it holds is on the disk before the name is.
+def take_name(temporary: str, path: str, own: bool = False) -> None:
+    """Give a whole file its name, for good: what it holds is on the disk before the name is. It has the permissions of
+    the file that it replaces. ``own`` as in :func:`temporary_name`.
 
     Raises WorkspaceError where the name is taken by a folder, say, and Cancelled after :func:`name_nothing_more`.
     """
-    target = real_target(path)
+    target = real_target(path, own)
     try:
+        _keep_permissions(temporary, target)
         _sync(temporary)
         _require_naming()
         _replace(temporary, target)
@@ -155,6 +219,17 @@ def take_name(temporary: str, path: str) -> None:
     except OSError as error:
         raise cannot_write(path, error) from error
     _own_temporaries.discard(temporary)
+
+
+def _keep_permissions(temporary: str | os.PathLike[str], target: Path) -> None:
+    """Give a new file or folder the permissions of the older one of its name: who may not read that may not read this.
+
+    Its owner may always read it. Windows keeps permissions with the folder.
+    """
+    if os.name == "nt" or target.is_symlink():
+        return
+    with suppress(OSError):  # there is no older one, or the file system knows no permissions
+        os.chmod(temporary, target.stat().st_mode & 0o777 | stat.S_IRUSR)
 
 
 _IN_USE = (5, 32, 33)  # Windows: access denied, sharing violation, lock violation (winerror.h)
@@ -387,7 +462,8 @@ def _take_place(temporary: Path, target: Path) -> None:
     older one is put aside first, and :func:`recover_folder` finds it there after a kill between the two steps.
     """
     _require_naming()
-    if not target.exists():
+    _keep_permissions(temporary, target)
+    if not os.path.lexists(target):
         _replace(temporary, target)
     elif not _exchange(temporary, target):
         aside = _aside(target)

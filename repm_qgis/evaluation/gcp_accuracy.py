@@ -14,7 +14,8 @@ from osgeo import gdal
 from pyproj import CRS, Transformer
 
 from ..arrays import FloatArray, Mask
-from ..geometry.frames import EnuFrame, flat_crs, vertical_part
+from ..checks import as_text
+from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
 from ..imagery.sampling import nmad
 from ..scene import View
 from ..sfm.ground_control import Gcp, intersect, residuals
@@ -180,7 +181,7 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: 
 def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[str]:
     if vertical_part(grid.crs) is not None:
         return warper.warnings
-    if "ellipsoid" in (dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
+    if "ellipsoid" in as_text(dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
     return [
         f"'{grid.path}' does not state its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
@@ -190,7 +191,9 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
 
 def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> List[str]:
     """Warnings of points that have no height, outside the DSM and inside."""
-    x, y = Transformer.from_crs("EPSG:4326", flat_crs(grid.crs), always_xy=True).transform(*places.T)
+    x, y = Transformer.from_crs("EPSG:4326", flat_crs(on_earth(grid.crs, grid.path)), always_xy=True).transform(
+        *places.T
+    )
     column, row = grid.to_cells(np.asarray(x), np.asarray(y))
     inside = (column >= 0) & (row >= 0) & (column <= grid.size[0]) & (row <= grid.size[1])
     warnings = []

@@ -6,7 +6,7 @@ from typing import Any, List
 
 import numpy as np
 
-from ..geometry.frames import EnuFrame
+from ..geometry.frames import EnuFrame, mean_place
 from ..options import CheckGcpsOptions
 from ..progress import counted
 from . import charts, verdict
@@ -108,7 +108,7 @@ def _components(page: Report, found: GcpAccuracy) -> None:
 
 def _arrows(page: Report, found: GcpAccuracy) -> None:
     places = np.array([gcp.lon_lat_h for gcp in found.gcps])
-    flat = EnuFrame(*map(float, places.mean(axis=0))).from_geodetic(places)[:, :2] * (1, -1)
+    flat = EnuFrame(*map(float, mean_place(places))).from_geodetic(places)[:, :2] * (1, -1)
     for column in [name for name in ("rpc", "compensated", "scene") if name in found.errors]:
         vectors = found.errors[column][:, :2] * (1, -1)
         if np.isfinite(vectors).all(axis=1).sum() >= 2:

@@ -13,8 +13,9 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from ..arrays import Bounds, FloatArray, FloatImage, Size, Window
+from ..checks import as_text
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs, install_grid, vertical_operations, vertical_part
+from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery import raster
@@ -45,7 +46,7 @@ class Grid:
         if reference is not None and dataset.GetMetadataItem(TAG) == ELLIPSOID and reference.GetAxesCount() == 2:
             reference = reference.Clone()
             reference.PromoteTo3D("")  # our own DSMs state their datum in this tag, as GeoTIFF keys cannot
-        wkt = reference.ExportToWkt(["FORMAT=WKT2_2018"]) if reference is not None else ""
+        wkt = as_text(reference.ExportToWkt(["FORMAT=WKT2_2018"])) if reference is not None else ""
         size = dataset.RasterXSize, dataset.RasterYSize
         return cls(dataset.GetDescription(), size, tuple(dataset.GetGeoTransform()), wkt)
 
@@ -144,7 +145,7 @@ def require_place(grid: Grid) -> None:
 
 def require_metres(dataset: gdal.Dataset, grid: Grid) -> None:
     """Raise ImageError for heights in another unit than the metre, as the band or the vertical CRS states it."""
-    units = [dataset.GetRasterBand(1).GetUnitType()]
+    units = [as_text(dataset.GetRasterBand(1).GetUnitType())]
     units += [axis.unit_name for part in grid.crs.sub_crs_list if part.is_vertical for axis in part.axis_info]
     for unit in units:
         if unit.lower() not in _METRES:
@@ -168,7 +169,8 @@ def cell_metres(grid: Grid) -> Tuple[float, float]:
 
 def overlap(dsm: Grid, reference: Grid) -> Bounds:
     """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
-    to_reference = Transformer.from_crs(flat_crs(dsm.crs), flat_crs(reference.crs), always_xy=True)
+    source, target = (flat_crs(on_earth(each.crs, each.path)) for each in (dsm, reference))
+    to_reference = Transformer.from_crs(source, target, always_xy=True)
     theirs = reference.bounds
     try:
         ours = Bounds(*to_reference.transform_bounds(*dsm.bounds, densify_pts=21))

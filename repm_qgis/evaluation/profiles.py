@@ -11,6 +11,7 @@ import pyproj
 from osgeo import ogr, osr
 
 from ..arrays import Bounds, FloatArray, FloatImage
+from ..checks import as_text
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
 from ..vector import file_and_layer, open_vector
@@ -100,7 +101,7 @@ def _row_of_cells(grid: Grid, a: FloatArray, b: FloatArray, count: int) -> Grid:
 
 def _name_of(feature: ogr.Feature, number: int) -> str:
     index = feature.GetFieldIndex("name")
-    text = feature.GetFieldAsString(index).strip() if index >= 0 else ""
+    text = as_text(feature.GetFieldAsString(index)).strip() if index >= 0 else ""
     return text[:60] or f"line {number}"
 
 

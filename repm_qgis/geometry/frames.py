@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, List, Optional, Sequence, Tuple
+from typing import Annotated, Any, List, Optional, Sequence, Tuple, Type
 
 import numpy as np
 import pyproj
@@ -18,7 +18,7 @@ from pyproj.transformer import TransformerGroup
 
 from ..arrays import FloatArray
 from ..checks import Number
-from ..errors import OptionError
+from ..errors import ImageError, OptionError, RepmError
 from ..records import Record
 
 _TO_ECEF = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
@@ -77,6 +77,16 @@ class EnuFrame(Record):
         return geodetic_from_ecef(np.asarray(enu_m, dtype=np.float64) @ self._rotation + self._origin)
 
 
+def mean_place(places: FloatArray) -> FloatArray:
+    """(D,) the mean of (N, D) longitudes, latitudes and what follows: across the line of 180 degrees, 179.9 and -179.9
+    have the mean 180, and not 0 on the other side of the Earth."""
+    middle: FloatArray = np.mean(places, axis=0)
+    lon = places[:, 0]
+    if np.ptp(lon) > 180.0:
+        middle[0] = lon[0] + np.mean((lon - lon[0] + 180.0) % 360.0 - 180.0)
+    return middle
+
+
 def utm_crs(lon: float, lat: float) -> str:
     """The PROJ name of the UTM zone a point lies in, southern hemisphere included: ``EPSG:32631``."""
     zone = int(np.floor((lon + 180.0) / 6.0)) % 60 + 1
@@ -113,6 +123,19 @@ def projected_crs_at(text: str, lon: float, lat: float) -> pyproj.CRS:
     if scales.min() < 0.5 or scales.max() > 2.0:
         remedy = f"choose one of that place, such as {utm_crs(lon, lat)}"
         raise OptionError("CRS", text, f"is not made for longitude {lon:.2f}, latitude {lat:.2f}: {remedy}")
+    return crs
+
+
+def on_earth(crs: pyproj.CRS, path: str, error: Type[RepmError] = ImageError) -> pyproj.CRS:
+    """A file's CRS, which PROJ can bring to others: local CRSs of drawings and sites lie nowhere on the Earth.
+
+    Raises the error with the file's name for one of those.
+    """
+    if "Engineering" in crs.type_name or any("Engineering" in part.type_name for part in crs.sub_crs_list):
+        raise error(
+            f"'{path}' has a local coordinate reference system ({crs.name}), which lies nowhere on the Earth: assign "
+            "the right one (Raster > Projections > Assign projection) and try again."
+        )
     return crs
 
 

@@ -23,6 +23,7 @@ from typing import Callable, Iterator, List, Optional
 
 from osgeo import gdal
 
+from ..checks import as_texts
 from ..errors import RpcError
 from ..rpc.formats import sidecar_text, xml_texts
 from ..rpc.readers import files_in_folder, product_of
@@ -156,7 +157,7 @@ def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
     yield time_of_name(path)
     for domain in ("", "IMAGERY"):
         tags = {
-            name.upper().removeprefix("TIFFTAG_"): text for name, text in (dataset.GetMetadata(domain) or {}).items()
+            name.upper().removeprefix("TIFFTAG_"): text for name, text in as_texts(dataset.GetMetadata(domain)).items()
         }
         for day, time in _TAGS:
             yield f"{tags.get(day, '').strip()}T{tags[time].strip()}" if time in tags else tags.get(day, "")

@@ -7,6 +7,7 @@ from typing import List, Optional, Tuple
 
 from osgeo import gdal
 
+from ..checks import as_text
 from .raster import COLOURS, colour_interpretations
 
 _NAMES = ("red", "green", "blue")
@@ -26,7 +27,7 @@ def natural_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int
     if all(colour in meanings for colour in COLOURS):
         red, green, blue = (meanings.index(colour) + 1 for colour in COLOURS)
         return red, green, blue
-    described = [_colour_of(dataset.GetRasterBand(band + 1).GetDescription()) for band in range(len(meanings))]
+    described = [_colour_of(as_text(dataset.GetRasterBand(band + 1).GetDescription())) for band in range(len(meanings))]
     if all(described.count(name) == 1 for name in _NAMES):
         red, green, blue = (described.index(name) + 1 for name in _NAMES)
         return red, green, blue
@@ -48,7 +49,7 @@ def intensity_bands(dataset: gdal.Dataset) -> List[int]:
 
 def band_name(dataset: gdal.Dataset, band: int) -> str:
     """What the file calls a band, or its number."""
-    return str(dataset.GetRasterBand(band).GetDescription() or f"band {band}")
+    return as_text(dataset.GetRasterBand(band).GetDescription()) or f"band {band}"
 
 
 def _colour_of(description: str) -> str:

@@ -7,6 +7,7 @@ from typing import List, NamedTuple
 
 from osgeo import gdal
 
+from ..checks import as_text
 from ..errors import ImageError
 
 
@@ -47,7 +48,7 @@ def confidence_bands(dataset: gdal.Dataset, option: str) -> ConfidenceBands:
 
     Raises ImageError, with the option's name, where there are several bands and none has the name of the errors.
     """
-    names: List[str] = [dataset.GetRasterBand(i).GetDescription() for i in range(1, dataset.RasterCount + 1)]
+    names: List[str] = [as_text(dataset.GetRasterBand(i).GetDescription()) for i in range(1, dataset.RasterCount + 1)]
     places = [
         next((band for band, name in enumerate(names, start=1) if name.startswith(wanted)), 0)
         for wanted in (_ERROR, _SOURCE, CONFIDENCE_BANDS[0])

@@ -10,8 +10,9 @@ import pyproj
 from osgeo import gdal
 
 from ..arrays import Bounds, FloatArray, FloatImage, Window
+from ..checks import as_text
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs, geodetic_from_projected, vertical_part
+from ..geometry.frames import flat_crs, geodetic_from_projected, on_earth, vertical_part
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..workspace import file_identity
@@ -46,7 +47,7 @@ def dem_range(path: str, crs: str, bounds: Sequence[float]) -> Tuple[float, floa
 def _crs_of(dataset: gdal.Dataset, path: str) -> pyproj.CRS:
     if not dataset.GetProjection():
         raise ImageError(f"The DEM '{path}' has no coordinate reference system: assign it one first.")
-    return pyproj.CRS.from_wkt(dataset.GetProjection())
+    return on_earth(pyproj.CRS.from_wkt(as_text(dataset.GetProjection())), path)
 
 
 def _to_ellipsoid(crs: pyproj.CRS, path: str, x: FloatArray, y: FloatArray) -> FloatArray:

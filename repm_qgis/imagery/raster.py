@@ -309,7 +309,7 @@ def created(
     order. ``own``: for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
     ``overviews`` is GDAL's resampling for these; numbers that name something must not be averaged.
     """
-    temporary = temporary_name(path)
+    temporary = temporary_name(path, own)
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
     writer = RasterWriter(_create(temporary, path, shape, dtype, bands, compress, own), path)
     try:
@@ -322,7 +322,7 @@ def created(
         if cog:
             _to_cog(temporary, whole, path, dtype, overviews)
             os.replace(whole, temporary)
-        take_name(temporary, path)
+        take_name(temporary, path, own)
     finally:
         writer.abandon()
         for part in (temporary, whole, whole + ".ovr.tmp", whole + ".msk.ovr.tmp"):

@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
+from ..checks import as_text, as_texts
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 
 _INCH_M = 0.0254
@@ -32,7 +33,7 @@ def stated_spacings(dataset: gdal.Dataset) -> Iterator[Tuple[float, str]]:
     image's middle. A NITF's geotransform is not used: it is made of corners that are rounded to seconds of arc.
     """
     for domain in ("", "IMAGERY"):
-        items = {name.upper(): text for name, text in (dataset.GetMetadata(domain) or {}).items()}
+        items = {name.upper(): text for name, text in as_texts(dataset.GetMetadata(domain)).items()}
         for name, unit in _ITEMS:
             match = _LENGTH.fullmatch(items.get(name, "").strip())
             if match and float(match[1]) > 0:
@@ -44,7 +45,7 @@ def stated_spacings(dataset: gdal.Dataset) -> Iterator[Tuple[float, str]]:
 
 def _on_the_map(dataset: gdal.Dataset) -> float:
     """The distance of neighbouring pixels on the map that an image lies on, m; NaN where it lies on none."""
-    place, crs = dataset.GetGeoTransform(can_return_null=True), dataset.GetProjection()
+    place, crs = dataset.GetGeoTransform(can_return_null=True), as_text(dataset.GetProjection())
     if not place or not crs or dataset.GetDriver().ShortName == "NITF" or tuple(map(abs, place)) == (0, 1, 0, 0, 0, 1):
         return math.nan
     pixels = np.array([dataset.RasterXSize, dataset.RasterYSize]) / 2 + np.array([[0, 0], [1, 0], [0, 1]])

@@ -12,10 +12,11 @@ from osgeo import gdal
 from pyproj.exceptions import ProjError
 
 from ..arrays import Bounds, Window
+from ..checks import as_text
 from ..errors import ImageError, OptionError
 from ..evaluation.grids import Grid, metres_per_unit, require_metres, require_place
 from ..geometry.cell_grid import CellGrid
-from ..geometry.frames import flat_crs, projected_crs_at, utm_crs, vertical_part
+from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
@@ -120,7 +121,7 @@ def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     crs = grid.crs
     vertical = vertical_part(crs)
     if vertical is None:
-        name = dataset.GetMetadataItem(TAG) or ""
+        name = as_text(dataset.GetMetadataItem(TAG) or "")
         return Found(grid, HeightDatum("", name) if name else None)
     if crs.is_compound:
         return Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")))
@@ -149,7 +150,7 @@ def _require_one_datum(known: Sequence[Tuple[str, HeightDatum]]) -> None:
 
 def _frame(options: MosaicOptions, first: Grid) -> Tuple[pyproj.CRS, float, Tuple[float, float]]:
     """The mosaic's CRS and cell size, and a corner of its cells: those of the first DSM where nothing else is asked."""
-    own, (_, width, turn, _, tilt, height) = flat_crs(first.crs), first.transform
+    own, (_, width, turn, _, tilt, height) = flat_crs(on_earth(first.crs, first.path)), first.transform
     middle = pyproj.Transformer.from_crs(own, "EPSG:4326", always_xy=True).transform(*_middle(first))
     if options.crs:
         crs = projected_crs_at(options.crs, *middle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Callable, Iterator, Optional
@@ -13,9 +14,9 @@ import pyproj
 from ..arrays import Bounds, FloatArray, Mask
 from ..errors import ImageError, RepmError
 from ..geometry.cell_grid import CellGrid
-from ..geometry.frames import flat_crs
+from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import metres_per_unit, stated_datum
-from ..las import required_laspy
+from ..las import impossible_header, required_laspy
 from ..untrusted import distrust
 from .found import FoundHeights, Within, no_heights, places_unit
 from .parameters import REGISTRATION, RegistrationParameters
@@ -23,6 +24,7 @@ from .rasters import slopes_of
 
 _POINTS, _BYTES = 1_000_000, 256 << 20  # that are read at once, at most
 _MARGIN_M = 1.0  # that a cloud may lie beyond what it says
+_DAMAGED = (OSError, ValueError, ArithmeticError, RuntimeError, LookupError, EOFError, AssertionError, struct.error)
 _GROUND, _NOISE = 2, (7, 18)  # classes of LAS 1.4
 
 
@@ -114,11 +116,14 @@ def opened_cloud(path: str, option: str = "REFERENCE") -> Iterator[OpenedCloud]:
     if wrong:
         raise ImageError(f"'{path}' {wrong}")
     try:
+        impossible = impossible_header(path)
+        if impossible:
+            raise _unreadable(path, impossible)
         with laspy.open(path) as reader:
             yield OpenedCloud(path, reader, _system(path, reader.header))
     except RepmError:
         raise
-    except (OSError, ValueError, RuntimeError, LookupError, EOFError, laspy.errors.LaspyException) as error:
+    except (*_DAMAGED, laspy.errors.LaspyException) as error:
         raise _unreadable(path, error) from error
 
 
@@ -127,14 +132,14 @@ def _unreadable(path: str, reason: object) -> ImageError:
 
 
 def _system(path: str, header: Any) -> pyproj.CRS:
-    """The CRS of a cloud; raises ImageError where it has none."""
+    """The CRS of a cloud; raises ImageError where it has none on the Earth."""
     try:
         system: Optional[pyproj.CRS] = header.parse_crs()
-    except (pyproj.exceptions.ProjError, ValueError, KeyError) as error:
+    except (pyproj.exceptions.ProjError, ValueError, LookupError, struct.error) as error:
         raise _unreadable(path, error) from error
     if system is None:
         raise ImageError(f"The point cloud '{path}' has no coordinate reference system: assign it one first (PDAL).")
-    return system
+    return on_earth(system, path)
 
 
 class CellSums:

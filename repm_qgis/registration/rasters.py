@@ -10,8 +10,9 @@ import pyproj
 from osgeo import gdal
 
 from ..arrays import Bounds, FloatArray, Floats, Window
+from ..checks import as_text
 from ..errors import ImageError, OverlapError
-from ..geometry.frames import flat_crs
+from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import TAG, metres_per_unit, stated_datum
 from ..imagery.raster import opened, read
 from .found import FoundHeights, no_heights, places_unit
@@ -40,10 +41,10 @@ def read_raster(
     with opened(path) as dataset:
         if not dataset.GetProjection():
             raise ImageError(f"The reference '{path}' has no coordinate reference system: assign it one first.")
-        system = pyproj.CRS.from_wkt(dataset.GetProjection())
-        name = dataset.GetRasterBand(1).GetUnitType()
+        system = on_earth(pyproj.CRS.from_wkt(as_text(dataset.GetProjection())), path)
+        name = as_text(dataset.GetRasterBand(1).GetUnitType())
         unit, places_in = _metres(path, name, system), None if name else places_unit(system)
-        datum = stated_datum(system, dataset.GetMetadataItem(TAG) or "")
+        datum = stated_datum(system, as_text(dataset.GetMetadataItem(TAG) or ""))
         place = dataset.GetGeoTransform()
         forth = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
         back = pyproj.Transformer.from_crs(flat_crs(system), crs, always_xy=True)

@@ -25,6 +25,7 @@ import numpy as np
 from osgeo import gdal
 
 from ..arrays import FloatArray
+from ..checks import as_texts
 from ..errors import RpcInvalidError, RpcMissingError
 from .formats import DIMAP, FORMAT_NAMES, FoundRpc, checked, read_sidecar, rpc_from_texts, tile_size
 from .model import Rpc
@@ -114,7 +115,7 @@ def _tags(path: str) -> Dict[str, str]:
     try:
         siblings = [os.path.basename(path)]
         dataset = gdal.OpenEx(path, gdal.OF_RASTER, allowed_drivers=list(_IMAGE_DRIVERS), sibling_files=siblings)
-        return dict(dataset.GetMetadata("RPC") or {}) if dataset is not None else {}
+        return as_texts(dataset.GetMetadata("RPC")) if dataset is not None else {}
     except RuntimeError:
         return {}
     finally:
@@ -131,7 +132,7 @@ def _from_metadata(dataset: gdal.Dataset) -> Optional[Rpc]:
         metadata = dataset.GetMetadata("RPC")
     except RuntimeError:  # where GDAL raises exceptions it does so for a damaged sidecar file, when it first reads it
         metadata = dataset.GetMetadata("RPC")
-    return checked(rpc_from_texts(metadata)) if metadata else None
+    return checked(rpc_from_texts(as_texts(metadata))) if metadata else None
 
 
 def _from_sidecars(dataset: gdal.Dataset, path: str, tried: List[str]) -> Optional[Rpc]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import OptionError
-from ..geometry.frames import EnuFrame
+from ..geometry.frames import EnuFrame, mean_place
 from ..imagery.sampling import nmad
 from ..scene import View
 from .control_noise import ControlEquations, contradicts, first_noise, robust_weight, suspects, variance_component
@@ -298,7 +298,7 @@ class _Solution:
 
     def _frame(self) -> EnuFrame:
         """The local frame in which ground points move."""
-        return EnuFrame(*map(float, np.concatenate([group.ground for group in self.groups]).mean(axis=0)))
+        return EnuFrame(*map(float, mean_place(np.concatenate([group.ground for group in self.groups]))))
 
     def _intersect(self, passes: int = 3) -> None:
         """Move all ground points to where they fit their pixels best (least squares)."""

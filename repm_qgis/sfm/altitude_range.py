@@ -18,7 +18,7 @@ from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
 from ..errors import OptionError
 from ..geometry.footprints import ray_slope
-from ..geometry.frames import geodetic_from_projected
+from ..geometry.frames import geodetic_from_projected, mean_place
 from ..geometry.interpolation import upsample_grid
 from ..geometry.tiles import pixel_window
 from ..imagery.correlation import window_statistics
@@ -271,7 +271,7 @@ def _cross_shift(sweep: _Sweep, patch: Bounds) -> Tuple[float, int, Tuple[int, i
     shape, lon_lat, images = _reduced_pair(sweep, patch)
     if images is None:
         return -1.0, 0, (0, 0)
-    centre = lon_lat.reshape(-1, 2).mean(axis=0)
+    centre = mean_place(lon_lat.reshape(-1, 2))
     slopes = [ray_slope(view, centre, float(sweep.planes.mean())) for view in (sweep.first, sweep.second)]
     parallax = slopes[1] - slopes[0]
     across = np.array([-parallax[1], parallax[0]]) / max(float(np.linalg.norm(parallax)), 1e-9)

@@ -24,7 +24,7 @@ from ..environment import required_pycolmap
 from ..errors import EmptyResultError
 from ..geometry.centring import centred
 from ..geometry.equivalent_error import RefinedPinhole
-from ..geometry.frames import EnuFrame, projected_from_geodetic
+from ..geometry.frames import EnuFrame, mean_place, projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography
 from ..imagery.sampling import nmad
@@ -134,7 +134,7 @@ def _adjust_patch(
     if len(indices) < 2:
         return None
     shifts = np.array([seen[i].original_shift(moved[i], numbers[i]) for i in indices])
-    projector = _observable([patch.views[i] for i in indices], patch.ground.mean(axis=0))
+    projector = _observable([patch.views[i] for i in indices], mean_place(patch.ground))
     return _PatchShifts(indices, (projector @ shifts.ravel()).reshape(-1, 2), projector, model.kept)
 
 

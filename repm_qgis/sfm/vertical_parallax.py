@@ -12,7 +12,7 @@ from typing import Sequence, Tuple
 import numpy as np
 
 from ..arrays import FloatArray
-from ..geometry.frames import EnuFrame
+from ..geometry.frames import EnuFrame, mean_place
 from ..scene import View
 from .adjustment import Track, track_pixels
 
@@ -33,7 +33,7 @@ def vertical_parallax(
     A move of the ground point takes up three of the four coordinates of the residual. What remains is the component
     along the one direction that no move reaches, scaled so that one px in one image counts as one.
     """
-    frame = EnuFrame(*map(float, ground.mean(axis=0)))
+    frame = EnuFrame(*map(float, mean_place(ground)))
     enu = frame.from_geodetic(ground)
     base = [view.project(ground) for view in views]
     moved = [frame.to_geodetic(enu + delta) for delta in np.eye(3)]

@@ -10,36 +10,64 @@ Wavefront Technologies, Advanced Visualizer manual, appendices B1 (OBJ) and B2 (
 
 from __future__ import annotations
 
+import os
 import re
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import WorkspaceError
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..workspace import whole_file
 from .lattice import Lattice
 from .texture import middle, picture, picture_places
 
+_MATERIAL = "newmtl orthophoto\nKd 1 1 1\nillum 1\nmap_Kd {name}.jpg\n"
+
+
+def require_own_companions(path: str) -> None:
+    """Raise WorkspaceError where the picture or the material of an OBJ would replace a file that is not such a one.
+
+    A material of this module is known by its text, and the picture by the material, which is written before it.
+    """
+    name, *companions = _companions(path)
+    taken = [each for each in companions if os.path.lexists(each)]
+    try:
+        ours = companions[1].read_bytes() == _MATERIAL.format(name=name).encode()
+    except OSError:
+        ours = False
+    if taken and not ours:
+        raise WorkspaceError(
+            f"'{taken[0]}' is not of an earlier mesh, and the mesh '{path}' would replace it: move it, or choose "
+            "another name for MESH."
+        )
+
+
+def _companions(path: str) -> Tuple[str, Path, Path]:
+    """The name that an OBJ's picture and material begin with, and their paths."""
+    name = re.sub(r"[^\w.-]", "_", Path(path).name)
+    return name, Path(path).with_name(f"{name}.jpg"), Path(path).with_name(f"{name}.mtl")
+
 
 def write_obj(temporary: str, path: str, lattice: Lattice) -> None:
     """Write the mesh that will be ``path`` into a temporary file; where the lattice has paint, ``path.mtl`` and
-    ``path.jpg`` too, which only belong to it: other files are not replaced. Their names have no spaces, which many
-    readers do not take.
+    ``path.jpg`` too, which only belong to it. Their names have no spaces, which many readers do not take.
+
+    Raises WorkspaceError where they would replace other files (:func:`require_own_companions`).
 
     Memory does not grow with the DSM, but for the picture's.
     """
-    name = re.sub(r"[^\w.-]", "_", Path(path).name)
+    name, *companions = _companions(path)
     with ExitStack() as stack:
         stream = stack.enter_context(open(temporary, "wb"))
         if lattice.paint is not None:
-            image, material = (
-                stack.enter_context(whole_file(str(Path(path).with_name(f"{name}.{kind}")))) for kind in ("jpg", "mtl")
-            )
+            require_own_companions(path)
+            image, material = (stack.enter_context(whole_file(str(place))) for place in companions)
             Path(image).write_bytes(picture(lattice.dataset, lattice.paint))
-            Path(material).write_bytes(f"newmtl orthophoto\nKd 1 1 1\nillum 1\nmap_Kd {name}.jpg\n".encode())
+            Path(material).write_bytes(_MATERIAL.format(name=name).encode())
         _write(stream, lattice, f"mtllib {name}.mtl\nusemtl orthophoto\n" if lattice.paint is not None else "")
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import os
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any, Callable, ContextManager, Mapping, Optional
+from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mapping, Optional
 
 from .. import options as _options
 from ..errors import MissingPackageError, OptionError
@@ -16,6 +16,7 @@ from ..locks import exclusive
 from ..products import FOLDER, SCENE, paths_of
 from ..progress import Progress
 from ..shortage import said_in_a_sentence
+from ..workspace import following_links_of
 
 if TYPE_CHECKING:  # QGIS asks for the options alone
     from .parameters import EngineParameters
@@ -55,6 +56,25 @@ def run_stage(
     from ..parallel import require_main
 
     require_main()
+    with following_links_of(_texts(options)):
+        return _run(name, options, progress, parameters)
+
+
+def _texts(options: Any) -> Iterator[str]:
+    """All texts of a job: the paths among them are those that the user has named."""
+    if isinstance(options, str):
+        yield options
+    elif isinstance(options, Mapping):
+        for value in options.values():
+            yield from _texts(value)
+    elif isinstance(options, (list, tuple)):
+        for value in options:
+            yield from _texts(value)
+
+
+def _run(
+    name: str, options: Mapping[str, Any], progress: Progress, parameters: Optional[EngineParameters]
+) -> dict[str, Any]:
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)

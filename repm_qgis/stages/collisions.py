@@ -22,7 +22,8 @@ def require_distinct(stage: str, options: Options) -> None:
 
     Links are followed, and the files that belong to an image, and those that a scene names, are compared too. A stage
     may write its scene over the one that it reads, which it continues. Names that differ in case alone are one where
-    the file system takes them for one. Raises WorkspaceError for a file that another program keeps from being replaced.
+    the file system takes them for one. Raises WorkspaceError for a file that another program keeps from being replaced,
+    or that an OBJ's picture or material would replace.
     """
     written = [(each, path) for each, path in paths_of(stage, options) if each.form != FOLDER]
     taken: Dict[str, Tuple[Product, str]] = {}
@@ -43,8 +44,12 @@ def require_distinct(stage: str, options: Options) -> None:
             if not (each.form == SCENE and name == "scene") and _same(path, file, each in built.values()):
                 reason = f"is also a file of the input {name.upper()}, which would be lost: choose another name"
                 raise OptionError(each.option.upper(), path, reason)
-    for _, path in written:
+    for each, path in written:
         require_replaceable(path)
+        if each.option == "mesh" and path.lower().endswith(".obj"):
+            from ..solids.obj import require_own_companions
+
+            require_own_companions(path)
 
 
 def _place(path: str) -> str:

@@ -14,7 +14,7 @@ from ..arrays import Size
 from ..errors import ImageError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..evaluation.pictures import preview
-from ..geometry.frames import flat_crs, utm_crs
+from ..geometry.frames import flat_crs, on_earth, utm_crs
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.raster import opened
@@ -89,6 +89,6 @@ def _cell(grid: Grid) -> float:
 
 def _middle(grid: Grid) -> Tuple[float, float]:
     xmin, ymin, xmax, ymax = grid.bounds
-    to_degrees = pyproj.Transformer.from_crs(flat_crs(grid.crs), "EPSG:4326", always_xy=True)
+    to_degrees = pyproj.Transformer.from_crs(flat_crs(on_earth(grid.crs, grid.path)), "EPSG:4326", always_xy=True)
     longitude, latitude = to_degrees.transform((xmin + xmax) / 2, (ymin + ymax) / 2)
     return float(longitude), float(latitude)

@@ -19,6 +19,7 @@ from osgeo import gdal
 
 from .. import __version__
 from ..arrays import ByteImage, FloatImage, Mask
+from ..checks import as_text
 from ..errors import EmptyResultError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..evaluation.pictures import RAMPS, jpeg_bytes, percentile_range
@@ -60,7 +61,7 @@ def write_viewer(options: ViewerOptions, progress: Progress, parameters: ViewerP
         whole = Grid.of(dataset)
         cells = page_grid(whole, options.cells, parameters)
         heights = read_on(dataset, cells, 1, progress.check_cancelled, parameters)
-        tag = dataset.GetMetadataItem(TAG)
+        tag = as_text(dataset.GetMetadataItem(TAG) or "")
     if not np.isfinite(heights).any():
         raise EmptyResultError(f"The DSM '{options.dsm}' has no heights: there is nothing to show in a page.")
     layers = [_elevation(heights)]

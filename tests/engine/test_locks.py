@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import Cancelled
+from repm_qgis.errors import Cancelled, WorkspaceError
 from repm_qgis.locks import exclusive
+from repm_qgis.workspace import write_text
 
 ROOT = Path(__file__).resolve().parents[2]
 HOLD = """
@@ -81,3 +83,70 @@ def test_a_run_holds_what_its_stages_ask_for(told, tmp_path):
             assert os.listdir(folder) == [".repm.lock"]
         assert os.listdir(folder) == [".repm.lock"]
     assert said.warnings == [] and os.listdir(folder) == []
+
+
+@pytest.mark.parametrize("removed", (False, True))
+def test_a_folder_that_loses_its_name_amid_a_run_is_not_made_again(told, tmp_path, removed):
+    folder = tmp_path / "w"
+    with pytest.raises(WorkspaceError, match="w' was renamed, moved or removed while this run wrote there: give it"):
+        with exclusive("pipeline", told(), folders=[str(folder)]):
+            write_text(str(folder / "heights" / "a.txt"), "whole")
+            if removed:
+                shutil.rmtree(folder)
+            else:
+                os.rename(folder, tmp_path / "renamed")
+            write_text(str(folder / "heights" / "b.txt"), "half")
+    assert not folder.exists() and (removed or os.listdir(tmp_path / "renamed" / "heights") == ["a.txt"])
+    with exclusive("pipeline", told(), folders=[str(folder)]):
+        (folder / ".repm.lock").unlink()  # somebody takes it for a leftover: the folder is the same
+        write_text(str(folder / "a.txt"), "whole")
+
+
+def test_what_is_missed_in_a_folder_that_lost_its_name_is_not_blamed(told, tmp_path):
+    with pytest.raises(WorkspaceError, match="w' was renamed, moved or removed"):
+        with exclusive("pipeline", told(), folders=[str(tmp_path / "w")]):
+            os.rename(tmp_path / "w", tmp_path / "renamed")
+            os.listdir(tmp_path / "w")
+
+
+def _link(lock, precious):
+    lock.symlink_to(precious)
+
+
+def _hard_link(lock, precious):
+    os.link(precious, lock)
+
+
+def _own_file(lock, precious):
+    lock.write_bytes(precious.read_bytes())
+
+
+def _pipe(lock, _):
+    os.mkfifo(lock)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows knows neither pipes with names nor links for everybody")
+@pytest.mark.parametrize("taken", (_link, _hard_link, _own_file, _pipe))
+@pytest.mark.parametrize("asked, name", (("folders", ".repm.lock"), ("files", ".dsm.tif.lock")))
+def test_what_is_no_lock_is_refused_and_stays_as_it_is(told, tmp_path, taken, asked, name):
+    precious = tmp_path / "precious"
+    precious.write_text("years of work")
+    folder = tmp_path / "received"
+    folder.mkdir()
+    taken(folder / name, precious)
+    before = os.lstat(folder / name)
+    place = folder if asked == "folders" else folder / "dsm.tif"
+    with pytest.raises(WorkspaceError, match=f"{name}' is a link, a pipe or a file .* remove it"):
+        with exclusive("pipeline", told(), **{asked: [str(place)]}):
+            raise AssertionError("there is no lock to hold")
+    assert precious.read_text() == "years of work"
+    after = os.lstat(folder / name)
+    assert (after.st_mode, after.st_ino, after.st_size) == (before.st_mode, before.st_ino, before.st_size)
+
+
+@pytest.mark.parametrize("left", ("", '{"proc', '{"process": 12, "computer": "a", "stage": "pipeline", "since": ""}'))
+def test_what_a_killed_run_has_left_is_a_lock(told, tmp_path, left):
+    (tmp_path / ".repm.lock").write_text(left)
+    with exclusive("pipeline", told(), folders=[str(tmp_path)]):
+        assert f'"process": {os.getpid()}' in (tmp_path / ".repm.lock").read_text()
+    assert os.listdir(tmp_path) == []

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from repm_qgis.errors import ImageError, RpcInvalidError, SceneError, SceneVersionError, WorkspaceError
-from repm_qgis.scene import SCHEMA, Scene, load_views, reusable
+from repm_qgis.progress import Silent
+from repm_qgis.scene import SCHEMA, Scene, ground_of, load_views, reusable
 from repm_qgis.stages import run_stage
 
 
@@ -324,6 +325,8 @@ def first_view(document):
         (lambda d: d["tiles"].append(d["tiles"][0]), "two tiles of the same name"),
         (lambda d: d.update(pairs=[PAIR]), "a pair img_01, img_09"),
         (lambda d: d["tiles"][0].update(heights=[HEIGHTS]), "a height map of the tile"),
+        (lambda d: d.update(pairs=[{**PAIR, "second": "img_02", "base_to_height": 0}]), "a number between 1e-06"),
+        (lambda d: d["tiles"][0].update(heights=[UNKNOWN]), "height maps of the backend 'other', which this version"),
         (lambda d: d["history"][0]["options"].update(deep=json.loads("[" * 80 + "]" * 80)), "nested"),
     ),
 )
@@ -338,3 +341,13 @@ HEIGHTS = {
     "tile": "r000c000", "backend": "sgm", "pair": ["img_01", "img_09"], "metres_per_px": 1.0, "altitudes": [0, 100],
     "vertical_parallax_px": 0.1, "table_error_m": 0.0,
 }  # fmt: skip
+UNKNOWN = {**HEIGHTS, "backend": "other", "pair": ["img_01", "img_02"]}
+
+
+def test_a_scene_without_views_shows_no_ground(fitted, tmp_path):
+    document = json.loads(open(fitted, encoding="utf-8").read())
+    document["views"] = []
+    (tmp_path / "scene.json").write_text(json.dumps(document))
+    assert ground_of(str(tmp_path / "scene.json")) is None
+    with pytest.raises(SceneError, match="views without distinct names, or fewer than two"):
+        run_stage("dsmfuse", {"scene": str(tmp_path / "scene.json"), "output": str(tmp_path / "dsm.tif")}, Silent())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.server
 import os
 import threading
+import time
 import zipfile
 from dataclasses import replace
 
@@ -13,11 +14,12 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis import untrusted
-from repm_qgis.errors import ImageError, InputTableError
+from repm_qgis.errors import ImageError, InputTableError, SceneError
 from repm_qgis.imagery.raster import opened, opened_image, raster_identity, read
-from repm_qgis.scene import load_views
+from repm_qgis.scene import Scene, load_views
 from repm_qgis.sfm import ground_control
 from repm_qgis.sfm.ground_control import read_gcps
+from repm_qgis.untrusted import distrust
 from repm_qgis.vector import open_vector
 
 VRT = (
@@ -36,6 +38,69 @@ def test_a_pipe_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.tif")
     with pytest.raises(ImageError, match="pipe.tif' is a pipe or a device"), opened(str(tmp_path / "pipe.tif")):
         pass
+
+
+@pytest.mark.parametrize(
+    "beside", ("{0}.tif.aux.xml", "{0}.tif.ovr", "{0}.tif.msk", "{0}.IMD", "{0}_RPC.TXT", "DIM_a.XML")
+)
+@pytest.mark.parametrize("behind_a_vrt", (False, True))
+def test_a_pipe_beside_an_image_is_refused_at_once(tmp_path, write_image, beside, behind_a_vrt):
+    write_image(tmp_path / "IMG_a_R1C1.tif")
+    beside = beside.format("IMG_a_R1C1")
+    os.mkfifo(tmp_path / beside)
+    path = str(tmp_path / "IMG_a_R1C1.tif")
+    if behind_a_vrt:
+        (tmp_path / "v").mkdir()
+        path = vrt(tmp_path / "v" / "outer.vrt", "../IMG_a_R1C1.tif")
+    with pytest.raises(ImageError, match=f"has the pipe or device '{beside}' beside it: remove that"), opened(path):
+        pass
+
+
+def test_a_pipe_of_another_name_keeps_nobody_from_an_image(tmp_path, write_image):
+    write_image(tmp_path / "IMG_a_R1C1.tif")
+    os.mkfifo(tmp_path / "other")
+    with opened(str(tmp_path / "IMG_a_R1C1.tif")) as dataset:
+        assert dataset.RasterYSize > 0
+
+
+def test_a_pipe_as_the_source_of_a_vrt_or_as_a_scene_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ImageError, match="leads to 'pipe', which is a pipe or a device"):
+        with opened(vrt(tmp_path / "a.vrt", "pipe")):
+            pass
+    with pytest.raises(SceneError, match="pipe' is a pipe or a device, not a file"):
+        Scene.load(str(tmp_path / "pipe"))
+
+
+def test_vrts_that_fan_out_are_refused_at_once(tmp_path, write_image):
+    """Seven small files, of which each names the next one ten times: GDAL would open ten million."""
+    write_image(tmp_path / "7.vrt.tif")
+    os.replace(tmp_path / "7.vrt.tif", tmp_path / "7.vrt")
+    for number in range(7):
+        source = f'<SimpleSource><SourceFilename relativeToVRT="1">{number + 1}.vrt</SourceFilename></SimpleSource>'
+        (tmp_path / f"{number}.vrt").write_text(
+            whole(f'<VRTRasterBand dataType="UInt16" band="1">{10 * source}</VRTRasterBand>')
+        )
+    start = time.monotonic()
+    with pytest.raises(ImageError, match="0.vrt' makes GDAL open more than 1000000 files"):
+        with opened(str(tmp_path / "0.vrt")):
+            pass
+    assert time.monotonic() - start < 2.0
+    with opened(str(tmp_path / "4.vrt")) as dataset:  # a thousand
+        assert dataset.RasterXSize == 100
+
+
+def test_vrts_of_very_many_files_are_refused(tmp_path, write_image, monkeypatch):
+    monkeypatch.setattr("repm_qgis.untrusted._MOST_FILES", 15)
+    parts = []
+    for number in range(20):
+        write_image(tmp_path / f"{number}.tif")
+        parts.append(f"<SimpleSource><SourceFilename relativeToVRT='1'>{number}.tif</SourceFilename></SimpleSource>")
+    for count, refused in ((10, False), (20, True)):
+        band = f'<VRTRasterBand dataType="UInt16" band="1">{"".join(parts[:count])}</VRTRasterBand>'
+        (tmp_path / f"m{count}.vrt").write_text(whole(band))
+        said = distrust(str(tmp_path / f"m{count}.vrt"))
+        assert said.startswith("leads to more than 15 files") if refused else said == ""
 
 
 @pytest.mark.parametrize("source", ("/vsicurl/http://127.0.0.1/a.tif", "/vsis3/bucket/a.tif", "https://127.0.0.1/a"))

@@ -5,14 +5,18 @@ from __future__ import annotations
 import errno
 import os
 import re
+import stat
 import subprocess
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from repm_qgis import workspace
 from repm_qgis.errors import WorkspaceError
+from repm_qgis.imagery.raster import write as write_raster
+from repm_qgis.stages import run_stage
 from repm_qgis.workspace import (
     drop_temporaries,
     drop_temporary,
@@ -376,3 +380,41 @@ def test_fingerprints_tell_changes(tmp_path):
     path.write_text("123")
     assert file_identity(str(path)) != first
     assert file_identity(str(tmp_path / "gone")) == [str(tmp_path / "gone")]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows keeps permissions with the folder")
+@pytest.mark.parametrize("mode", (0o600, 0o640, 0o664, 0o400))
+def test_what_replaces_a_file_has_its_permissions(tmp_path, mode):
+    """Of a text, a raster and a folder; files of new names have what the umask says."""
+    text, raster, folder = tmp_path / "a.txt", tmp_path / "a.tif", tmp_path / "ept"
+    for place in (text, raster):
+        place.write_text("old")
+        place.chmod(mode)
+    folder.mkdir(mode=mode | 0o300)
+    folder.chmod(mode | 0o300)
+    write_text(str(text), "new")
+    write_raster(str(raster), [np.ones((4, 4), np.float32)], None, "")
+    with whole_folder(str(folder)) as whole:
+        (whole / "a").write_text("new")
+    found = [stat.S_IMODE(place.stat().st_mode) for place in (text, raster, folder)]
+    assert found == [mode, mode, mode | 0o300]
+    assert text.read_text() == "new" and raster.stat().st_size > 100 and (folder / "a").read_text() == "new"
+    write_text(str(tmp_path / "b.txt"), "new")
+    (tmp_path / "c.txt").write_text("new")
+    assert (tmp_path / "b.txt").stat().st_mode == (tmp_path / "c.txt").stat().st_mode
+
+
+@pytest.mark.parametrize("name", ("report.html", "scene.json", "equivalent_error.html", "refinement.html"))
+def test_a_link_that_came_with_a_workspace_is_replaced_and_not_followed(urban, told, tmp_path, name):
+    precious, workspace_folder = tmp_path / "precious", tmp_path / "received"
+    precious.write_text("years of work")
+    workspace_folder.mkdir()
+    (workspace_folder / name).symlink_to(precious)
+    (tmp_path / "disk.tif").write_text("old")
+    (tmp_path / "dsm.tif").symlink_to(tmp_path / "disk.tif")
+    job = {"images": urban.images[:2], "workspace": str(workspace_folder), "output": str(tmp_path / "dsm.tif")}
+    range_m = {"altitude_min": urban.height_range[0], "altitude_max": urban.height_range[1]}
+    run_stage("pipeline", {**job, **range_m, "resolution": 2.0, "workers": 1}, told())
+    assert precious.read_text() == "years of work"
+    assert (workspace_folder / name).is_file() and not (workspace_folder / name).is_symlink()
+    assert (tmp_path / "dsm.tif").is_symlink() and (tmp_path / "disk.tif").stat().st_size > 1000  # which a user named

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -156,3 +157,48 @@ def test_what_cannot_be_used_is_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
     with pytest.raises(MissingPackageError, match="need the package 'laspy'.*or leave REFERENCE empty"):
         read_cloud(bare, UTM, BOUNDS, 2.0)
+
+
+def _changed(path, place, value):
+    """The file with bytes of its header replaced."""
+    with open(path, "r+b") as stream:
+        stream.seek(place)
+        stream.write(value)
+    return path
+
+
+CLAIMS = {  # what a header says at which byte (LAS 1.4 R15, table 3), and what is answered
+    "records before the points": (100, b"\xff" * 4, "claims 4294967295 records before its points"),
+    "half as many": (100, b"\0\0\0\x80", "claims 2147483648 records before its points"),
+    "where the points begin": (96, b"\xff" * 4, "its points begin at byte 4294967295"),
+    "records after the points": (243, b"\xff" * 4, "claims 4294967295 records after its points"),
+    "one, at the file's beginning": (243, b"\1\0\0\0", "claims 1 records after its points, from byte 0"),
+}
+
+
+@pytest.mark.parametrize("name", ("cloud.las", "cloud.laz"))
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_a_header_that_claims_more_than_its_file_has_is_refused_at_once(tmp_path, name, claim):
+    place, value, answer = CLAIMS[claim]
+    path = _changed(write(tmp_path / name, *points(400)), place, value)
+    start = time.monotonic()
+    with pytest.raises(ImageError, match=rf"Cannot read the point cloud .*{answer}.*: get it again"):
+        read_cloud(path, UTM, BOUNDS, 2.0)
+    assert time.monotonic() - start < 1.0
+
+
+@pytest.mark.parametrize("kept", (24, 25, 26, 60, 104, 200, 226, 227, 300, 374))
+def test_a_cloud_that_ends_in_its_header_is_refused(tmp_path, kept):
+    path = write(tmp_path / "cloud.las", *points(400))
+    with open(path, "r+b") as stream:
+        stream.truncate(kept)
+    with pytest.raises(ImageError, match=f"its {kept} bytes end in its header.*: get it again"):
+        read_cloud(path, UTM, BOUNDS, 2.0)
+
+
+def test_a_sound_cloud_may_have_records_after_its_points(tmp_path):
+    path = write(tmp_path / "cloud.las", *points(4000))
+    cloud = laspy.read(path)
+    cloud.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("a", 1, "one", b"12345"), laspy.VLR("b", 2, "two", b"")])
+    cloud.write(path)
+    assert len(read_cloud(path, UTM, BOUNDS, 5.0).height) > 0

@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from osgeo import gdal
 
 from repm_qgis.errors import OptionError
 from repm_qgis.geometry.footprints import ray_slope
-from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
+from repm_qgis.rpc.writers import rpc_txt
 from repm_qgis.sfm.altitude_range import altitude_range, sweep_altitudes, sweep_patches
 from repm_qgis.sfm.parameters import POINTING
+from repm_qgis.stages import run_stage
+from repm_qgis.workspace import write_text
 
 NONE = (None, None)
 
@@ -152,3 +156,33 @@ def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
     said = told()
     assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
     assert "altitude range could not be found" in said.warnings[0]
+
+
+def test_a_scene_across_180_degrees(urban, told, tmp_path):
+    """The town turned about the Earth's axis, so that half of it has longitudes of -180 degrees: the same range."""
+    plain = sweep_altitudes(urban.views, urban.crs, urban.bounds, (0.0, 500.0), told())
+    corners = np.array([urban.bounds[:2], urban.bounds[2:]])
+    lon_lat = geodetic_from_projected(urban.crs, corners)
+    turn = 180.0 - lon_lat[:, 0].mean()
+    views = [replace(view, rpc=replace(view.rpc, lon_off=view.rpc.lon_off + turn)) for view in urban.views]
+    crs = utm_crs(180.0, lon_lat[0, 1])
+    xy = projected_from_geodetic(crs, lon_lat + [turn, 0.0])
+    bounds = (xy[:, 0].min(), xy[:, 1].min(), xy[:, 0].max(), xy[:, 1].max())
+    found = sweep_altitudes(views, crs, bounds, (0.0, 500.0), told())
+    np.testing.assert_allclose(found.altitudes, plain.altitudes, atol=2 * found.step_m)
+    assert found.matched > 0.8 * plain.matched
+
+
+def test_a_run_across_180_degrees(urban, told, tmp_path):
+    """As the images are delivered: RPCs beside them, on either side of the line, and no altitudes from the user."""
+    turn = 180.0 - np.mean([view.rpc.lon_off for view in urban.views])
+    rpcs = []
+    for side, view in zip((0.0, 360.0, 0.0), urban.views):
+        rpcs.append(str(tmp_path / f"{view.name}_RPC.TXT"))
+        write_text(rpcs[-1], rpc_txt(replace(view.rpc, lon_off=view.rpc.lon_off + turn - side)))
+    job = {"images": urban.images, "rpcs": rpcs, "workspace": str(tmp_path / "w"), "output": str(tmp_path / "dsm.tif")}
+    run_stage("pipeline", {**job, "resolution": 1.0, "workers": 1, "report": str(tmp_path / "r.html")}, told())
+    heights = gdal.Open(job["output"]).ReadAsArray()
+    heights = heights[heights > -1000]
+    assert heights.size > 20_000
+    np.testing.assert_allclose(np.percentile(heights, (5, 50, 95)), np.percentile(urban.surface, (5, 50, 95)), atol=8)

@@ -16,8 +16,10 @@ from scipy.ndimage import map_coordinates
 
 from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
 from repm_qgis.imagery.raster import created, write
+from repm_qgis.options import DsmFuseOptions
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.parameters import SOLIDS, SolidsParameters
+from repm_qgis.stages.collisions import require_distinct
 
 TRANSFORM = (500000.0, 0.5, 0.0, 4800000.0, 0.0, -0.5)
 
@@ -422,6 +424,27 @@ def test_obj_has_the_same_surface_as_the_ply_and_the_orthophoto_beside_it(tmp_pa
     known = np.nonzero(np.isfinite(heights))
     np.testing.assert_array_equal(np.array([row, column]), known)
     assert (pixels[0, row, column] > 150)[column < 24].all() and (pixels[0, row, column] < 70)[column > 40].all()
+
+
+@pytest.mark.parametrize("kind", ("jpg", "mtl"))
+def test_obj_replaces_no_picture_or_material_of_the_user(tmp_path, kind):
+    heights = np.fromfunction(lambda row, col: 100 + 0.1 * row * col, (20, 20))
+    dsm, target = dsm_of(tmp_path / "d.tif", heights), tmp_path / "m.obj"
+    ortho = picture_of(tmp_path, 20, 20)
+    before = sorted(os.listdir(tmp_path))
+    theirs = tmp_path / f"m.obj.{kind}"
+    theirs.write_text("years of work")
+    for attempt in (
+        lambda: write_mesh(dsm, str(target), 0, ortho=ortho),
+        lambda: require_distinct("dsmfuse", DsmFuseOptions(scene="s.json", output="a.tif", mesh=str(target))),
+    ):
+        with pytest.raises(WorkspaceError, match=f"m.obj.{kind}' is not of an earlier mesh.*: move it, or choose"):
+            attempt()
+    assert theirs.read_text() == "years of work" and sorted([*before, theirs.name]) == sorted(os.listdir(tmp_path))
+    theirs.unlink()
+    for _ in range(2):  # its own are replaced
+        write_mesh(dsm, str(target), 0, ortho=ortho)
+    assert (tmp_path / "m.obj.jpg").stat().st_size > 100
 
 
 def test_obj_without_an_orthophoto_is_one_file_and_blocks_do_not_change_it(tmp_path):
