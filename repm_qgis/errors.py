@@ -87,6 +87,11 @@ class ClusterError(RepmError, RuntimeError):
     """A cluster cannot be reached, its workers cannot do the work, or they were lost."""
 
 
+class WorkerError(RepmError, RuntimeError):
+    """A worker process could not begin, or ended without an answer: nothing is known of what it was to make, and no
+    caller may take that for an empty result."""
+
+
 class EmptyResultError(RepmError, RuntimeError):
     """A stage ran, but what it made is empty or too little to go on with; the message gives the counts."""
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 from .containers import memory_kills
-from .errors import EmptyResultError, OutOfMemoryError, RepmError
+from .errors import OutOfMemoryError, RepmError, WorkerError
 from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 from .translation import reader, written_in
@@ -68,7 +68,7 @@ def run_tasks(
     ``function`` and tasks must be picklable, ``workers`` 0 means one a core; a cluster uses all that it has. Progress
     moves with every finished task; Cancel drops what has not begun and ends the workers. Exceptions of a task are
     raised here. A worker that is killed or finds no memory raises OutOfMemoryError, one that dies of something else
-    EmptyResultError; a cluster's raises ClusterError.
+    WorkerError; a cluster's raises ClusterError.
     """
     if _workers is None:
         with kept_workers():
@@ -259,14 +259,14 @@ def do_task(work: bytes) -> Any:
 
 
 def require_main() -> None:
-    """Raise EmptyResultError in a worker that is still importing the script which started it: a run there would wait
+    """Raise WorkerError in a worker that is still importing the script which started it: a run there would wait
     for the run of that script, which waits for the worker."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):  # no public name; multiprocessing's own check
         raise _unguarded()
 
 
 def _unguarded() -> RepmError:
-    return EmptyResultError(
+    return WorkerError(
         "A worker process could not begin: if a script of your own started this run, let it do so below "
         "'if __name__ == \"__main__\":', because workers import the script."
     )
@@ -286,7 +286,7 @@ def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmErro
         return _unguarded()
     crash = signals - {signal.SIGTERM}  # which ended those that had not died
     name = f" ({', '.join(sorted(signal.Signals(number).name for number in crash))})" if crash else ""
-    return EmptyResultError(
+    return WorkerError(
         f"A worker process ended without an answer{name} {when}: run again; if memory ran out, {MEMORY_REMEDY}."
     )
 

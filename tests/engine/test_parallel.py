@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from repm_qgis import parallel
-from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, OutOfMemoryError
+from repm_qgis.errors import Cancelled, OptionError, OutOfMemoryError, WorkerError
 from repm_qgis.parallel import cores, kept_workers, run_tasks
 from repm_qgis.progress import Silent
 from repm_qgis.shortage import said_in_a_sentence
@@ -111,7 +111,7 @@ def test_a_worker_that_dies_is_said(work, told):
             OutOfMemoryError,
             r"killed \(SIGKILL\) after \d of 8 tasks, most likely because memory ran out",
         ),
-        (signal.SIGSEGV, EmptyResultError, r"without an answer \(SIGSEGV\) after \d of 8 tasks: run again"),
+        (signal.SIGSEGV, WorkerError, r"without an answer \(SIGSEGV\) after \d of 8 tasks: run again"),
     ):
         with pytest.raises(error, match=words) as caught:
             run_tasks(partial(work.deadly, number=number), list(range(8)), 2, told(), str)
@@ -134,7 +134,7 @@ def test_a_script_without_a_guard_is_told_so(tmp_path, monkeypatch):
     assert "A worker process could not begin" in last and "'if __name__ == \"__main__\":'" in last, done.stderr
     # A stage would first wait for the folders that the script's own run keeps for itself, and never end.
     monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
-    with pytest.raises(EmptyResultError, match="could not begin: if a script of your own"):
+    with pytest.raises(WorkerError, match="could not begin: if a script of your own"):
         run_stage("environment", {}, Silent())
 
 

@@ -15,7 +15,7 @@ import pytest
 from osgeo import ogr
 
 from repm_qgis import las, shortage
-from repm_qgis.errors import EmptyResultError, ImageError, MissingPackageError, OutOfMemoryError, WorkspaceError
+from repm_qgis.errors import ImageError, MissingPackageError, OutOfMemoryError, WorkerError, WorkspaceError
 from repm_qgis.exports.images import encode
 from repm_qgis.imagery.raster import write
 from repm_qgis.shortage import said_in_a_sentence, speaks_of_memory
@@ -142,7 +142,7 @@ def test_too_many_open_files(made, tmp_path, name):
         try:
             with bounded(resource.RLIMIT_NOFILE, used + more):
                 work(path)
-        except (WorkspaceError, ImageError, EmptyResultError) as error:
+        except (WorkspaceError, ImageError, WorkerError) as error:
             assert "\n" not in str(error)
         left = content(tmp_path)
         assert set(left) == set(before)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from repm_qgis.errors import WorkerError
 from repm_qgis.fusion.aggregation import Candidate, FusedCells
 from repm_qgis.fusion.provenance import described
 from repm_qgis.imagery.confidence import Provenance
-from repm_qgis.stages import run_stage
+from repm_qgis.stages import dsmfuse, run_stage
 
 NAN = float("nan")
 
@@ -138,3 +139,19 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
         assert known.sum() > 0.5 * known.size * 0.5
         assert np.median(np.abs(heights - same)[known]) < 0.5
     assert gdal.Open(str(tmp_path / "pairs" / names[1])).RasterCount == 5
+
+
+def test_a_worker_that_dies_is_no_pair_without_heights(urban_run, tmp_path, told, monkeypatch):
+    """VIEW_HEIGHTS left an empty folder, said that pairs "have no height in the DSM", and ended with success."""
+    whole, calls = dsmfuse.fused, []
+
+    def dying(fusion, progress):
+        calls.append(fusion)
+        if len(calls) > 1:  # the DSM of all pairs is made
+            raise WorkerError("A worker process ended without an answer (SIGSEGV) after 0 of 1 tasks: run again.")
+        return whole(fusion, progress)
+
+    monkeypatch.setattr(dsmfuse, "fused", dying)
+    options = {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"), "workers": 1}
+    with pytest.raises(WorkerError, match="SIGSEGV"):
+        run_stage("dsmfuse", {**options, "view_heights": str(tmp_path / "pairs")}, told())
