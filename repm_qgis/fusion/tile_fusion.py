@@ -16,8 +16,8 @@ from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
 from ..records import FilePath, HeightMapRecord, Record
 from ..scene import Scene
-from ..stereo.height_maps import HeightMap, HeightSource, require_whole
-from ..workspace import write_text, writing
+from ..stereo.height_maps import HeightMap, HeightSource, checksum_of, require_whole
+from ..workspace import whole_file, write_text
 from .aggregation import FIELDS, FusedCells, HeightLayer, aggregate, rim_cells
 from .layout import own_cells
 from .occluded import occluded_ground
@@ -67,7 +67,8 @@ class StoredTile(Record):
     """A fused tile on disk, and the facts that the layout of the DSM needs, which lie beside it.
 
     ``valid`` counts the cells with a height, ``cells`` the tile's own. ``known`` is the part of the window that holds
-    all heights, None where there are none. ``reused``: an earlier, stopped run had fused the tile.
+    all heights, None where there are none. ``wide_checksum`` is that of the heights with the margin; the other file has
+    checksums of its own. ``reused``: an earlier, stopped run had fused the tile.
     """
 
     path: FilePath
@@ -75,6 +76,7 @@ class StoredTile(Record):
     cells: int
     removed: int
     known: Optional[Window]
+    wide_checksum: str
     reused: bool = False
 
     @classmethod
@@ -84,6 +86,8 @@ class StoredTile(Record):
             with open(_facts_file(path), encoding="utf-8") as stream:
                 tile = replace(cls.from_mapping(json.load(stream)), path=path, reused=True)
             tile.load()  # which compares the checksums that the file has
+            if checksum_of([np.asarray(tile.wide())]) != tile.wide_checksum:
+                return None
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
             return None
         return tile
@@ -121,9 +125,12 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
         return done
     tile = fuse_tile(task)
     known, own = np.isfinite(tile.fused.height), {} if tile.own is None else {"own": tile.own}
-    with writing(path):
-        np.savez(path, cells=np.stack(tile.fused.arrays()), **own)
-        np.save(wide_file(path), tile.wide.astype(np.float32))
+    wide = tile.wide.astype(np.float32)
+    # The disk has both before the facts say so: after a power cut a file may be there and hold zeros.
+    with whole_file(path) as temporary, open(temporary, "wb") as stream:
+        np.savez(stream, cells=np.stack(tile.fused.arrays()), **own)
+    with whole_file(wide_file(path)) as temporary, open(temporary, "wb") as stream:
+        np.save(stream, wide)
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
     stored = StoredTile(
@@ -132,6 +139,7 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
         cells=known.size if tile.own is None else int(tile.own.sum()),
         removed=tile.removed,
         known=Window.spanning(*map(int, ends)) if ends else None,
+        wide_checksum=checksum_of([wide]),
     )
     write_text(_facts_file(path), json.dumps(stored.to_mapping()))
     return stored

@@ -136,7 +136,14 @@ def _series(text: str, key: str) -> Tuple[float, ...]:
 
 
 def checked(rpc: Rpc) -> Rpc:
-    """The RPC itself, if its centre and the pixels around it can be localised; raises RpcInvalidError."""
+    """The RPC itself, if its centre and the pixels around it can be localised; raises RpcInvalidError.
+
+    Planet's latitudes have negative scales. Those of rows and columns are not negative in any vendor's file: a wrong
+    sign mirrors the image.
+    """
+    for name, scale in (("row", rpc.row_scale), ("column", rpc.col_scale)):
+        if scale < 0:
+            raise RpcInvalidError(f"its {name} scale is {scale:g}: it must be above zero.")
     unit = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
     pixels = unit * [rpc.col_scale, rpc.row_scale] + [rpc.col_off, rpc.row_off]
     with np.errstate(all="ignore"):

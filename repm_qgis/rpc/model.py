@@ -66,9 +66,6 @@ class Rpc(Record):
             off, scale = getattr(self, f"{name}_off"), getattr(self, f"{name}_scale")
             if not (np.isfinite(off) and abs(off) < 1e9):
                 raise RpcInvalidError(f"the RPC's {name} offset is {off}: it must be a finite number.")
-            # Planet's latitudes have negative scales; of an image's rows and columns no vendor's have: it is mirrored.
-            if name in ("row", "col") and scale < 0:
-                raise RpcInvalidError(f"the RPC's {name} scale is {scale}: it must be above zero.")
             if not (np.isfinite(scale) and 1e-12 < abs(scale) < 1e9):
                 raise RpcInvalidError(f"the RPC's {name} scale is {scale}: it must be a finite number other than zero.")
         for name in ("row_num", "row_den", "col_num", "col_den"):

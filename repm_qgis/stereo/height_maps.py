@@ -125,7 +125,7 @@ def write_height_map(
     """
     valid, (rows, columns) = int((np.isfinite(height) & ~filled).sum()), height.shape
     bands = [height, score, filled.astype(np.float32)]
-    size, checksum = (columns, rows), _checksum(bands)
+    size, checksum = (columns, rows), checksum_of(bands)
     record = replace(record, size=size, valid=valid, filled=int(filled.sum()), checksum=checksum)
     tags = {_KEY: key, _RECORD: json.dumps(record.to_mapping())}
     remade = _is_damaged(path, key)
@@ -133,7 +133,7 @@ def write_height_map(
     return replace(record, file=path, remade=remade)
 
 
-def _checksum(parts: Iterable[FloatImage]) -> str:
+def checksum_of(parts: Iterable[FloatImage]) -> str:
     """The CRC-32 of values in their order, as they are read again; a value that is not finite is NaN."""
     crc = 0
     for values in parts:
@@ -170,7 +170,7 @@ def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
             if dataset.GetMetadataItem(_KEY) != key:
                 return None
             record = HeightMapRecord.from_mapping(json.loads(dataset.GetMetadataItem(_RECORD)))
-            if _checksum(_stored_values(dataset)) != record.checksum:
+            if checksum_of(_stored_values(dataset)) != record.checksum:
                 return None
     except (ImageError, KeyError, TypeError, ValueError):
         return None
@@ -182,7 +182,7 @@ def is_whole(record: HeightMapRecord) -> bool:
     try:
         with opened(record.file) as dataset:
             size = (dataset.RasterXSize, dataset.RasterYSize)
-            return size == record.size and _checksum(_stored_values(dataset)) == record.checksum
+            return size == record.size and checksum_of(_stored_values(dataset)) == record.checksum
     except ImageError:
         return False
 

@@ -31,7 +31,7 @@ def stored(folder, offsets, spoil=None):
         wide = whole[r0 : row + height + MARGIN, c0 : col + width + MARGIN]
         path = str(folder / f"{number}.npz")
         np.save(wide_file(path), wide.astype(np.float32))
-        tiles.append(StoredTile(path, 0, 0, 0, None))
+        tiles.append(StoredTile(path, 0, 0, 0, None, ""))
         own.append(whole[row : row + height, col : col + width])
     result = np.full(SHAPE, np.nan)
     for index, (col, row, width, height) in enumerate(WINDOWS):

@@ -237,6 +237,13 @@ def test_wrong_numbers_name_the_file_and_the_value(tmp_path, write_image, synthe
     assert image in str(caught.value)
 
 
+@pytest.mark.parametrize(("key", "name"), (("LINE_SCALE", "row"), ("SAMP_SCALE", "column")))
+def test_a_wrong_sign_does_not_mirror_the_image(tmp_path, write_image, synthetic_rpc, key, name):
+    image = write_image(tmp_path / "a.tif", rpc=synthetic_rpc(), tags={key: "-5000"})
+    with pytest.raises(RpcInvalidError, match=f"its {name} scale is -5000: it must be above zero"):
+        read(image)
+
+
 @pytest.mark.parametrize("key", ("LINE_OFF", "SAMP_NUM_COEFF", "HEIGHT_SCALE"))
 @pytest.mark.parametrize("change", ("drop", "empty"))
 def test_missing_members_are_named(synthetic_rpc, key, change):

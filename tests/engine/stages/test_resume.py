@@ -393,6 +393,25 @@ def test_a_damaged_fused_tile_is_made_again(killed_fusion, whole, told):
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
 
 
+@pytest.mark.parametrize("how", ("zeros", "another height", "gone"))
+def test_damaged_heights_with_the_margin_are_not_reused(killed_fusion, whole, told, how):
+    """A power cut leaves zeros in a file that the disk had not got yet: seams were 24 m off."""
+    options, folder = killed_fusion
+    wide = sorted(folder.glob("*/*.npz.wide.npy"))[0]
+    values = np.load(wide)
+    if how == "gone":
+        wide.unlink()
+    else:
+        content = bytearray(wide.read_bytes())
+        begin = len(content) - values.nbytes
+        content[begin:] = bytes(values.nbytes) if how == "zeros" else (values + 24).tobytes()
+        wide.write_bytes(bytes(content))
+    said = told()
+    again = run_stage("dsmfuse", options, said)
+    assert any("Reused 1 of 4 fused tiles" in note for note in said.notes)
+    np.testing.assert_array_equal(heights(again["output"]), heights(whole.result["output"]))
+
+
 def test_a_cancelled_fusion_keeps_its_tiles_and_a_failed_one_leaves_nothing(again, whole, told, monkeypatch):
     options = {"scene": str(again.workspace / "reconstructed.json"), "output": again.output, "resolution": 0.5}
     with pytest.raises(Cancelled):
