@@ -6,15 +6,16 @@ Images of another place would spoil what all have in common: the heights that ar
 from __future__ import annotations
 
 import math
-from itertools import combinations
+import os
 from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, Window
 from ..errors import OverlapError, RpcInvalidError
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring
+from ..imagery.raster import opened, read
 from ..options import EpmFitOptions
 from ..progress import listed
 from ..scene import View, common_heights, load_views
@@ -26,6 +27,7 @@ _DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, a
 _FAR_DEG = 5.0  # between the middles of two images, which cannot overlap then: no strip is that long
 _MOST_LEVELS = 64
 _LARGER = 1.5  # times an image's side: an RPC that was made for more columns or rows is that of a larger image
+_STRIP = 256  # rows that are compared at once
 _STARTS = 0.05  # of its length: an RPC whose domain begins that near to the first pixel was not shifted with a crop
 
 
@@ -51,13 +53,43 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
     OverlapError where no two images overlap.
     """
     views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
-    for first, second in combinations(views, 2):
-        if first.rpc == second.rpc:
+    return of_one_place(_each_once(views, warn), least_px, warn, _wanted(options))
+
+
+def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
+    """The views without copies of others, which would be counted as witnesses of their own; ``warn`` is told of them.
+
+    Raises RpcInvalidError where other pixels have the same RPC, and OverlapError where all are copies of one.
+    """
+    kept: List[View] = []
+    for view in views:
+        same = next((other for other in kept if other.rpc == view.rpc), None)
+        if same is None:
+            kept.append(view)
+            continue
+        if not _same_pixels(same, view):
             raise RpcInvalidError(
-                f"The images {first.name} and {second.name} have the same RPC: give each image its own (the file "
-                "beside it, or RPCS); give copies and parts of one image only once."
+                f"The images {same.name} and {view.name} have the same RPC: give each image its own (the file beside "
+                "it, or RPCS); give parts of one image as one."
             )
-    return of_one_place(views, least_px, warn, _wanted(options))
+        warn(f"The image {view.name} ('{view.image}') is a copy of {same.name}: it is left out, and counts once.")
+    if len(kept) == 1 < len(views):
+        raise OverlapError(f"All images are copies of '{kept[0].image}': choose another image of the same ground.")
+    return kept
+
+
+def _same_pixels(first: View, second: View) -> bool:
+    """Whether two views are of one image, whatever its files are called."""
+    if first.size != second.size:
+        return False
+    if os.path.exists(first.image) and os.path.exists(second.image) and os.path.samefile(first.image, second.image):
+        return True
+    with opened(first.image) as one, opened(second.image) as other:
+        for row in range(0, first.size[1], _STRIP):
+            window = Window(0, row, first.size[0], min(_STRIP, first.size[1] - row))
+            if not np.array_equal(read(one, window, first.band), read(other, window, second.band), equal_nan=True):
+                return False
+    return True
 
 
 def of_one_place(

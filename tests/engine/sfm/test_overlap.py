@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from osgeo import gdal
 
 from repm_qgis.errors import OverlapError
+from repm_qgis.options import EpmFitOptions
 from repm_qgis.scene import common_heights
-from repm_qgis.sfm.overlap import foreign_rpc, not_overlapping, of_one_place, places
+from repm_qgis.sfm.overlap import foreign_rpc, not_overlapping, of_one_place, places, views_of
 
 
 def moved(view, name, **rpc):
@@ -139,3 +142,29 @@ def test_heights_that_most_rpcs_have_in_common(urban):
         (((0, 10), (0, 10), (20, 30), (20, 30)), (0, 30)),
     ):
         assert common_heights(with_heights(*ranges)) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("how", ("copy", "link", "another format"))
+def test_a_copy_of_an_image_is_no_further_view(urban, tmp_path, how):
+    """Each copy made the expected error smaller, as if another image had said the same."""
+    again = tmp_path / f"again{'.tif' if how != 'another format' else '.img'}"
+    if how == "link":
+        again.symlink_to(urban.images[0])
+    elif how == "copy":
+        again.write_bytes(Path(urban.images[0]).read_bytes())
+    else:
+        copy = gdal.GetDriverByName("HFA").CreateCopy(str(again), gdal.Open(urban.images[0]))
+        copy.SetMetadata(gdal.Open(urban.images[0]).GetMetadata("RPC"), "RPC")
+        copy = None
+    said = []
+    images = [urban.images[0], str(again), urban.images[1]]
+    found = views_of(EpmFitOptions(images=tuple(images), workspace=str(tmp_path / "w")), 64, said.append)
+    assert [view.image for view in found] == [urban.images[0], urban.images[1]]
+    assert said == [f"The image again ('{again}') is a copy of img_01: it is left out, and counts once."]
+
+
+def test_copies_of_one_image_alone_are_no_pair(urban, tmp_path):
+    again = tmp_path / "again.tif"
+    again.symlink_to(urban.images[0])
+    with pytest.raises(OverlapError, match="All images are copies of '.*img_01.tif': choose another"):
+        views_of(EpmFitOptions(images=(urban.images[0], str(again)), workspace=str(tmp_path / "w")), 64)
