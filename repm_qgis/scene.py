@@ -91,6 +91,7 @@ class View(Record):
     UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
+    ``content`` tells the image from another one that takes its name, "" where that cannot be told.
     """
 
     name: Name
@@ -105,6 +106,7 @@ class View(Record):
     mask: FilePath = ""
     sensor: str = ""
     part: Optional[Window] = None
+    content: str = ""
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
@@ -128,6 +130,14 @@ class View(Record):
         being there."""
         files = [file for file in (self.image, self.mask) if os.path.isabs(file)]
         return [file for file in files if not (file.startswith("/vsi") or os.path.exists(file))]
+
+    @property
+    def replaced(self) -> bool:
+        """Whether another image has taken the name of this one."""
+        from .imagery.raster import content_of
+
+        now = content_of(self.image) if self.content else ""
+        return bool(now) and now != self.content
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row, pointing included."""
@@ -282,13 +292,24 @@ class Scene(Record):
         return (times[0], times[-1]) if times else None
 
     def require_images(self) -> None:
-        """Raise SceneError with the images and masks that are not where the scene knows them, nor moved with it."""
+        """Raise SceneError with the images and masks that are not where the scene knows them, nor moved with it, and
+        with images that are others than those it was made from."""
         missing = [file for view in self.views for file in view.missing]
         if missing:
             names = ", ".join(f"'{file}'" for file in missing)
             raise SceneError(
                 f"The scene '{self.path}' needs {names}, which is not there: put the image back, or run "
                 f"{_FIRST_STAGE} again with the images where they are now."
+            )
+        self.require_same_images()
+
+    def require_same_images(self) -> None:
+        """Raise SceneError with images that others have replaced since the scene was made; of those that are there."""
+        replaced = ", ".join(f"'{view.image}'" for view in self.views if view.replaced)
+        if replaced:
+            raise SceneError(
+                f"The scene '{self.path}' was made from other pixels than {replaced} has now: put the image back, or "
+                f"run {_FIRST_STAGE} again with this one."
             )
 
     def terrain(self, sensor: SensorModel) -> Optional[Terrain]:
@@ -528,7 +549,7 @@ def load_views(
 
 def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[View] = (), whole: bool = True) -> View:
     """One of the views of :func:`load_views`, with a name that none of the others has."""
-    from .imagery.raster import grey_band, name_of, opened_image, opened_masked
+    from .imagery.raster import content_of, grey_band, name_of, opened_image, opened_masked
     from .imagery.spacing import stated_spacings
     from .rpc.readers import rpc_of
 
@@ -552,7 +573,8 @@ def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[Vi
                 f"The RPC of '{path}' gives pixels of {gsd:.3g} m on the ground, but {where} says {metres:.3g} m: if "
                 "the image was resampled, give the RPC of these pixels; else correct or remove what is wrong."
             )
-    return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask, sensor=sensor)
+    content = content_of(path)
+    return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask, sensor=sensor, content=content)
 
 
 def middle_of(views: Sequence[View]) -> Tuple[float, float]:

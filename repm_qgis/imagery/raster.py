@@ -5,6 +5,7 @@ Nothing here changes GDAL's global state: the engine may run inside QGIS.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..arrays import FloatImage, Mask, Size, Window
 from ..errors import ImageError
 from ..shortage import speaks_of_memory
 from ..untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
-from ..workspace import file_identity, not_written, take_name, temporary_name
+from ..workspace import file_identity, file_sample, not_written, take_name, temporary_name
 
 NODATA = -9999.0
 
@@ -390,6 +391,22 @@ def raster_identity(path: str) -> List[List[Any]]:
     Masks, overviews, RPC files beside it, and the images behind a VRT are among them.
     """
     return [file_identity(file) for file in files_of(path)]
+
+
+_NO_PIXELS = (".aux.xml", ".ovr", ".txt", ".rpb", ".rpc", ".imd", ".geom", ".json", ".qml")
+
+
+def content_of(path: str) -> str:
+    """What tells the pixels of a raster from those of another one that took its name (:func:`.workspace.file_sample`),
+    wherever the files lie; "" for one that is not on a disk.
+
+    Statistics and overviews that programs add later do not count, nor do metadata.
+    """
+    if not os.path.isfile(path):
+        return ""
+    files = [file for file in files_of(path) if file == path or not file.lower().endswith(_NO_PIXELS)]
+    parts = [file_sample(file) for file in files if os.path.isfile(file)]
+    return hashlib.sha256(" ".join(sorted(parts)).encode()).hexdigest()[:24]
 
 
 def files_of(path: str) -> List[str]:

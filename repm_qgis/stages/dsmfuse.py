@@ -50,6 +50,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = reconstructed(options.scene)
+    scene.require_same_images()  # a town's brightness is of them, without an orthophoto as well
     layout = _laid_out(scene, options, progress, parameters)
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     plan = colours_of(scene, options, progress, parameters)
@@ -74,6 +75,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
             run_whole(viewer.written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         _each_alone(fusion, pairs, Part(progress, whole, 1.0))
+    scene.require_same_images()
     _log(options, parameters, facts, progress)
     progress.step(1.0, "DSM fused")
     paths = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}

@@ -54,6 +54,7 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     else:
         notes = Recorder(progress)
         scene = _fit(options, folder_of(Path(scene_path), "masks"), parameters, notes)
+        replace(scene, path=Path(scene_path)).require_same_images()
         seconds, changes = time.monotonic() - start, parameters.changes()
         scene = scene.recorded("epmfit", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(scene_path)

@@ -87,6 +87,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 0.98))
         part = Part(notes, 0.98, 1.0)
         scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, matching)
+        scene.require_same_images()  # at the end, too: one may have been replaced amid the work
         seconds, changes = time.monotonic() - start, parameters.changes()
         done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
         done.save(options.output_scene)

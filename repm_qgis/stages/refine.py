@@ -49,6 +49,8 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
         if options.write_images:
             require_space("refinement", [images_need(scene, options.output_scene)], progress)
         scene = _refine(replace(scene, path=Path(options.output_scene)), options, parameters, notes)
+        if options.write_images:
+            scene.require_same_images()
         seconds, changes = time.monotonic() - start, parameters.changes()
         scene = scene.recorded("refine", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(options.output_scene)

@@ -90,8 +90,8 @@ def test_one_image_only(bench):
 
 def test_one_image_twice_under_two_names(bench):
     other = bench.image("copy.tif", 0)
-    text = bench.fails(EmptyResultError, images=[bench.urban.images[0], other])
-    assert "0.0 degrees" in text and "choose images" in text
+    text = bench.fails(OverlapError, images=[bench.urban.images[0], other])
+    assert "All images are copies of" in text and "choose another image" in text
 
 
 def test_images_that_do_not_overlap(bench):

@@ -97,7 +97,7 @@ def test_bands_nodata_mask_and_time_of_an_image_are_kept_and_its_georeferencing_
     dataset = None
     assert os.path.exists(f"{second}.msk")
     views = tuple(
-        replace(view, image=image, width=400, height=400, acquired="2013-07-01T10:20:30.500Z")
+        replace(view, image=image, content="", width=400, height=400, acquired="2013-07-01T10:20:30.500Z")
         for view, image in zip(scene.views, (first, second))
     )
     path = replace(scene, views=views, tiles=(), pairs=(), pointing=None).save(str(tmp_path / "s.json"))

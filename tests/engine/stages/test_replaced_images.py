@@ -1,0 +1,84 @@
+"""An image that takes the name of another one: no stage works with pixels that the scene was not made from."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from osgeo import gdal
+
+from repm_qgis.errors import SceneError
+from repm_qgis.imagery.raster import content_of
+from repm_qgis.scene import Scene
+from repm_qgis.stages import reconstruct, run_stage
+
+WORDS = "was made from other pixels than '.*img_02.tif' has now: put the image back, or run 'Fit"
+
+
+@pytest.fixture
+def fitted(urban, tmp_path, told):
+    """A scene of a pair of images of its own, as options of the stages that follow."""
+    images = [shutil.copy(path, tmp_path) for path in urban.images[:2]]
+    made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / "w")}, told())
+    return images, {"scene": made["scene"], "output_scene": str(tmp_path / "w" / "reconstructed.json"), "workers": 1}
+
+
+def replace_image(path):
+    """Other pixels in a file of the same name, size and time."""
+    before = os.stat(path)
+    dataset = gdal.Open(path, gdal.GA_Update)
+    dataset.GetRasterBand(1).WriteArray(dataset.ReadAsArray()[::-1])
+    dataset = None
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_between_two_stages(fitted, told):
+    images, options = fitted
+    replace_image(images[1])
+    with pytest.raises(SceneError, match=WORDS):
+        run_stage("reconstruct", options, told())
+    assert not Path(options["output_scene"]).exists()
+
+
+def test_amid_a_stage(fitted, told, monkeypatch):
+    """The last step of the stage finds other pixels than the first one: nothing is kept as its result."""
+    images, options = fitted
+    last = reconstruct.with_agreeing_maps
+    monkeypatch.setattr(reconstruct, "with_agreeing_maps", lambda *given: replace_image(images[1]) or last(*given))
+    with pytest.raises(SceneError, match=WORDS):
+        run_stage("reconstruct", options, told())
+    assert not Path(options["output_scene"]).exists()
+
+
+def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
+    images, options = fitted
+    made = run_stage("reconstruct", options, told())
+    products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
+    replace_image(images[1])
+    with pytest.raises(SceneError, match=WORDS):
+        run_stage("dsmfuse", {"scene": made["output_scene"], **products}, told())
+    assert not (tmp_path / "ortho.tif").exists()
+
+
+def test_what_other_programs_add_to_an_image_replaces_nothing(fitted, tmp_path):
+    images, options = fitted
+    dataset = gdal.Open(images[0])
+    dataset.BuildOverviews("average", [2])  # external ones: it is open for reading
+    dataset.GetRasterBand(1).ComputeStatistics(False)
+    dataset = None
+    assert Path(images[0] + ".ovr").exists() and Path(images[0] + ".aux.xml").exists()
+    os.utime(images[0])
+    Scene.load(options["scene"]).require_images()
+    copied = shutil.copy(images[0], str(tmp_path / "elsewhere.tif"))
+    assert content_of(copied) == content_of(images[0]) != content_of(images[1])
+
+
+def test_a_vrt_has_the_content_of_its_sources(fitted, tmp_path):
+    images, _ = fitted
+    path = str(tmp_path / "view.vrt")
+    gdal.GetDriverByName("VRT").CreateCopy(path, gdal.Open(images[1])).FlushCache()
+    before = content_of(path)
+    replace_image(images[1])
+    assert content_of(path) != before
