@@ -2,7 +2,8 @@
 
 Each trial runs stages of a checkout as the dialogs do, in a process of its own, and says in a few words how they
 ended. A trial that ends with a DSM says how far that lies from the truth. This module has the trials on images and
-RPCs, and those of input_heights.py and input_terrain.py with them. The earlier revision is that of
+RPCs, and those of input_heights.py, input_terrain.py and
+input_dsms.py with them. The earlier revision is that of
 REPM_BENCH_BEFORE, by default the last one before these cases were looked at.
 """
 
@@ -19,7 +20,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks import input_heights, input_terrain
+from benchmarks import input_dsms, input_heights, input_terrain
 from benchmarks.input_case import Ended, Job, Trial, off, pipeline, pixels_of, say_of, town, true_views, write_plain
 from benchmarks.runner import ROOT, earlier, few, say
 from benchmarks.tables import Section, table
@@ -187,7 +188,7 @@ TRIALS: List[Trial] = [
 
 
 def never_silently_wrong() -> List[str]:
-    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS]
+    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS, *input_dsms.TRIALS]
     rows, trials = [], sorted(every, key=lambda trial: int(trial.point))
     with tempfile.TemporaryDirectory() as place:
         before = earlier(BEFORE, Path(place))

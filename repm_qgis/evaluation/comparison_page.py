@@ -11,7 +11,7 @@ from ..arrays import FloatArray
 from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures, verdict
 from .comparison import Comparison
-from .grids import Grid
+from .grids import Grid, cell_sides
 from .metrics import HeightMetrics
 from .report import Report, fixed
 
@@ -26,8 +26,8 @@ _METHODS = {
 def comparison_page(found: Comparison, error_path: str = "", others: Sequence[Comparison] = ()) -> Report:
     """What a comparison found, for the analyst; ``others`` are further DSMs against the same reference."""
     page = Report("DSM against reference", f"{found.dsm.path} against {found.reference.path}")
-    _summary(page, found)
     everyone = dict(zip(_names([found, *others]), [found, *others]))
+    _summary(page, found, everyone)
     if others:
         _side_by_side(page, everyone)
     page.section("Inputs").table(["", "DSM", "Reference"], _input_rows(found))
@@ -84,12 +84,21 @@ def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
         page.svg(charts.curves(series, "distance (m)", "height (m)", profile.name), "Heights after the alignment.")
 
 
-def _summary(page: Report, found: Comparison) -> None:
+def _findings(everyone: Mapping[str, Comparison]) -> List[str]:
+    """What is to look at in all DSMs; where there are several, each finding names its own."""
+    found = []
+    for name, one in everyone.items():
+        said = verdict.of_comparison(one.metrics, max(*cell_sides(one.dsm), *cell_sides(one.reference)))
+        found += [f"Of the DSM '{name}': {text}" for text in said] if len(everyone) > 1 else said
+    return found
+
+
+def _summary(page: Report, found: Comparison, everyone: Mapping[str, Comparison]) -> None:
     m = found.metrics
     good = (
         f"The median difference is {m.bias:+.3f} m, and half of the heights are within {m.me:.3f} m of the reference."
     )
-    page.verdict(good, verdict.of_comparison(m))
+    page.verdict(good, _findings(everyone))
     page.paragraph(
         f"{m.cells} of {m.reference_cells} reference cells have a DSM height ({m.valid:.1f} %). "
         f"Half of them are within {m.me:.3f} m of the reference; NMAD {m.nmad:.3f} m, RMSE {m.rmse:.3f} m, "

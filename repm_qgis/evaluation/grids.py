@@ -137,6 +137,13 @@ def metres_per_unit(grid: Grid) -> Tuple[float, float]:
     return factor * a * math.cos(latitude) / w, factor * a * (1 - e2) / w**3
 
 
+def cell_sides(grid: Grid) -> Tuple[float, float]:
+    """The sides of a cell along its row and its column, m, however the grid is turned; positive."""
+    per_unit = metres_per_unit(grid)
+    _, b, c, _, e, f = grid.transform
+    return math.hypot(b * per_unit[0], e * per_unit[1]), math.hypot(c * per_unit[0], f * per_unit[1])
+
+
 def require_place(grid: Grid) -> None:
     """Raise ImageError for a raster that has no place on the ground."""
     if grid.transform == (0.0, 1.0, 0.0, 0.0, 0.0, 1.0):

@@ -94,6 +94,8 @@ class VerdictParameters(Parameters):
     least_points: int = 4  # ground control points: with fewer, none can be called wrong
     most_bias_m: float = 0.5  # median difference from a reference, or of two DSMs of a mosaic ...
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
+    most_spread_m: float = 10.0  # NMAD against a reference; DSMs of satellite images have 0.3 to 4 m ...
+    most_spread_cells: float = 1.0  # ... and global DEMs less than a cell: a coarse surface is off by its relief
     most_changed_share: float = 0.3  # of what two dates show: beyond, the ground is not mostly stable
     most_offset_m: float = 10.0  # between two dates: images without control points differ by metres, geoids by more
     most_level_m: float = 3.0  # a storey

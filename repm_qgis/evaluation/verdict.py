@@ -171,9 +171,16 @@ def of_mosaic(
     return said
 
 
-def of_comparison(metrics: HeightMetrics, bounds: VerdictParameters = VERDICT) -> List[str]:
-    """The findings of a comparison with a reference."""
+def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictParameters = VERDICT) -> List[str]:
+    """The findings of a comparison with a reference; ``cell_m`` is the side of the larger cells of both, m."""
     found = []
+    most_spread = max(bounds.most_spread_m, bounds.most_spread_cells * cell_m)
+    if metrics.nmad > most_spread:
+        found.append(
+            f"The heights spread by {metrics.nmad:.1f} m about the reference's (NMAD; usual: at most "
+            f"{most_spread:g} m), so the two do not show the same surface: check the unit and scale of both, their "
+            "CRS and place, and the RPCs that the DSM was made with."
+        )
     if metrics.valid < bounds.least_compared_percent:
         found.append(
             f"The DSM covers only {metrics.valid:.1f} % of the reference's cells, and the completeness counts all of "

@@ -14,7 +14,7 @@ from pyproj.exceptions import ProjError
 from ..arrays import Bounds, Window
 from ..checks import as_text
 from ..errors import ImageError, OptionError
-from ..evaluation.grids import Grid, metres_per_unit, require_metres, require_place
+from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_metres, require_place
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
 from ..geometry.tiles import enclosing
@@ -183,10 +183,7 @@ def _bounds_in(grid: Grid, crs: pyproj.CRS) -> Bounds:
 
 
 def _ratio(grid: Grid, cell: float) -> float:
-    per_unit = metres_per_unit(grid)
-    _, b, c, _, e, f = grid.transform
-    own = min(math.hypot(b * per_unit[0], e * per_unit[1]), math.hypot(c * per_unit[0], f * per_unit[1]))
-    return cell / own
+    return cell / min(cell_sides(grid))
 
 
 def _error_band(path: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Dict, Optional, Tuple
 
@@ -12,7 +11,7 @@ import pyproj
 from .. import __version__
 from ..arrays import Size
 from ..errors import ImageError
-from ..evaluation.grids import Grid, metres_per_unit
+from ..evaluation.grids import Grid, cell_sides
 from ..evaluation.pictures import preview
 from ..geometry.frames import flat_crs, on_earth, utm_crs
 from ..geometry.vertical import TAG, HeightDatum
@@ -75,9 +74,7 @@ def surface_of(path: str, confidence: Optional[str]) -> Surface:
 def _cell(grid: Grid) -> float:
     """The side of a cell, m; raises ImageError for cells that are not squares in metres."""
     crs = flat_crs(grid.crs)
-    per_unit = metres_per_unit(grid)
-    _, b, c, _, e, f = grid.transform
-    sides = math.hypot(b * per_unit[0], e * per_unit[1]), math.hypot(c * per_unit[0], f * per_unit[1])
+    sides = cell_sides(grid)
     if crs.is_geographic or abs(sides[0] - sides[1]) > _SQUARE * max(sides):
         longitude, latitude = _middle(grid)
         raise ImageError(

@@ -469,3 +469,24 @@ def test_a_reference_of_90_m_covers_a_dsm_with_many_holes_and_that_is_said(make_
     holes[:12, :12] = np.nan
     with pytest.raises(EmptyResultError, match="choose a reference that covers the DSM"):
         compare(dsm, make_raster("holes.tif", holes, cell=90.0))
+
+
+@pytest.mark.parametrize("wrong", ["scaled", "displaced", "upside down"])
+def test_a_dsm_that_shows_another_surface_is_not_called_good(make_raster, tmp_path, terrain, wrong):
+    """Nothing in the figures of the mean tells: the alignment removes that. The spread does."""
+    truth = 10.0 * terrain(300, 340)
+    bad = {"scaled": 3.28 * truth, "displaced": np.roll(truth, 90, axis=1), "upside down": -truth}[wrong]
+    reference, sound = make_raster("ref.tif", truth), make_raster("sound.tif", truth + 0.3)
+    tops = {}
+    for name, dsm, others in (
+        ("sound", sound, []),
+        ("bad", make_raster("bad.tif", bad), []),
+        ("both", sound, [make_raster("bad.tif", bad)]),
+    ):
+        report = tmp_path / f"{name}.html"
+        got = compare(dsm, reference, align="vertical", others=others, report=str(report))
+        tops[name] = report.read_text(encoding="utf-8").split("<h2")[0]
+        assert (got["nmad"] > 10) == (name == "bad")
+    assert "Good." in tops["sound"]
+    assert "Good." not in tops["bad"] and "do not show the same surface" in tops["bad"]
+    assert "Good." not in tops["both"] and "&#39;bad&#39;: The heights spread" in tops["both"]

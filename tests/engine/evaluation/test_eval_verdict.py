@@ -80,6 +80,15 @@ def test_a_comparison_is_judged_by_bias_and_cover():
     assert "covers only 33.3 %" in finding
 
 
+def test_a_comparison_is_judged_by_spread():
+    rng = np.random.default_rng(0)
+    errors = rng.normal(0, 51.0, 1000)
+    (finding,) = verdict.of_comparison(height_metrics(errors, 1000), 0.5)
+    assert "do not show the same surface" in finding and "at most 10 m" in finding
+    # A DEM with cells of 90 m is off by the relief within them, and is sound.
+    assert verdict.of_comparison(height_metrics(errors, 1000), 90.0) == []
+
+
 def test_the_share_of_heights_is_that_of_the_ground_which_two_images_see(urban_run, made):
     scene, facts = made
     assert facts.valid_percent > 90  # of the rectangle around it, about 70: the images are turned
