@@ -53,6 +53,8 @@ def copied(model: QgsProcessingModelAlgorithm) -> QgsProcessingModelAlgorithm:
     copy.loadVariant(model.toVariant())
     copy.setName(title)
     copy.setSourceFilePath(path)
+    # QGIS ends with a segmentation fault when the designer runs a model that belongs to no provider.
+    copy.setProvider(QgsApplication.processingRegistry().providerById("model"))
     if not copy.toFile(path):
         raise OSError(_tr("The model cannot be written to '{path}': check that you may write there.").format(path=path))
     return copy

@@ -67,7 +67,8 @@ def unregister() -> None:
         return
 
     for name in (ENGINE_PYTHON, WORKERS, MEMORY, CLUSTER):
-        ProcessingConfig.removeSetting(name)
+        if name in ProcessingConfig.settings:  # where QGIS ends, Processing may have taken all of them out before
+            ProcessingConfig.removeSetting(name)
     ProcessingConfig.settingIcons.pop(GROUP, None)
 
 

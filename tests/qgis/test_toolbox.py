@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import gc
+import os
 import pathlib
+import subprocess
+import sys
 
 import pytest
 from qgis.core import (
@@ -67,6 +70,7 @@ def test_our_model_becomes_one_of_the_users(plugin, tmp_path, monkeypatch):
     ]  # fmt: skip
     assert (first.name(), second.name()) == ("dsm_by_stages", "dsm_by_stages_2")
     assert first.validate()[0], first.validate()[1]
+    assert first.provider().id() == second.provider().id() == "model"  # without one, QGIS crashed when it ran the copy
     assert set(first.childAlgorithms()) == set(model.childAlgorithms())
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(ModelerUtils, "modelsFolders", staticmethod(lambda: [str(tmp_path / "file")]))
@@ -124,3 +128,43 @@ def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(no_sce
     assert (last_scene("reconstruct"), last_scene("dsmfuse")) == (refined, reconstructed)
     pathlib.Path(reconstructed).write_text("{", encoding="utf-8")
     assert (last_scene("errormap"), last_scene("dsmfuse")) == (refined, "")
+
+
+RUN_THE_COPY = """
+import importlib, os, sys
+from qgis.core import QgsApplication
+from qgis.PyQt.QtCore import QTimer
+application = QgsApplication([], True)
+application.initQgis()
+sys.path[:0] = [os.path.join(QgsApplication.pkgDataPath(), "python", "plugins"), sys.argv[1]]
+from processing.core.Processing import Processing
+Processing.initialize()
+plugin = importlib.import_module("repm").classFactory(None)
+plugin.initProcessing()
+from processing.modeler.ModelerDialog import ModelerDialog
+from processing.modeler.ModelerUtils import ModelerUtils
+from repm.desktop import model_copy
+ModelerUtils.modelsFolders = staticmethod(lambda: [sys.argv[2]])
+copy = model_copy.copied(QgsApplication.processingRegistry().algorithmById("repm:dsm_by_stages"))
+designer = ModelerDialog.create(copy)
+QTimer.singleShot(1000, lambda: [window.close() for window in application.topLevelWidgets()])
+designer.runModel()
+print("ran", flush=True)
+from repm.processing_provider import settings
+Processing.deinitialize()  # before the plugin is unloaded, as where QGIS ends
+plugin.unload()
+print("ended", flush=True)
+os._exit(0)
+"""
+
+
+def test_the_copy_runs_in_the_designer_and_qgis_ends(plugin, tmp_path):
+    """QGIS crashed (SIGSEGV) at the designer's Run, and said KeyError 'REPM_ENGINE_PYTHON' where it ended."""
+    pytest.importorskip("processing.modeler.ModelerDialog", reason="needs QGIS's Python modules for the desktop")
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "repm").symlink_to(pathlib.Path(__file__).resolve().parents[2])
+    variables = {**os.environ, "QGIS_CUSTOM_CONFIG_PATH": str(tmp_path), "QT_QPA_PLATFORM": "offscreen"}
+    command = [sys.executable, "-c", RUN_THE_COPY, str(tmp_path / "plugins"), str(tmp_path / "models")]
+    done = subprocess.run(command, env=variables, text=True, capture_output=True, timeout=120, check=False)
+    assert done.returncode == 0 and done.stdout.split()[-2:] == ["ran", "ended"], done.stdout + done.stderr
+    assert "Traceback" not in done.stderr, done.stderr
