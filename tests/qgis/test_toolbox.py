@@ -150,8 +150,8 @@ designer = ModelerDialog.create(copy)
 QTimer.singleShot(1000, lambda: [window.close() for window in application.topLevelWidgets()])
 designer.runModel()
 print("ran", flush=True)
-from repm.processing_provider import settings
-Processing.deinitialize()  # before the plugin is unloaded, as where QGIS ends
+from processing.core.ProcessingConfig import ProcessingConfig
+ProcessingConfig.settings.clear()  # as where QGIS ends, and has unloaded Processing before
 plugin.unload()
 print("ended", flush=True)
 os._exit(0)
