@@ -10,7 +10,10 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
+
+from repm_qgis.imagery.raster import opened
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -155,3 +158,27 @@ sys.exit(engine_process.main(["epmfit", "none.json"]))
 def test_a_signal_before_the_stage_is_a_cancel():
     done = subprocess.run([sys.executable, "-c", EARLY], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1 and json.loads(done.stdout)["kind"] == "Cancelled" and done.stderr == ""
+
+
+def test_results_do_not_depend_on_the_threads_of_linear_algebra(urban, tmp_path):
+    """Sums in another order differ in their last bits, and rounding makes pixels of them."""
+    found = []
+    for threads in ("1", "8"):
+        place = tmp_path / threads
+        place.mkdir()
+        job = {
+            "images": urban.images[:2],
+            "workspace": str(place / "w"),
+            "output": str(place / "dsm.tif"),
+            "workers": 1,
+        }
+        (place / "job.json").write_text(json.dumps(job))
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        done = engine("pipeline", place / "job.json", env={**os.environ, **dict.fromkeys(names, threads)})
+        assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+        scene = json.loads((place / "w" / "reconstructed.json").read_text())
+        cameras = [tile["views"] for tile in scene["tiles"]]
+        found.append(([view["pointing"] for view in scene["views"]], cameras))
+    assert found[0] == found[1]
+    with opened(str(tmp_path / "1" / "dsm.tif")) as one, opened(str(tmp_path / "8" / "dsm.tif")) as other:
+        assert np.array_equal(one.ReadAsArray(), other.ReadAsArray())
