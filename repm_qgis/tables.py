@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Mapping, Optional, Tuple
@@ -21,6 +22,20 @@ from .vector import open_vector
 
 _INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
 _DELIMITERS = ",;\t"
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+_COMMA = re.compile(r"[+-]?\d+,\d+")
+
+
+def number_in(place: str, name: str, value: object) -> float:
+    """The number that a field of a row has, as text or as a number; raises InputTableError, which names ``place``.
+
+    Python's own reading also takes what people do not mean: 1_000, or digits of other scripts.
+    """
+    text = str(value).strip()
+    if isinstance(value, (int, float)) or _NUMBER.fullmatch(text):
+        return float(text)
+    remedy = "; write decimals with a point" if _COMMA.fullmatch(text) else ""
+    raise InputTableError(f"{place}: the field '{name}' is {text[:80]!r}, which is not a number{remedy}.")
 
 
 @dataclass(frozen=True)

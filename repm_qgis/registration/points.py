@@ -15,7 +15,7 @@ from ..arrays import Bounds, FloatArray
 from ..errors import InputTableError
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import ELLIPSOID, HeightDatum, metres_per_unit, stated_datum
-from ..tables import CsvTable, LayerTable, Limits
+from ..tables import CsvTable, LayerTable, Limits, number_in
 from .found import FoundHeights, FoundPoints, Within, places_unit
 from .lasers import Laser, flags, lasers
 
@@ -191,10 +191,7 @@ def _number(place: str, row: Mapping[str, Any], name: str) -> float:
     text = "" if value is None else str(value).strip()
     if text.lower() in _EMPTY:
         return math.nan
-    try:
-        return float(text)
-    except ValueError:
-        raise InputTableError(f"{place}: the field '{name}' is {text[:80]!r}, which is not a number.") from None
+    return number_in(place, name, text)
 
 
 def _place(place: str, text: str) -> Tuple[float, float]:

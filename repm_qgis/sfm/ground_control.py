@@ -18,7 +18,7 @@ from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..progress import counted, listed
 from ..scene import View
-from ..tables import CsvTable, LayerTable, Limits
+from ..tables import CsvTable, LayerTable, Limits, number_in
 from ..vector import file_and_layer
 from ..workspace import write_text
 
@@ -146,10 +146,7 @@ def point_of(place: str, row: Mapping[str, Any]) -> Gcp:
 
 def _number(place: str, row: Mapping[str, Any], name: str) -> float:
     value = row.get(name)
-    try:
-        number = math.nan if value is None else float(value)
-    except (TypeError, ValueError):
-        number = math.nan
+    number = math.nan if value is None else number_in(place, name, value)
     if not math.isfinite(number):
         raise InputTableError(f"{place}: the field '{name}' is {value!r}, which is not a number.")
     return number

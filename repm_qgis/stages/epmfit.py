@@ -172,7 +172,7 @@ def _area(
         raise OverlapError(f"The images share no ground at altitudes of {range_}: {remedy}.")
     if options.extent is None:
         return area
-    common = area.Intersection(_extent(options, options.extent, crs))
+    common = area.Intersection(_extent(options, options.extent, crs, area))
     if common is None or common.IsEmpty() or common.GetArea() < least:
         if common is not None and not common.IsEmpty():
             shares = f"shares only {common.GetArea():.3g} m² with what two images see"
@@ -193,11 +193,20 @@ def _range_text(bounds: Sequence[float]) -> str:
     return f"x {xmin} to {xmax}, y {ymin} to {ymax}"
 
 
-def _extent(options: EpmFitOptions, extent: Extent, crs: str) -> ogr.Geometry:
-    """The extent asked for as its bounding box in the scene's CRS."""
+def _extent(options: EpmFitOptions, extent: Extent, crs: str, area: ogr.Geometry) -> ogr.Geometry:
+    """What the extent asked for has of the surroundings of an area, as its bounding box in the scene's CRS.
+
+    What lies far away has no place in that CRS: an extent may be the whole Earth.
+    """
     try:
         transformer = pyproj.Transformer.from_crs(options.extent_crs, crs, always_xy=True)
-        return box(transformer.transform_bounds(*extent))
+        around = bounds_of(area)
+        reach = max(around[2] - around[0], around[3] - around[1])
+        near = transformer.transform_bounds(*Bounds(*around).grown(reach), direction="INVERSE")
+        xmin, ymin, xmax, ymax = (*map(max, extent[:2], near[:2]), *map(min, extent[2:], near[2:]))
+        if xmin >= xmax or ymin >= ymax:
+            return ogr.Geometry(ogr.wkbPolygon)
+        return box(transformer.transform_bounds(xmin, ymin, xmax, ymax))
     except pyproj.exceptions.ProjError as error:
         raise OptionError("EXTENT", options.extent, f"cannot be brought into {crs} ({error})") from error
 

@@ -141,6 +141,11 @@ def test_rows_are_added_in_parts_and_may_be_stopped(table, monkeypatch):
         ("a,b\n1,2\n", "has no fields that say where its points are"),
         ("lon,lat\n1,2\n", "has no fields that say where its points are"),
         ("lon,lat,h\n1,north,3\n", "row 2: the field 'lat' is 'north', which is not a number"),
+        (
+            "lon;lat;h\n3;36,15;1\n",
+            "row 2: the field 'lat' is '36,15', which is not a number; write decimals with a point",
+        ),
+        ("lon,lat,h\n3,36.15,1_000\n", "row 2: the field 'h' is '1_000', which is not a number"),
         ("lon,lat,h\n3,36.15,1\n3,36.15,x\n", "row 3: the field 'h' is 'x', which is not a number"),
         ("geometry,h_mean\nPOLYGON(),3\n", r"row 2: its geometry is 'POLYGON\(\)', not a point"),
         ("geometry,h_mean\nPOINT (1-2 3),3\n", "row 2: its geometry is 'POINT .*, not a point"),

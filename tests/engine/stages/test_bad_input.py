@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from osgeo import gdal
+from osgeo import gdal, ogr
 
 from repm_qgis.errors import (
     EmptyResultError,
@@ -26,7 +26,9 @@ from repm_qgis.errors import (
     WorkspaceError,
 )
 from repm_qgis.geometry.frames import projected_from_geodetic
+from repm_qgis.progress import Silent
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -106,6 +108,17 @@ def test_an_extent_outside(bench):
     text = bench.fails(OverlapError, extent=[10.0, 50.0, 10.1, 50.1])
     assert "EXTENT" in text and "lies outside" in text and "Draw it there, or leave it empty" in text
     assert "EPSG:4326" in text and "x 1.43" in text and "y 43.59" in text  # where it should lie, in its own CRS
+
+
+@pytest.mark.parametrize("extent", ([-180.0, -90.0, 180.0, 90.0], [-60.0, 0.0, 60.0, 80.0]))
+def test_an_extent_of_the_whole_earth_is_no_limit(bench, tmp_path, extent):
+    """It "lay outside", because the scene's CRS has no place for what is so far away."""
+    images = list(bench.urban.images[:2])
+    found = []
+    for name, more in (("without", {}), ("with", {"extent": extent})):
+        made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / name), **more}, Silent())
+        found.append(ogr.CreateGeometryFromWkt(Scene.load(made["scene"]).area))
+    assert found[0].SymDifference(found[1]).GetArea() < 1e-3 * found[0].GetArea()
 
 
 @pytest.mark.parametrize(
