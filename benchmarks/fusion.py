@@ -1,6 +1,6 @@
 """What fusing costs: height maps on disk to a DSM, without the matching.
 
-The views are simulated, and their images are empty: fusion needs their RPCs only. The height maps hold a made-up town
+The views are simulated, and their images are noise. The height maps hold a made-up town
 of blocks on hills, with noise, gaps, and backgrounds beside the blocks. Each run is a process of its own with two
 workers; memory is the sum of the largest resident sets of the process and its workers.
 """
