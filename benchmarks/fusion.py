@@ -134,7 +134,7 @@ def costs() -> List[str]:
     return [
         f"Height maps of 0.5 m px on disk to a DSM, {WORKERS} workers. Cells a second are what {WORKERS} cores do that "
         f"nothing else uses: cells / CPU seconds x {WORKERS}. Bars: 3 Mcell/s, 1024 MiB. The views are simulated, and "
-        "their images are empty: fusion needs their RPCs only. The height maps hold a made-up town of blocks on hills.",
+        "their images are noise. The height maps hold a made-up town of blocks on hills.",
         table("Mcells | pairs | cell, m | valid % | wall, s | CPU, s | Mcell/s on 2 cores | memory, MiB", rows),
     ]
 
