@@ -13,10 +13,11 @@ from ..arrays import FloatImage, Mask, Window
 from ..errors import EmptyResultError
 from ..evaluation.comparison import gradient, sample_windows
 from ..evaluation.coregistration import Alignment, align
-from ..evaluation.grids import Grid, HeightWarper, cell_metres, overlap, require_metres
+from ..evaluation.grids import Grid, HeightWarper, cell_metres, overlap
 from ..evaluation.parameters import EVALUATION
 from ..geometry.frames import flat_crs
 from ..imagery.confidence import confidence_bands
+from ..imagery.heights import to_metres
 from ..imagery.raster import opened
 from ..options import ChangeOptions
 from ..progress import Progress
@@ -61,8 +62,8 @@ class Surfaces:
         datasets = [stack.enter_context(opened(path)) for path in (options.before, options.after)]
         grids = [Grid.of(dataset) for dataset in datasets]
         sides = [max(map(abs, cell_metres(grid))) for grid in grids]
-        for dataset, grid in zip(datasets, grids):
-            require_metres(dataset, grid)
+        for dataset in datasets:
+            to_metres(dataset)  # raises ImageError where that cannot be
         coarser, finer = (grids[1], grids[0]) if sides[1] > sides[0] * 1.001 else (grids[0], grids[1])
         self.grid = _cut(coarser, finer)
         self.cell = cell_metres(self.grid)

@@ -13,11 +13,12 @@ from ..arrays import Bounds, FloatArray, FloatImage, IntArray, Size, Window
 from ..errors import EmptyResultError
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
+from ..imagery.heights import read_heights
 from ..progress import Part, Progress
 from .classes import ErrorsByClass
 from .clouds import Surface
 from .coregistration import Alignment, Patch, align, block_means, moved_by
-from .grids import Grid, HeightWarper, cell_metres, overlap, read_heights
+from .grids import Grid, HeightWarper, cell_metres, overlap
 from .icp import shift_onto
 from .metrics import ErrorCollector, HeightMetrics
 from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters

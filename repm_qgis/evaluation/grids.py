@@ -18,14 +18,13 @@ from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
+from ..geometry.vertical import metres_per_unit as unit_of_heights
 from ..imagery import raster
+from ..imagery.heights import read_heights, read_values
 from ..imagery.sampling import sample
 from .coregistration import Alignment
 from .parameters import COMPARISON, ComparisonParameters
 
-_UNDECLARED = (-9999.0, -32768.0, -32767.0)
-"""Heights that writers mean as "none" although the file declares no nodata value."""
-_METRES = ("", "m", "metre", "metres", "meter", "meters")
 _ROUNDING = 1e-9  # of a cell for each cell along a row: 1e-4 cells over 100,000 of them
 _NO_ALIGNMENT = Alignment("none")
 _KERNEL_MARGIN = 3  # cells of the source around a window; bilinear needs one at its scale, the rest is for curvature
@@ -150,17 +149,6 @@ def require_place(grid: Grid) -> None:
         raise ImageError(f"The DSM '{grid.path}' is not georeferenced: give it a place on the ground first.")
 
 
-def require_metres(dataset: gdal.Dataset, grid: Grid) -> None:
-    """Raise ImageError for heights in another unit than the metre, as the band or the vertical CRS states it."""
-    units = [as_text(dataset.GetRasterBand(1).GetUnitType())]
-    units += [axis.unit_name for part in grid.crs.sub_crs_list if part.is_vertical for axis in part.axis_info]
-    for unit in units:
-        if unit.lower() not in _METRES:
-            raise ImageError(
-                f"The DSM '{grid.path}' has heights in '{unit}': convert them to metres first (gdal_calc)."
-            )
-
-
 def cell_metres(grid: Grid) -> Tuple[float, float]:
     """Width and height of a cell in metres; the height is positive where row 0 is in the north.
 
@@ -199,17 +187,8 @@ def _text(bounds: Bounds) -> str:
     return "x {0:.0f}..{2:.0f}, y {1:.0f}..{3:.0f}".format(*bounds)
 
 
-def read_heights(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1) -> FloatImage:
-    """Heights of a band, NaN where there is none; -9999 and the like count as none if no nodata value is declared."""
-    values = raster.read(dataset, window, band)
-    if dataset.GetRasterBand(band).GetNoDataValue() is None:
-        for value in _UNDECLARED:
-            values[values == value] = np.nan
-    return values
-
-
 class HeightWarper:
-    """One DSM, resampled onto parts of another grid, in that grid's CRS and vertical datum.
+    """One DSM, resampled onto parts of another grid, in that grid's CRS and vertical datum; heights in metres.
 
     Bilinear, by GDAL's warper, which widens its kernel where it makes cells larger; exact to 0.02 cells. Cells without
     a height have no weight, and where less than ``least_share`` of the kernel has heights the cell is NaN. So nodata is
@@ -217,12 +196,20 @@ class HeightWarper:
     cell next to a hole removes 20 % of the cells of a speckled DSM where the grids lie 0.2 m apart; GDAL's own rule,
     which accepts any weight, closes the small holes.)
 
+    A ``band`` that does not hold heights (``heights`` False) keeps its unit.
+
     Raises ImageError where the vertical datums differ and PROJ lacks the grid between them.
     """
 
     def __init__(
-        self, dataset: gdal.Dataset, target: Grid, parameters: ComparisonParameters = COMPARISON, band: int = 1
+        self,
+        dataset: gdal.Dataset,
+        target: Grid,
+        parameters: ComparisonParameters = COMPARISON,
+        band: int = 1,
+        heights: bool = True,
     ) -> None:
+        self._values = read_heights if heights else read_values
         self.dataset, self._source, self._target, self._band = dataset, Grid.of(dataset), target, band
         self._least_share = parameters.least_share
         self._source_flat, self._target_flat = _flat(self._source.crs), _flat(target.crs)
@@ -245,7 +232,7 @@ class HeightWarper:
         """The aligned DSM on ``cells``, which are a part of the target grid: (rows, columns), NaN = no height."""
         cells = _before(cells, alignment)
         window = self._source_window(cells)
-        heights = read_heights(self.dataset, window, self._band) if window is not None else np.empty(0, np.float32)
+        heights = self._values(self.dataset, window, self._band) if window is not None else np.empty(0, np.float32)
         good = np.isfinite(heights)
         if window is None or not good.any():
             return np.full(cells.size[::-1], np.nan, np.float32)
@@ -274,11 +261,11 @@ class HeightWarper:
         return replace(cells, size=(columns, rows), transform=(x, b * right, c * down, y, e * right, f * down))
 
     def heights_of(self, xyz: FloatArray) -> FloatArray:
-        """(N,) heights in the target's vertical datum of (N, 3) points in its CRS with heights in the DSM's."""
+        """(N,) heights in the target's vertical datum, m, of (N, 3) points in its CRS with heights in the DSM's, m."""
         if self.vertical is None or not len(xyz):
             return xyz[:, 2]
         x, y = self._to_source.transform(xyz[:, 0], xyz[:, 1])
-        return np.asarray(self.vertical.transform(x, y, xyz[:, 2])[2])
+        return self._in_target(self.vertical, x, y, xyz[:, 2])
 
     def along(self, cells: Grid, alignment: Alignment = _NO_ALIGNMENT) -> FloatImage:
         """The aligned DSM at the centres of one row of cells in any direction: (columns,), NaN = no height.
@@ -291,7 +278,7 @@ class HeightWarper:
             return np.full(columns, np.nan, np.float32)
         x, y = self._to_source.transform(*cells.to_ground(np.arange(columns) + 0.5, np.full(columns, 0.5)))
         column, row = self._source.window(window).to_cells(np.asarray(x), np.asarray(y))
-        heights = sample(read_heights(self.dataset, window, self._band), column - 0.5, row - 0.5)
+        heights = sample(self._values(self.dataset, window, self._band), column - 0.5, row - 0.5)
         if self.vertical is not None and np.isfinite(heights).any():
             scale, offset = self._vertical_at(self.vertical, cells, float(np.nanmean(heights)))
             heights = (heights * scale + offset[0]).astype(np.float32)
@@ -356,12 +343,17 @@ class HeightWarper:
             self.warnings.append(f"{task} {poor} is missing: {', '.join(missing)}.")
         return group.transformers[0]
 
+    def _in_target(self, vertical: Transformer, x: Any, y: Any, height: FloatArray) -> FloatArray:
+        """Heights in the target's vertical datum, m; PROJ has those of each CRS in its own unit."""
+        own, theirs = (unit_of_heights(grid.crs) or 1.0 for grid in (self._source, self._target))
+        return np.asarray(vertical.transform(x, y, height / own)[2]) * theirs
+
     def _vertical_at(self, vertical: Transformer, cells: Grid, height: float) -> Tuple[float, FloatArray]:
         """Scale and offset (rows, columns) of heights, from a coarse lattice: datums differ smoothly."""
         columns, rows = cells.size
         u, v = np.linspace(0.5, columns - 0.5, 9), np.linspace(0.5, rows - 0.5, 9)
         x, y = self._to_source.transform(*(a.ravel() for a in cells.to_ground(*np.meshgrid(u, v))))
-        low, high = (np.asarray(vertical.transform(x, y, np.full(81, h))[2]) for h in (height, height + 100.0))
+        low, high = (self._in_target(vertical, x, y, np.full(81, h)) for h in (height, height + 100.0))
         scale = (high - low) / 100.0
         if not np.isfinite(low).all():
             task = f"'{self._source.path}' cannot be transformed to the vertical datum of '{self._target.path}'"

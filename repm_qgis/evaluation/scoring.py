@@ -7,9 +7,10 @@ from typing import NamedTuple, Sequence, Tuple
 import numpy as np
 
 from ..arrays import FloatImage, Floats
+from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 from .coregistration import Alignment, align
-from .grids import Grid, HeightWarper, metres_per_unit, read_heights
+from .grids import Grid, HeightWarper, metres_per_unit
 from .metrics import THRESHOLDS_M, HeightMetrics, height_metrics
 from .parameters import COREGISTRATION, CoregistrationParameters
 

@@ -16,6 +16,7 @@ from ..geometry.frames import flat_crs, geodetic_from_projected, on_earth, verti
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..workspace import file_identity
+from .heights import read_heights, to_metres
 from .parameters import DEM
 from .raster import NODATA, opened, quiet, read, write
 
@@ -88,7 +89,8 @@ def make_surface(path: str, bounds: Bounds, cell_m: float, target: str) -> str:
             raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does.")
         with quiet():
             gdal.FillNodata(warped.GetRasterBand(1), None, float(max(width, height)), 2)
-        heights = read(warped).astype(np.float64)
+        factor, added = to_metres(dataset)
+        heights = read(warped).astype(np.float64) * factor + added
         transform = warped.GetGeoTransform()
         warped = None
     heights = np.where(np.isfinite(heights), heights, np.nanmean(heights))
@@ -134,7 +136,7 @@ def _window_values(dataset: gdal.Dataset, path: str, points: FloatArray, most: i
     if not len(cells) or (high <= low).any():
         raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
     window = Window.spanning(*map(int, (*low, *high)))
-    values = read(dataset, window, 1, (min(window.width, most), min(window.height, most)))
+    values = read_heights(dataset, window, 1, (min(window.width, most), min(window.height, most)))
     if not np.isfinite(values).any():
         raise OverlapError(f"The DEM '{path}' has only nodata over the scene: give another one, or leave DEM empty.")
     return values

@@ -15,6 +15,7 @@ from ..arrays import FloatImage, IntArray, Window
 from ..evaluation.grids import Grid, HeightWarper, metres_per_unit
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
+from ..imagery.heights import read_heights
 from ..imagery.sampling import nmad
 from ..workspace import writing
 from .inputs import Dsm, Layout
@@ -108,7 +109,7 @@ def write_interior(task: InteriorTask) -> str:
         grid = Grid.of(dataset)
         factor = max(1, math.ceil(max(grid.size) / seams.interior_px))
         size = (math.ceil(grid.size[0] / factor), math.ceil(grid.size[1] / factor))
-        known = np.isfinite(raster.read(dataset, size=size if factor > 1 else None))
+        known = np.isfinite(read_heights(dataset, size=size if factor > 1 else None))
         crs = dataset.GetProjection()
     cells = to_unknown(np.pad(without_small_holes(known, seams), 1))[1:-1, 1:-1]
     x, b, c, y, e, f = grid.transform

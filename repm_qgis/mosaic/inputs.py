@@ -14,12 +14,13 @@ from pyproj.exceptions import ProjError
 from ..arrays import Bounds, Window
 from ..checks import as_text
 from ..errors import ImageError, OptionError
-from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_metres, require_place
+from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_place
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
+from ..imagery.heights import to_metres
 from ..imagery.raster import opened
 from ..options import MosaicOptions
 from ..progress import Progress
@@ -114,10 +115,10 @@ def require_datum_of_scenes(options: MosaicOptions, layout: Layout) -> None:
 
 def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     """A DSM's frame and what its heights refer to; ``path`` is how messages name it. Raises ImageError where it has no
-    place on the ground, or heights in another unit than metres."""
+    place on the ground, or heights in a unit that is not known."""
     grid = replace(Grid.of(dataset), path=path)
     require_place(grid)
-    require_metres(dataset, grid)
+    to_metres(dataset)  # raises ImageError where that cannot be
     crs = grid.crs
     vertical = vertical_part(crs)
     if vertical is None:

@@ -13,17 +13,12 @@ from ..arrays import Bounds, FloatArray, Floats, Window
 from ..checks import as_text
 from ..errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, on_earth
-from ..geometry.vertical import TAG, metres_per_unit, stated_datum
-from ..imagery.raster import opened, read
+from ..geometry.vertical import TAG, stated_datum
+from ..imagery.heights import read_heights
+from ..imagery.raster import opened
 from .found import FoundHeights, no_heights, places_unit
 
 _STRIP_CELLS = 1 << 24  # of the raster that are read at once
-_FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
-_UNITS = {
-    **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
-    **dict.fromkeys(("ft", "foot", "feet"), _FOOT),
-    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "foot_us"), _SURVEY_FOOT),
-}
 
 
 def read_raster(
@@ -32,8 +27,8 @@ def read_raster(
     """The heights of a raster within bounds of the scene's projected CRS.
 
     Cells smaller than ``least_m`` are averaged in blocks of whole cells, those without heights left out; a block needs
-    half of its cells. Heights that are said to be in feet become metres. ``check`` is called between strips,
-    and may raise to stop.
+    half of its cells. Heights become metres, whatever unit, scale and offset the band has. ``check`` is called between
+    strips, and may raise to stop.
 
     Raises ImageError for a raster without a CRS or with heights in another unit, OverlapError where it has no heights
     within the bounds.
@@ -42,8 +37,7 @@ def read_raster(
         if not dataset.GetProjection():
             raise ImageError(f"The reference '{path}' has no coordinate reference system: assign it one first.")
         system = on_earth(pyproj.CRS.from_wkt(as_text(dataset.GetProjection())), path)
-        name = as_text(dataset.GetRasterBand(1).GetUnitType())
-        unit, places_in = _metres(path, name, system), None if name else places_unit(system)
+        places_in = None if dataset.GetRasterBand(1).GetUnitType() else places_unit(system)
         datum = stated_datum(system, as_text(dataset.GetMetadataItem(TAG) or ""))
         place = dataset.GetGeoTransform()
         forth = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
@@ -54,7 +48,7 @@ def read_raster(
         jacobian = _jacobian(place, back, window)
         widths = np.hypot(*jacobian)
         factor = max(1, math.ceil(least_m / float(widths.min()) - 1e-6))
-        heights = _read_means(dataset, window, factor, check) * unit
+        heights = _read_means(dataset, window, factor, check)
     col, row = np.meshgrid(
         *(origin + factor * (np.arange(n) + 0.5) for origin, n in zip(window[:2], heights.shape[::-1]))
     )
@@ -73,15 +67,6 @@ def read_raster(
         datum=datum,
         places_in=places_in,
     )
-
-
-def _metres(path: str, name: str, system: pyproj.CRS) -> float:
-    """The unit of a raster's heights, m, from the name that its band gives, or its CRS."""
-    if not name:
-        return metres_per_unit(system) or 1.0
-    if name.lower() not in _UNITS:
-        raise ImageError(f"The reference '{path}' has heights in '{name}': convert them to metres first (gdal_calc).")
-    return _UNITS[name.lower()]
 
 
 def _window(
@@ -131,7 +116,7 @@ def _read_means(dataset: gdal.Dataset, window: Window, factor: int, check: Calla
         check()
         count = min(strip, rows - begin)
         part = Window(window.col, window.row + begin * factor, columns * factor, count * factor)
-        result[begin : begin + count] = block_means(read(dataset, part), factor, 0.5)
+        result[begin : begin + count] = block_means(read_heights(dataset, part), factor, 0.5)
     return result
 
 

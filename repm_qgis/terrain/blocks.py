@@ -13,11 +13,11 @@ from typing import List, Sequence, Tuple
 import numpy as np
 
 from ..arrays import FloatArray, FloatImage, Mask, Window
-from ..evaluation.grids import read_heights
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import halved
 from ..imagery import raster
 from ..imagery.confidence import Provenance
+from ..imagery.heights import read_heights
 from ..workspace import writing
 from . import ground, objects
 from .inputs import Surface

@@ -11,10 +11,10 @@ from osgeo import gdal
 
 from ..arrays import FloatImage, Window
 from ..errors import OverlapError
-from ..evaluation.grids import Grid, HeightWarper, read_heights
+from ..evaluation.grids import Grid, HeightWarper
 from ..geometry.frames import flat_crs
 from ..geometry.levels import halved
-from ..imagery import raster
+from ..imagery.heights import read_heights, read_values
 from .parameters import VIEWER, ViewerParameters
 
 _NEAR = 1e-3  # cells: bounds that differ by less are the same
@@ -35,9 +35,14 @@ def page_grid(grid: Grid, most_cells: int, parameters: ViewerParameters = VIEWER
 
 
 def read_on(
-    dataset: gdal.Dataset, cells: Grid, band: int, check: Callable[[], None], parameters: ViewerParameters = VIEWER
+    dataset: gdal.Dataset,
+    cells: Grid,
+    band: int,
+    check: Callable[[], None],
+    parameters: ViewerParameters = VIEWER,
+    heights: bool = True,
 ) -> FloatImage:
-    """One band on the cells of a page: (rows, columns), NaN = no value.
+    """One band on the cells of a page: (rows, columns), NaN = no value; ``heights`` become metres.
 
     ``check`` is called often, and may raise to stop. Raises ImageError for a raster that cannot be read, or that has
     other cells and no CRS.
@@ -45,11 +50,11 @@ def read_on(
     own = Grid.of(dataset)
     if _same_ground(own, cells):
         if own.size == cells.size:
-            return read_heights(dataset, None, band)
+            return (read_heights if heights else read_values)(dataset, None, band)
         handle = dataset.GetRasterBand(band)
         if handle.GetNoDataValue() is not None or handle.GetMaskFlags() & gdal.GMF_PER_DATASET:
-            return raster.read(dataset, None, band, cells.size)
-    warper = HeightWarper(dataset, cells, band=band)
+            return (read_heights if heights else read_values)(dataset, None, band, cells.size)
+    warper = HeightWarper(dataset, cells, band=band, heights=heights)
     columns, rows = cells.size
     lines = max(int(parameters.block_cells / (columns * max(warper.cells_ratio, 1.0) ** 2)), 1)
     found = np.empty((rows, columns), np.float32)
@@ -68,7 +73,7 @@ def read_draped(
     Raises OverlapError too where the raster has no value on the page.
     """
     flat = replace(cells, wkt=flat_crs(cells.crs).to_wkt("WKT2_2019")) if cells.wkt else cells
-    values = read_on(dataset, flat, band, check, parameters)
+    values = read_on(dataset, flat, band, check, parameters, heights=False)
     if not np.isfinite(values).any():
         raise OverlapError(
             f"The raster '{dataset.GetDescription()}' has no value where the DSM '{cells.path}' lies: choose one of "

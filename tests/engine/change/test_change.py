@@ -232,7 +232,7 @@ def test_small_changes_are_left_out(dates, tmp_path, told):
 
 
 def test_what_cannot_be_compared_is_refused_in_a_sentence(dates, tmp_path, told):
-    feet = write(tmp_path / "feet.tif", [ground()], unit="ft")
+    other = write(tmp_path / "feet.tif", [ground()], unit="furlong")
     away = write(tmp_path / "away.tif", [ground()], place=(600000.0, 5000000.0))
     bands = write(tmp_path / "bands.tif", [ground(), ground()], names=("red", "green"))
     empty = write(tmp_path / "empty.tif", [np.full((SIDE, SIDE), np.nan)])
@@ -240,7 +240,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(dates, tmp_path, told)
     both = {"before_confidence": plain}
     for after, options, kind, words in (
         (dates[0], {}, OptionError, "is the same file as BEFORE"),
-        (feet, {}, ImageError, "has heights in 'ft'"),
+        (other, {}, ImageError, "has heights in 'furlong'"),
         (away, {}, OverlapError, "do not overlap"),
         (empty, {}, EmptyResultError, "No cell has a height in both DSMs"),
         (dates[1], both, OptionError, "AFTER_CONFIDENCE"),

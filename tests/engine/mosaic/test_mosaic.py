@@ -226,7 +226,7 @@ def bad_inputs(folder, four):
     """Options, the kind of error, and the words that the one sentence must have."""
     text = folder / "notes.tif"
     text.write_text("no raster")
-    feet = write(folder / "feet.tif", (0, 0), 60, unit="ft")
+    feet = write(folder / "feet.tif", (0, 0), 60, unit="furlong")
     away = write(folder / "away.tif", (900, 0), 60)
     degrees = raster.write(
         str(folder / "degrees.tif"), [np.ones((50, 50), np.float32)], (6, 1e-4, 0, 43.8, 0, -1e-4), "EPSG:4326"
@@ -240,7 +240,7 @@ def bad_inputs(folder, four):
         "twice": ({"dsms": [four[0], four[1], four[0]]}, OptionError, f"DSMS is '{four[0]}': it is named twice"),
         "not there": ({"dsms": [four[0], "gone.tif"]}, ImageError, "'gone.tif'"),
         "no raster": ({"dsms": [four[0], str(text)]}, ImageError, "notes.tif"),
-        "feet": ({"dsms": [four[0], feet]}, ImageError, f"'{feet}' has heights in 'ft': convert them to metres"),
+        "feet": ({"dsms": [four[0], feet]}, ImageError, f"'{feet}' has heights in 'furlong': convert them to metres"),
         "no overlap": ({"dsms": [four[0], away]}, OverlapError, "choose DSMs that overlap"),
         "no heights": ({"dsms": empty}, OverlapError, "No two of the 2 DSMs have heights in 400 common cells"),
         "degrees": ({"dsms": [degrees, four[0]]}, ImageError, "give a projected CRS, such as EPSG:32632"),
