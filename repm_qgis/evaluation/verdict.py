@@ -166,6 +166,14 @@ def of_mosaic(
             f"{abs(worst.median):.2f} m (DSMs {worst.first} and {worst.second}): see 'Overlaps', and check the "
             "vertical datums."
         )
+    apart = [each for each in differences if each.nmad > bounds.most_spread_m]
+    if apart:
+        worst = max(apart, key=lambda each: each.nmad)
+        said.append(
+            f"Overlaps whose DSMs do not show the same surface: {len(apart)} of {len(differences)}; those of DSMs "
+            f"{worst.first} and {worst.second} differ by {worst.nmad:.1f} m (NMAD; usual: at most "
+            f"{bounds.most_spread_m:g} m): check their places, units and RPCs."
+        )
     if warnings:
         said.append(f"Warnings, which stand below: {len(warnings)}.")
     return said

@@ -16,6 +16,8 @@ class OffsetParameters(Parameters):
     least_cells: int = 400  # with both heights: fewer say nothing about an offset
     independent: float = 25.0  # neighbouring cells that err alike, and count as one (as in co-registration)
     least_deviation_m: float = 0.001  # of an overlap's median: no overlap counts for more
+    most_m: float = 10.0  # by which a DSM is moved without a warning: without ground control images are off by metres
+    apart_m: float = 250.0  # of two DSMs' medians, at most: vertical datums differ by 107 m, and nothing else by more
     huber: float = 1.345  # standard deviations: 95 % efficiency (Huber and Ronchetti, Robust Statistics)
     reweightings: int = 30
 

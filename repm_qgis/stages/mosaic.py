@@ -13,7 +13,7 @@ import pyproj
 
 from ..arrays import IntArray
 from ..disk_space import mosaic_needs, require_space
-from ..errors import EmptyResultError, OverlapError
+from ..errors import EmptyResultError, ImageError, OverlapError
 from ..imagery.raster import raster_identity
 from ..memory import Work, workers_within
 from ..mosaic.blocks import (
@@ -32,7 +32,7 @@ from ..mosaic.blocks import (
 from ..mosaic.inputs import Layout, Surface, layout_of, require_datum_of_scenes
 from ..mosaic.offsets import Offsets, Overlap, solve_offsets
 from ..mosaic.page import mosaic_page
-from ..mosaic.parameters import MosaicParameters
+from ..mosaic.parameters import MosaicParameters, OffsetParameters
 from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
 from ..options import DsmFuseOptions, MosaicOptions
 from ..parallel import kept_workers, run_tasks
@@ -75,8 +75,10 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     require_space("the mosaic", mosaic_needs(options, rows * columns, folder), progress)
     overlaps = _overlaps(options, layout, parameters.mosaic, Part(progress_of, 0.0, 0.2))
     fixed = [number for number, dsm in enumerate(layout.dsms) if dsm.fixed]
+    _require_like_heights(layout, overlaps, parameters.mosaic.offsets)
     offsets = solve_offsets(len(layout.dsms), overlaps, fixed, parameters.mosaic.offsets)
     _log(layout, overlaps, offsets, progress)
+    _name_large(layout, offsets, parameters.mosaic.offsets, progress)
     parts = _sources(options, layout, overlaps, offsets, folder, parameters.mosaic, Part(progress_of, 0.2, 0.3))
     blocks = _blocks(options, layout, parts, folder, parameters.mosaic, Part(progress_of, 0.3, 0.9))
     cells: Dict[int, int] = Counter()
@@ -247,6 +249,33 @@ def _median(blocks: Sequence[Block]) -> Optional[float]:
     if not total[-1]:
         return None
     return float((np.searchsorted(total, total[-1] / 2.0) + 0.5) * STEP_M)
+
+
+def _require_like_heights(layout: Layout, overlaps: Sequence[Overlap], parameters: OffsetParameters) -> None:
+    """Raise ImageError where two DSMs differ by more than any vertical datum explains: one offset would move the good
+    one as far as the wrong one."""
+    worst = max(overlaps, key=lambda each: abs(each.median), default=None)
+    if worst is not None and abs(worst.median) > parameters.apart_m:
+        first, second = (layout.dsms[number].name for number in (worst.first, worst.second))
+        raise ImageError(
+            f"The heights of '{first}' and '{second}' differ by {abs(worst.median):.0f} m where both have some, which "
+            f"no vertical datum explains (at most {parameters.apart_m:g} m): check the unit and scale of both, or "
+            "leave one out."
+        )
+
+
+def _name_large(layout: Layout, offsets: Offsets, parameters: OffsetParameters, progress: Progress) -> None:
+    """Warn of DSMs that are moved by more than usual."""
+    moved = [
+        f"'{dsm.name}' by {added:+.1f} m"
+        for dsm, added in zip(layout.dsms, offsets.added)
+        if abs(added) > parameters.most_m
+    ]
+    if moved:
+        progress.warn(
+            f"DSMs are moved by more than {parameters.most_m:g} m: {', '.join(moved)}; check their vertical datums and "
+            "units, and name those that are right in FIXED."
+        )
 
 
 def _log(layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, progress: Progress) -> None:

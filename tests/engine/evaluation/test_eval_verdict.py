@@ -175,3 +175,5 @@ def test_a_mosaic_is_judged_by_what_the_offsets_leave():
     (finding,) = verdict.of_mosaic([*fine, wide], [])
     assert "1 of 3, at most 1.20 m (DSMs 1 and 3)" in finding
     assert verdict.of_mosaic(fine, ["a", "b"]) == ["Warnings, which stand below: 2."]
+    (finding,) = verdict.of_mosaic([*fine, verdict.Difference(2, 3, 0.1, 31.0)], [])
+    assert "do not show the same surface: 1 of 3; those of DSMs 2 and 3 differ by 31.0 m (NMAD" in finding

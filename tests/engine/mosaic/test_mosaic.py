@@ -429,3 +429,23 @@ def test_a_folder_with_other_files_is_not_replaced(four, tmp_path, told):
     with pytest.raises(OptionError, match="is also a file of the input DSMS"):
         mosaic(told, tmp_path, [inside, four[1]], output=str(tmp_path / "n.vrt"))
     assert os.path.exists(inside) and len(list((tmp_path / "m_tiles").iterdir())) == 1
+
+
+def test_no_dsm_is_moved_by_what_no_datum_explains(tmp_path, told):
+    """A DSM times 3.28 was moved by 2652 m, and the good one with it; the report said "Good."."""
+    good = write(tmp_path / "good.tif", (0, 0), 100)
+    scaled = write(tmp_path / "scaled.tif", (50, 0), 100, lambda x, y: 3.28 * ground(x, y))
+    output = str(tmp_path / "mosaic.tif")
+    with pytest.raises(ImageError, match="differ by 4[0-9][0-9] m .* no vertical datum explains .*: check the unit"):
+        run_stage("mosaic", {"dsms": [good, scaled], "output": output}, told())
+    assert not os.path.exists(output)
+
+
+@pytest.mark.parametrize(("up", "warned"), ((4.0, False), (48.0, True)))
+def test_large_offsets_are_named(tmp_path, told, up, warned):
+    good = write(tmp_path / "good.tif", (0, 0), 100)
+    high = write(tmp_path / "high.tif", (50, 0), 100, lambda x, y: ground(x, y) + up)
+    said = told()
+    run_stage("mosaic", {"dsms": [good, high], "output": str(tmp_path / "mosaic.tif")}, said)
+    named = [text for text in said.warnings if "DSMs are moved by more than 10 m" in text]
+    assert bool(named) == warned and (not warned or "good.tif' by +24.0 m" in named[0])
