@@ -89,7 +89,7 @@ def write_products(
     """Write DSM and confidence from the surface's ``blocks``; gives what was counted, without a cloud's points.
 
     ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
-    Raises WorkspaceError where a file cannot be written.
+    Raises WorkspaceError where a file cannot be written, SceneError where an image was replaced amid the work.
     """
     crop, grid = joined.crop, layout.grid.part(joined.crop)
     valid, matched, levels = 0, 0, []
@@ -114,6 +114,7 @@ def write_products(
         interpolated = 0
         if products.whole is not None:
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
+        scene.require_same_images()  # before the products take their names: brightness was of these pixels
     if not levels:
         raise EmptyResultError(f"None of {grid.shape[0] * grid.shape[1]} cells of the DSM has a matched height.")
     filled, valid = valid - matched, valid + interpolated

@@ -27,7 +27,6 @@ from ..evaluation.styles import value_range
 from ..evaluation.templates import page
 from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
-from ..geometry.vertical import metres_per_unit as metres_per_height
 from ..imagery import raster
 from ..options import ViewerOptions
 from ..products import STYLES
@@ -97,17 +96,16 @@ def write_viewer(options: ViewerOptions, progress: Progress, parameters: ViewerP
 
 
 def _place(cells: Grid, tag: Optional[str]) -> Dict[str, Any]:
-    """Where the cells lie: their corner and size in units of the CRS, their size in metres, and what heights are."""
+    """Where the cells lie: their corner and size in units of the CRS, their size in metres, and the heights' datum."""
     x, step_x, _, y, _, step_y = cells.transform
     metres = metres_per_unit(cells)
     crs = cells.crs if cells.wkt else None
-    name, datum, unit_m = "", tag or "", 1.0
+    name, datum = "", tag or ""
     if crs is not None:
         flat = flat_crs(crs)
         authority = flat.to_authority()
         name = f"{flat.name} ({':'.join(authority)})" if authority else flat.name
         datum = tag or vertical_part(crs) or ""
-        unit_m = metres_per_height(crs) or 1.0
     return {
         "corner": [x, y],
         "step": [step_x, step_y],
@@ -115,8 +113,6 @@ def _place(cells: Grid, tag: Optional[str]) -> Dict[str, Any]:
         "decimals": int(np.clip(1 - math.floor(math.log10(abs(step_x)) + 1e-6), 0, 8)),
         "crs": name,
         "datum": datum,
-        "unit": "m" if unit_m == 1.0 else "ft" if abs(unit_m - 0.3048) < 1e-4 else f"x {unit_m:g} m",
-        "unit_m": unit_m,
     }
 
 

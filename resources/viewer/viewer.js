@@ -7,7 +7,7 @@
   const EDGE_PX = 3, FIELD = 40 * Math.PI / 180; // of squares on the screen; of the camera
   const $ = id => document.getElementById(id);
   const facts = JSON.parse($("facts").textContent), words = JSON.parse($("words").textContent);
-  const [columns, rows] = facts.size, [cellX, cellY] = facts.cell_m, {quantum, unit_m: unit} = facts;
+  const [columns, rows] = facts.size, [cellX, cellY] = facts.cell_m, {quantum} = facts;
   const middle = [(columns - 1) / 2, (rows - 1) / 2];
   const canvas = $("view"), message = $("message");
   const say = text => { message.hidden = !text; message.textContent = text; };
@@ -69,7 +69,7 @@
   }
   for (const name of ["facts", "words"]) $(name).remove(); // the text is no longer needed
 
-  const zOf = level => level * quantum * unit;
+  const zOf = level => level * quantum;
   // The height between the centres of cells, in metres above the least; cells without a height have one to interpolate.
   function surfaceAt(column, row) {
     const c = Math.min(Math.max(column, 0), columns - 1), r = Math.min(Math.max(row, 0), rows - 1);
@@ -89,7 +89,7 @@
   // The slopes as the east and north parts of the normal, whose roots are stored: 8 bit are fine near flat ground.
   function normals() {
     const found = new Uint8Array(columns * rows * 4);
-    const byX = quantum * unit / cellX, byY = quantum * unit / cellY;
+    const byX = quantum / cellX, byY = quantum / cellY;
     for (let row = 0, i = 0; row < rows; row++) {
       const up = row ? columns : 0, down = row < rows - 1 ? columns : 0, spanY = byY / Math.max((up + down) / columns, 1);
       for (let column = 0; column < columns; column++, i++) {
@@ -301,7 +301,7 @@
     if (drape.texture === undefined) drape.texture = textureOf(drape);
     twgl.setUniforms(program, {
       heights: heightsTexture, normals: normalsTexture, draped: drape.texture || normalsTexture,
-      ramp: drape.colours || normalsTexture, seen, cell: [cellX, cellY], middle, rise: quantum * unit * view.exaggeration,
+      ramp: drape.colours || normalsTexture, seen, cell: [cellX, cellY], middle, rise: quantum * view.exaggeration,
       sun: [Math.sin(azimuth) * Math.cos(altitude), Math.cos(azimuth) * Math.cos(altitude), Math.sin(altitude)],
       range: drape.kind === "dsm" ? [drape.low, drape.high].map(value => (value - facts.low) / quantum) : [0, 1],
       exaggeration: view.exaggeration, shading: view.shade ? 1 : 0, kind: drape.picture ? 1 : drape.values ? 2 : 0,
@@ -378,7 +378,7 @@
     return null;
   }
   const number = (value, decimals) => value.toFixed(decimals);
-  const heightText = z => `${number(facts.low + z / unit, 2)} ${facts.unit}`;
+  const heightText = z => `${number(facts.low + z, 2)} m`;
   const coordinates = (column, row) =>
     `x ${number(facts.corner[0] + (column + 0.5) * facts.step[0], facts.decimals)}, ` +
     `y ${number(facts.corner[1] + (row + 0.5) * facts.step[1], facts.decimals)}`;
@@ -458,7 +458,7 @@
     svg.replaceChildren();
     chartScale = null;
     $("under").textContent = profile.on && points.length === 0 ? profile.ends.length ? words.second : words.first : "";
-    const heights = points.map(p => p.z).filter(z => !isNaN(z)).map(z => facts.low + z / unit);
+    const heights = points.map(p => p.z).filter(z => !isNaN(z)).map(z => facts.low + z);
     if (!heights.length) return;
     const box = {left: 58, right: svg.clientWidth - 34, top: 8, bottom: svg.clientHeight - 20};
     let low = Math.min(...heights), high = Math.max(...heights);
@@ -468,7 +468,7 @@
     const y = height => box.bottom - (height - low) / (high - low) * (box.bottom - box.top);
     for (const height of ticks(low, high, 5)) {
       svg.append(element("line", {x1: box.left, x2: box.right, y1: y(height), y2: y(height)}),
-                 element("text", {x: box.left - 6, y: y(height) + 4, "text-anchor": "end"}, `${+height.toPrecision(8)} ${facts.unit}`));
+                 element("text", {x: box.left - 6, y: y(height) + 4, "text-anchor": "end"}, `${+height.toPrecision(8)} m`));
     }
     for (const distance of ticks(0, length, Math.max(box.right - box.left, 100) / 90)) {
       svg.append(element("text", {x: x(distance), y: box.bottom + 15, "text-anchor": "middle"}, `${+distance.toPrecision(8)} m`));
@@ -477,7 +477,7 @@
     for (const point of points) {
       if (isNaN(point.z)) pen = "M";
       else {
-        path += `${pen}${x(point.distance).toFixed(1)} ${y(facts.low + point.z / unit).toFixed(1)}`;
+        path += `${pen}${x(point.distance).toFixed(1)} ${y(facts.low + point.z).toFixed(1)}`;
         pen = "L";
       }
     }
@@ -620,9 +620,9 @@
     $("legend").hidden = !drape.ramp;
     if (drape.ramp) {
       $("ramp").style.background = `linear-gradient(to right,${drape.ramp.join()})`;
-      const decimals = Math.min(span(drape), 2), unitOf = drape.kind === "dsm" ? facts.unit : "m";
+      const decimals = Math.min(span(drape), 2);
       [drape.low, (drape.low + drape.high) / 2, drape.high].forEach((value, i) => {
-        $("limits").children[i].textContent = `${number(value, decimals)} ${unitOf}`;
+        $("limits").children[i].textContent = `${number(value, decimals)} m`;
       });
     }
     draw();

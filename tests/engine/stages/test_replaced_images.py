@@ -12,7 +12,7 @@ from osgeo import gdal
 from repm_qgis.errors import SceneError
 from repm_qgis.imagery.raster import content_of
 from repm_qgis.scene import Scene
-from repm_qgis.stages import reconstruct, run_stage
+from repm_qgis.stages import fusing, reconstruct, run_stage
 
 WORDS = "was made from other pixels than '.*img_02.tif' has now: put the image back, or run 'Fit"
 
@@ -50,6 +50,17 @@ def test_amid_a_stage(fitted, told, monkeypatch):
     with pytest.raises(SceneError, match=WORDS):
         run_stage("reconstruct", options, told())
     assert not Path(options["output_scene"]).exists()
+
+
+def test_amid_the_fusion(fitted, tmp_path, told, monkeypatch):
+    """A DSM whose brightness is of other pixels does not take its name."""
+    images, options = fitted
+    made = run_stage("reconstruct", options, told())
+    last = fusing._chosen
+    monkeypatch.setattr(fusing, "_chosen", lambda *given: (last(*given), replace_image(images[1]))[0])
+    with pytest.raises(SceneError, match=WORDS):
+        run_stage("dsmfuse", {"scene": made["output_scene"], "output": str(tmp_path / "dsm.tif"), "workers": 1}, told())
+    assert not (tmp_path / "dsm.tif").exists()
 
 
 def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
