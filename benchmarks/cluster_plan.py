@@ -196,11 +196,11 @@ def _events(
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Tuple[str, int]]:
-    """The address and the process id of ``scripts/repm-cluster local``."""
+    """The scheduler file and the process id of ``scripts/repm-cluster local``."""
     command = [sys.executable, str(ROOT / "scripts" / "repm-cluster"), "local", str(workers), "--memory", "4000"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
-            yield [process.stdout.readline().strip() for _ in range(4)][1].partition("=")[2], process.pid
+            yield [process.stdout.readline().strip() for _ in range(3)][1].partition("=")[2], process.pid
         finally:
             process.terminate()
 

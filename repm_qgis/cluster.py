@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import stat
 import time
 import uuid
 from contextlib import contextmanager, suppress
@@ -25,9 +26,11 @@ from osgeo import gdal
 from .errors import ClusterError
 from .parallel import do_task, packed, prepare_process, use_workers
 from .progress import Progress
-from .workspace import ensure_folder
+from .workspace import ensure_folder, whole_file
 
 _CONNECT_S = 5
+_KEY_NAME = "repm-cluster.pem"
+_KEY_DAYS = 180  # after which a new one is made; Dask's certificates are valid for a year
 _MOST_BYTES = 10 << 20  # of a scheduler file
 _POLL_S = 0.02
 _LOOK_S = 5.0  # between two looks at whether there are workers left
@@ -59,14 +62,59 @@ def cluster_workers(address: str, read: Sequence[str], folders: Sequence[str], p
         _close(client)
 
 
+def key_file(folder: str) -> str:
+    """The file with key and certificate for the clusters of a folder, which this user alone can read.
+
+    It is made where there is none, and made again where it is old or others could have read or written it. Scheduler,
+    workers and clients use the same one: who can read it belongs to the cluster. Raises WorkspaceError, and ImportError
+    where the package cryptography is missing.
+    """
+    path = os.path.join(folder, _KEY_NAME)
+    if not _is_own_key(path):
+        made = Security.temporary()
+        with whole_file(path) as temporary:
+            with suppress(OSError):  # its permissions would be kept
+                os.unlink(path)
+            private = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with open(private, "w", encoding="ascii", newline="\n") as stream:
+                stream.write(made.tls_scheduler_key + made.tls_scheduler_cert)
+    return path
+
+
+def _is_own_key(path: str) -> bool:
+    try:
+        status = os.lstat(path)
+    except OSError:
+        return False
+    if not stat.S_ISREG(status.st_mode) or time.time() - status.st_mtime > _KEY_DAYS * 86400:
+        return False
+    return os.name == "nt" or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
+
+
+def security(key: str) -> Security:
+    """What Dask wants to know to use the key and certificate of a file for everything."""
+    each = {f"tls_{role}_{part}": key for role in ("client", "scheduler", "worker") for part in ("key", "cert")}
+    return Security(require_encryption=True, tls_ca_file=key, **each)
+
+
+def _security(scheduler: str, address: str) -> Security:
+    """The keys for a scheduler: those beside its file, else those that Dask's own settings name."""
+    beside = os.path.join(os.path.dirname(address), _KEY_NAME)
+    if scheduler.startswith("tls://") and scheduler != address and os.path.isfile(beside):
+        return security(beside)
+    found = Security()
+    if scheduler.startswith("tls://") and not found.get_connection_args("client").get("ssl_context"):
+        keys = f"give the scheduler file that lies beside its {_KEY_NAME}, or name its keys to Dask"
+        raise ClusterError(f"The cluster at '{address}' wants TLS: {keys} (docs/cluster.md, Security).")
+    return found
+
+
 def _client(address: str) -> Client:
     remedy = "start one with scripts/repm-cluster, or correct CLUSTER"
     try:
         scheduler = address if "://" in address else _in_scheduler_file(address)
-        if scheduler.startswith("tls://") and not Security().get_connection_args("client").get("ssl_context"):
-            keys = "name its keys to Dask (docs/cluster.md, Security)"
-            raise ClusterError(f"The cluster at '{address}' wants TLS: {keys}.")
-        return Client(scheduler, timeout=_CONNECT_S, set_as_default=False, name="repm")
+        keys = _security(scheduler, address)
+        return Client(scheduler, security=keys, timeout=_CONNECT_S, set_as_default=False, name="repm")
     except (OSError, asyncio.TimeoutError, ValueError, TypeError, KeyError) as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise ClusterError(f"No Dask scheduler answers at '{address}' ({reason}): {remedy}.") from error

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
 import pathlib
 import signal
+import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -31,28 +34,56 @@ def alive(group):
     return True
 
 
+def greeting(address, key):
+    """What a scheduler says to a program that trusts everybody and shows a key, or none."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    if key:
+        context.load_cert_chain(key)
+    host, port = address.partition("//")[2].split(":")
+    with contextlib.suppress(OSError), socket.create_connection((host, int(port)), 10) as plain:  # ssl's errors too
+        with context.wrap_socket(plain) as connection:
+            return connection.recv(100)
+    return b""
+
+
 @needs_dask
 @posix
 @pytest.mark.parametrize("how", ["Ctrl-C", "TERM", "KILL"])
 def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
     from distributed import Client
 
+    from repm_qgis.cluster import cluster_workers, key_file, security
+    from repm_qgis.errors import ClusterError
+    from repm_qgis.parallel import run_tasks
+    from repm_qgis.progress import Silent
+
     command = [sys.executable, str(SCRIPT), "local", "2", "--memory", "600"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, **pipes, text=True, env=environment, start_new_session=True)
     try:
-        lines = [process.stdout.readline() for _ in range(4)]
-        address, file = (line.strip().removeprefix("CLUSTER=") for line in lines[1:3])
-        assert address.startswith("tcp://127.0.0.1:")
-        assert json.loads(pathlib.Path(file).read_text(encoding="utf-8"))["address"] == address
-        with Client(scheduler_file=file, set_as_default=False) as client:
+        lines = [process.stdout.readline() for _ in range(3)]
+        file = lines[1].strip().removeprefix("CLUSTER=")
+        address = json.loads(pathlib.Path(file).read_text(encoding="utf-8"))["address"]
+        assert address.startswith("tls://127.0.0.1:")
+        key = pathlib.Path(file).with_name("repm-cluster.pem")
+        assert key.stat().st_mode & 0o777 == 0o600
+        strange = key_file(str(tmp_path))  # other users of this machine reach the port, but do not have the key
+        assert greeting(address, str(key)) and not greeting(address, strange) and not greeting(address, None)
+        os.unlink(strange)
+        with Client(scheduler_file=file, security=security(str(key)), set_as_default=False) as client:
             workers = client.scheduler_info()["workers"].values()
             threads = set(client.run(lambda: __import__("os").environ["OMP_NUM_THREADS"]).values())
             found = client.run(lambda: __import__("repm_qgis").__file__).values()
         assert [(each["nthreads"], each["memory_limit"]) for each in workers] == [(1, 600 << 20)] * 2
         assert all(each["nanny"] for each in workers) and threads == {"1"}
         assert {pathlib.Path(each).parents[1] for each in found} == {SCRIPT.parents[1]}
+        with cluster_workers(file, (), (), Silent()):  # REPM finds the key beside the scheduler file
+            assert run_tasks(abs, [-1, 2, -3], 0, Silent(), str) == [1, 2, 3]
+        with pytest.raises(ClusterError, match="wants TLS: give the scheduler file that lies beside its repm-cluster"):
+            with cluster_workers(address, (), (), Silent()):
+                pytest.fail("it did not ask for the key")
         if how == "Ctrl-C":  # a terminal sends it to all
             os.killpg(process.pid, signal.SIGINT)
         else:
@@ -63,12 +94,34 @@ def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
             assert time.monotonic() < deadline, "a worker lives on"
             time.sleep(0.05)
         if how != "KILL":  # after which the next start removes the folder
-            assert not list(tmp_path.iterdir()) and process.stderr.read() == ""
+            assert not list(tmp_path.iterdir())
+            said = process.stderr.read().splitlines()
+            assert len(said) == 2 and all("TLS handshake failed" in line for line in said)
     finally:
         if alive(process.pid):
             os.killpg(process.pid, signal.SIGKILL)
 
 
+@needs_dask
+@posix
+def test_a_key_that_others_could_read_is_made_again(tmp_path):
+    from repm_qgis.cluster import key_file
+
+    made = pathlib.Path(key_file(str(tmp_path)))
+    own = made.read_bytes()
+    assert key_file(str(tmp_path)) == str(made) and made.read_bytes() == own
+    for spoil in (
+        lambda: made.chmod(0o644),
+        lambda: os.utime(made, (0, 0)),
+        lambda: (made.rename(tmp_path / "other"), made.symlink_to(tmp_path / "other")),
+    ):
+        before = made.read_bytes()
+        spoil()
+        key_file(str(tmp_path))
+        assert made.read_bytes() != before and made.lstat().st_mode & 0o777 == 0o600
+
+
+@needs_dask
 @posix
 @pytest.mark.parametrize("system", ["slurm", "pbs"])
 def test_a_job_script_holds_what_the_options_say(tmp_path, system):
@@ -95,10 +148,13 @@ def test_a_job_script_holds_what_the_options_say(tmp_path, system):
             ["bash", "-c", body], capture_output=True, text=True, check=True, env={**os.environ, **job}
         ).stdout
         assert f"distributed.cli.{program} " in done and f"--scheduler-file {folder}/repm-cluster-77.json" in done
+        key = f"{folder}/repm-cluster.pem"
+        assert f"--protocol tls --tls-ca-file {key} --tls-cert {key} --tls-key {key}" in done
         assert "--interface ib0" in done
     assert "--nthreads 1 --nanny" in done and "--memory-limit 3000MiB" in done
 
 
+@needs_dask
 @posix
 def test_a_submitted_job_says_where_its_address_will_be(tmp_path):
     program = tmp_path / "sbatch"
@@ -123,7 +179,7 @@ def test_a_submitted_job_says_where_its_address_will_be(tmp_path):
     ],
 )
 def test_mistakes_are_one_sentence(words, sentence):
-    if words[0] == "local" and importlib.util.find_spec("distributed") is None:
+    if words[0] != "pbs" and importlib.util.find_spec("distributed") is None:
         pytest.skip("Dask is not installed")
     code, text = run(*words)
     assert code != 0 and sentence in text and "Traceback" not in text
