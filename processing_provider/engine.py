@@ -10,12 +10,12 @@ import collections
 import json
 import os
 import queue
+import shlex
 import signal
 import subprocess  # nosec B404 # see its one use
-import tempfile
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Callable, Iterator, Mapping, Optional
 
@@ -135,17 +135,13 @@ def run_apart(
     """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
     python = python or find_python()
     start = time.time()
-    handle, job = tempfile.mkstemp(prefix=f"repm-{stage}-", suffix=".json")
+    job = json.dumps({**options, "language": language()})
+    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(job)}")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            json.dump({**options, "language": language()}, stream)
-        feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} {job}")
         return _EngineProcess(stage, python, job).result(feedback)
     except QgsProcessingException:
         remove_half_written(options, start)
         raise
-    finally:
-        os.unlink(job)
 
 
 def find_python() -> str:
@@ -240,7 +236,7 @@ def environment(python: str) -> dict[str, str]:
 
 
 class _EngineProcess:
-    """One engine process, from its start to its result."""
+    """One engine process, from its start to its result; ``job`` is a line of JSON."""
 
     def __init__(self, stage: str, python: str, job: str) -> None:
         from ..repm_qgis.containers import memory_kills
@@ -253,7 +249,7 @@ class _EngineProcess:
         try:
             # Before Qt 6, QProcess makes no session.
             self._process = subprocess.Popen(  # nosec B603 # no shell, and an argument list of our own
-                [python, "-m", "repm_qgis", stage, job],
+                [python, "-m", "repm_qgis", stage, "-"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -266,10 +262,17 @@ class _EngineProcess:
                 f"The engine interpreter '{python}' cannot be started ({error}): choose another in Settings > Options "
                 "> Processing > Providers > REPM."
             ) from None
+        threading.Thread(target=self._tell, args=(job,), daemon=True).start()  # a pipe holds 64 KiB
         self._readers = [
             self._read(self._process.stdout, self._lines.put, at_end=True),
             self._read(self._process.stderr, self._last_words.append),
         ]
+
+    def _tell(self, job: str) -> None:
+        """Give the process its job, and leave the pipe open: that it closes says that QGIS is gone."""
+        with suppress(OSError, ValueError):  # it has ended, and its output says why
+            self._process.stdin.write(f"{job}\n".encode())
+            self._process.stdin.flush()
 
     def _read(self, stream, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
         def read() -> None:
@@ -381,7 +384,8 @@ class _EngineProcess:
         for thread in self._readers:
             thread.join(0.5)
         if self._process.stdin is not None:
-            self._process.stdin.close()
+            with suppress(OSError):  # what was not read of the job
+                self._process.stdin.close()
 
     def _end_group(self, running: bool) -> None:
         if running and self._signal(signal.SIGTERM):

@@ -1,6 +1,7 @@
 """One stage in a process of its own: what goes over its standard streams, how it is cancelled, and its exit codes.
 
-``python -m repm_qgis STAGE JOB.json``: JOB.json is an object with the stage's options. Standard output carries JSON
+``python -m repm_qgis STAGE JOB.json``: JOB.json is an object with the stage's options; in its place ``-`` has it read
+from the first line of standard input, so that no file is left behind whatever happens. Standard output carries JSON
 lines only: ``{"type": "progress", "fraction": 0.25, "text": "..."}``, ``{"type": "info" | "warning", "text": "..."}``
 and last ``{"type": "result", "result": {...}}`` or ``{"type": "error", "kind": "RpcMissingError", "text": "..."}``.
 Beside the options, the job may name the ``language`` of texts, reports and legends (``"de"``); without it they are
@@ -33,12 +34,27 @@ _MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
 
 
-def _job(path: str) -> Dict[str, Any]:
+def _first_line() -> bytes:
+    """The first line of standard input, which is not read any further: its end says that the parent is gone."""
+    line = bytearray()
+    while not line.endswith(b"\n") and len(line) <= _MAX_JOB_BYTES:
+        piece = os.read(0, 65536)
+        if not piece:
+            break
+        line += piece
+    return bytes(line)
+
+
+def _job(path: str, line: bytes) -> Dict[str, Any]:
+    """The options in a file, or in a line where ``path`` is "-"."""
     try:
-        if os.path.getsize(path) > _MAX_JOB_BYTES:
-            raise OptionError("job", path, f"must be a file of less than {_MAX_JOB_BYTES >> 20} MiB")
-        with open(path, encoding="utf-8") as stream:
-            job = json.load(stream)
+        if (len(line) if path == "-" else os.path.getsize(path)) > _MAX_JOB_BYTES:
+            raise OptionError("job", path, f"must have less than {_MAX_JOB_BYTES >> 20} MiB")
+        if path == "-":
+            job = json.loads(line)
+        else:
+            with open(path, encoding="utf-8") as stream:
+                job = json.load(stream)
     except (OSError, ValueError, RecursionError) as error:
         if isinstance(error, RepmError):
             raise
@@ -116,7 +132,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, name="watch-parent", daemon=True).start()
 
 
-def _run(arguments: list[str], lines: JsonLines) -> Dict[str, Any]:
+def _run(arguments: list[str], lines: JsonLines, line: bytes) -> Dict[str, Any]:
     one_thread_for_sums()
     keep_freed_memory()
     if len(arguments) != 2:
@@ -126,7 +142,7 @@ def _run(arguments: list[str], lines: JsonLines) -> Dict[str, Any]:
 
     bound_cache()
     reserve_buffers()
-    job = _job(arguments[1])
+    job = _job(arguments[1], line)
     with written_in(job.pop("language", None)):
         lines.translate = reader().translate
         return run_stage(arguments[0], job, lines)
@@ -140,19 +156,20 @@ def main(arguments: list[str]) -> int:
     try:
         cancelling.listen()
         os.dup2(2, 1)
+        line = _first_line() if arguments[1:] == ["-"] else b""
         if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
             _end_with_parent()
-        return _ended(arguments, lines, cancelling)
+        return _ended(arguments, lines, cancelling, line)
     except Cancelled as cancelled:  # heard before the stage began, or while the last line was being prepared
         cancelling.stop_listening()
         return _said(cancelled, lines)
 
 
-def _ended(arguments: list[str], lines: JsonLines, cancelling: _Cancelling) -> int:
+def _ended(arguments: list[str], lines: JsonLines, cancelling: _Cancelling, line: bytes) -> int:
     """Run the stage and send the last line; gives the exit code."""
     try:
         with said_in_a_sentence():
-            result = _run(arguments, lines)
+            result = _run(arguments, lines, line)
         cancelling.stop_listening()
     except Exception as error:
         cancelling.stop_listening()

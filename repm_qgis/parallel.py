@@ -5,14 +5,17 @@ from __future__ import annotations
 import ctypes
 import multiprocessing
 import multiprocessing.context
+import multiprocessing.util
 import os
 import pickle  # nosec B403 # see its one reading
 import signal
 import sys
+import tempfile
 import threading
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 from .containers import memory_kills
@@ -20,12 +23,14 @@ from .errors import OutOfMemoryError, RepmError, WorkerError
 from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 from .translation import reader, written_in
+from .workspace import ensure_folder, remove_temporary, temporary_name
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's mallopt (malloc.h)
 _POLL_S = 0.3
 _NO_MEMORY = 71  # the exit code of a worker that could not begin
+_LONGEST_FOLDER = 70  # of characters; a socket's whole path may have 103 on macOS
 _FEW = 3
 """With so few tasks, starting processes costs more than it gains: the task's own threads use the cores instead."""
 
@@ -194,11 +199,26 @@ def _context() -> multiprocessing.context.BaseContext:
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     one_thread_for_sums()  # the server imports numpy, and for its copies it is then too late
     try:
+        _own_place_for_sockets()
         forkserver.ensure_running()
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
     return context
+
+
+@cache
+def _own_place_for_sockets() -> None:
+    """Have the server's socket lie in a temporary folder of ours: the next run removes what a killed one left there."""
+    folder = temporary_name(os.path.join(tempfile.gettempdir(), "repm"))
+    if len(folder) > _LONGEST_FOLDER:
+        return
+    before, tempfile.tempdir = tempfile.tempdir, str(ensure_folder(folder))
+    try:
+        multiprocessing.util.get_temp_dir()  # which it removes with a priority of -100
+        multiprocessing.util.Finalize(None, remove_temporary, args=(folder,), exitpriority=-200)
+    finally:
+        tempfile.tempdir = before
 
 
 def _stop_server() -> None:

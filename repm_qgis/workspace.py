@@ -142,13 +142,13 @@ def _drop(folder: Path, prefix: str) -> None:
     for leftover in folder.glob(f"{prefix}{_MACHINE}-*"):
         process = leftover.name.rsplit(f"{_MACHINE}-", 1)[1].split("-")[0]
         if process.isdigit() and not process_exists(int(process)):
-            _remove(str(leftover))
+            remove_temporary(str(leftover))
 
 
 def remove_own_temporaries() -> None:
     """Remove all that this process is writing; for a process that is about to end itself."""
     for path in sorted(_own_temporaries):
-        _remove(path)
+        remove_temporary(path)
 
 
 def _prefix(target: Path) -> str:
@@ -193,7 +193,7 @@ def _windows_process_exists(number: int) -> bool:
     return not known or code.value == 259
 
 
-def _remove(path: str) -> None:
+def remove_temporary(path: str) -> None:
     """Remove a file or folder that may be gone already."""
     if os.path.isdir(path) and not os.path.islink(path):
         shutil.rmtree(path, ignore_errors=True)
@@ -405,7 +405,7 @@ def whole_file(path: str) -> Iterator[str]:
             yield temporary
             take_name(temporary, path)
     finally:
-        _remove(temporary)
+        remove_temporary(temporary)
 
 
 def write_text(path: str, text: str) -> str:
@@ -430,7 +430,7 @@ def temporary_folder(path: str) -> Iterator[str]:
     try:
         yield str(ensure_folder(folder))
     finally:
-        _remove(folder)
+        remove_temporary(folder)
 
 
 @contextmanager
@@ -452,7 +452,7 @@ def whole_folder(path: str) -> Iterator[Path]:
                 _sync(place)
             _take_place(temporary, target)
     finally:
-        _remove(str(temporary))
+        remove_temporary(str(temporary))
 
 
 def _take_place(temporary: Path, target: Path) -> None:
@@ -467,14 +467,14 @@ def _take_place(temporary: Path, target: Path) -> None:
         _replace(temporary, target)
     elif not _exchange(temporary, target):
         aside = _aside(target)
-        _remove(str(aside))
+        remove_temporary(str(aside))
         _replace(target, aside)
         try:
             _replace(temporary, target)
         except OSError:
             os.replace(aside, target)
             raise
-        _remove(str(aside))
+        remove_temporary(str(aside))
     _sync(str(target.parent))
 
 
@@ -484,7 +484,7 @@ def recover_folder(path: str) -> None:
     aside = _aside(target)
     if aside.is_dir():
         if target.exists():
-            _remove(str(aside))
+            remove_temporary(str(aside))
         else:
             os.replace(aside, target)
 

@@ -66,6 +66,15 @@ def test_expected_failures_are_sentences_and_code_1(tmp_path):
         assert "Traceback" not in done.stdout + done.stderr
 
 
+def test_a_job_comes_over_standard_input(tmp_path):
+    options = json.dumps({"report": str(tmp_path / "r.html")})
+    done = engine("environment", "-", input=f"{options}\n")
+    assert done.returncode == 0 and messages(done)[-1]["result"]["report"] == str(tmp_path / "r.html")
+    for line in ('{"report": ', ""):
+        done = engine("environment", "-", input=line)
+        assert done.returncode == 1 and "'-': it must be a readable JSON file" in messages(done)[-1]["text"]
+
+
 def test_sigterm_cancels_and_cleans_up(tmp_path):
     folder = tmp_path / "scene"
     running = subprocess.Popen(
@@ -102,7 +111,7 @@ SWALLOWED = """
 import os, signal, sys, time
 from repm_qgis import engine_process
 from repm_qgis.workspace import write_text
-def run(arguments, lines):
+def run(arguments, lines, line):
     try:
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(5)
@@ -129,7 +138,7 @@ def test_a_cancel_that_native_code_swallows_is_a_cancel_and_names_no_file(tmp_pa
 LATE = """
 import os, signal, sys
 from repm_qgis import engine_process
-engine_process._run = lambda arguments, lines: {}
+engine_process._run = lambda arguments, lines, line: {}
 code = engine_process.main(["a", "b"])
 os.kill(os.getpid(), signal.SIGTERM)
 sys.exit(code)

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -116,6 +117,28 @@ def test_a_worker_that_dies_is_said(work, told):
         with pytest.raises(error, match=words) as caught:
             run_tasks(partial(work.deadly, number=number), list(range(8)), 2, told(), str)
         assert "MEMORY" in str(caught.value) and "TILE_SIZE" in str(caught.value)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no server and no sockets in files there")
+def test_what_a_killed_run_leaves_behind_the_next_one_removes(tmp_path):
+    """SIGKILL of the whole group: nobody is left who could remove the socket of the server."""
+    code = tmp_path / "begun.py"
+    code.write_text(
+        "import sys, time\nfrom repm_qgis.parallel import kept_workers, run_tasks\n"
+        "from repm_qgis.progress import Silent\nif __name__ == '__main__':\n    with kept_workers():\n"
+        "        run_tasks(abs, list(range(8)), 2, Silent(), str)\n"
+        "        print('begun', flush=True)\n        time.sleep(60 if sys.argv[1:] else 0)\n",
+        encoding="utf-8",
+    )
+    with tempfile.TemporaryDirectory(prefix="r") as folder:  # tmp_path is too long for a socket in a folder of ours
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": folder}
+        command = [sys.executable, str(code), "long"]
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, start_new_session=True) as run:
+            assert run.stdout.readline() == b"begun\n"
+            os.killpg(run.pid, signal.SIGKILL)
+        assert list(Path(folder).rglob("listener-*"))
+        done = subprocess.run([sys.executable, str(code)], env=environment, capture_output=True, check=True)
+        assert done.stderr == b"" and not os.listdir(folder)
 
 
 def test_a_script_without_a_guard_is_told_so(tmp_path, monkeypatch):

@@ -311,7 +311,13 @@ def test_linux_exchanges_two_folders_in_one_step(tmp_path):
     assert not workspace._exchange(tmp_path / "a", tmp_path / "none")
 
 
-def test_a_name_that_cannot_be_taken_is_said(tmp_path):
+@pytest.fixture
+def ending(monkeypatch):
+    """As if this process wrote nothing else, so that it may remove all that it writes."""
+    monkeypatch.setattr(workspace, "_own_temporaries", set())
+
+
+def test_a_name_that_cannot_be_taken_is_said(tmp_path, ending):
     temporary = workspace.temporary_name(str(tmp_path / "a.txt"))
     with open(temporary, "w", encoding="utf-8") as stream:
         stream.write("text")
@@ -322,7 +328,7 @@ def test_a_name_that_cannot_be_taken_is_said(tmp_path):
     assert os.listdir(tmp_path) == ["folder"]
 
 
-def test_what_a_process_is_writing_goes_with_it(tmp_path):
+def test_what_a_process_is_writing_goes_with_it(tmp_path, ending):
     whole, half, folder = (workspace.temporary_name(str(tmp_path / name)) for name in ("a.txt", "b.txt", "c"))
     for name in (whole, half):
         with open(name, "w", encoding="utf-8") as stream:

@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 
@@ -75,19 +76,20 @@ def run_stage(name, options, progress):
 
 @pytest.fixture
 def engine(plugin, tmp_path, monkeypatch):
-    """processing_provider.engine, with the test's stages behind it and temporary files counted."""
+    """processing_provider.engine, with the test's stages behind it; no file of a run stays in the temporary folder."""
     from repm.processing_provider import engine
 
     package = tmp_path / "plugin folder" / "repm_qgis"
     shutil.copytree(ROOT / "repm_qgis", package, ignore=shutil.ignore_patterns("__pycache__", "stages"))
     (package / "stages").mkdir()
     (package / "stages" / "__init__.py").write_text(STAGES)
-    jobs = tmp_path / "jobs"
-    jobs.mkdir()
-    monkeypatch.setattr(engine.tempfile, "tempdir", str(jobs))
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    monkeypatch.setattr(tempfile, "tempdir", None)
     monkeypatch.setattr(engine, "PLUGIN_FOLDER", str(package.parent))
     yield engine
-    assert list(jobs.iterdir()) == [], "the job file was left behind"
+    assert list(temporary.iterdir()) == [], "a run left a file behind"
 
 
 def alive(pid):
