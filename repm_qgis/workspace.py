@@ -8,6 +8,7 @@ import glob
 import hashlib
 import json
 import os
+import re
 import shutil
 import socket
 import stat
@@ -300,6 +301,19 @@ _TOO_MANY = (errno.EMFILE, errno.ENFILE)
 OF_THE_DISK = (*_FULL, *_TOO_MANY, errno.EFBIG, errno.EROFS)
 """The errors that keep any file from being written: they are nobody's mistake."""
 _PROBE = bytes(1 << 20)
+# GDAL, libtiff and HDF5 where a file takes less than was written.
+_CUT_SHORT = re.compile(
+    r"TIFFAppendTo|write error|no space left|dirty block|failed to write|fwrite|disk full", re.IGNORECASE
+)
+
+
+def _has_no_inodes(path: str) -> bool:
+    """Whether a disk takes no more files, though it may have space; False where the system does not say."""
+    try:
+        status = os.statvfs(existing_place(path))
+    except (AttributeError, OSError):  # Windows
+        return False
+    return status.f_files > 0 and status.f_favail == 0  # Btrfs counts none and says 0
 
 
 def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
@@ -307,6 +321,11 @@ def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
 
     ``written`` are the bytes of it that were.
     """
+    if error.errno in _FULL and _has_no_inodes(path):
+        return WorkspaceError(
+            f"Cannot write '{path}': the disk takes no more files (it has no inode left): remove some, "
+            "or choose a place on another disk."
+        )
     if error.errno in _FULL:
         free = (free_bytes(path) or 0) / 2**20
         needed = f", more than {written / 2**20:.1f} MiB needed" if written else ""
@@ -337,6 +356,12 @@ def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:
     error = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
     if error is not None:
         return cannot_write(path, error, size_of(temporary))
+    if _CUT_SHORT.search(reason):  # what filled the disk may be gone by now: another worker's file, say
+        free = f"{(free_bytes(path) or 0) / 2**20:.1f} MiB free now"
+        return WorkspaceError(
+            f"Cannot write '{path}': the disk did not take all of it ({reason}; {free}): free some space, or choose a "
+            "place on another disk."
+        )
     return WorkspaceError(f"Cannot write '{path}' ({reason or 'no reason given'}): choose another place.")
 
 

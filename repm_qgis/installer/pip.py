@@ -201,13 +201,15 @@ _CERTIFICATE = re.compile(r"CERTIFICATE_VERIFY_FAILED|SSLCertVerificationError")
 _PROXY = re.compile(r"ProxyError|Tunnel connection failed|407 Proxy|Cannot connect to proxy")
 _FULL = re.compile(r"No space left on device|\[Errno (?:28|27|122)\]|Disk quota exceeded|\[WinError 112\]")
 _LOCKED = re.compile(r"Permission denied|\[WinError (?:5|32)\]|Read-only file system")
+_DAMAGED = re.compile(r"^(?:zipfile\.BadZipFile|zlib\.error|EOFError)|Wheel .* is invalid|is an invalid wheel")
 _NONE = re.compile(r"No matching distribution found for (\S+)")
 
 
 def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmError:
     """What kept pip from installing, and what helps, in a sentence."""
     text = "\n".join(lines)
-    said = next((line for line in reversed(lines) if line.startswith("ERROR:")), lines[-1] if lines else "")
+    last = lines[-1] if lines else ""
+    said = next((line for line in reversed(lines) if line.startswith("ERROR:") and line != "ERROR: Exception:"), last)
     said = " ".join(said.replace("ERROR:", "").split())[:300] or f"exit code {code}"
     if _FULL.search(text):
         return WorkspaceError(f"The disk is full ({said}): free some space, or choose a folder on another disk.")
@@ -230,6 +232,12 @@ def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmErr
             f"The package index cannot be reached ({_reason(_NETWORK, lines)}): check the network, give your proxy, or "
             "choose a folder of wheels."
         )
+    if any(_DAMAGED.search(line) for line in lines):
+        wheel = next((words[1] for words in map(str.split, reversed(lines)) if words[:1] == ["Processing"]), "")
+        if wheels:
+            name = os.path.basename(wheel)
+            return MissingPackageError(f"The wheel '{name}' in '{wheels}' is damaged ({said}): get it again.")
+        return MissingPackageError(f"A package came damaged over the network ({said}): install again.")
     absent = _NONE.search(text)
     if absent:
         name = name_of(absent.group(1))

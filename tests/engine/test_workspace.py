@@ -356,6 +356,29 @@ def test_file_systems_that_know_no_fsync(tmp_path, number, passes, monkeypatch):
         assert os.listdir(tmp_path) == []
 
 
+def test_a_disk_without_inodes_is_said(tmp_path, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    there = os.statvfs(tmp_path)
+    for files, left, words in ((1000, 0, "takes no more files"), (0, 0, "the disk is full"), (9, 1, "is full")):
+        status = SimpleNamespace(
+            f_files=files,
+            f_favail=left,
+            f_bavail=there.f_bavail,
+            f_frsize=there.f_frsize,
+            f_blocks=there.f_blocks,
+            f_bfree=there.f_bfree,
+        )
+        monkeypatch.setattr(os, "statvfs", lambda path, status=status: status)
+        assert words in str(workspace.cannot_write(str(tmp_path / "a.tif"), full))
+
+
+def test_what_a_library_could_not_write_is_a_full_disk_though_it_has_space_again(tmp_path):
+    said = str(workspace.not_written(str(tmp_path / "a.tif"), "TIFFAppendToStrip:Write error at scanline 17"))
+    assert "the disk did not take all of it (TIFFAppendToStrip:Write error at scanline 17; " in said
+    assert "free some space, or choose a place on another disk" in said
+    assert "(no driver): choose another place" in str(workspace.not_written(str(tmp_path / "a.tif"), "no driver"))
+
+
 def test_a_quota_is_a_full_disk(tmp_path):
     with pytest.raises(WorkspaceError, match="the disk is full"), whole_file(str(tmp_path / "a.txt")):
         raise OSError(errno.EDQUOT, "Disk quota exceeded")

@@ -205,6 +205,22 @@ def test_a_wheel_that_is_missing_is_named(index, wheels, home, folder, tmp_path)
     assert left(home) == []
 
 
+@pytest.mark.parametrize("how", ("cut", "bits"))
+def test_a_damaged_wheel_is_named(index, home, folder, wheels, tmp_path, how):
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    for path in wheels.glob("*.whl"):
+        (damaged / path.name).write_bytes(path.read_bytes())
+    path = damaged / "lazrs-0.7-py3-none-any.whl"
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2] if how == "cut" else content.replace(b"answer = 42", b"answer = 43"))
+    with pytest.raises(
+        MissingPackageError, match=r"The wheel 'lazrs-0.7-.*whl' in '.*damaged' is damaged \(.*get it ag"
+    ):
+        install(PYTHON, folder, Silent(), wheels=str(damaged))
+    assert left(home) == []
+
+
 def test_it_installs_behind_a_proxy_and_keeps_its_password(index, home, folder, monkeypatch):
     proxy = Proxy(index)
     monkeypatch.setenv("PIP_INDEX_URL", "https://packages.test/simple")
