@@ -687,24 +687,24 @@
         <translation>DOM</translation>
     </message>
     <message>
-        <source>DSMs of this plugin or of others, in any CRS; heights in metres, of one datum. Two or more, together with the scenes.</source>
-        <translation>DOM dieser Erweiterung oder anderer Programme, in beliebigem KBS; Höhen in Metern, mit einem Höhenbezug. Zusammen mit den Szenen mindestens zwei.</translation>
+        <source>DSMs of this plugin or of others, in any CRS, with heights of one datum. Two or more, together with the scenes.</source>
+        <translation>DOM dieser Erweiterung oder anderer Programme, in beliebigem KBS, mit einem gemeinsamen Höhenbezug. Zusammen mit den Szenen mindestens zwei.</translation>
     </message>
     <message>
         <source>Scenes</source>
         <translation>Szenen</translation>
     </message>
     <message>
-        <source>Reconstructed scenes (reconstructed.json): each is fused to a DSM first. Heights of a scene with ground control points stay as they are.</source>
-        <translation>Rekonstruierte Szenen (reconstructed.json): Jede wird zuerst zu einem DOM fusioniert. Die Höhen einer Szene mit Passpunkten bleiben, wie sie sind.</translation>
+        <source>Reconstructed scenes (reconstructed.json or registered.json): each is fused to a DSM first. Heights of a scene that was registered, or has ground control points, stay as they are.</source>
+        <translation>Rekonstruierte Szenen (reconstructed.json oder registered.json): Jede wird zuerst zu einem DOM fusioniert. Die Höhen einer Szene, die eingepasst wurde oder Passpunkte hat, bleiben, wie sie sind.</translation>
     </message>
     <message>
         <source>DSMs or scenes whose heights are right</source>
         <translation>DOM oder Szenen, deren Höhen richtig sind</translation>
     </message>
     <message>
-        <source>Those that were registered, to control points say: their heights stay, and all others are brought to them. Empty, and no scene with ground control points: the mean of all offsets is zero.</source>
-        <translation>Diejenigen, die eingepasst wurden, etwa auf Passpunkte: ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Leer und ohne Szene mit Passpunkten: das Mittel aller Versätze ist null.</translation>
+        <source>Their heights stay, and all others are brought to them. Scenes that were registered, or have ground control points, are among them by themselves. Where there is none, the mean of all offsets is zero.</source>
+        <translation>Ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Szenen, die eingepasst wurden oder Passpunkte haben, gehören von selbst dazu. Wo es keine gibt, ist das Mittel aller Versätze null.</translation>
     </message>
     <message>
         <source>Resolution (m, 0: the first DSM's)</source>
