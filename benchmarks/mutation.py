@@ -38,9 +38,13 @@ from typing import Any, Dict, Iterator, List, Sequence, Tuple
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "dist" / "mutation"
 PYTHON = str(ROOT / ".venv" / "bin" / "python")
-PACKAGES = ("geometry", "rpc")
-MODULES = ("workspace.py", "parallel.py")
+PACKAGES = ("geometry", "rpc", "sfm", "registration")
+MODULES = ("workspace.py", "parallel.py", "evaluation/verdict.py")
 SLOW = ("test_fuzz.py", "test_gridding_of_truth.py")  # whole campaigns and scenes
+ALSO = {  # tests of stages, for what has no test of its own
+    "sfm": ("stages/test_early.py",),
+    "registration": ("stages/test_register.py", "stages/test_dem_offset.py"),
+}
 MEMORY_BYTES = 8 << 30  # of one test process: a mutant may ask for any size
 
 _BINARY = "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Div Mod_Mul Pow_Mul BitAnd_BitOr BitOr_BitAnd LShift_RShift"
@@ -61,6 +65,7 @@ PLATFORM = "platform: branches for Windows and macOS"
 MESSAGE = "equivalent: what a message says"
 LIMIT = "equivalent: limits of iterations, and of what hostile files may have"
 SPEED = "equivalent: speed only"
+VALUE = "equivalent: values that benchmarks have chosen (parameters.py)"
 TYPING = "equivalent: types, and that objects are frozen"
 EQUALITY = "equivalent: which side of a limit its very value, a float, belongs to"
 ROUNDING = "equivalent: clamps against rounding, and the start of a maximum"
@@ -146,6 +151,8 @@ def mutants_of(module: Path) -> List[Dict[str, Any]]:
 
     path = str(PLACE / "session.sqlite")
     parts = spans((ROOT / module).read_text(encoding="utf-8"))
+    if module.name == "parameters.py":
+        parts = [((1, 0), (sys.maxsize, 0), VALUE)]
     found = []
     with use_db(path, WorkDB.Mode.create) as session:
         init([ROOT / module], session, {})
@@ -172,12 +179,13 @@ def drawn(mutants: Sequence[Dict[str, Any]], sample: int, seed: int) -> List[Dic
 
 
 def tests_of(module: str) -> Tuple[str, ...]:
-    """The fast tests of a module: its own file, then the others of the folder."""
+    """The fast tests of a module: its own file, then the others of the folder, then those of stages."""
     path = Path(module)
     folder = Path("tests/engine", *path.parts[1:-1])
-    own = folder / f"test_{path.name}"
-    every = [own] if len(path.parts) == 2 else sorted(one.relative_to(ROOT) for one in (ROOT / folder).glob("test_*"))
-    ordered = sorted(every, key=lambda one: (one != own, one))
+    own = [folder / f"test_{before}{path.name}" for before in ("", f"{path.parts[1][:4]}_")]
+    every = own[:1] if len(path.parts) == 2 else sorted(one.relative_to(ROOT) for one in (ROOT / folder).glob("test_*"))
+    ordered = sorted(every, key=lambda one: (one not in own, one))
+    ordered += [Path("tests/engine", name) for name in ALSO.get(path.parts[1], ())]
     return tuple(str(one) for one in ordered if one.name not in SLOW)
 
 
@@ -355,6 +363,8 @@ def main() -> None:
     except ImportError:
         sys.exit("mutation: this Python has no Cosmic Ray: run 'make mutation', which makes an environment for it.")
     PLACE.mkdir(parents=True, exist_ok=True)
+    if not modules(asked.only):
+        sys.exit(f"mutation: no module that it knows has '{asked.only}' in its path: give a part of one, such as sfm/.")
     start = time.monotonic()
     mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
     last: List[Dict[str, Any]] = []
