@@ -44,15 +44,16 @@ class Mosaic(RepmAlgorithm):
                     "SCENES", self.tr("Scenes"), QgsProcessing.SourceType.TypeFile, optional=True
                 ),
                 self.tr(
-                    "Reconstructed scenes (reconstructed.json or registered.json): each is fused to a DSM first. Heights "
-                    "of a scene that was registered, or has ground control points, stay as they are."
+                    "Reconstructed scenes (reconstructed.json or registered.json): each is fused to a DSM first. "
+                    "Heights of a scene that was registered, or has ground control points, stay as they are."
                 ),
             ),
             parameters.helped(
                 parameters.Rasters("FIXED", self.tr("DSMs or scenes whose heights are right"), rasters, optional=True),
                 self.tr(
-                    "Their heights stay, and all others are brought to them. Scenes that were registered, or have ground "
-                    "control points, are among them by themselves. Where there is none, the mean of all offsets is zero."
+                    "Their heights stay, and all others are brought to them. Scenes that were registered, or have "
+                    "ground control points, are among them by themselves. Where there is none, the mean of all offsets "
+                    "is zero."
                 ),
             ),
             parameters.number(

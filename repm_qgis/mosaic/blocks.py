@@ -12,7 +12,9 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..arrays import FloatImage, IntArray, Window
-from ..evaluation.grids import Grid, HeightWarper, metres_per_unit
+from ..errors import EmptyResultError
+from ..evaluation.coregistration import align, block_means
+from ..evaluation.grids import Grid, HeightWarper, cell_metres, metres_per_unit
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
@@ -56,7 +58,7 @@ def pair_tasks(layout: Layout, parameters: OffsetParameters) -> List[PairTask]:
 
 def measure_pair(task: PairTask) -> Optional[Overlap]:
     """The median difference of two DSMs, from parts that lie evenly over their overlap; None without enough cells."""
-    windows = _patches(task.window, task.parameters)
+    windows = _patches(task.window, task.parameters.patch_cells, task.parameters.patches)
     parts: List[FloatImage] = []
     with raster.opened(task.dsms[0].path) as first, raster.opened(task.dsms[1].path) as second:
         warpers = [HeightWarper(dataset, task.target) for dataset in (first, second)]
@@ -71,16 +73,46 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
         return None
     seen = sum(window.width * window.height for window in windows)
     cells_of_all = round(found.size * task.window.width * task.window.height / seen)
-    return Overlap(*task.numbers, cells_of_all, float(np.median(found)), nmad(found))
+    return Overlap(*task.numbers, cells_of_all, float(np.median(found)), nmad(found), _displacement(task))
 
 
-def _patches(window: Window, parameters: OffsetParameters) -> List[Window]:
-    """The blocks of a window, or so many of them, evenly spread."""
+def _displacement(task: PairTask) -> Optional[Tuple[float, float]]:
+    """How far the second DSM lies to the east and north of the first, m; None where their relief does not say."""
+    choices, cell = task.parameters, min(cell_metres(task.target))
+    factor = max(1, math.ceil(choices.displaced_cell_m / cell))
+    windows = _patches(task.window, choices.displaced_patch_cells * factor, choices.displaced_patches)
+    largest = max(min(window.width, window.height) for window in windows)
+    patches = []
+    with raster.opened(task.dsms[0].path) as first, raster.opened(task.dsms[1].path) as second:
+        warpers = [HeightWarper(dataset, task.target) for dataset in (second, first)]
+        for window in windows:
+            if min(window.width, window.height) * 2 > largest:  # the smallest one bounds the search
+                cells = task.target.window(window)
+                dsm, reference = (block_means(warper.read(cells), factor) for warper in warpers)
+                patches.append((dsm, reference))
+    try:
+        found = align("3d", patches, (cell * factor, cell * factor))
+    except EmptyResultError:
+        return None
+    cells_m = (cell * factor, cell * factor)
+    before = _mean_deviation([dsm - reference for dsm, reference in patches])
+    after = _mean_deviation([found.applied(dsm, cells_m) - reference for dsm, reference in patches])
+    return (-found.dx, -found.dy) if after <= choices.displaced_gain * before else (0.0, 0.0)
+
+
+def _mean_deviation(differences: Sequence[FloatImage]) -> float:
+    """The mean distance from the median, m: the NMAD does not notice houses in a flat town."""
+    known = np.concatenate([each[np.isfinite(each)] for each in differences])
+    return float(np.abs(known - np.median(known)).mean())
+
+
+def _patches(window: Window, side: int, most: int) -> List[Window]:
+    """The blocks of a window with this side, or so many of them, evenly spread."""
     blocks = [
         Window(window.col + own.col, window.row + own.row, own.width, own.height)
-        for own, _ in overlapping_blocks((window.width, window.height), parameters.patch_cells)
+        for own, _ in overlapping_blocks((window.width, window.height), side)
     ]
-    chosen = np.unique(np.linspace(0, len(blocks) - 1, min(len(blocks), parameters.patches)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(blocks) - 1, min(len(blocks), most)).round().astype(int))
     return [blocks[index] for index in chosen]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Collection, Dict, List, Sequence, Tuple
+from typing import Collection, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -19,13 +19,17 @@ from .parameters import MOSAIC, OffsetParameters
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two DSMs by their numbers: the cells that both have, and the median and NMAD of first - second there, m."""
+    """Two DSMs by their numbers: the cells that both have, and the median and NMAD of first - second there, m.
+
+    ``displaced`` is how far the second lies east and north of the first, m; None where their relief does not say.
+    """
 
     first: int
     second: int
     cells: int
     median: float
     nmad: float
+    displaced: Optional[Tuple[float, float]] = None
 
     def after(self, added: FloatArray) -> float:
         """The median that is left once the offsets are added, m."""

@@ -89,12 +89,14 @@ def _overlaps(page: Report, layout: Layout, overlaps: Sequence[Overlap], offsets
     for overlap in sorted(overlaps, key=lambda each: -abs(each.after(offsets.added))):
         medians = fixed(overlap.median, overlap.after(offsets.added), sign="+")
         numbers = [overlap.first + 1, overlap.second + 1]
-        rows.append([*numbers, overlap.cells, *medians, *fixed(overlap.nmad)])
+        beside = ["–"] if overlap.displaced is None else fixed(float(np.hypot(*overlap.displaced)))
+        rows.append([*numbers, overlap.cells, *medians, *fixed(overlap.nmad), *beside])
     page.section("Overlaps").table(
-        "first | second | cells, about | median before, m | median after, m | NMAD, m",
+        "first | second | cells, about | median before, m | median after, m | NMAD, m | to the side, m",
         rows,
         "Heights of the first DSM minus those of the second, before and after the offsets are added, worst first. The "
-        "NMAD is the spread of the differences about their median; an offset does not change it.",
+        "NMAD is the spread of the differences about their median; an offset does not change it. To the side: how far "
+        "the two lie beside each other, as their relief shows it (–: too little relief); it is not corrected.",
     )
     for name, values in (
         ("before", [overlap.median for overlap in overlaps]),

@@ -18,6 +18,12 @@ class OffsetParameters(Parameters):
     least_deviation_m: float = 0.001  # of an overlap's median: no overlap counts for more
     most_m: float = 10.0  # by which a DSM is moved without a warning: without ground control images are off by metres
     apart_m: float = 250.0  # of two DSMs' medians, at most: vertical datums differ by 107 m, and nothing else by more
+    displaced_patch_cells: int = 128  # side of a part in which a shift to the side is looked for: up to a quarter of it
+    displaced_cell_m: float = 2.0  # width of its cells, at least, so that shifts of 60 m are found
+    displaced_patches: int = 6  # of an overlap, evenly spread, at most
+    displaced_gain: float = 0.8  # of the mean deviation that a shift leaves, at most; else it explains nothing
+    most_displaced_m: float = 2.0  # to the side without a warning; and so many cells of the mosaic
+    most_displaced_cells: float = 2.0
     huber: float = 1.345  # standard deviations: 95 % efficiency (Huber and Ronchetti, Robust Statistics)
     reweightings: int = 30
 

@@ -43,6 +43,7 @@ from . import dsmfuse
 from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
 
+_FEW = 5  # pairs that a warning names
 _FUSION_SHARE = 0.6  # of the progress, where all surfaces are scenes
 
 
@@ -79,6 +80,7 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     offsets = solve_offsets(len(layout.dsms), overlaps, fixed, parameters.mosaic.offsets)
     _log(layout, overlaps, offsets, progress)
     _name_large(layout, offsets, parameters.mosaic.offsets, progress)
+    _name_displaced(layout, overlaps, parameters.mosaic.offsets, progress)
     parts = _sources(options, layout, overlaps, offsets, folder, parameters.mosaic, Part(progress_of, 0.2, 0.3))
     blocks = _blocks(options, layout, parts, folder, parameters.mosaic, Part(progress_of, 0.3, 0.9))
     cells: Dict[int, int] = Counter()
@@ -275,6 +277,25 @@ def _name_large(layout: Layout, offsets: Offsets, parameters: OffsetParameters, 
         progress.warn(
             f"DSMs are moved by more than {parameters.most_m:g} m: {', '.join(moved)}; check their vertical datums and "
             "units, and name those that are right in FIXED."
+        )
+
+
+def _name_displaced(
+    layout: Layout, overlaps: Sequence[Overlap], parameters: OffsetParameters, progress: Progress
+) -> None:
+    """Warn of DSMs that lie beside each other: an offset of their heights does not mend that."""
+    most = max(parameters.most_displaced_m, parameters.most_displaced_cells * layout.grid.cell)
+    displaced = sorted(
+        (float(-np.hypot(*each.displaced)), layout.dsms[each.first].name, layout.dsms[each.second].name)
+        for each in overlaps
+        if each.displaced is not None and np.hypot(*each.displaced) > most
+    )
+    if displaced:
+        names = ", ".join(f"'{first}' and '{second}' by {-by:.1f} m" for by, first, second in displaced[:_FEW])
+        more = f", and {counted(len(displaced) - _FEW, 'pair')} more" if len(displaced) > _FEW else ""
+        progress.warn(
+            f"DSMs lie to the side of each other: {names}{more}; a mosaic moves heights only, so register them "
+            "(repm:register), or check their CRS."
         )
 
 

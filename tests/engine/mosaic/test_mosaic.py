@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -449,3 +450,36 @@ def test_large_offsets_are_named(tmp_path, told, up, warned):
     run_stage("mosaic", {"dsms": [good, high], "output": str(tmp_path / "mosaic.tif")}, said)
     named = [text for text in said.warnings if "DSMs are moved by more than 10 m" in text]
     assert bool(named) == warned and (not warned or "good.tif' by +24.0 m" in named[0])
+
+
+def town(x, y):
+    """Flat ground with houses of any size and height, nowhere the same."""
+    rng, heights = np.random.default_rng(5), np.full(np.shape(x), 120.0)
+    for u, v, wide, deep, high in zip(*rng.uniform((0, 0, 8, 8, 4), (500, 500, 25, 25, 15), (300, 5)).T):
+        heights[(abs(x - WEST - u) < wide / 2) & (abs(NORTH - y - v) < deep / 2)] += high
+    return heights
+
+
+@pytest.mark.parametrize(
+    ("surface", "east", "beside"),
+    ((town, 20.0, 20.0), (town, 3.0, 3.0), (town, 0.4, None), (lambda x, y: 0.02 * x, 20.0, None)),
+    ids=("20 m", "3 m", "0.4 m", "a plane"),
+)
+def test_dsms_that_lie_beside_each_other_are_named(tmp_path, told, surface, east, beside):
+    """Heights of a flat town differ little where they are not of the same place: no offset shows it, nor a spread."""
+    paths = [
+        write(
+            tmp_path / "a.tif",
+            (0, 0),
+            400,
+            lambda x, y: surface(x, y) + 0.1 * np.random.default_rng(1).normal(size=x.shape),
+        ),
+        write(tmp_path / "b.tif", (100, 0), 400, lambda x, y: surface(x - east, y) + 0.3),
+    ]
+    said, report = told(), tmp_path / "r.html"
+    run_stage("mosaic", {"dsms": paths, "output": str(tmp_path / "m.tif"), "report": str(report)}, said)
+    named = [text for text in said.warnings if "DSMs lie to the side of each other" in text]
+    assert bool(named) == (beside is not None)
+    if beside is not None:
+        (by,) = re.findall(r"b\.tif' by ([\d.]+) m; a mosaic moves heights only, so register them", named[0])
+        assert abs(float(by) - beside) < 0.3 and "Good." not in report.read_text(encoding="utf-8").split("<h2")[0]
