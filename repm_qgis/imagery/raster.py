@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Callable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
 
@@ -259,16 +259,21 @@ class RasterWriter:
     def close(self) -> None:
         """Close the file: only then it is complete, and can be renamed (Windows). Raises WorkspaceError."""
 
-        def release() -> bool:
-            self._dataset = None
-            return True
-
-        _require_written(self._path, _attempt(release)[1])
+        _require_written(self._path, _attempt(self._release)[1])
 
     def abandon(self) -> None:
         """Close the file, complete or not."""
-        with quiet():
-            self._dataset = None
+        with quiet(), suppress(RuntimeError):
+            self._release()
+
+    def _release(self) -> bool:
+        """Close the dataset now, though a debugger or profiler may hold the frame of a function that had it."""
+        dataset, self._dataset = self._dataset, None
+        if dataset is not None and hasattr(dataset, "Close"):  # GDAL 3.8
+            dataset.Close()
+        elif dataset is not None:
+            dataset.__swig_destroy__(dataset)
+        return True
 
 
 def write(

@@ -7,6 +7,7 @@ vertical parallax and the disparity of a match: only few candidates compete, and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import cv2
@@ -30,6 +31,8 @@ from .keypoints import CPU_DETECTOR, Detector
 from .overlap import foreign_rpc
 from .parameters import POINTING, PointingParameters, TieParameters
 from .tie_patches import ranked_patches, texture_of
+
+_ROWS = 256  # of the matrix of distances that are made at once: they fit into the cache
 
 Indices = NDArray[np.intp]
 Pair = Tuple[str, str]
@@ -177,19 +180,20 @@ def _match(task: _PatchTask, first: _Features, second: _Features) -> Optional[Pa
     a = apply_homography(pair.h_first, first.points)
     b = apply_homography(pair.h_second, second.points)
     low, high = disparity_range(pair, first.view, second.view, ground_points(scene, task.bounds, scene.altitudes))
-    difference = (a[:, None] - b[None, :]).astype(np.float32)
-    across = difference[..., 1]
-    distance = np.sqrt(np.maximum(2.0 - 2.0 * (first.descriptors @ second.descriptors.T), 0.0))
     tolerance = parameters.tolerance_px
-    distance[(difference[..., 0] < low - tolerance) | (difference[..., 0] > high + tolerance)] = np.inf
-    index = _guided_matches(distance, np.abs(across) <= tolerance, parameters)
+    bounds = low - tolerance, high + tolerance
+    search = partial(_guided_matches, (first.descriptors, second.descriptors), (a, b), bounds, parameters)
+    index = search(np.zeros(len(a)), tolerance)
     parallax = a[index[:, 0], 1] - b[index[:, 1], 1]
     if len(parallax) >= parameters.least_ties:
         mode = _mode(parallax, parameters.patch_mode_px)
         near = (np.abs(parallax - mode) < parameters.patch_mode_px).sum()
         if near >= max(parameters.least_ties, parameters.patch_mode_share * len(parallax)):
-            index = _guided_matches(distance, np.abs(across - np.float32(mode)) <= parameters.near_px, parameters)
-            index = _along_trend(distance, across, a, index, parameters)
+            index = search(np.full(len(a), mode), parameters.near_px)
+            parallax = a[index[:, 0], 1] - b[index[:, 1], 1]
+            trend = parallax_trend(a[index[:, 0]], parallax, parameters, a)
+            if (np.abs(parallax - trend[index[:, 0]]) < parameters.close_px).sum() >= parameters.least_ties:
+                index = search(trend, parameters.close_px)
     index = index[supported(a[index[:, 0]], (a[index[:, 0]] - b[index[:, 1]])[:, 0], parameters)]
     if not len(index):
         return None
@@ -197,18 +201,6 @@ def _match(task: _PatchTask, first: _Features, second: _Features) -> Optional[Pa
     first_px = first.camera.to_original.original_from_refined(first.points[i])
     second_px = second.camera.to_original.original_from_refined(second.points[j])
     return PairMatches(first.view.name, second.view.name, first_px, second_px, a[i, 1] - b[j, 1])
-
-
-def _along_trend(
-    distance: FloatImage, across: FloatImage, a: FloatArray, index: Indices, parameters: TieParameters
-) -> Indices:
-    """Matches of a further search in a narrow band around the trend of the vertical parallax found so far."""
-    parallax = across[index[:, 0], index[:, 1]].astype(np.float64)
-    trend = parallax_trend(a[index[:, 0]], parallax, parameters, a)
-    if (np.abs(parallax - trend[index[:, 0]]) < parameters.close_px).sum() < parameters.least_ties:
-        return index
-    possible = np.abs(across - trend[:, None].astype(np.float32)) <= parameters.close_px
-    return _guided_matches(distance, possible, parameters)
 
 
 def supported(points: FloatArray, disparity: FloatArray, parameters: TieParameters) -> Mask:
@@ -233,21 +225,46 @@ def disparity_range(pair: RectifiedPair, first: View, second: View, ground: Floa
     return float(np.nanmin(difference[:, 0])), float(np.nanmax(difference[:, 0]))
 
 
-def _guided_matches(distance: FloatImage, possible: Mask, parameters: TieParameters) -> Indices:
+def _guided_matches(
+    descriptors: Tuple[FloatImage, FloatImage],
+    points: Tuple[FloatArray, FloatArray],
+    disparities: Tuple[float, float],
+    parameters: TieParameters,
+    parallax: FloatArray,
+    around_px: float,
+) -> Indices:
     """(N, 2) indices of mutual best matches that pass the ratio test among geometrically possible candidates.
 
-    ``distance`` (A, B) of descriptors, infinite where a match is impossible.
+    Those have a disparity within bounds and a vertical parallax (A,) to some px, for ``points`` (A, 2) and (B, 2) in
+    rectified px with unit ``descriptors`` (A, D) and (B, D). Points in the order of their rows have candidates that
+    follow each other, so only parts of the matrix of distances are made.
     """
-    distance = np.where(possible, distance, np.float32(np.inf))
-    best = distance.argmin(axis=1)
-    first = np.arange(len(distance))
-    nearest = distance[first, best]
-    distance[first, best] = np.inf
-    second = distance.min(axis=1)
-    distance[first, best] = nearest
-    mutual = distance.argmin(axis=0)[best] == first
-    good = mutual & np.isfinite(nearest) & (nearest < parameters.ratio * second) & (nearest < parameters.most_distance)
-    return np.column_stack([first[good], best[good]])
+    (a, b), rows = points, points[0][:, 1] - parallax
+    order, columns = np.argsort(rows, kind="stable"), np.argsort(points[1][:, 1], kind="stable")
+    nearest, second = np.full(len(a), np.inf, np.float32), np.full(len(a), np.inf, np.float32)
+    best, mutual = np.zeros(len(a), np.intp), np.full(len(b), -1, np.intp)
+    least = np.full(len(b), np.inf, np.float32)
+    for start in range(0, len(a), _ROWS):
+        part = order[start : start + _ROWS]
+        ends = rows[part[0]] - around_px, rows[part[-1]] + around_px
+        inside = columns[slice(*np.searchsorted(b[columns, 1], ends))]
+        if not len(inside):
+            continue
+        likeness = descriptors[0][part] @ descriptors[1][inside].T
+        distance = np.sqrt(np.maximum(2.0 - 2.0 * likeness, 0.0))
+        along = a[part, 0][:, None] - b[inside, 0]
+        outside = (along < disparities[0]) | (along > disparities[1])
+        distance[outside | (np.abs(rows[part][:, None] - b[inside, 1]) > around_px)] = np.inf
+        own, found = np.arange(len(part)), distance.argmin(axis=1)
+        column, other = np.arange(len(inside)), distance.argmin(axis=0)
+        nearest[part], best[part] = distance[own, found], inside[found]
+        better = distance[other, column] < least[inside]
+        least[inside[better]], mutual[inside[better]] = distance[other, column][better], part[other[better]]
+        distance[own, found] = np.inf
+        second[part] = distance.min(axis=1)
+    good = (mutual[best] == np.arange(len(a))) & np.isfinite(nearest) & (nearest < parameters.most_distance)
+    good &= nearest < parameters.ratio * second
+    return np.column_stack([np.flatnonzero(good), best[good]])
 
 
 def consistent_matches(first: str, second: str, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:

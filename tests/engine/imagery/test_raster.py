@@ -220,6 +220,18 @@ def test_places_that_cannot_be_written(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["file", "folder.tif"]
 
 
+def test_a_file_is_whole_though_somebody_holds_its_dataset(tmp_path):
+    """As a debugger or profiler does, with the frame of a function that had it."""
+    path, values = str(tmp_path / "a.tif"), np.arange(300 * 300, dtype=np.float32).reshape(300, 300)
+    with created(path, values.shape, values.dtype, 1, None, "", compress=False) as writer:
+        held = writer._dataset
+        writer.write(values[:150])
+        writer.write(values[150:], row=150)
+    with opened(path) as dataset:
+        assert np.array_equal(read(dataset), values)
+    assert held is not None
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the file size")
 @pytest.mark.parametrize("where", ("during", "at the end"))
 def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, where):
