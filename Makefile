@@ -35,7 +35,7 @@ MUTATION := dist/mutation/tool
 mutation: setup ## small faults in the code that a test must notice (SAMPLE=600, 0 for all; SEED=1; ONLY=sfm/; AGAIN=1: what survived)
 	@[ -x $(MUTATION)/bin/cosmic-ray ] || { $(PYTHON) -m venv $(MUTATION) && $(MUTATION)/bin/pip install -q cosmic-ray==8.7.0; } || \
 		{ echo "mutation: Cosmic Ray could not be installed into $(MUTATION): it needs the Python package index"; exit 1; }
-	@$(MUTATION)/bin/python benchmarks/mutation.py --sample $(or $(SAMPLE),600) --seed $(or $(SEED),1) $(if $(ONLY),--only $(ONLY)) $(if $(AGAIN),--again)
+	@$(MUTATION)/bin/python benchmarks/mutation.py --sample $(or $(SAMPLE),600) --seed $(or $(SEED),1) $(if $(ONLY),--only '$(ONLY)') $(if $(AGAIN),--again)
 
 lint: setup ## ruff's rules and format over everything, and types of the engine (mypy, strict)
 	@$(PYTHON) -m ruff check .

@@ -137,11 +137,11 @@ def rule_of(start: Tuple[int, int], parts: Sequence[Span]) -> str:
 
 
 def modules(only: str) -> List[Path]:
-    """The modules to mutate, relative to the checkout, whose names contain a text."""
+    """The modules to mutate, relative to the checkout, in whose paths a pattern is found."""
     engine = ROOT / "repm_qgis"
     every = [path for package in PACKAGES for path in sorted((engine / package).glob("*.py"))]
     every += [engine / name for name in MODULES]
-    return [path.relative_to(ROOT) for path in every if only in path.as_posix() and path.name != "__init__.py"]
+    return [path.relative_to(ROOT) for path in every if re.search(only, path.as_posix()) and path.name != "__init__.py"]
 
 
 def mutants_of(module: Path) -> List[Dict[str, Any]]:
@@ -355,7 +355,7 @@ def main() -> None:
     options.add_argument("--sample", type=int, default=600, help="how many mutants to try; 0 for all")
     options.add_argument("--seed", type=int, default=1)
     options.add_argument("--jobs", type=int, default=max(1, (os.cpu_count() or 2) // 2))
-    options.add_argument("--only", default="", help="only modules whose path contains this")
+    options.add_argument("--only", default="", help="only modules in whose paths this pattern is found")
     options.add_argument("--again", action="store_true", help="only what survived the last time; the table is of all")
     asked = options.parse_args()
     try:
@@ -364,7 +364,7 @@ def main() -> None:
         sys.exit("mutation: this Python has no Cosmic Ray: run 'make mutation', which makes an environment for it.")
     PLACE.mkdir(parents=True, exist_ok=True)
     if not modules(asked.only):
-        sys.exit(f"mutation: no module that it knows has '{asked.only}' in its path: give a part of one, such as sfm/.")
+        sys.exit(f"mutation: '{asked.only}' is in the path of no module that it knows: give a part of one, such as sfm/.")
     start = time.monotonic()
     mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
     last: List[Dict[str, Any]] = []
