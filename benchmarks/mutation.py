@@ -364,7 +364,7 @@ def main() -> None:
         sys.exit("mutation: this Python has no Cosmic Ray: run 'make mutation', which makes an environment for it.")
     PLACE.mkdir(parents=True, exist_ok=True)
     if not modules(asked.only):
-        sys.exit(f"mutation: '{asked.only}' is in the path of no module that it knows: give a part of one, such as sfm/.")
+        sys.exit(f"mutation: '{asked.only}' is in the path of no module: give a part of one, such as sfm/.")
     start = time.monotonic()
     mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
     last: List[Dict[str, Any]] = []
