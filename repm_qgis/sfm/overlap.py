@@ -5,8 +5,10 @@ Images of another place would spoil what all have in common: the heights that ar
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
+from collections import Counter
 from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -27,6 +29,8 @@ _DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, a
 _FAR_DEG = 5.0  # between the middles of two images, which cannot overlap then: no strip is that long
 _MOST_LEVELS = 64
 _LARGER = 1.5  # times an image's side: an RPC that was made for more columns or rows is that of a larger image
+_ROUNDED_PX = 1.0  # between two RPCs of one image, of which one may have been rounded
+_MIDDLE = 16  # rows of an image's middle
 _STRIP = 256  # rows that are compared at once
 _STARTS = 0.05  # of its length: an RPC whose domain begins that near to the first pixel was not shifted with a crop
 
@@ -59,18 +63,34 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
 def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
     """The views without copies of others, which would be counted as witnesses of their own; ``warn`` is told of them.
 
-    Raises RpcInvalidError where other pixels have the same RPC, and OverlapError where all are copies of one.
+    A copy's RPC may have been rounded. Raises RpcInvalidError where other pixels have the same RPC, or the same pixels
+    another RPC, and OverlapError where all are copies of one.
     """
     kept: List[View] = []
+    sizes = Counter(view.size for view in views)
+    middles = {id(view): _middle(view) for view in views if sizes[view.size] > 1}
+
+    def same_pixels(first: View, second: View) -> bool:
+        if first.size != second.size or middles[id(first)] != middles[id(second)]:
+            return False
+        return _apart_px(first, second) < max(first.size) and _same_pixels(first, second)  # else it is of another place
+
     for view in views:
-        same = next((other for other in kept if other.rpc == view.rpc), None)
+        same = next((other for other in kept if same_pixels(other, view)), None)
+        alike = next((other for other in kept if other.rpc == view.rpc), None)
+        if same is None and alike is not None:
+            raise RpcInvalidError(
+                f"The images {alike.name} and {view.name} have the same RPC: give each image its own (the file beside "
+                "it, or RPCS); give parts of one image as one."
+            )
         if same is None:
             kept.append(view)
             continue
-        if not _same_pixels(same, view):
+        apart = _apart_px(same, view)
+        if apart > _ROUNDED_PX:
             raise RpcInvalidError(
-                f"The images {same.name} and {view.name} have the same RPC: give each image its own (the file beside "
-                "it, or RPCS); give parts of one image as one."
+                f"The images {same.name} and {view.name} have the same pixels, but RPCs that place them {apart:.1f} px "
+                "apart: give the image once, with its own RPC."
             )
         warn(f"The image {view.name} ('{view.image}') is a copy of {same.name}: it is left out, and counts once.")
     if len(kept) == 1 < len(views):
@@ -78,10 +98,16 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
     return kept
 
 
+def _middle(view: View) -> bytes:
+    """A digest of an image's middle rows, which tells it from most others."""
+    with opened(view.image) as dataset:
+        row = max((view.height - _MIDDLE) // 2, 0)
+        pixels = read(dataset, Window(0, row, view.width, min(_MIDDLE, view.height)), view.band)
+    return hashlib.sha256(pixels.tobytes()).digest()
+
+
 def _same_pixels(first: View, second: View) -> bool:
-    """Whether two views are of one image, whatever its files are called."""
-    if first.size != second.size:
-        return False
+    """Whether two views of one size are of one image, whatever its files are called."""
     if os.path.exists(first.image) and os.path.exists(second.image) and os.path.samefile(first.image, second.image):
         return True
     with opened(first.image) as one, opened(second.image) as other:
@@ -90,6 +116,14 @@ def _same_pixels(first: View, second: View) -> bool:
             if not np.array_equal(read(one, window, first.band), read(other, window, second.band), equal_nan=True):
                 return False
     return True
+
+
+def _apart_px(first: View, second: View) -> float:
+    """How far apart two views of the same size place what they show, px at most."""
+    columns, rows = np.meshgrid(*(np.linspace(0, side - 1, 3) for side in first.size))
+    pixels, low, high = np.stack([columns.ravel(), rows.ravel()], axis=1), *first.rpc.height_range
+    ground = [first.localise(pixels, height) for height in (low, high)]
+    return max(float(np.abs(second.project(each) - pixels).max()) for each in ground)
 
 
 def of_one_place(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OverlapError
+from repm_qgis.errors import OverlapError, RpcInvalidError
 from repm_qgis.options import EpmFitOptions
 from repm_qgis.scene import common_heights
 from repm_qgis.sfm.overlap import foreign_rpc, not_overlapping, of_one_place, places, views_of
@@ -160,6 +160,26 @@ def test_a_copy_of_an_image_is_no_further_view(urban, tmp_path, how):
     images = [urban.images[0], str(again), urban.images[1]]
     found = views_of(EpmFitOptions(images=tuple(images), workspace=str(tmp_path / "w")), 64, said.append)
     assert [view.image for view in found] == [urban.images[0], urban.images[1]]
+    assert said == [f"The image again ('{again}') is a copy of img_01: it is left out, and counts once."]
+
+
+@pytest.mark.parametrize(
+    ("column", "words"), ((0.3, None), (40.0, "same pixels, but RPCs that place them 40.0 px apart"))
+)
+def test_a_copy_with_a_rounded_rpc_counts_once(urban, tmp_path, column, words):
+    again, image = str(tmp_path / "again.tif"), gdal.Open(urban.images[0])
+    copy = gdal.GetDriverByName("GTiff").CreateCopy(again, image)
+    rpc = image.GetMetadata("RPC")
+    copy.SetMetadata({**rpc, "SAMP_OFF": str(float(rpc["SAMP_OFF"]) + column)}, "RPC")
+    copy = None
+    said, images = [], (urban.images[0], again, urban.images[1])
+    options = EpmFitOptions(images=images, workspace=str(tmp_path / "w"))
+    if words:
+        with pytest.raises(RpcInvalidError, match=words):
+            views_of(options, 64)
+        return
+    found = views_of(options, 64, said.append)
+    assert [view.image for view in found] == [images[0], images[2]]
     assert said == [f"The image again ('{again}') is a copy of img_01: it is left out, and counts once."]
 
 
