@@ -271,6 +271,68 @@ def kills(bench: Bench, count: int, score: Score) -> None:
         shutil.rmtree(place, ignore_errors=True)
 
 
+def kills_at_view_heights(bench: Bench, count: int, score: Score) -> None:
+    """kill -9 of a worker while the rasters of all height maps are written: no empty folder, and no exit code 0."""
+    for _ in range(count):
+        place = bench.place()
+        views = place / "views"
+        running = bench.start("pipeline", bench.job(place, view_heights=str(views)))
+        while running.process.poll() is None and not list(place.glob(".views*/*.tif")):
+            time.sleep(0.005)
+        time.sleep(bench.random.uniform(0.0, 0.3))
+        hit = _kill(running, "worker", bench.random)
+        ended = running.end()
+        problems = ended.problems(not hit) + running.orphans() + state_of(place, bench.reference)
+        if ended.code == 0 and len(list(views.glob("*.tif"))) < 2:
+            problems.append("exit code 0 without the rasters of the height maps")
+        if ended.code == 1 and "worker" not in str(ended.last.get("text")):
+            problems.append(f"another reason is given: {ended.last.get('text')}")
+        problems += again(bench, place, view_heights=str(views))
+        if len(list(views.glob("*.tif"))) < 2:
+            problems.append("run again: no rasters of the height maps")
+        score.add(problems, f"kill -9 of a worker at the height maps, {'hit' if hit else 'missed'}")
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def zeroed_tiles(bench: Bench, count: int, score: Score) -> None:
+    """kill -9 in the fusion, after which a file of a fused tile holds zeros, as a power cut leaves it."""
+    for _ in range(count):
+        place = bench.place()
+        running = bench.start("pipeline", bench.job(place))
+        while running.process.poll() is None and not list(place.glob("w/*/*/*.wide.npy")):
+            time.sleep(0.005)
+        time.sleep(bench.random.uniform(0.0, 0.1))
+        running.kill_all()
+        running.end()
+        files = [path for path in sorted(place.glob("w/*/*/*.np[yz]"))]
+        if files:
+            path = bench.random.choice(files)
+            path.write_bytes(bytes(path.stat().st_size))
+        score.add(again(bench, place), f"zeros in {path.name if files else 'nothing'}")
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def renamed(bench: Bench, count: int, score: Score) -> None:
+    """The workspace is renamed at a random moment: the run ends in a sentence, and runs again under either name."""
+    for _ in range(count):
+        place = bench.place()
+        running = bench.start("pipeline", bench.job(place))
+        time.sleep(bench.random.uniform(0.3, bench.seconds))
+        moved = (place / "w").exists()
+        if moved:
+            os.rename(place / "w", place / "other name")
+        ended = running.end()
+        problems = ended.problems() + running.orphans() + state_of(place, bench.reference)
+        if ended.code == 1 and moved and "other name" not in str(ended.last.get("text")):
+            words = ("renamed", "moved", "gone", "does not exist")
+            if not any(word in str(ended.last.get("text")) for word in words):
+                problems.append(f"the cause is not named: {ended.last.get('text')}")
+        if (place / "other name").exists() and not (place / "w").exists():
+            os.rename(place / "other name", place / "w")
+        score.add(problems + again(bench, place), "workspace renamed")
+        shutil.rmtree(place, ignore_errors=True)
+
+
 def kills_of_qgis(bench: Bench, count: int, score: Score) -> None:
     """kill -9 of qgis_process, at random moments of a run of the pipeline that it starts."""
     if shutil.which("qgis_process") is None:
@@ -462,6 +524,9 @@ def mutations(bench: Bench, count: int, score: Score) -> None:
 KINDS: Dict[str, Tuple[Callable[[Bench, int, Score], None], int]] = {
     "kill -9": (kills, 100),
     "kill -9 of QGIS": (kills_of_qgis, 20),
+    "kill -9 of a worker at the height maps": (kills_at_view_heights, 12),
+    "zeros in a fused tile": (zeroed_tiles, 12),
+    "workspace renamed": (renamed, 12),
     "cancel": (cancels, 40),
     "full or read-only disk": (full_disks, 40),
     "two runs side by side": (side_by_side, 20),
@@ -492,7 +557,7 @@ def main() -> int:
     for name, score in campaign(options.share, options.seed, options.only):
         held = score.tried - len(score.failures)
         words = f"skipped: {score.skipped}" if score.skipped else f"tried {score.tried:5d}   held {held:5d}"
-        sys.stdout.write(f"{name:<28} {words}\n")
+        sys.stdout.write(f"{name:<38} {words}\n")
         sys.stdout.flush()
         failed += len(score.failures)
     return int(failed > 0)

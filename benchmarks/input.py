@@ -3,7 +3,7 @@
 Each trial runs stages of a checkout as the dialogs do, in a process of its own, and says in a few words how they
 ended. A trial that ends with a DSM says how far that lies from the truth. This module has the trials on images and
 RPCs, and those of input_heights.py, input_terrain.py and
-input_dsms.py with them. The earlier revision is that of
+input_dsms.py with them; those of a second campaign are in input_second.py. The earlier revision is that of
 REPM_BENCH_BEFORE, by default the last one before these cases were looked at.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks import input_dsms, input_heights, input_terrain
+from benchmarks import input_dsms, input_heights, input_second, input_terrain
 from benchmarks.input_case import Ended, Job, Trial, off, pipeline, pixels_of, say_of, town, true_views, write_plain
 from benchmarks.runner import ROOT, earlier, few, say
 from benchmarks.tables import Section, table
@@ -29,6 +29,7 @@ from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
 
 BEFORE = os.environ.get("REPM_BENCH_BEFORE", "d8da444")
+SECOND = "913e92d"
 
 
 # --- images ---------------------------------------------------------------------------------------------------------
@@ -187,15 +188,29 @@ TRIALS: List[Trial] = [
 # --- the table ------------------------------------------------------------------------------------------------------
 
 
-def never_silently_wrong() -> List[str]:
-    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS, *input_dsms.TRIALS]
-    rows, trials = [], sorted(every, key=lambda trial: int(trial.point))
+def second_campaign() -> List[str]:
+    return [
+        f"What an independent campaign broke: how each case ended then (revision {SECOND}), and how it ends now. Its "
+        "other classes are in `make bench-own_rpcs` (1 to 3) and `make bench-faults` (7, 10, 12, 14, 16).",
+        table("class | input | before | now", _tried(input_second.TRIALS, SECOND)),
+    ]
+
+
+def _tried(trials: Sequence[Trial], revision: str) -> List[List[str]]:
+    """A row for each trial: its point, its input, and how it ends at an earlier revision and now."""
+    rows = []
     with tempfile.TemporaryDirectory() as place:
-        before = earlier(BEFORE, Path(place))
-        for trial in few(trials):
+        before = earlier(revision, Path(place))
+        for trial in few(list(trials)):
             say(f"{trial.point}: {trial.what} ...")
             cells = [trial.run(tree) if tree else "not measured" for tree in (before, ROOT)]
             rows.append([trial.point, trial.what, *cells])
+    return rows
+
+
+def never_silently_wrong() -> List[str]:
+    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS, *input_dsms.TRIALS]
+    rows = _tried(sorted(every, key=lambda trial: int(trial.point)), BEFORE)
     return [
         "Each row is a case of bad input: how the run ended before these cases were looked at "
         f"(revision {BEFORE}), and how it ends now. Distances are those of the DSM from the simulated surface.",
@@ -205,6 +220,7 @@ def never_silently_wrong() -> List[str]:
 
 PARTS = {
     "trials": never_silently_wrong,
+    "second": second_campaign,
     "parallax": input_heights.along_parallax,
     "calibration": input_heights.calibration,
 }

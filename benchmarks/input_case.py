@@ -9,7 +9,7 @@ import sys
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -41,30 +41,35 @@ class Ended:
 @dataclass(frozen=True)
 class Trial:
     """A case of bad input: ``jobs`` writes its files into a folder and gives the stages to run there, one after the
-    other; ``judge`` says in a few words what became of the last one that ended."""
+    other, and may do more between them; ``judge`` says in a few words what became of the last one that ended."""
 
     point: str
     what: str
-    jobs: Callable[[Path], List[Job]]
+    jobs: Callable[[Path], Iterable[Job]]
     judge: Callable[[Ended], str]
+    limit_s: float = 900.0
 
     def run(self, tree: Path) -> str:
         with tempfile.TemporaryDirectory() as place:
             ended = Ended(Path(place))
             for stage, options in self.jobs(Path(place)):
-                ended = run_in(tree, stage, options, Path(place))
+                ended = run_in(tree, stage, options, Path(place), self.limit_s)
                 if ended.error:
                     return f"stops: “{ended.error}”"
             return self.judge(ended)
 
 
-def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path) -> Ended:
-    """A stage of the engine in a checkout."""
+def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path, limit_s: float = 900.0) -> Ended:
+    """A stage of the engine in a checkout, which is ended after a time limit."""
     job, ended = folder / "job.json", Ended(folder)
     job.write_text(json.dumps(options))
     command = [sys.executable, "-m", "repm_qgis", stage, str(job)]
     started = os.times()
-    done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False, timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        ended.error = f"it hangs: ended after {limit_s:.0f} s"
+        return ended
     over = os.times()
     ended.cpu_s = sum(over[2:4]) - sum(started[2:4])  # of children, with those that they have waited for
     for line in done.stdout.splitlines():
@@ -76,6 +81,8 @@ def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path) -> End
             ended.error = text.strip().splitlines()[-1]
         elif kind in ("info", "warning"):
             (ended.said if kind == "info" else ended.warned).append(text)
+    if done.returncode and not ended.error:
+        ended.error = f"exit code {done.returncode} without a sentence"
     return ended
 
 

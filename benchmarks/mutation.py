@@ -2,9 +2,10 @@
 """Mutation testing ('make mutation'): what share of small faults in the code makes a test fail.
 
 Cosmic Ray makes the faults (mutants), one at a time, in a copy of the checkout, and runs the fast tests of the mutated
-module: the module's own file first, then the others of its folder, until one fails. Of the tool's mutations of an
-operator those that a person might write are taken (``_TAKEN``); the others, such as a shift of floats, fail at once and
-would only flatter the share.
+module that run the mutated statement (Coverage.py says which do), until one fails: those of the module's own file
+first, then the others of its folder. Statements that only an import or a fixture runs have all of them. Of the tool's
+mutations of an operator those that a person might write are taken (``_TAKEN``); the others, such as a shift of floats,
+fail at once and would only flatter the share.
 
 Every mutant belongs to a rule or to none. *Platform* rules name code that Linux never runs: such mutants are not made.
 *Equivalent* rules name code in which a mutation changes nothing that a caller can rely on; these mutants are tried, and
@@ -211,17 +212,31 @@ def copy_checkout(number: int) -> Path:
 _SERVER = """
 import os, signal, sys, time
 sys.path.insert(0, os.getcwd())
+sys.path.append(os.environ["REPM_TOOLS"])
 import cv2, numpy, pyproj, pytest, scipy.interpolate, scipy.ndimage
 from osgeo import gdal, gdal_array, ogr, osr
+def covered(path, tests):
+    import json, coverage
+    measured = coverage.Coverage(data_file=None, source=["repm_qgis"], config_file=False)
+    measured.set_option("run:dynamic_context", "test_function")
+    measured.start()
+    code = pytest.main(tests)
+    measured.stop()
+    data = measured.get_data()
+    found = {os.path.relpath(file): data.contexts_by_lineno(file) for file in data.measured_files()}
+    with open(path, "w") as stream:
+        json.dump(found, stream)
+    return code
 for line in sys.stdin:
-    limit, *files = line.split()
+    limit, coverage_file, *files = line.split()
     child = os.fork()
     if not child:
         os.setsid()
         quiet = os.open(os.devnull, os.O_RDWR)
         for stream in (0, 1, 2):
             os.dup2(quiet, stream)
-        os._exit(pytest.main(["-q", "-x", "-p", "no:pytest_qgis", "-p", "no:cacheprovider", *files]))
+        tests = ["-q", "-x", "-p", "no:pytest_qgis", "-p", "no:cacheprovider", *files]
+        os._exit(pytest.main(tests) if coverage_file == "-" else covered(coverage_file, tests))
     end = time.monotonic() + float(limit)
     status = None
     while status is None and time.monotonic() < end:
@@ -243,15 +258,17 @@ class Tests:
     """Runs tests in the folder that is the current one; after a time limit they count as failed."""
 
     def __init__(self) -> None:
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+        tools = next(iter((PLACE / "tool").glob("lib/python*/site-packages")), "")
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "REPM_TOOLS": str(tools)}
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         self._server = subprocess.Popen([PYTHON, "-c", _SERVER], text=True, env=environment, **pipes)
 
-    def code(self, files: Sequence[str], limit_s: float) -> int:
-        """pytest's exit code, 0 where all passed; 124 after the time limit."""
+    def code(self, tests: Sequence[str], limit_s: float, coverage: str = "-") -> int:
+        """pytest's exit code, 0 where all passed; 124 after the time limit. A file for ``coverage`` gets the tests that
+        run each line of each module."""
         if self._server.stdin is None or self._server.stdout is None:
             raise RuntimeError("the server of tests has no pipes")
-        self._server.stdin.write(f"{limit_s} {' '.join(files)}\n")
+        self._server.stdin.write(f"{limit_s} {coverage} {' '.join(tests)}\n")
         self._server.stdin.flush()
         return int(self._server.stdout.readline())
 
@@ -267,22 +284,50 @@ def _enter(copies: "Queue[str]") -> None:
     _tests.append(Tests())
 
 
-def _try(mutant: Dict[str, Any], files: Sequence[str], limit_s: float) -> Dict[str, Any]:
+def _try(mutant: Dict[str, Any], tests: Sequence[str], limit_s: float) -> Dict[str, Any]:
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
     with use_mutation(Path(mutant["module"]), get_operator(mutant["operator"])(), mutant["occurrence"]) as (old, new):
-        code = _tests[0].code(files, limit_s)
+        code = _tests[0].code(tests, limit_s)
     changed = "\n".join(line for line in unified_diff(old.splitlines(), new.splitlines(), n=1, lineterm=""))
     return {**mutant, "outcome": "killed" if code else "survived", "diff": changed}
 
 
-def _seconds(files: Sequence[str]) -> float:
-    """How long tests take without a mutant, s; raises RuntimeError where they fail."""
-    start = time.monotonic()
-    if _tests[0].code(files, 600.0):
+def _measured(files: Sequence[str]) -> Tuple[float, Dict[str, Dict[str, List[str]]]]:
+    """How long tests take without a mutant, s, and those that run each line of each module; raises RuntimeError where
+    they fail."""
+    start, path = time.monotonic(), Path("coverage.json").resolve()
+    if _tests[0].code(files, 1200.0, str(path)):
         raise RuntimeError(f"these tests fail without any mutant, make them pass first: {' '.join(files)}")
-    return time.monotonic() - start
+    return time.monotonic() - start, json.loads(path.read_text(encoding="utf-8"))
+
+
+def chosen_tests(mutant: Dict[str, Any], files: Sequence[str], lines: Dict[str, List[str]]) -> Sequence[str]:
+    """Of these files the tests that run the mutated statement; all files where only an import or a fixture does."""
+    tree = ast.parse((ROOT / mutant["module"]).read_text(encoding="utf-8"))
+    around = [node for node in ast.walk(tree) if isinstance(node, ast.stmt) and _holds(node, mutant["line"])]
+    inner = max(around, key=lambda node: node.lineno, default=None)
+    first, last = (inner.lineno, _end_of(inner)) if inner else (mutant["line"], mutant["line"])
+    names = {name for line in range(first, last + 1) for name in lines.get(str(line), ()) if name}
+    places = {(Path(file).stem, file) for file in files}
+    found = [
+        (files.index(file), f"{file}::{name.split('.')[-1]}")
+        for name in names
+        for stem, file in places
+        if stem == name.split(".")[-2]
+    ]
+    return [test for _, test in sorted(found)] or files
+
+
+def _holds(node: ast.stmt, line: int) -> bool:
+    return node.lineno <= line <= (node.end_lineno or node.lineno)
+
+
+def _end_of(node: ast.stmt) -> int:
+    """The last line of a statement itself, without the statements in it."""
+    inside = [each.lineno for each in getattr(node, "body", ()) if isinstance(each, ast.stmt)]
+    return max(node.lineno, min(inside) - 1) if inside else node.end_lineno or node.lineno
 
 
 def try_all(mutants: Sequence[Dict[str, Any]], jobs: int, before: Sequence[Dict[str, Any]]) -> List[Dict[str, Any]]:
@@ -297,9 +342,13 @@ def try_all(mutants: Sequence[Dict[str, Any]], jobs: int, before: Sequence[Dict[
     with ProcessPoolExecutor(jobs, context, _enter, (places,)) as pool:
         # The order of the files differs from module to module, the time does not.
         groups = {module: tuple(sorted(files)) for module, files in tests.items()}
-        seconds = {group: pool.submit(_seconds, group) for group in sorted(set(groups.values()))}
-        limits = {module: 15 + 4 * seconds[group].result() for module, group in groups.items()}
-        futures = [pool.submit(_try, one, tests[one["module"]], limits[one["module"]]) for one in mutants]
+        runs = {group: pool.submit(_measured, group) for group in sorted(set(groups.values()))}
+        measured = {module: runs[group].result() for module, group in groups.items()}
+        futures = []
+        for one in mutants:
+            seconds, lines = measured[one["module"]]
+            chosen = chosen_tests(one, tests[one["module"]], lines.get(one["module"], {}))
+            futures.append(pool.submit(_try, one, chosen, 15 + 4 * seconds))
         for future in futures:
             results.append(future.result())
             if len(results) % 25 == 0 or len(results) == count:
