@@ -21,11 +21,13 @@ from osgeo import gdal
 
 from benchmarks.input_case import Ended, Job, Trial, pipeline, pixels_of, say_of, town, true_views, write_plain
 from benchmarks.input_dsms import relief, surface
+from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery.raster import write
-from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.rpc.writers import rpc_tags, rpc_txt
 
 _PLACE, _CRS = (500000.0, 1.0, 0.0, 4800000.0, 0.0, -1.0), pyproj.CRS("EPSG:32631").to_wkt("WKT1_GDAL")
 _LOCAL = 'LOCAL_CS["site of works",UNIT["metre",1]]'
+_ELLIPSOID = {TAG: ELLIPSOID}
 _WORK = "years of work"
 
 
@@ -43,7 +45,9 @@ def flat_town(east: int) -> np.ndarray:
 def put_together(wrong: str, folder: Path) -> List[Job]:
     """A good DSM, and one of which 200 of 300 m overlap it."""
     if wrong == "displaced by 20 m in a flat town":
-        dsms = [write(str(folder / f"{east}.tif"), [flat_town(east)], _PLACE, _CRS) for east in (0, 20)]
+        dsms = [
+            write(str(folder / f"{east}.tif"), [flat_town(east)], _PLACE, _CRS, metadata=_ELLIPSOID) for east in (0, 20)
+        ]
     else:
         dsms = [surface(folder, "good"), surface(folder, "wrong", wrong, start=100)]
     return [("mosaic", {"dsms": dsms, "output": str(folder / "m.tif"), "report": str(folder / "r.html")})]
@@ -61,11 +65,14 @@ def reported(ended: Ended) -> str:
 
 def other_units(stage: str, folder: Path) -> List[Job]:
     """The same surface in feet, which the band's unit says, and in centimetres as whole numbers, by its scale."""
-    feet = write(str(folder / "feet.tif"), [relief() / np.float32(0.3048)], _PLACE, _CRS, unit="ft")
+    feet = write(
+        str(folder / "feet.tif"), [relief() / np.float32(0.3048)], _PLACE, _CRS, unit="ft", metadata=_ELLIPSOID
+    )
     path = str(folder / "scaled.tif")
     dataset = gdal.GetDriverByName("GTiff").Create(path, *relief().shape[::-1], 1, gdal.GDT_Int32)
     dataset.SetGeoTransform(_PLACE)
     dataset.SetProjection(_CRS)
+    dataset.SetMetadata(_ELLIPSOID)
     band = dataset.GetRasterBand(1)
     band.SetScale(0.01)
     band.SetOffset(100.0)
@@ -162,7 +169,7 @@ def beside_a_mesh(folder: Path) -> List[Job]:
     """A picture and a material of the user under the names that an OBJ would take."""
     for name in ("m.obj.jpg", "m.obj.mtl", "m.jpg", "m.mtl"):
         (folder / name).write_text(_WORK)
-    return [pipeline(folder, town().images[:2], mesh=str(folder / "m.obj"))]
+    return [pipeline(folder, town().images[:2], mesh=str(folder / "m.obj"), ortho=str(folder / "o.tif"))]
 
 
 def kept(ended: Ended) -> str:
@@ -191,7 +198,7 @@ def cloud(damage: Callable[[bytearray], bytearray], folder: Path) -> List[Job]:
     made.x, made.y, made.z = x.ravel() + 500000.0, y.ravel() + 4799800.0, np.full(x.size, 300.0)
     made.write(str(path))
     path.write_bytes(damage(bytearray(path.read_bytes())))
-    return [pipeline(folder, town().images[:2], references=[str(path)])]
+    return [pipeline(folder, town().images[:2], reference=[str(path)])]
 
 
 def cut_in_header(content: bytearray) -> bytearray:
@@ -230,6 +237,7 @@ def fan(folder: Path) -> List[Job]:
         band = f'<VRTRasterBand dataType="UInt16" band="1">{10 * one}</VRTRasterBand>'
         text = f'<VRTDataset rasterXSize="{columns}" rasterYSize="{rows}">{band}</VRTDataset>'
         (folder / f"{number}.vrt").write_text(text)
+    (folder / "0_RPC.TXT").write_text(rpc_txt(true_views(2)[0].rpc))
     return [pipeline(folder, [str(folder / "0.vrt"), images[1]])]
 
 
