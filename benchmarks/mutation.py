@@ -215,17 +215,25 @@ sys.path.insert(0, os.getcwd())
 sys.path.append(os.environ["REPM_TOOLS"])
 import cv2, numpy, pyproj, pytest, scipy.interpolate, scipy.ndimage
 from osgeo import gdal, gdal_array, ogr, osr
+class Durations:
+    def __init__(self):
+        self.seconds = {}
+    def pytest_runtest_logreport(self, report):
+        name = report.nodeid.split("[")[0]
+        for each in (name, name.split("::")[0]):
+            self.seconds[each] = self.seconds.get(each, 0.0) + report.duration
 def covered(path, tests):
     import json, coverage
+    durations = Durations()
     measured = coverage.Coverage(data_file=None, source=["repm_qgis"], config_file=False)
     measured.set_option("run:dynamic_context", "test_function")
     measured.start()
-    code = pytest.main(tests)
+    code = pytest.main(tests, plugins=[durations])
     measured.stop()
     data = measured.get_data()
     found = {os.path.relpath(file): data.contexts_by_lineno(file) for file in data.measured_files()}
     with open(path, "w") as stream:
-        json.dump(found, stream)
+        json.dump([durations.seconds, found], stream)
     return code
 for line in sys.stdin:
     limit, coverage_file, *files = line.split()
@@ -294,13 +302,14 @@ def _try(mutant: Dict[str, Any], tests: Sequence[str], limit_s: float) -> Dict[s
     return {**mutant, "outcome": "killed" if code else "survived", "diff": changed}
 
 
-def _measured(files: Sequence[str]) -> Tuple[float, Dict[str, Dict[str, List[str]]]]:
-    """How long tests take without a mutant, s, and those that run each line of each module; raises RuntimeError where
-    they fail."""
-    start, path = time.monotonic(), Path("coverage.json").resolve()
+def _measured(files: Sequence[str]) -> Tuple[Dict[str, float], Dict[str, Dict[str, List[str]]]]:
+    """How long each test and file of tests takes without a mutant, s, and those that run each line of each module;
+    raises RuntimeError where they fail."""
+    path = Path("coverage.json").resolve()
     if _tests[0].code(files, 1200.0, str(path)):
         raise RuntimeError(f"these tests fail without any mutant, make them pass first: {' '.join(files)}")
-    return time.monotonic() - start, json.loads(path.read_text(encoding="utf-8"))
+    seconds, lines = json.loads(path.read_text(encoding="utf-8"))
+    return seconds, lines
 
 
 def chosen_tests(mutant: Dict[str, Any], files: Sequence[str], lines: Dict[str, List[str]]) -> Sequence[str]:
@@ -348,7 +357,8 @@ def try_all(mutants: Sequence[Dict[str, Any]], jobs: int, before: Sequence[Dict[
         for one in mutants:
             seconds, lines = measured[one["module"]]
             chosen = chosen_tests(one, tests[one["module"]], lines.get(one["module"], {}))
-            futures.append(pool.submit(_try, one, chosen, 15 + 4 * seconds))
+            limit_s = 15 + 4 * sum(seconds.get(test, 0.0) for test in chosen)
+            futures.append(pool.submit(_try, one, chosen, limit_s))
         for future in futures:
             results.append(future.result())
             if len(results) % 25 == 0 or len(results) == count:
