@@ -221,6 +221,7 @@ def never_silently_wrong() -> List[str]:
 PARTS = {
     "trials": never_silently_wrong,
     "second": second_campaign,
+    "sound": input_second.sound_mosaics,
     "parallax": input_heights.along_parallax,
     "calibration": input_heights.calibration,
 }

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import struct
+import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,10 +21,15 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks.input_case import Ended, Job, Trial, pipeline, pixels_of, say_of, town, true_views, write_plain
+from benchmarks.input_case import Ended, Job, Trial, pipeline, pixels_of, run_in, say_of, town, true_views, write_plain
 from benchmarks.input_dsms import relief, surface
+from benchmarks.own_rpcs import sound_scenes
+from benchmarks.runner import ROOT, few, say
+from benchmarks.tables import table
+from repm_qgis.errors import RepmError
+from repm_qgis.evaluation.grids import Grid
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
-from repm_qgis.imagery.raster import write
+from repm_qgis.imagery.raster import opened, read, write
 from repm_qgis.rpc.writers import rpc_tags, rpc_txt
 
 _PLACE, _CRS = (500000.0, 1.0, 0.0, 4800000.0, 0.0, -1.0), pyproj.CRS("EPSG:32631").to_wkt("WKT1_GDAL")
@@ -302,3 +309,55 @@ _TRIALS = [
 ]
 
 TRIALS: List[Trial] = [replace(trial, limit_s=120.0) for trial in _TRIALS]
+
+
+# --- sound scenes ---------------------------------------------------------------------------------------------------
+
+
+def _half(images: Sequence[str], whole: str, side: int, folder: Path) -> str:
+    """A DSM of three fifths of a scene, in the west or the east, made from the images; the second one in feet."""
+    with opened(whole) as dataset:
+        (west, south, east, north), crs = Grid.of(dataset).bounds, dataset.GetProjection()
+    reach = 0.6 * (east - west)
+    extent = (west, south, west + reach, north) if side == 0 else (east - reach, south, east, north)
+    path = str(folder / f"half_{side}.tif")
+    ended = run_in(
+        ROOT,
+        "pipeline",
+        {
+            "images": list(images),
+            "workspace": str(folder / f"w{side}"),
+            "output": path,
+            "extent": list(extent),
+            "extent_crs": pyproj.CRS.from_wkt(crs).to_2d().to_wkt(),
+        },
+        folder,
+    )
+    if ended.error:
+        raise RepmError(ended.error)
+    if side:
+        with opened(path) as dataset:
+            heights, place, wkt = read(dataset), dataset.GetGeoTransform(), dataset.GetProjection()
+        write(path, [heights / np.float32(0.3048)], place, wkt, unit="ft", metadata=_ELLIPSOID)
+    return path
+
+
+def sound_mosaics() -> List[str]:
+    """What a mosaic says of two parts of a sound scene, one in metres and one in feet."""
+    rows = []
+    for name, images in few(list(sound_scenes())):
+        say(f"{name} ...")
+        with tempfile.TemporaryDirectory() as place:
+            folder = Path(place)
+            run_in(ROOT, *pipeline(folder, images), folder)
+            halves = [_half(images, str(folder / "run.tif"), side, folder) for side in (0, 1)]
+            report = str(folder / "r.html")
+            ended = run_in(ROOT, "mosaic", {"dsms": halves, "output": str(folder / "m.tif"), "report": report}, folder)
+            table_of = re.sub("<[^>]+>", " ", Path(report).read_text(encoding="utf-8").split("to the side, m")[1])
+            _, _, _, median, _, spread_m, beside = table_of.split()[:7]
+            rows.append([name, median, spread_m, beside, reported(ended)])
+    return [
+        "Two parts of sound scenes that overlap by a fifth, each made from the images by itself, one of them in feet, "
+        "put together: no warning is to be given.",
+        table("scene | median before, m | NMAD, m | to the side, m | the mosaic's report", rows),
+    ]

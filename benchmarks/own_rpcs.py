@@ -25,7 +25,7 @@ class _Heard(Exception):
     """The pointing is known, and nothing more is wanted."""
 
 
-def _scenes() -> Iterator[Tuple[str, Sequence[str]]]:
+def sound_scenes() -> Iterator[Tuple[str, Sequence[str]]]:
     for scene in real("pleiades_pair", "pleiades_triplet"):
         yield scene.name, scene.images
     if towns._FOLDER.exists():
@@ -102,7 +102,7 @@ def _row(name: str, images: Sequence[str]) -> List[Any]:
 
 def own_rpcs() -> List[str]:
     rows = []
-    for name, images in few(list(_scenes())):
+    for name, images in few(list(sound_scenes())):
         say(f"{name} ...")
         rows.append(_row(name, images))
     heads = (
