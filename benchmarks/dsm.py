@@ -14,7 +14,7 @@ from benchmarks.scoring import scores, shares
 from benchmarks.tables import Section, table
 
 HEADERS = (
-    "scene | program | valid % | RMSE m | ME m | MAE m | NMAD m | C1 % | C2.5 % | C5 % | CPU s | wall s | peak GiB"
+    "scene | program | valid % | RMSE m | MedAE m | MAE m | NMAD m | C1 % | C2.5 % | C5 % | CPU s | wall s | peak GiB"
 )
 
 
@@ -28,7 +28,7 @@ def row(scene: Scene, program: str, images: Sequence[str], label: str) -> List[A
             found = scores(dsm, scene.reference, scene.align)
         except Failed as error:
             return [scene.name, label, str(error), *[""] * 10]
-    values = (found.valid, found.rmse, found.me, found.mae, found.nmad, *shares(found))
+    values = (found.valid, found.rmse, found.medae, found.mae, found.nmad, *shares(found))
     cells = (round(cost.cpu_s, 1), round(cost.wall_s, 1), round(cost.peak_gib, 2))
     return [scene.name, label, *(round(value, 3) for value in values), *cells]
 
@@ -55,8 +55,8 @@ def programs() -> List[str]:
         "times are upper bounds); memory is the resident memory of the whole process tree. Simulated scenes and "
         "truth_urban are compared with the true ground after the best whole-cell shift and the median height "
         "difference are taken out (relative pointing leaves them); the Pleiades images with S2P's DSM as it is, which "
-        "is no truth. valid and C1, C2.5, C5 are percent of all cells of the reference; ME is the median of absolute "
-        "errors.",
+        "is no truth. valid and C1, C2.5, C5 are percent of all cells of the reference; MedAE is the median of the "
+        "absolute errors.",
         table(HEADERS, [line for scene in [*scenes, *few(simulations())] for line in rows(scene)]),
         *absent(),
     ]

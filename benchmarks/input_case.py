@@ -100,7 +100,7 @@ def off(ended: Ended, truth: str) -> str:
     away = float(np.hypot(*(boxes[0].mean(axis=0) - boxes[1].mean(axis=0))))
     try:
         found = score_files(dsm, truth).metrics
-        wrong = f"{found.me:.2f} m wrong in the median"
+        wrong = f"{found.medae:.2f} m wrong in the median"
     except RepmError:
         wrong = "nowhere on the true surface"
     side = float(np.sqrt(np.prod(boxes[0][1] - boxes[0][0])))

@@ -91,7 +91,7 @@ def judged(truth: Callable[[], str], words: Sequence[str], ended: Ended) -> str:
     found, stated = off(ended, truth()), re.search(_STATED + r" ([\d.]+) m", " ".join(ended.said))
     wrong = re.search(r"([\d.]+) m wrong", found)
     if stated and wrong:
-        found += f", {2.0 * float(wrong[1]) / float(stated[1]):.1f} stated standard deviations"
+        found += f", {POINTING.promises.le90 * float(wrong[1]) / float(stated[1]):.1f} stated standard deviations"
     return f"{found}; {say_of(ended, words)}"
 
 

@@ -91,7 +91,7 @@ def other_units(stage: str, folder: Path) -> List[Job]:
 
 
 def spread(ended: Ended) -> str:
-    return f"NMAD {ended.result['nmad']:.2f} m, mean {ended.result['me']:.2f} m; {reported(ended)}"
+    return f"NMAD {ended.result['nmad']:.2f} m, MedAE {ended.result['medae']:.2f} m; {reported(ended)}"
 
 
 # --- 8, 9: copies and replaced images -------------------------------------------------------------------------------

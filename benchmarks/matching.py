@@ -38,7 +38,7 @@ from repm_qgis.stereo.height_maps import HeightMap
 from repm_qgis.stereo.triangulation import pair_geometry
 
 CELL = 0.5
-HEADERS = "matcher | CPU s | valid % | ME m | MAE m | RMSE m | C1 % | C2.5 %"
+HEADERS = "matcher | CPU s | valid % | MedAE m | MAE m | RMSE m | C1 % | C2.5 %"
 
 
 class MatchedPair:
@@ -81,12 +81,12 @@ class Case(MatchedPair):
         return aggregate([layer], "mean").height
 
     def score(self, parameters: MatchingParameters, backend: PairBackend) -> List[float]:
-        """CPU seconds, valid %, ME, MAE, RMSE (m), C1, C2.5 (%) of the matcher with these parameters."""
+        """CPU seconds, valid %, MedAE, MAE, RMSE (m), C1, C2.5 (%) of the matcher with these parameters."""
         start = time.process_time()
         found = self.matched(parameters, backend)
         seconds = time.process_time() - start
         m = score(self.dsm_of(found), self.truth, "cells" if self.align else "none", thresholds=(1.0, 2.5)).metrics
-        return [seconds, m.valid, m.me, m.mae, m.rmse, *(share for _, share in m.completeness)]
+        return [seconds, m.valid, m.medae, m.mae, m.rmse, *(share for _, share in m.completeness)]
 
 
 def ranks(image: np.ndarray) -> np.ndarray:

@@ -139,7 +139,7 @@ def fractions() -> List[str]:
         "Pixels that are matched; errors in px of disparity against the true surface, after a shift in three "
         "dimensions. *In windows*: the standard deviation of the errors' means in the window of a step, errors "
         "below 1 px.",
-        table("pair | m a px | what | ME px | 90 % px | in windows px", rows),
+        table("pair | m a px | what | MedAE px | 90 % px | in windows px", rows),
     ]
 
 

@@ -41,7 +41,7 @@ _PUBLISHED = (
     "to look at beside them, and none of the differences below 0.2 m means much."
 )
 _FIGURES = (
-    "valid, % | C1, % | MAE, m | RMSE, m | ME, m | NMAD, m | C1 without mid-air, % | ground, % | trees, % | "
+    "valid, % | C1, % | MAE, m | RMSE, m | MedAE, m | NMAD, m | C1 without mid-air, % | ground, % | trees, % | "
     "buildings, % | walls off, m | wider, m | CPU s"
 )
 _CONTRASTS = (0.019, 0.021, 0.0195, 0.0205, 0.01925, 0.02075, 0.01975, 0.02025)  # of keypoints, about the engine's
@@ -132,7 +132,7 @@ def _scores(dsm: str, truth: Truth) -> List[float]:
         heights, kind, cell = read(dataset), read(kinds), dataset.GetGeoTransform()[1]
     within = np.abs(found.error) < 1.0
     m = found.metrics
-    errors = [m.valid, dict(m.completeness)[1.0], m.mae, m.rmse, m.me, m.nmad]
+    errors = [m.valid, dict(m.completeness)[1.0], m.mae, m.rmse, m.medae, m.nmad]
     shares = [100.0 * float(within[kind == code].mean()) for code in _CLASSES.values()]
     plain = np.isfinite(heights) & ~_mid_air(heights, cell)
     return [*errors, 100.0 * float(within[plain].mean()), *shares, *_walls(heights + found.error, heights, cell)]
@@ -149,7 +149,7 @@ def towns() -> List[str]:
         "control). The first images by date; *3, January* are 009, 010 and 011 (sun at 36 degrees). C1: share of all "
         "cells of the lidar within 1 m, and the same for cells of three classes; *without mid-air*: without the "
         "lidar's own heights between a roof and the ground below it (more than 1 m from both within 2.5 m of a wall of "
-        f"3 m: {_mid_air_share():.1f} % of its cells, where no surface is); ME is the median of absolute errors; "
+        f"3 m: {_mid_air_share():.1f} % of its cells, where no surface is); MedAE is the median of absolute errors; "
         "*walls off*: mean distance of the DSM's walls of 3 m and more from the lidar's; *wider*: how much wider "
         "objects are, on each side. More images give heights to more of the difficult cells; only the rows *FILL = "
         "all* compare nearly the same cells.",

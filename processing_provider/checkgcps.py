@@ -60,5 +60,5 @@ class CheckGcps(RepmAlgorithm):
                 f"{name}_{output}", self.tr("{figure} of heights by {source} (m)").format(figure=figure, source=source)
             )
             for name, source in by.items()
-            for output, figure in (("ME", "MedAE"), ("RMSE", "RMSE"), ("MAX", "Max"))
+            for output, figure in (("MEDAE", "MedAE"), ("RMSE", "RMSE"), ("MAX", "Max"))
         ]

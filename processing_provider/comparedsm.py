@@ -113,7 +113,7 @@ class CompareDsm(RepmAlgorithm):
             QgsProcessingOutputNumber(name, label)
             for name, label in (
                 ("RMSE", self.tr("RMSE (m)")),
-                ("ME", self.tr("Median absolute error (m)")),
+                ("MEDAE", self.tr("Median absolute error (m)")),
                 ("MAE", self.tr("Mean absolute error (m)")),
                 ("NMAD", self.tr("Normalised median absolute deviation (m)")),
                 ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),

@@ -422,11 +422,11 @@ class DemOffset(Record):
         if self.most_m is None:
             return f"{text}."
         if not self.unexpected:
-            return f"{text}, where up to {self.most_m:.1f} m are to be expected of the absolute height."
+            return f"{text}, where up to {self.most_m:.1f} m are to be expected in 95 % of cases, by both their errors."
         return (
-            f"{text}, where at most {self.most_m:.1f} m are to be expected: check that each RPC belongs to its image "
-            "and that the DEM is of this place and states its vertical datum, or lay the scene on known heights with "
-            "'Register to a reference' (REFERENCE)."
+            f"{text}, where at most {self.most_m:.1f} m are to be expected (95 % of cases): check that each RPC "
+            "belongs to its image and that the DEM is of this place and states its vertical datum, or lay the scene on "
+            "known heights with 'Register to a reference' (REFERENCE)."
         )
 
 

@@ -99,9 +99,9 @@ def test_scores_are_those_of_the_cells(tmp_path):
     within = shares(found)
     assert within[0] == pytest.approx(100 * (1 - 160 / cells), abs=1e-6)
     assert within[2] == pytest.approx(found.valid, abs=1e-6)
-    assert found.rmse == pytest.approx(np.sqrt(60 * 9 / (cells - 100)), abs=1e-4) and found.me < 1e-4
+    assert found.rmse == pytest.approx(np.sqrt(60 * 9 / (cells - 100)), abs=1e-4) and found.medae < 1e-4
     raw = scores(raster(tmp_path / "same.tif", ground + np.float32(0.25)), truth, False)
-    assert raw.me == pytest.approx(0.25, abs=1e-4) and raw.nmad < 1e-4 and raw.valid == 100.0
+    assert raw.medae == pytest.approx(0.25, abs=1e-4) and raw.nmad < 1e-4 and raw.valid == 100.0
     apart = difference(dsm, raster(tmp_path / "west.tif", moved[:, 10:] + np.float32(1.0), 5.0))
     assert apart.shape == (120, 120) and np.isnan(apart).sum() == 100 and np.nanmax(np.abs(apart + 1)) < 1e-4
 

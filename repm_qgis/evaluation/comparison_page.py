@@ -60,7 +60,7 @@ def _side_by_side(page: Report, everyone: Mapping[str, Comparison]) -> None:
         m, a = one.metrics, one.alignment
         shares = [f"{share:.1f}" for _, share in m.completeness]
         shift = [f"{a.dx:+.2f}, {a.dy:+.2f}, {a.dz:+.2f}"] if moved else []
-        rows.append([name, f"{m.valid:.1f}", *fixed(m.rmse, m.me, m.mae, m.nmad), f"{m.bias:+.3f}", *shares, *shift])
+        rows.append([name, f"{m.valid:.1f}", *fixed(m.rmse, m.medae, m.mae, m.nmad), f"{m.bias:+.3f}", *shares, *shift])
     headers = ["DSM", "valid (%)", "RMSE (m)", "MedAE (m)", "MAE (m)", "NMAD (m)", "bias (m)"]
     headers += [f"< {level:g} m (%)" for level, _ in first.metrics.completeness]
     page.section("Side by side").table(
@@ -96,12 +96,13 @@ def _findings(everyone: Mapping[str, Comparison]) -> List[str]:
 def _summary(page: Report, found: Comparison, everyone: Mapping[str, Comparison]) -> None:
     m = found.metrics
     good = (
-        f"The median difference is {m.bias:+.3f} m, and half of the heights are within {m.me:.3f} m of the reference."
+        f"The median difference is {m.bias:+.3f} m, and half of the heights are within {m.medae:.3f} m of the "
+        "reference."
     )
     page.verdict(good, _findings(everyone))
     page.paragraph(
         f"{m.cells} of {m.reference_cells} reference cells have a DSM height ({m.valid:.1f} %). "
-        f"Half of them are within {m.me:.3f} m of the reference; NMAD {m.nmad:.3f} m, RMSE {m.rmse:.3f} m, "
+        f"Half of them are within {m.medae:.3f} m of the reference; NMAD {m.nmad:.3f} m, RMSE {m.rmse:.3f} m, "
         f"bias {m.bias:+.3f} m."
     )
     for text in found.warnings:
@@ -148,7 +149,7 @@ def _accuracy_tables(page: Report, found: Comparison, by: str, parts: Sequence[T
     rows = [("all", found.metrics)] + [(name, m) for name, m in parts if m.reference_cells]
     page.table(
         f"{by} | Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | bias (m)",
-        [[name, m.cells, *fixed(m.rmse, m.me, m.mae, m.nmad, m.bias)] for name, m in rows],
+        [[name, m.cells, *fixed(m.rmse, m.medae, m.mae, m.nmad, m.bias)] for name, m in rows],
         "e is DSM − reference, over the cells that have both heights. MedAE is the median of |e| (ME in the method's "
         "paper), bias is the median of e. "
         + ("" if found.exact else "Medians are good to 0.5 mm. ")

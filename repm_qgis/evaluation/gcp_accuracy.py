@@ -38,7 +38,7 @@ class ErrorSummary:
     """Of ``count`` points, metres: median of the absolute errors, root mean square, and largest absolute error."""
 
     count: int
-    me: float
+    medae: float
     rmse: float
     max: float
 

@@ -39,9 +39,9 @@ def _good(found: GcpAccuracy) -> str:
     for column in ("dsm", "scene", "compensated", "rpc"):
         figures = found.summary(column, "height") if column in found.errors else None
         if figures is not None and figures.count and column == "dsm":
-            return f"Half of the DSM's heights are within {figures.me:.3f} m of the points'."
+            return f"Half of the DSM's heights are within {figures.medae:.3f} m of the points'."
         if figures is not None and figures.count:
-            return f"Half of the heights that the images give are within {figures.me:.3f} m of the points'."
+            return f"Half of the heights that the images give are within {figures.medae:.3f} m of the points'."
     return ""  # every point is in one image alone, and has no height from it
 
 
@@ -66,7 +66,7 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
     for column in found.errors:
         for role in _roles(found):
             e = found.summary(column, "height", role)
-            rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.me, e.rmse, e.max)])
+            rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.medae, e.rmse, e.max)])
     page.section("Heights").table(
         "heights by | points | count | MedAE, m | RMSE, m | Max, m",
         rows,
@@ -97,7 +97,7 @@ def _components(page: Report, found: GcpAccuracy) -> None:
             e = found.summary(column, component)
             if e.count:
                 bias = float(np.nanmedian(errors[found.rows(), index]))
-                rows.append([COLUMNS[column], component, e.count, f"{bias:+.3f}", *fixed(e.me, e.rmse, e.max)])
+                rows.append([COLUMNS[column], component, e.count, f"{bias:+.3f}", *fixed(e.medae, e.rmse, e.max)])
     page.section("East, north and height").table(
         "by | component | count | median, m | MedAE, m | RMSE, m | Max, m",
         rows,

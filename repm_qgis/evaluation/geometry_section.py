@@ -183,5 +183,5 @@ def _summary(points: Sequence[GcpFigures]) -> List[List[Any]]:
         for name, title in (("east_m", "east"), ("north_m", "north"), ("up_m", "height")):
             errors = ErrorSummary.of(np.array([getattr(point, name) for point in mine]))
             if errors.count:
-                rows.append([role, errors.count, title, *fixed(errors.me, errors.rmse, errors.max)])
+                rows.append([role, errors.count, title, *fixed(errors.medae, errors.rmse, errors.max)])
     return rows

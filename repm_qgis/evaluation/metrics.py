@@ -3,7 +3,7 @@
 With e = DSM - reference over the cells where both have a height (N of them), and M cells where the reference has one:
 
 - RMSE = sqrt(sum(e²) / N). A few gross errors dominate it; it contains the bias.
-- MedAE = median(\\|e\\|), the paper's "median error" ME, and ``me`` in results. Elsewhere ME is the mean error, signed.
+- MedAE = median(\\|e\\|), the paper's "median error" ME. Elsewhere ME is the mean error, signed.
 - MAE = sum(\\|e\\|) / N.
 - bias = median(e), signed: positive where the DSM is too high.
 - NMAD = 1.4826 median(\\|e - median(e)\\|): the standard deviation that the bulk of the cells has, without the bias.
@@ -38,7 +38,7 @@ class HeightMetrics:
     cells: int
     reference_cells: int
     rmse: float
-    me: float
+    medae: float
     mae: float
     nmad: float
     bias: float
@@ -111,11 +111,11 @@ class ErrorCollector:
 
     def metrics(self) -> HeightMetrics:
         shares = 100.0 * self._within / self._reference if self._reference else np.zeros(len(self._thresholds))
-        bias, me, spread = self._medians() if self._n else (math.nan,) * 3
+        bias, medae, spread = self._medians() if self._n else (math.nan,) * 3
         n = self._n or math.nan
         rmse = math.sqrt(self._squares / n) if self._n else math.nan
         completeness = tuple(zip(self._thresholds, map(float, shares)))
-        return HeightMetrics(self._n, self._reference, rmse, me, self._absolutes / n, spread, bias, completeness)
+        return HeightMetrics(self._n, self._reference, rmse, medae, self._absolutes / n, spread, bias, completeness)
 
     def _medians(self) -> Tuple[float, float, float]:
         """Bias, MedAE and NMAD."""

@@ -91,6 +91,16 @@ def _stated(square: float, freedom: int, error: Tuple[float, float], parameters:
     return high / 2.0
 
 
+def height_le90_m(figures: PointingFigures, parameters: PointingParameters = POINTING) -> Optional[float]:
+    """The LE90 of the absolute height, m: how reports and warnings give its uncertainty, because vendors promise it so.
+
+    It is 1.645 standard deviations (NIMA STDI-0002), of which ``height_uncertainty_m`` has two. None with ground
+    control.
+    """
+    stated = figures.height_uncertainty_m
+    return None if stated is None else parameters.promises.le90 * stated / 2.0
+
+
 def usual_height_deviation(
     pairs: Sequence[ViewPair], figures: PointingFigures, gsd_m: float, parameters: PointingParameters = POINTING
 ) -> float:

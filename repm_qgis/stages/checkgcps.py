@@ -27,7 +27,7 @@ _SHORT = {"east": "e", "north": "n", "height": "h"}
 def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     """Measure; see :mod:`repm_qgis.evaluation.gcp_accuracy` for what the errors mean.
 
-    Gives ``{column}_me``, ``_rmse`` and ``_max`` of the heights (m) for rpc, compensated, scene and dsm as far as they
+    Gives ``{column}_medae``, ``_rmse`` and ``_max`` of the heights (m) for rpc, compensated, scene and dsm as far as they
     are known, the same for the three ``components``, and the points left out as ``wrong``.
 
     Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
@@ -84,10 +84,10 @@ def _numbers(found: GcpAccuracy) -> Dict[str, Any]:
         for component in COMPONENTS:
             errors = found.summary(column, component)
             if errors.count:
-                of = {"me": errors.me, "rmse": errors.rmse, "max": errors.max, "count": errors.count}
+                of = {"medae": errors.medae, "rmse": errors.rmse, "max": errors.max, "count": errors.count}
                 numbers["components"].setdefault(column, {})[component] = of
                 if component == "height":
-                    numbers.update({f"{column}_{name}": of[name] for name in ("me", "rmse", "max")})
+                    numbers.update({f"{column}_{name}": of[name] for name in ("medae", "rmse", "max")})
     return numbers
 
 
@@ -95,7 +95,7 @@ def _log_heights(found: GcpAccuracy, progress: Progress) -> None:
     for column in found.errors:
         errors = found.summary(column, "height")
         if errors.count:
-            figures = f"heights MedAE {errors.me:.3f} m, RMSE {errors.rmse:.3f} m, Max {errors.max:.3f} m"
+            figures = f"heights MedAE {errors.medae:.3f} m, RMSE {errors.rmse:.3f} m, Max {errors.max:.3f} m"
             points = f"{counted(errors.count, 'point')}{_checked(found, column)}"
             progress.info(f"{COLUMNS[column]}: {figures} of {points}.")
 
@@ -105,7 +105,7 @@ def _checked(found: GcpAccuracy, column: str) -> str:
     check = found.summary(column, "height", "check")
     if not check.count or check.count == found.summary(column, "height").count:
         return ""
-    return f" ({counted(check.count, 'check point')}: MedAE {check.me:.3f} m, RMSE {check.rmse:.3f} m)"
+    return f" ({counted(check.count, 'check point')}: MedAE {check.medae:.3f} m, RMSE {check.rmse:.3f} m)"
 
 
 def _shown(found: GcpAccuracy) -> str:

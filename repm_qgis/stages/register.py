@@ -32,6 +32,7 @@ from ..registration.solve import Prior, Shift, solve_shift
 from ..registration.stable import stable_cells
 from ..registration.surfaces import SupportMeans
 from ..scene import Scene, folder_of, reusable
+from ..sfm.height_uncertainty import height_le90_m
 from ..vector import copy_layer, file_and_layer, write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint
 from .dsmfuse import reconstructed
@@ -207,9 +208,11 @@ def _work(
 
 
 def _promise(work: _Work, parameters: EngineParameters) -> Tuple[float, float]:
-    """CE90 and LE90 that are to be expected without a registration, m."""
-    numbers = parameters.pointing.promises
-    return numbers.ce90 * work.prior.horizontal_m, numbers.le90 * work.prior.up_m
+    """CE90 and LE90 that are to be expected without a registration, m: the LE90 is the one that the scene's own report
+    has, not what is usual, which the datum of a reference is told by."""
+    numbers, ties = parameters.pointing.promises, work.scene.pointing
+    stated = height_le90_m(ties, parameters.pointing) if ties is not None else None
+    return numbers.ce90 * work.prior.horizontal_m, numbers.le90 * work.prior.up_m if stated is None else stated
 
 
 def _between(works: Sequence[_Work], progress: Progress, parameters: EngineParameters) -> List[Tuple[int, int, Shift]]:

@@ -171,8 +171,8 @@ def test_a_registration_and_what_follows_it_are_german(german, sample, tmp_path)
         "scene": matched,
         "others": [str(other)],
         "reference": [
-            moved_truth(sample, tmp_path / "a.tif", (9, -6, 4), stated=False),
-            moved_truth(sample, tmp_path / "b.tif", (0, 0, 9)),
+            moved_truth(sample, tmp_path / "a.tif", (21, -14, 4), stated=False),
+            moved_truth(sample, tmp_path / "b.tif", (21, -14, 9)),
         ],
         "report": str(report),
         **{name: str(tmp_path / file) for name, file in files.items()},

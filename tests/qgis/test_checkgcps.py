@@ -47,7 +47,7 @@ def test_checkgcps_from_the_command_line(headless, sample, fitted, tmp_path):
     assert done.returncode == 0, said(done)
     results = json.loads(done.stdout)["results"]
     assert results["DSM_RMSE"] < 0.05 < results["COMPENSATED_RMSE"] < 3
-    assert 0 < results["RPC_ME"] <= results["RPC_MAX"] and "SCENE_ME" not in results
+    assert 0 < results["RPC_MEDAE"] <= results["RPC_MAX"] and "SCENE_MEDAE" not in results
     assert (tmp_path / "points.qml").exists() and "ISPRS" not in (tmp_path / "r.html").read_text(encoding="utf-8")
     # What a script computes from the layer is what the numbers say.
     source = ogr.Open(results["OUTPUT"])
@@ -123,12 +123,12 @@ def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tm
     )
     assert checked.returncode == 0, said(checked)
     results = json.loads(checked.stdout)["results"]
-    assert results["SCENE_RMSE"] < 1.0 and results["DSM_ME"] < 0.6
+    assert results["SCENE_RMSE"] < 1.0 and results["DSM_MEDAE"] < 0.6
     compared = headless(
         "--json", "run", "repm:comparedsm", "--", f"DSM={tmp_path / 'dsm.tif'}", f"REFERENCE={town['truth']}"
     )
     assert compared.returncode == 0, said(compared)
-    assert json.loads(compared.stdout)["results"]["ME"] < 0.5  # not aligned
+    assert json.loads(compared.stdout)["results"]["MEDAE"] < 0.5  # not aligned
 
 
 def rows_of(sample):

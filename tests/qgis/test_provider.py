@@ -54,11 +54,13 @@ OUTPUTS = {
     "pipeline": "OUTPUT SCENE REPORT TILES TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VIEWER WORKSPACE "
     "N_TIE_POINTS VALID_PERCENT",
     "dtm": "OUTPUT HEIGHTS MASK REPORT OBJECTS_PERCENT VALID_PERCENT",
-    "comparedsm": "ERROR REPORT RMSE ME MAE NMAD COMPLETENESS",
+    "comparedsm": "ERROR REPORT RMSE MEDAE MAE NMAD COMPLETENESS",
     "change": "OUTPUT SIGNIFICANT VOLUMES REPORT CHANGES GAINED_M3 GAINED_DEVIATION_M3 LOST_M3 LOST_DEVIATION_M3 "
     "LEVEL_M",
     "checkgcps": "OUTPUT REPORT "
-    + " ".join(f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM") for figure in ("ME", "RMSE", "MAX")),
+    + " ".join(
+        f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM") for figure in ("MEDAE", "RMSE", "MAX")
+    ),
     "viewer": "VIEWER",
     "sampledata": "FOLDER IMAGES TRUTH GCPS",
     "environment": "REPORT",

@@ -58,7 +58,7 @@ def test_every_pair_and_view_is_told_with_its_figures(scene):
     for tile, count in ties.ties_by_tile.items():
         assert f">{tile}</td>" in page and f">{count}</td>" in page
     assert ties.reason in html.unescape(page)
-    assert f"uncertain by {ties.height_uncertainty_m:.1f} m" in page
+    assert f"uncertain by {1.645 / 2 * ties.height_uncertainty_m:.1f} m (LE90" in page
     assert "at most CE90 20.0 m (assumed, because no promise of its vendor is known)" in page
 
 

@@ -15,7 +15,7 @@ def independent(e, n):
     return {
         "rmse": (sum(x * x for x in v) / len(v)) ** 0.5,
         "mae": sum(map(abs, v)) / len(v),
-        "me": median([abs(x) for x in v]),
+        "medae": median([abs(x) for x in v]),
         "bias": bias,
         "nmad": 1.4826 * median([abs(x - bias) for x in v]),
         "valid": 100 * len(v) / n,
@@ -33,7 +33,7 @@ def errors():
 
 def test_metrics_are_the_definitions(errors):
     got, want = height_metrics(errors, errors.size + 100, THRESHOLDS), independent(errors, errors.size + 100)
-    for name in ("rmse", "mae", "me", "bias", "nmad", "valid"):
+    for name in ("rmse", "mae", "medae", "bias", "nmad", "valid"):
         assert getattr(got, name) == pytest.approx(want[name], abs=1e-6), name
     assert [share for _, share in got.completeness] == pytest.approx(want["completeness"], abs=1e-6)
     assert got.cells == np.isfinite(errors).sum()
@@ -52,7 +52,7 @@ def test_metrics_mean_the_same_as_the_scoring_tool(errors, shared_data):
         score.stats(errors, errors.size + 100, THRESHOLDS),
         height_metrics(errors, errors.size + 100, THRESHOLDS),
     )
-    pairs = {"valid": got.valid, "bias": got.bias, "ME": got.me, "MAE": got.mae, "RMSE": got.rmse, "NMAD": got.nmad}
+    pairs = {"valid": got.valid, "bias": got.bias, "ME": got.medae, "MAE": got.mae, "RMSE": got.rmse, "NMAD": got.nmad}
     pairs.update({f"C{t:g}": share for t, share in got.completeness})
     for name, value in pairs.items():
         assert value == pytest.approx(want[name], abs=0.00051), name
@@ -63,7 +63,7 @@ def test_blocks_give_what_the_whole_gives(errors):
     for block in np.array_split(errors, 7):
         parts.add(block, block.size)
     got = parts.metrics()
-    assert (got.me, got.nmad, got.bias, got.cells) == (whole.me, whole.nmad, whole.bias, whole.cells)
+    assert (got.medae, got.nmad, got.bias, got.cells) == (whole.medae, whole.nmad, whole.bias, whole.cells)
     assert got.rmse == pytest.approx(whole.rmse, rel=1e-12)
 
 
@@ -74,7 +74,7 @@ def test_medians_of_the_histogram_are_good_to_its_bin(errors, keep):
         binned.add(block, block.size)
     assert not binned.exact
     got = binned.metrics()
-    for name in ("me", "nmad", "bias"):
+    for name in ("medae", "nmad", "bias"):
         assert getattr(got, name) == pytest.approx(getattr(whole, name), abs=0.001), name
     assert got.rmse == pytest.approx(whole.rmse, rel=1e-9)
 

@@ -20,7 +20,7 @@ def test_files_are_scored_as_by_the_stage(make_raster, terrain, method):
     found = score_files(a, b, method)
     stage = run_stage("comparedsm", {"dsm": a, "reference": b, "align": method}, Silent())
     assert (found.alignment.dx, found.alignment.dy) == pytest.approx((stage["dx"], stage["dy"]), abs=1e-9)
-    for name in ("rmse", "me", "mae", "nmad", "bias", "valid"):
+    for name in ("rmse", "medae", "mae", "nmad", "bias", "valid"):
         assert getattr(found.metrics, name) == pytest.approx(stage[name], abs=1e-6), name
     assert dict(found.metrics.completeness)[1.0] == pytest.approx(stage["completeness"], abs=1e-6)
 

@@ -186,7 +186,7 @@ def disagreeing(scene, first_px, third_px, sensor="Pleiades 1A", uncertain=40.0)
 @pytest.mark.parametrize(
     ("figures", "words"),
     (
-        (replace(NO_TIES, height_uncertainty_m=455.8), "the absolute height is uncertain by 456 m instead of"),
+        (replace(NO_TIES, height_uncertainty_m=455.8), "the absolute height is uncertain by 375 m instead of"),
         (
             replace(NO_TIES, height_uncertainty_m=10.0, shifts_px={"img_02": (60.0, 30.0)}),
             "the pointing of img_02 is corrected by 33.5 m on the ground (CE90 8.5 m, ",
@@ -220,7 +220,7 @@ def test_rpcs_may_disagree_as_the_vendors_promise(scene, sensor, ce90_m):
         f"img_01 and img_02 ({limit_px * 1.02:.1f} px, {limit_m * 1.02:.1f} m on the ground",
         f"where at most {limit_m:.1f} m are expected",
         f"CE90 {ce90_m:.1f} m ({sensor or 'assumed'}",
-        "uncertain by 40.0 m",
+        "uncertain by 32.9 m (LE90)",
         "each RPC belongs to its image, give ground control points (GCPS)",
         "ALIGN=3d",
     ):
@@ -239,10 +239,10 @@ def test_the_image_that_contradicts_all_others_is_named(scene):
 
 def test_the_height_is_said_to_be_uncertain_with_its_source(scene):
     seen, figures = disagreeing(scene, 1.0, -1.5, uncertain=5.7)
-    measured, promise = absolute_height(seen.views, figures)
-    assert "uncertain by 5.7 m (two standard deviations)" in measured and "by 1.08 px across the parallax" in measured
+    stated, promise, measured = absolute_height(seen.views, figures)
+    assert "uncertain by 4.7 m (LE90" in stated and "by 1.08 px across the parallax" in measured
     known = height_uncertainty(seen.views, figures)
-    assert f"by {2 * known.promised_m:.1f} m if the RPCs are as wrong as is promised" in measured
+    assert f"that alone is LE90 {1.645 * known.promised_m:.1f} m in height" in promise
     assert f"{known.disagreement:.2f} times as much as that lets expect" in measured
     assert (
         "at most CE90 8.5 m (Pleiades 1A: Astrium," in promise and "LE90" in promise and "nothing in common" in promise

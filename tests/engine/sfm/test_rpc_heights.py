@@ -108,13 +108,13 @@ def test_it_is_a_warning_with_both_ranges_and_a_remedy(urban, fitted):
     (text,) = [said for said in advice(scene, [], figures) if "its RPCs were made" in said]
     for words in (
         "at 200 to 250 m, but its RPCs were made for 400 to 600 m",
-        "uncertain by 123.4 m",
+        "uncertain by 101.5 m (LE90)",
         "DEM",
         "GCPS",
         "REFERENCE",
     ):
         assert words in text, text
-    assert "the ground lies outside the heights that they were made for" in absolute_height(views, figures)[0]
+    assert "ground lies outside the heights that they were made for" in absolute_height(views, figures)[2]
     # With ground control, a DEM, or ground inside, nothing is said.
     for fine in (replace(figures, height_uncertainty_m=None), replace(figures, ground_m=None)):
         assert not any("were made for" in said for said in (*advice(scene, [], fine), *absolute_height(views, fine)))

@@ -91,13 +91,13 @@ def test_known_biases_come_out_and_compensation_takes_them_out(urban, scene, exa
     assert np.abs(by_hand).max() > 0.3  # there is something to find
     for name, column in zip(("east", "north", "height"), by_hand.T):
         of = result["components"]["rpc"][name]
-        assert (of["me"], of["rmse"], of["max"], of["count"]) == pytest.approx(
+        assert (of["medae"], of["rmse"], of["max"], of["count"]) == pytest.approx(
             (np.median(np.abs(column)), np.sqrt(np.mean(column**2)), np.abs(column).max(), 12), abs=1e-3
         )
     assert result["rpc_rmse"] == result["components"]["rpc"]["height"]["rmse"]
     # A bias is the same all over such a small scene: shifts take it out.
     assert result["compensated_max"] < 0.02 and result["components"]["compensated"]["east"]["max"] < 0.01
-    assert not {"scene_me", "dsm_me"} & set(result)
+    assert not {"scene_medae", "dsm_medae"} & set(result)
     residual = found["P03"]["properties"]["rpc_px"]
     assert residual == pytest.approx(np.sqrt(np.mean((urban.biases**2).sum(axis=1))), abs=0.02)
 
@@ -210,7 +210,7 @@ def test_the_true_dsm_has_no_error_and_a_raised_one_its_own(urban, exact, tmp_pa
     assert set(result["components"]) == {"dsm"} and set(result["components"]["dsm"]) == {"height"}
     raised = changed(urban.truth, tmp_path / "raised.tif", lambda heights: heights + 1.25)
     result = run_stage("checkgcps", {"gcps": exact, "dsm": raised}, told())
-    assert (result["dsm_me"], result["dsm_rmse"], result["dsm_max"]) == pytest.approx((1.25,) * 3, abs=0.001)
+    assert (result["dsm_medae"], result["dsm_rmse"], result["dsm_max"]) == pytest.approx((1.25,) * 3, abs=0.001)
 
 
 def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
@@ -246,7 +246,7 @@ def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, t
             assert result["dsm_max"] < 0.05 and said.warnings == []  # the geoid tilts by centimetres over the scene
     said = told()
     result = run_stage("checkgcps", {"gcps": tables["EGM96"], "dsm": urban.truth}, said)
-    assert result["dsm_me"] == pytest.approx(undulation, abs=0.05)
+    assert result["dsm_medae"] == pytest.approx(undulation, abs=0.05)
     assert any("usually a geoid" in text and "GCP_DATUM" in text for text in said.warnings)
 
 
@@ -384,13 +384,13 @@ def test_without_control_points_there_is_no_compensation_and_that_is_said(urban,
     path = written(tmp_path / "g.csv", urban, points, role=lambda k: "check")
     said = told()
     result = run_stage("checkgcps", {"gcps": path, "scene": scene}, said)
-    assert "rpc_me" in result and "compensated_me" not in result
+    assert "rpc_medae" in result and "compensated_medae" not in result
     assert len(said.warnings) == 1 and "role control" in said.warnings[0]
 
 
 def test_errors_are_the_papers():
     errors = ErrorSummary.of(np.array([1.0, -2.0, 2.0, np.nan, -5.0]))
-    assert (errors.count, errors.me, errors.max) == (4, 2.0, 5.0) and errors.rmse == pytest.approx(np.sqrt(34 / 4))
+    assert (errors.count, errors.medae, errors.max) == (4, 2.0, 5.0) and errors.rmse == pytest.approx(np.sqrt(34 / 4))
     assert ErrorSummary.of(np.array([np.nan])).count == 0
 
 

@@ -16,6 +16,7 @@ from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.scene import Scene
+from repm_qgis.sfm.advice import absolute_height
 from repm_qgis.stages import run_stage
 from repm_qgis.vector import read_points
 
@@ -93,6 +94,9 @@ def test_the_shift_is_told_with_honest_deviations(registered, mountains, matched
     assert 0.001 < made["east_deviation"] < 0.05 and 0.001 < made["up_deviation"] < 0.05
     assert figures.latest.moved == tuple(moved) and len(figures.determined) == 2 and figures.pointing_px < 0.01
     assert any(text.startswith("The scene was moved by (") for text in said.notes)
+    # The run's report and the registration's give one figure for what is to be expected without a reference.
+    scene = Scene.load(matched)
+    assert f"uncertain by {figures.promised_m[1]:.1f} m (LE90" in absolute_height(scene.views, scene.pointing)[0]
 
 
 def test_images_see_the_moved_ground_where_they_saw_the_ground(registered, matched):
