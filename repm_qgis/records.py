@@ -434,8 +434,10 @@ class DemOffset(Record):
 class FusionFacts(Record):
     """What fusion counted, in cells of the DSM: ``cells`` that two images see, ``valid`` ones with a height, of these
     ``matched``, ``background`` (all other sources but interpolation) and ``interpolated`` ones; ``removed`` were
-    outliers. ``points`` are the cloud's, ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset``
-    is None where no DEM was given, or none that could be compared."""
+    outliers, ``needles`` stood far above all others on a single map's word. ``points`` are the cloud's,
+    ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was given, or
+    none that could be compared.
+    """
 
     cells: int
     valid: int
@@ -448,6 +450,7 @@ class FusionFacts(Record):
     resolution: float
     crs: str
     dem_offset: Optional[DemOffset] = None
+    needles: int = 0
 
 
 @dataclass(frozen=True)

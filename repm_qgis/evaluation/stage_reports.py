@@ -133,7 +133,8 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     known = f"{facts.valid} of {facts.cells} that two images see ({facts.valid_percent:.1f} %)"
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
-    report.facts([*figures, ("Heights", heights), ("CRS", facts.crs)])
+    removed = [("Needles that were removed", f"{facts.needles} cells")] if facts.needles else []
+    report.facts([*figures, *removed, ("Heights", heights), ("CRS", facts.crs)])
     if facts.dem_offset is not None and not facts.dem_offset.unexpected:  # which stands at the top
         report.paragraph(facts.dem_offset.sentence())
 

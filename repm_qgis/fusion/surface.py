@@ -17,6 +17,7 @@ from ..workspace import writing
 from .brightness import Witnesses, brightness
 from .choice import Problem, chosen, near_reach, reach_cells
 from .joining import JoinedTiles
+from .needles import needles
 from .parameters import FUSION, FusionParameters
 from .provenance import SurfaceCells, described
 
@@ -72,7 +73,7 @@ def light_block(task: LightTask) -> None:
 class SurfaceTask:
     """All a worker needs to make a block: the ``joined`` tiles on the ``grid``, the ``wide`` window on which its own
     cells depend, and the blocks of brightness; without these, in a scene without walls, nothing is chosen. ``filled``:
-    cells may have heights that no map has."""
+    cells may have heights that no map has. A needle has ``largest`` cells at most (:func:`.needles.largest_needle`)."""
 
     block: Block
     wide: Window
@@ -80,16 +81,18 @@ class SurfaceTask:
     grid: CellGrid
     lights: Tuple[Block, ...]
     filled: bool
+    largest: int
     parameters: FusionParameters = FUSION
 
 
-def halo(grid: CellGrid, walls: bool, parameters: FusionParameters = FUSION) -> int:
-    """How many cells around a block its surface depends on."""
-    return near_reach(grid.cell, parameters.choice) + (reach_cells(grid.cell, parameters.choice) if walls else 0)
+def halo(grid: CellGrid, walls: bool, largest: int, parameters: FusionParameters = FUSION) -> int:
+    """How many cells around a block its surface depends on; needles have ``largest`` cells at most."""
+    around = near_reach(grid.cell, parameters.choice) + largest + parameters.needles.around_cells
+    return around + (reach_cells(grid.cell, parameters.choice) if walls else 0)
 
 
-def make_block(task: SurfaceTask) -> None:
-    """Write the surface of a block into its file."""
+def make_block(task: SurfaceTask) -> int:
+    """Write the surface of a block into its file; gives how many of its own cells were needles."""
     p, cell, fused = task.parameters, task.grid.cell, task.joined.fused(task.wide)
     ground, height = task.joined.ground(task.wide), fused.height
     if task.lights:
@@ -97,9 +100,12 @@ def make_block(task: SurfaceTask) -> None:
         height = chosen(Problem(fused, ground, light, cell, p.evidence, p.choice))
     surface = described(fused, ground, height, near_reach(cell, p.choice), p.evidence, p.error)
     values = np.stack([getattr(surface, field.name) for field in fields(surface)])
+    gone = needles(surface.height, surface.count, cell, task.largest, p.needles)
+    values[:, gone] = np.nan
     if not task.filled:
         values[:, surface.source != Provenance.MATCHED] = np.nan
     task.block.keep(task.wide, values)
+    return int(gone[task.block.own.inside(task.wide)].sum())
 
 
 def _light(blocks: Sequence[Block], window: Window) -> FloatImage:

@@ -27,8 +27,8 @@ _SHORT = {"east": "e", "north": "n", "height": "h"}
 def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     """Measure; see :mod:`repm_qgis.evaluation.gcp_accuracy` for what the errors mean.
 
-    Gives ``{column}_medae``, ``_rmse`` and ``_max`` of the heights (m) for rpc, compensated, scene and dsm as far as they
-    are known, the same for the three ``components``, and the points left out as ``wrong``.
+    Gives ``{column}_medae``, ``_rmse`` and ``_max`` of the heights (m) for rpc, compensated, scene and dsm as far as
+    they are known, the same for the three ``components``, and the points left out as ``wrong``.
 
     Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
     """

@@ -14,6 +14,7 @@ from ..fusion.brightness import Witnesses
 from ..fusion.coarse_means import CoarseMeans
 from ..fusion.joining import JoinedTiles, join_tiles
 from ..fusion.layout import DsmLayout
+from ..fusion.needles import largest_needle
 from ..fusion.rasters import write_products
 from ..fusion.surface import Block, LightTask, SurfaceTask, blocks_of, halo, light_block, make_block
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
@@ -86,9 +87,14 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         progress.info(f"Reused {reused} of {counted(len(stored), 'fused tile')} that an earlier run had finished.")
     walls: bool = run_whole(_walls, fusion, progress, "looking for walls")
     joined: JoinedTiles = run_whole(_joined, (fusion, stored, walls), progress, "joining the tiles")
-    blocks = _chosen(fusion, joined, walls, Part(progress, _TILES, 1.0))
+    blocks, gone = _chosen(fusion, joined, walls, Part(progress, _TILES, 1.0))
+    if gone:
+        progress.info(
+            f"Removed {counted(gone, 'cell')} of needles: a few cells far above all others around them, which only one "
+            "pair of images has."
+        )
     facts: FusionFacts = run_whole(_written, (fusion, joined, blocks), progress, "writing the products")
-    return facts, stored
+    return replace(facts, needles=gone), stored
 
 
 def _walls(fusion: Fusion, progress: Progress) -> bool:
@@ -103,20 +109,21 @@ def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> 
     return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, folder, walls, numbers)
 
 
-def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> List[Block]:
-    """The surface of all blocks."""
+def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> Tuple[List[Block], int]:
+    """The surface of all blocks, and how many cells were needles."""
     options, numbers = fusion.options, fusion.parameters.fusion
     grid, name = fusion.layout.grid.part(joined.crop), f"{fusion.folder}/surface"
     lights = _lights(fusion, joined, Part(progress, 0.0, 0.3)) if walls else ()
-    around, filled = halo(grid, walls, numbers), options.fill != "none"
+    largest = largest_needle(grid.cell, fusion.scene.gsd_m, numbers.needles)
+    around, filled = halo(grid, walls, largest, numbers), options.fill != "none"
     tasks = [
-        SurfaceTask(block, wide, joined, grid, lights, filled, numbers)
+        SurfaceTask(block, wide, joined, grid, lights, filled, largest, numbers)
         for block, wide in blocks_of(grid, name, around, numbers)
     ]
     workers = _workers_of_blocks(fusion, [task.wide for task in tasks], progress)
     part = Part(progress, 0.3 if walls else 0.0, 1.0)
-    run_tasks(make_block, tasks, workers, part, lambda _: "choosing heights")
-    return [task.block for task in tasks]
+    gone: List[int] = run_tasks(make_block, tasks, workers, part, lambda _: "choosing heights")
+    return [task.block for task in tasks], sum(gone)
 
 
 def _lights(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> Tuple[Block, ...]:

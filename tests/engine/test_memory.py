@@ -128,7 +128,7 @@ whole = Window(0, 0, side, side)
 joined = JoinedTiles(whole, folder + "/joined.tif", 0, folder + "/shaded.tif" if walls else "")
 lights = (Block(whole, folder + "/light.npy"),) if walls else ()
 grid = CellGrid(0.0, side * 0.5, 0.5, (side, side))
-make_block(SurfaceTask(Block(whole, folder + "/made.npy"), whole, joined, grid, lights, True))
+make_block(SurfaceTask(Block(whole, folder + "/made.npy"), whole, joined, grid, lights, True, 20))
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print(json.dumps(int(peak.split()[1]) / 1024))
 """

@@ -1,0 +1,91 @@
+"""Needles removed: a few cells far above all others around them, which a single map has.
+
+Matching removes small connected components of disparities, but lets those pass that match well: towers and chimneys are
+so small. Where a texture repeats itself, gross errors match as well. Other maps outvote most cells of such a patch, and
+what is left of it in the surface is even smaller. So a component that is as small as what matching removes needs a
+second map for a witness, if it is much higher above everything around it than it is wide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..arrays import FloatImage, IntArray, Mask
+from .parameters import FUSION, NeedleParameters
+from .surroundings import extremes
+
+_UNIT_M = 0.5  # of heights as 16-bit integers, which hold all heights on Earth
+_NONE = -32768
+
+
+def largest_needle(cell: float, spacing: float, parameters: NeedleParameters = FUSION.needles) -> int:
+    """How many cells of the side ``cell`` a needle has at most, whose pixels lie ``spacing`` apart (both m)."""
+    return max(1, min(round(parameters.speckle_px * (spacing / cell) ** 2), parameters.most_cells))
+
+
+def needles(
+    height: FloatImage, count: FloatImage, cell: float, largest: int, parameters: NeedleParameters = FUSION.needles
+) -> Mask:
+    """(H, W) the cells that are needles, of heights (m, NaN = none) that so many maps have matched (NaN = none).
+
+    ``cell`` is the side of a cell, m; ``largest`` is as of :func:`largest_needle`. Whether a cell is one depends on
+    the cells as far as ``largest + around_cells`` around it.
+    """
+    known = np.isfinite(height)
+    steps = np.where(known, np.rint(np.nan_to_num(height) / _UNIT_M), _NONE).astype(np.int16)
+    left, most = steps.copy(), int(parameters.step_m / _UNIT_M)
+    cv2.filterSpeckles(left, _NONE, largest, most)
+    small = known & (left == _NONE)
+    low, _ = extremes(height, known, parameters.around_cells)
+    with np.errstate(invalid="ignore"):
+        high = small & (height - low > parameters.slender * cell)
+    result = np.zeros(height.shape, bool)
+    if not high.any():
+        return result
+    labels = _components(steps.astype(np.int64), small, most)
+    places = ndimage.find_objects(labels)
+    for label in np.unique(labels[high]):
+        near = tuple(_wider(side, parameters.around_cells) for side in places[label - 1])
+        own = labels[near] == label
+        lone = np.nan_to_num(count[near][own]).max() < 2
+        if lone and _stands_out(own, height[near], cell, parameters):
+            result[near] |= own
+    return result
+
+
+def _wider(side: slice, by: int) -> slice:
+    return slice(max(side.start - by, 0), side.stop + by)
+
+
+def _stands_out(own: Mask, height: FloatImage, cell: float, parameters: NeedleParameters) -> bool:
+    """Whether cells stand above all around them by so much more than they are wide."""
+    side = 2 * parameters.around_cells + 1
+    around = (cv2.dilate(own.astype(np.uint8), np.ones((side, side), np.uint8)) > 0) & ~own & np.isfinite(height)
+    if not around.any():
+        return False
+    width = cell * math.sqrt(int(own.sum()))
+    return bool(height[own].min() - height[around].max() > parameters.slender * width)
+
+
+def _components(steps: IntArray, cells: Mask, most: int) -> IntArray:
+    """(H, W) the numbers of the connected components of some cells, from 1 on; 0 elsewhere."""
+    number = np.full(steps.shape, -1, np.int64)
+    count = int(cells.sum())
+    number[cells] = np.arange(count)
+    pairs = []
+    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        apart = np.abs(steps[here] - steps[there])
+        same = cells[here] & cells[there] & (apart <= most)
+        pairs.append((number[here][same], number[there][same]))
+    rows, columns = (np.concatenate(parts) for parts in zip(*pairs))
+    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(count, count))
+    _, names = connected_components(graph, directed=False)
+    labels = np.zeros(steps.shape, np.int64)
+    labels[cells] = names + 1
+    return labels
