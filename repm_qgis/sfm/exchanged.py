@@ -5,6 +5,9 @@ well, and nothing but the small things that differ between two lines of sight te
 with height). So the ties of each pair are fitted twice, with the RPCs as they are and exchanged, with shifts alone:
 what sound RPCs need no more than. An affine correction would take these small things away.
 
+Where two images alone leave a doubt, as forward and backward ones of a satellite do, the ties that each has with all
+other images are fitted with them: a third line of sight tells more.
+
 The better fit counts by Schwarz's information criterion; both models have the same number of parameters.
 """
 
@@ -12,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Callable, Iterator, Sequence, Tuple
+from typing import Callable, Iterator, List, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -25,7 +28,8 @@ from .parameters import POINTING, PointingParameters
 @dataclass(frozen=True)
 class Exchange:
     """Two views with the median residuals of their ties, px, with the RPCs as they are and exchanged, and by how much
-    the exchange is better: the difference of the information criteria, negative where it is worse."""
+    the exchange is better: the difference of the information criteria, negative where it is worse. The ties are those
+    of both or, where these leave a doubt, all that either of the two has."""
 
     pair: Tuple[str, str]
     own_px: float
@@ -36,24 +40,64 @@ class Exchange:
 def exchanges(
     views: Sequence[View], tracks: Sequence[Track], altitude: float, parameters: PointingParameters = POINTING
 ) -> Iterator[Exchange]:
-    """What an exchange of the RPCs of two views would change, for all two that share enough ties.
+    """What an exchange of the RPCs of two views would change: for all two that share enough ties, and for those whose
+    ties with other views fit badly.
 
     ``altitude`` is where ground points start from, metres above the ellipsoid.
     """
-    p = parameters.exchange
+    p, bad = parameters.exchange, _badly_fitting(views, tracks, altitude, parameters)
     for pair in combinations(views, 2):
         names = pair[0].name, pair[1].name
-        shared = [track for track in tracks if all(name in track.pixels for name in names)]
-        if len(shared) < p.least_ties:
+        either = [track for track in tracks if any(name in track.pixels for name in names)]
+        both = [track for track in either if all(name in track.pixels for name in names)]
+        found = None
+        if len(both) >= p.least_ties:
+            ties = [Track({name: track.pixels[name] for name in names}) for track in both]
+            found = _exchange(pair, pair, ties, altitude, parameters)
+        elif not bad.issuperset(names):
             continue
-        # Evenly spread over the list, which goes through the images part by part.
-        some = [shared[k] for k in np.linspace(0, len(shared) - 1, min(len(shared), p.most_ties)).astype(int)]
-        ties = [Track({name: track.pixels[name] for name in names}) for track in some]
-        crossed = [replace(view, rpc=other.rpc) for view, other in zip(pair, pair[::-1])]
-        own, other = (adjust(each, ties, altitude, "shift", (), parameters).residual_px for each in (pair, crossed))
-        limit = p.limit * min(float(np.median(own)), float(np.median(other)))
-        fits = [len(ties) * np.log(np.mean(np.minimum(each, limit) ** 2) + 1e-12) for each in (own, other)]
-        yield Exchange(names, float(np.median(own)), float(np.median(other)), float(fits[0] - fits[1]))
+        if len(views) > 2 and (found is None or found.evidence > -p.sure_evidence):
+            found = _exchange(pair, views, either, altitude, parameters)
+        if found is not None:
+            yield found
+
+
+def _exchange(
+    pair: Tuple[View, View],
+    views: Sequence[View],
+    tracks: Sequence[Track],
+    altitude: float,
+    parameters: PointingParameters,
+) -> Exchange:
+    """What the exchange of a pair's RPCs changes in the fit of some ties of these views, to which the pair belongs."""
+    p, names = parameters.exchange, (pair[0].name, pair[1].name)
+    ties = _some(tracks, p.most_ties)
+    seen = {name for track in ties for name in track.pixels}
+    rpcs = dict(zip(names, (pair[1].rpc, pair[0].rpc)))
+    sound = [view for view in views if view.name in seen]
+    crossed = [replace(view, rpc=rpcs.get(view.name, view.rpc)) for view in sound]
+    own, other = (adjust(each, ties, altitude, "shift", (), parameters).residual_px for each in (sound, crossed))
+    limit = p.limit * min(float(np.median(own)), float(np.median(other)))
+    fits = [len(ties) * np.log(np.mean(np.minimum(each, limit) ** 2) + 1e-12) for each in (own, other)]
+    return Exchange(names, float(np.median(own)), float(np.median(other)), float(fits[0] - fits[1]))
+
+
+def _some(tracks: Sequence[Track], most: int) -> List[Track]:
+    """So many tracks at most, evenly spread over the list, which goes through the images part by part."""
+    return [tracks[k] for k in np.linspace(0, len(tracks) - 1, min(len(tracks), most)).astype(int)]
+
+
+def _badly_fitting(
+    views: Sequence[View], tracks: Sequence[Track], altitude: float, parameters: PointingParameters
+) -> Set[str]:
+    """The names of the views whose ties do not fit as those of sound RPCs do, where all are fitted together."""
+    p = parameters.exchange
+    if len(views) < 3:
+        return set()
+    ties = _some(tracks, p.view_ties * len(views))
+    residuals = adjust(views, ties, altitude, "shift", (), parameters).residual_px
+    of_views = {view.name: [px for track, px in zip(ties, residuals) if view.name in track.pixels] for view in views}
+    return {name for name, found in of_views.items() if found and np.median(found) > p.sure_px}
 
 
 def require_own_rpcs(

@@ -204,13 +204,14 @@ class PromiseParameters(Parameters):
 
 @dataclass(frozen=True)
 class ExchangeParameters(Parameters):
-    """Whether two images have each other's RPC (sfm/exchanged.py; `make bench-input`)."""
+    """Whether two images have each other's RPC (sfm/exchanged.py; `make bench-own_rpcs`)."""
 
     least_ties: int = 20  # of two images: fewer say nothing. Chosen
     most_ties: int = 200  # that are asked: bounds the time. Chosen
+    view_ties: int = 50  # for each of many views, of which it is asked whether its ties fit. Chosen
     limit: float = 5.0  # median residuals beyond which all ties count alike. Chosen
     least_evidence: float = 10.0  # for a warning: "very strong" (Kass and Raftery 1995, "Bayes factors"); -2 at most
-    # on 20 sound scenes, and 14 to 480 on exchanged ones
+    # on sound scenes, and 19 to 480 on exchanged ones
     sure_evidence: float = 30.0  # for a refusal, where the ties also fit to
     sure_px: float = 0.15  # after the exchange, as ties of sound RPCs do (0.03 to 0.11 px)
 

@@ -67,6 +67,44 @@ def test_few_ties_say_nothing(views):
     assert list(exchanges(crossed(views), tracks, altitude)) == []
 
 
+@pytest.fixture(scope="module")
+def three(urban):
+    return load_views(urban.images[:3])
+
+
+def ties_by_pair(views, noise_px, counts, seed=3):
+    """Ties that two of the views share, so many of each pair; and the ground's mean height."""
+    every, middle = ties(views, noise_px, seed, sum(counts.values()))
+    names, found = [view.name for view in views], []
+    for (first, second), count in counts.items():
+        found += [
+            Track({names[k]: every[len(found) + n].pixels[names[k]] for k in (first, second)}) for n in range(count)
+        ]
+    return found, middle
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_third_image_decides_where_two_leave_a_doubt(three, seed):
+    """Forward and backward images of WHU-TLC fitted as well with each other's RPCs: heights were upside down."""
+    tracks, altitude = ties_by_pair(three, 0.12, {(0, 1): 25, (0, 2): 150, (1, 2): 150}, seed)
+    own = [track for track in tracks if all(view.name in track.pixels for view in three[:2])]
+    wrong = [*crossed(three[:2]), three[2]]
+    (alone,) = exchanges(wrong[:2], own, altitude)
+    assert alone.evidence < POINTING.exchange.sure_evidence
+    found = {each.pair: each.evidence for each in exchanges(wrong, tracks, altitude)}
+    assert found[three[0].name, three[1].name] > 2 * POINTING.exchange.sure_evidence
+    assert max(found, key=found.get) == (three[0].name, three[1].name)
+    require_own_rpcs(three, tracks, altitude, pytest.fail)
+
+
+def test_two_images_that_share_no_ties_are_compared_by_way_of_the_third(three):
+    tracks, altitude = ties_by_pair(three, 0.03, {(0, 2): 100, (1, 2): 100})
+    wrong = [*crossed(three[:2]), three[2]]
+    with pytest.raises(RpcInvalidError, match=f"{three[0].name} and {three[1].name} have each other's RPC"):
+        require_own_rpcs(wrong, tracks, altitude, pytest.fail)
+    require_own_rpcs(three, tracks, altitude, pytest.fail)
+
+
 def with_rpcs(images, order, folder):
     """The images, each with the RPC of that place in the order."""
     made = []
