@@ -18,7 +18,7 @@ from ..geometry.footprints import footprint, seen_twice
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
-from ..geometry.vertical import TAG
+from ..geometry.vertical import DEVIATION_TAG, TAG
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, Provenance
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import RasterWriter, created
@@ -48,12 +48,21 @@ class _Products:
 
     @classmethod
     def opened(
-        cls, stack: ExitStack, options: DsmFuseOptions, scene: Scene, layout: DsmLayout, crop: Window, folder: str
+        cls,
+        stack: ExitStack,
+        options: DsmFuseOptions,
+        scene: Scene,
+        layout: DsmLayout,
+        crop: Window,
+        folder: str,
+        deviation_m: Optional[float],
     ) -> _Products:
         datum, cells, shape = layout.datum, layout.grid.part(crop), (crop.height, crop.width)
         wkt = pyproj.CRS.from_user_input(layout.crs).to_wkt()
         metadata = {"REPM_SCENE": scene.fingerprint, "REPM_ENGINE": __version__, "REPM_METHOD": options.method}
         metadata.update({"REPM_FILL": options.fill, TAG: datum.name})
+        if deviation_m is not None:
+            metadata[DEVIATION_TAG] = f"{deviation_m:.3f}"
         kind, place = np.dtype(np.float32), cells.geotransform
 
         def raster(path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt, **more: Any) -> RasterWriter:
@@ -85,16 +94,18 @@ def write_products(
     folder: str,
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
+    deviation_m: Optional[float] = None,
 ) -> FusionFacts:
     """Write DSM and confidence from the surface's ``blocks``; gives what was counted, without a cloud's points.
 
     ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
+    ``deviation_m`` is the standard deviation of the absolute height, m, which the rasters state.
     Raises WorkspaceError where a file cannot be written, SceneError where an image was replaced amid the work.
     """
     crop, grid = joined.crop, layout.grid.part(joined.crop)
     valid, matched, levels = 0, 0, []
     with ExitStack() as stack:
-        products = _Products.opened(stack, options, scene, layout, crop, folder)
+        products = _Products.opened(stack, options, scene, layout, crop, folder, deviation_m)
         for block in blocks:
             surface, own = block.surface(), block.own
             known = np.isfinite(surface.height)

@@ -23,6 +23,8 @@ LISTED = ("EGM2008", "EGM96", "EPSG:5621", "EPSG:7837", "EPSG:5720", "EPSG:5701"
 ELLIPSOID = "WGS 84 ellipsoid"
 TAG = "VERTICAL_DATUM"
 """The metadata item of a raster with the name of its heights' datum."""
+DEVIATION_TAG = "REPM_HEIGHT_DEVIATION"
+"""The metadata item with the standard deviation of a DSM's absolute height, m, where the scene states one."""
 
 _ELLIPSOIDAL = "EPSG:4979"
 

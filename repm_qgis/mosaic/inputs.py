@@ -18,7 +18,7 @@ from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_place
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
 from ..geometry.tiles import enclosing
-from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
+from ..geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
@@ -42,12 +42,14 @@ class Surface:
 class Dsm(Surface):
     """A surface with the band of its expected error, and its place in the mosaic.
 
-    ``ratio`` is how many of its cells one cell of the mosaic is wide.
+    ``ratio`` is how many of its cells one cell of the mosaic is wide, ``deviation`` the standard deviation of its
+    absolute height, m (None: it does not say).
     """
 
     band: int = 0
     window: Window = Window(0, 0, 0, 0)
     ratio: float = 1.0
+    deviation: Optional[float] = None
 
 
 @dataclass(frozen=True)
@@ -71,10 +73,12 @@ class Layout:
 
 @dataclass(frozen=True)
 class Found:
-    """A DSM's frame, and what its heights refer to (None: it does not say)."""
+    """A DSM's frame, what its heights refer to, and the standard deviation of its absolute height, m (None: it does
+    not say)."""
 
     grid: Grid
     datum: Optional[HeightDatum]
+    deviation: Optional[float] = None
 
 
 def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Progress) -> Layout:
@@ -101,6 +105,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
             band=_error_band(surface.confidence) if surface.confidence else 0,
             window=grid.window(box),
             ratio=_ratio(each.grid, cell),
+            deviation=each.deviation,
         )
         for surface, each, box in zip(surfaces, found, boxes)
     )
@@ -119,14 +124,23 @@ def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     grid = replace(Grid.of(dataset), path=path)
     require_place(grid)
     to_metres(dataset)  # raises ImageError where that cannot be
-    crs = grid.crs
+    crs, deviation = grid.crs, _stated_deviation(dataset)
     vertical = vertical_part(crs)
     if vertical is None:
         name = as_text(dataset.GetMetadataItem(TAG) or "")
-        return Found(grid, HeightDatum("", name) if name else None)
+        return Found(grid, HeightDatum("", name) if name else None, deviation)
     if crs.is_compound:
-        return Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")))
-    return Found(grid, HeightDatum("", ELLIPSOID if "WGS 84" in vertical else vertical))
+        return Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")), deviation)
+    return Found(grid, HeightDatum("", ELLIPSOID if "WGS 84" in vertical else vertical), deviation)
+
+
+def _stated_deviation(dataset: gdal.Dataset) -> Optional[float]:
+    """The standard deviation of the absolute height that a raster states, m; None where it states none, or nonsense."""
+    try:
+        found = float(as_text(dataset.GetMetadataItem(DEVIATION_TAG) or ""))
+    except ValueError:
+        return None
+    return found if 0.0 <= found < math.inf else None
 
 
 def _common_datum(paths: Sequence[str], found: Sequence[Found], progress: Progress) -> Optional[HeightDatum]:

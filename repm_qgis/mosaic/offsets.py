@@ -16,6 +16,8 @@ import numpy as np
 from ..arrays import FloatArray
 from .parameters import MOSAIC, OffsetParameters
 
+_LEAST_STATED_M = 0.01  # no DSM's absolute height is known better
+
 
 @dataclass(frozen=True)
 class Overlap:
@@ -50,11 +52,16 @@ class Offsets:
 
 
 def solve_offsets(
-    count: int, overlaps: Sequence[Overlap], fixed: Collection[int], parameters: OffsetParameters = MOSAIC.offsets
+    count: int,
+    overlaps: Sequence[Overlap],
+    fixed: Collection[int],
+    parameters: OffsetParameters = MOSAIC.offsets,
+    stated: Sequence[Optional[float]] = (),
 ) -> Offsets:
     """Offsets of ``count`` DSMs that leave the least differences; those that are ``fixed`` have 0.
 
-    A group without a fixed DSM keeps its mean height.
+    A group without a fixed DSM keeps its mean height. Where all of its DSMs have a ``stated`` standard deviation of
+    their absolute height, m, each counts for that mean by its inverse variance.
     """
     added, deviation = np.zeros(count), np.zeros(count)
     groups = _groups(count, overlaps)
@@ -63,7 +70,8 @@ def solve_offsets(
         free = [number for number in group if number not in fixed]
         if inside and free:
             anchored = len(free) < len(group)
-            added[free], deviation[free] = _solved(free, inside, anchored, parameters)
+            known = [stated[number] for number in free] if stated else []
+            added[free], deviation[free] = _solved(free, inside, anchored, _shares(known, len(free)), parameters)
     return Offsets(added, deviation, groups, tuple(any(number in fixed for number in group) for group in groups))
 
 
@@ -79,8 +87,18 @@ def _groups(count: int, overlaps: Sequence[Overlap]) -> Tuple[Tuple[int, ...], .
     return tuple(sorted(found.values()))
 
 
+def _shares(stated: Sequence[Optional[float]], count: int) -> FloatArray:
+    """How much each DSM of a group without a fixed one counts for its mean height; together one."""
+    known = [each for each in stated if each is not None]
+    if len(known) < count:
+        return np.full(count, 1.0 / count)
+    weights = 1.0 / np.maximum(known, _LEAST_STATED_M) ** 2
+    shares: FloatArray = weights / weights.sum()
+    return shares
+
+
 def _solved(
-    free: List[int], overlaps: Sequence[Overlap], anchored: bool, parameters: OffsetParameters
+    free: List[int], overlaps: Sequence[Overlap], anchored: bool, shares: FloatArray, parameters: OffsetParameters
 ) -> Tuple[FloatArray, FloatArray]:
     """Offsets of the free DSMs of a group, and their standard deviations, by reweighted least squares."""
     place = {number: column for column, number in enumerate(free)}
@@ -109,6 +127,9 @@ def _solved(
         robust = np.minimum(1.0, parameters.huber * usual / np.maximum(residuals, 1e-12))
         if np.abs(solution - before).max() < 1e-5:
             break
+    if not anchored:  # the solution is known up to a constant: the weighted mean becomes 0
+        centred = np.eye(len(free)) - shares
+        solution, inverse = centred @ solution, centred @ inverse @ centred.T
     return solution, scale * np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
 

@@ -18,6 +18,8 @@ class OffsetParameters(Parameters):
     least_deviation_m: float = 0.001  # of an overlap's median: no overlap counts for more
     most_m: float = 10.0  # by which a DSM is moved without a warning: without ground control images are off by metres
     apart_m: float = 250.0  # of two DSMs' medians, at most: vertical datums differ by 107 m, and nothing else by more
+    unexpected: float = 3.0  # standard deviations that two DSMs state, by which they may differ without a warning; with
+    other_m: float = 1.0  # what no DSM states, such as leaves that have grown and errors of matching
     displaced_patch_cells: int = 128  # side of a part in which a shift to the side is looked for: up to a quarter of it
     displaced_cell_m: float = 2.0  # width of its cells, at least, so that shifts of 60 m are found
     displaced_patches: int = 6  # of an overlap, evenly spread, at most

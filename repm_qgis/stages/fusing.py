@@ -25,7 +25,7 @@ from ..parallel import run_tasks, run_whole
 from ..products import product
 from ..progress import Part, Progress, counted
 from ..records import DemOffset, FusionFacts
-from ..registration.dem_offset import dem_offset
+from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
 from ..scene import Scene
 from ..workspace import ensure_folder, fingerprint
@@ -159,7 +159,8 @@ def _written(task: Tuple[Fusion, JoinedTiles, List[Block]], progress: Progress) 
     fusion, joined, blocks = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
-    facts = write_products(options, fusion.scene, layout, joined, blocks, folder, numbers.fusion, means)
+    stated = stated_height_deviation(fusion.scene)
+    facts = write_products(options, fusion.scene, layout, joined, blocks, folder, numbers.fusion, means, stated)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
     for name, path in (("output", options.output), ("confidence", options.confidence)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import Counter
@@ -77,9 +78,11 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     overlaps = _overlaps(options, layout, parameters.mosaic, Part(progress_of, 0.0, 0.2))
     fixed = [number for number, dsm in enumerate(layout.dsms) if dsm.fixed]
     _require_like_heights(layout, overlaps, parameters.mosaic.offsets)
-    offsets = solve_offsets(len(layout.dsms), overlaps, fixed, parameters.mosaic.offsets)
+    stated = [dsm.deviation for dsm in layout.dsms]
+    offsets = solve_offsets(len(layout.dsms), overlaps, fixed, parameters.mosaic.offsets, stated)
     _log(layout, overlaps, offsets, progress)
     _name_large(layout, offsets, parameters.mosaic.offsets, progress)
+    _name_unexpected(layout, overlaps, parameters.mosaic.offsets, progress)
     _name_displaced(layout, overlaps, parameters.mosaic.offsets, progress)
     parts = _sources(options, layout, overlaps, offsets, folder, parameters.mosaic, Part(progress_of, 0.2, 0.3))
     blocks = _blocks(options, layout, parts, folder, parameters.mosaic, Part(progress_of, 0.3, 0.9))
@@ -280,6 +283,28 @@ def _name_large(layout: Layout, offsets: Offsets, parameters: OffsetParameters, 
         )
 
 
+def _name_unexpected(
+    layout: Layout, overlaps: Sequence[Overlap], parameters: OffsetParameters, progress: Progress
+) -> None:
+    """Warn of DSMs that differ by more than the uncertainties of their absolute heights explain, which both state."""
+    found = []
+    for each in overlaps:
+        first, second = layout.dsms[each.first], layout.dsms[each.second]
+        if first.deviation is None or second.deviation is None:
+            continue
+        by, most = abs(each.median), math.hypot(first.deviation, second.deviation, parameters.other_m)
+        if by > parameters.unexpected * most:
+            most *= parameters.unexpected
+            found.append((-by, f"'{first.name}' and '{second.name}' by {by:.1f} m (expected: at most {most:.1f} m)"))
+    if found:
+        names = ", ".join(text for _, text in sorted(found)[:_FEW])
+        more = f", and {counted(len(found) - _FEW, 'pair')} more" if len(found) > _FEW else ""
+        progress.warn(
+            f"Heights of DSMs differ by more than their stated uncertainties explain: {names}{more}; check the RPCs, "
+            "ground control and vertical datums of both, and name those that are right in FIXED."
+        )
+
+
 def _name_displaced(
     layout: Layout, overlaps: Sequence[Overlap], parameters: OffsetParameters, progress: Progress
 ) -> None:
@@ -314,7 +339,9 @@ def _log(layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, progress
     found = f"{counted(len(overlaps), 'overlap')}: median differences of {before:.3f} m (root mean square)"
     progress.info(f"{found} before and {after:.3f} m after the offsets.")
     if not any(offsets.anchored):
-        progress.info("No DSM is fixed (FIXED is empty), so the mean of all offsets is zero.")
+        weighted = all(dsm.deviation is not None for dsm in layout.dsms)
+        how = ", each weighted by its stated uncertainty" if weighted else ""
+        progress.info(f"No DSM is fixed (FIXED is empty), so the mean of all offsets is zero{how}.")
     if len(offsets.groups) > 1:
         names = [", ".join(os.path.basename(layout.dsms[i].name) for i in group) for group in offsets.groups]
         text = f"The DSMs form {len(names)} groups that do not overlap ({'; '.join(names)})"

@@ -17,7 +17,7 @@ import pytest
 from scipy import ndimage
 
 from repm_qgis.errors import Cancelled, ImageError, OptionError, OverlapError, RepmError, SceneError, WorkspaceError
-from repm_qgis.geometry.vertical import ELLIPSOID, TAG
+from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
@@ -450,6 +450,58 @@ def test_large_offsets_are_named(tmp_path, told, up, warned):
     run_stage("mosaic", {"dsms": [good, high], "output": str(tmp_path / "mosaic.tif")}, said)
     named = [text for text in said.warnings if "DSMs are moved by more than 10 m" in text]
     assert bool(named) == warned and (not warned or "good.tif' by +24.0 m" in named[0])
+
+
+@pytest.mark.parametrize(
+    ("stated", "up", "expected"),
+    (
+        (("0.5", "0.5"), 4.0, "3.7"),
+        (("0.5", "0.5"), 3.4, None),
+        (("2.0", "0.5"), 7.2, "6.9"),
+        (("2.0", "0.5"), 6.6, None),
+        (("0.5", None), 8.0, None),
+        (("0.5", "nan"), 8.0, None),
+        (("0.5", "-3"), 8.0, None),
+        (("0.5", "much"), 8.0, None),
+    ),
+)
+def test_what_stated_uncertainties_do_not_explain_is_named(tmp_path, told, stated, up, expected):
+    paths = [
+        write(
+            tmp_path / f"{name}.tif",
+            (start, 0),
+            100,
+            lambda x, y, by=by: ground(x, y) + by,
+            tags={TAG: ELLIPSOID, **({} if deviation is None else {DEVIATION_TAG: deviation})},
+        )
+        for name, start, by, deviation in zip("ab", (0, 50), (0.0, up), stated)
+    ]
+    said, report = told(), tmp_path / "r.html"
+    run_stage("mosaic", {"dsms": paths, "output": str(tmp_path / "m.tif"), "report": str(report)}, said)
+    named = [text for text in said.warnings if "differ by more than their stated uncertainties explain" in text]
+    assert bool(named) == (expected is not None)
+    if expected:
+        assert f"b.tif' by {up:.1f} m (expected: at most {expected} m)" in named[0]
+        assert "Good." not in report.read_text(encoding="utf-8").split("<h2")[0]
+
+
+def test_what_is_known_worse_is_moved_more(tmp_path, told):
+    """Both were moved by half of the difference, however well one of them is known."""
+    good, poor = (
+        write(
+            tmp_path / f"{name}.tif",
+            (start, 0),
+            100,
+            lambda x, y, by=by: ground(x, y) + by,
+            tags={TAG: ELLIPSOID, DEVIATION_TAG: deviation},
+        )
+        for name, start, by, deviation in (("good", 0, 0.0, "0.2"), ("poor", 50, 5.0, "2.0"))
+    )
+    said = told()
+    result = run_stage("mosaic", {"dsms": [good, poor], "output": str(tmp_path / "m.tif")}, said)
+    added = [each["added"] for each in result["offsets"]]
+    assert added == pytest.approx([5.0 / 101, -500.0 / 101], abs=0.01)
+    assert not said.warnings and any("each weighted by its stated uncertainty" in text for text in said.notes)
 
 
 def town(x, y):

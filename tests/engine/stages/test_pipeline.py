@@ -109,6 +109,8 @@ def test_the_dsm_says_what_it_is(urban_run, urban):
     assert "ellipsoid" in dataset.GetRasterBand(1).GetDescription() and dataset.GetRasterBand(1).GetUnitType() == "m"
     assert "ellipsoid" in dataset.GetMetadataItem("VERTICAL_DATUM") and dataset.GetMetadataItem("REPM_ENGINE")
     assert dataset.GetGeoTransform()[0] % 0.5 == 0 and dataset.GetGeoTransform()[1] == 0.5
+    stated = Scene.load(urban_run.result["scene"]).pointing.height_uncertainty_m / 2
+    assert stated > 1 and float(dataset.GetMetadataItem("REPM_HEIGHT_DEVIATION")) == pytest.approx(stated, abs=1e-3)
     dataset = None
 
 
