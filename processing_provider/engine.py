@@ -110,11 +110,12 @@ def _failure(text: str) -> QgsProcessingException:
 def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.parallel import one_thread_for_loaded_sums
     from ..repm_qgis.stages import run_stage
     from ..repm_qgis.translation import written_in
 
     try:
-        with written_in(language()):
+        with written_in(language()), one_thread_for_loaded_sums():
             return run_stage(stage, options, FeedbackProgress(feedback, said))
     except RepmError as error:
         raise _failure(str(error)) from None

@@ -250,6 +250,48 @@ def test_the_environment_of_this_process_stays(work, told, monkeypatch):
     assert dict(os.environ) == before
 
 
+_PINNING = """
+import threading
+import numpy as np
+from repm_qgis.parallel import _thread_settings, one_thread_for_loaded_sums
+
+def threads():
+    return [get() for get, _ in _thread_settings()]
+
+before = threads()
+assert before, "no library is known"
+entered, leave = threading.Event(), threading.Event()
+
+def other():
+    with one_thread_for_loaded_sums():
+        entered.set()
+        leave.wait(20)
+
+with one_thread_for_loaded_sums():
+    assert set(threads()) == {1}, threads()
+    thread = threading.Thread(target=other)
+    thread.start()
+    assert entered.wait(20)
+assert set(threads()) == {1}, "the other block goes on"
+leave.set()
+thread.join()
+assert threads() == before, (threads(), before)
+print("before", max(before))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="Accelerate has no such setting")
+def test_linear_algebra_that_others_have_loaded_gets_one_thread_for_a_while():
+    """Light stages run in QGIS's process, whose numpy has as many threads as cores."""
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", _PINNING], capture_output=True, text=True, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    if cores() > 1:
+        assert done.stdout.strip() == "before 2"
+
+
 def test_few_tasks_are_done_here(work, told):
     """Starting processes would take longer; and so with one worker."""
     assert set(run_tasks(work.who, [1, 2, 3], 2, told(), str)) == {os.getpid()}
