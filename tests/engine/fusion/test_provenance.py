@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
 import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import WorkerError
+from repm_qgis import parallel
+from repm_qgis.errors import OutOfMemoryError, WorkerError
 from repm_qgis.fusion.aggregation import Candidate, FusedCells
 from repm_qgis.fusion.provenance import described
 from repm_qgis.imagery.confidence import Provenance
-from repm_qgis.stages import dsmfuse, run_stage
+from repm_qgis.stages import run_stage
 
 NAN = float("nan")
 
@@ -141,17 +145,21 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
     assert gdal.Open(str(tmp_path / "pairs" / names[1])).RasterCount == 5
 
 
-def test_a_worker_that_dies_is_no_pair_without_heights(urban_run, tmp_path, told, monkeypatch):
+@pytest.mark.skipif(os.name == "nt", reason="no signals there")
+@pytest.mark.parametrize("number", (signal.SIGSEGV, signal.SIGKILL), ids=lambda number: number.name)
+def test_a_worker_that_dies_is_no_pair_without_heights(urban_run, tmp_path, told, number):
     """VIEW_HEIGHTS left an empty folder, said that pairs "have no height in the DSM", and ended with success."""
-    whole, calls = dsmfuse.fused, []
+    pairs, killed = tmp_path / "pairs", []
 
-    def dying(fusion, progress):
-        calls.append(fusion)
-        if len(calls) > 1:  # the DSM of all pairs is made
-            raise WorkerError("A worker process ended without an answer (SIGSEGV) after 0 of 1 tasks: run again.")
-        return whole(fusion, progress)
+    class Deadly(told):
+        def step(self, fraction, text=""):
+            super().step(fraction, text)
+            if pairs.exists() and not killed and "tasks on 2 cores" in text:  # of the first pair alone
+                killed.append(next(iter(parallel._workers._processes())).pid)
+                os.kill(killed[0], number)
 
-    monkeypatch.setattr(dsmfuse, "fused", dying)
-    options = {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"), "workers": 1}
-    with pytest.raises(WorkerError, match="SIGSEGV"):
-        run_stage("dsmfuse", {**options, "view_heights": str(tmp_path / "pairs")}, told())
+    said = Deadly()
+    options = {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"), "workers": 2, "resolution": 1.0}
+    with pytest.raises((WorkerError, OutOfMemoryError), match=number.name):
+        run_stage("dsmfuse", {**options, "view_heights": str(pairs)}, said)
+    assert killed and not said.warnings
