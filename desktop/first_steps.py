@@ -104,7 +104,7 @@ class FirstSteps(QDialog):
         self.refresh()
 
     def _make_dsm(self) -> None:
-        workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), "sample DSM")
+        workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), "sample town")
         self._run("repm:pipeline", {"IMAGES": _sample_images(), "WORKSPACE": workspace})
 
     def _run(self, algorithm: str, parameters: dict[str, Any], finished: Callable[..., Any] = lambda *_: None) -> None:

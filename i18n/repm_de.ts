@@ -1548,6 +1548,10 @@
         <translation>Die Oberfläche in 3D, mit darübergelegten Rastern und Profilen: eine Seite für den Browser, ganz ohne Netz.</translation>
     </message>
     <message>
+        <source>DSM mosaic</source>
+        <translation>DOM-Mosaik</translation>
+    </message>
+    <message>
         <source>A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics.</source>
         <translation>Ein Name, der auf .vrt endet, ergibt einen Ordner mit Kacheln und ein VRT, das sie als ein Raster zeigt: für sehr große Mosaike.</translation>
     </message>
@@ -1740,10 +1744,6 @@
 </context>
 <context>
     <name>RepmStyles</name>
-    <message>
-        <source>{first} to {last}</source>
-        <translation>{first} bis {last}</translation>
-    </message>
     <message>
         <source>Hillshade</source>
         <translation>Schummerung</translation>

@@ -28,7 +28,7 @@ from qgis.PyQt.QtGui import QIcon
 from ..repm_qgis.products import products_of
 from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
-from .kept import in_workspace, is_lasting
+from .kept import in_workspace
 from .language import language, said
 from .parameters import tr
 from .values import checked_value, destination, input_options, is_empty, raster_items
@@ -359,23 +359,21 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return run(self.ID, options, feedback)
 
     def _scene_name(self, options: Mapping[str, Any]) -> str:
-        """The scene that a run is of: the workspace's name, else that in which the scene began, else the first image's.
+        """The scene that a run is of, "" where its files and folders say nothing of it."""
+        from ..repm_qgis import names
 
-        "" where only temporary folders are known of it.
-        """
-        from ..repm_qgis.scene import origin
-
-        scene = options.get("scene") or ""
-        folder = options.get("workspace") or os.path.dirname(scene or options.get("dsm") or "")
-        began, first = "", (options.get("images") or [""])[0]
-        if scene and not is_lasting(folder):  # in a model, between its stages
-            began, first = origin(scene)
-        lasting = [path for path in (folder, began) if is_lasting(path)]
-        return os.path.basename(lasting[0]) if lasting else os.path.splitext(os.path.basename(first))[0]
+        if options.get("scene"):
+            return names.scene_name(options["scene"])
+        if options.get("images"):
+            return names.run_name(options.get("workspace") or "", options.get("output") or "", options["images"])
+        return names.surface_name(options["dsm"]) if options.get("dsm") else ""
 
     def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
         """The days on which the images of a run were taken, as far as they are known."""
+        from ..repm_qgis.names import surface_days
         from ..repm_qgis.scene import days
 
         scene = result.get("scene") or result.get("output_scene") or options.get("scene")
-        return days(scene) if scene else []
+        if scene:
+            return days(scene)
+        return surface_days(options["dsm"]) if options.get("dsm") else []

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, Mapping
 
 from qgis.core import QgsProcessingOutputNumber
 
 from ..repm_qgis.options import ChangeOptions
-from . import parameters, styles
+from . import parameters
 from .base import RepmAlgorithm
-from .kept import is_lasting
 
 
 class Change(RepmAlgorithm):
@@ -85,10 +83,11 @@ class Change(RepmAlgorithm):
         ]
 
     def _scene_name(self, options: Mapping[str, Any]) -> str:
-        """Both dates' DSMs, or their folders where their files have the same name."""
-        dates = [options["before"], options["after"]]
-        names = [os.path.splitext(os.path.basename(path))[0] for path in dates]
-        if names[0] == names[1]:
-            folders = [os.path.dirname(path) for path in dates]
-            names = [os.path.basename(folder) for folder in folders if is_lasting(folder)] or names[:1]
-        return styles.span(names[0], names[-1]) if names[0] != names[-1] else names[0]
+        from ..repm_qgis.names import dates_name
+
+        return dates_name(options["before"], options["after"])
+
+    def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+        from ..repm_qgis.names import surface_days
+
+        return sorted({*surface_days(options["before"]), *surface_days(options["after"])})

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from typing import Any, Mapping
-
 from qgis.core import QgsProcessingOutputNumber
 
 from . import parameters
@@ -38,13 +35,3 @@ class Inspect(RepmAlgorithm):
             QgsProcessingOutputNumber("N_IMAGES", self.tr("Number of images that can be used")),
             QgsProcessingOutputNumber("N_PAIRS", self.tr("Number of pairs that are worth matching")),
         ]
-
-    def _scene_name(self, options: Mapping[str, Any]) -> str:
-        """The folder that holds all images: none of them has a name for the others."""
-        images = options["images"]
-        try:
-            folder = os.path.commonpath([os.path.dirname(path) for path in images])
-        except ValueError:  # on several drives
-            folder = ""
-        name = os.path.basename(folder)
-        return name if name and len(images) > 1 else super()._scene_name(options)

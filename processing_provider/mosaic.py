@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Mapping
+
 from qgis.core import (
     QgsProcessing,
     QgsProcessingOutputNumber,
@@ -83,6 +85,11 @@ class Mosaic(RepmAlgorithm):
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output", "sources", "report")),
         ]
+
+    def _scene_name(self, options: Mapping[str, Any]) -> str:
+        from ..repm_qgis.names import mosaic_name
+
+        return mosaic_name(options["output"] or "", [*options["dsms"], *options["scenes"]])
 
     def extra_outputs(self) -> list:
         return [

@@ -73,7 +73,9 @@ class SampleData(RepmAlgorithm):
 
     def _load(self, made: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
         """Have the scene loaded as a group: QGIS knows the folder as the only result, and loads no folder."""
-        run = styles.Run(f"{self.tr('Sample images')} {os.path.basename(os.path.normpath(made['FOLDER']))}")
+        from ..repm_qgis.names import folder_name
+
+        run = styles.Run(folder_name(made["FOLDER"]) or self.tr("Sample images"))
         hints = QgsProcessingUtils.LayerHint
         points = QUrl.fromLocalFile(made["GCPS"])
         query = QUrlQuery()
@@ -81,9 +83,9 @@ class SampleData(RepmAlgorithm):
             query.addQueryItem(*item)
         points.setQuery(query)
         truth = styles.sidecar("dsm", made["TRUTH"], feedback)
-        styles.load_too(context, made["TRUTH"], hints.Raster, self.tr("True DSM"), "dsm", run, truth)
+        styles.load_too(context, made["TRUTH"], hints.Raster, run.name(self.tr("True DSM")), "dsm", run, truth)
         for image in made["IMAGES"]:
             name = os.path.splitext(os.path.basename(image))[0]
             styles.load_too(context, image, hints.Raster, name, "image", run)
         source = f"delimitedtext://{points.toString(QUrl.ComponentFormattingOption.FullyEncoded)}"
-        styles.load_too(context, source, hints.Vector, self.tr("Ground control points"), "gcps", run)
+        styles.load_too(context, source, hints.Vector, run.name(self.tr("Ground control points")), "gcps", run)

@@ -22,6 +22,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
+from ..repm_qgis.names import titled
 from ..repm_qgis.options import is_textured
 from ..repm_qgis.products import STYLES
 from ..repm_qgis.translation import written_in
@@ -35,11 +36,6 @@ _ORDER, _SCENE, _NUMBER = "repm/order", "repm/scene", "repm/number"
 
 def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmStyles", text)
-
-
-def span(first: str, last: str) -> str:
-    """The first and the last of some days or dates, in words."""
-    return _tr("{first} to {last}").format(first=first, last=last)
 
 
 @dataclass
@@ -57,15 +53,12 @@ class Run:
     number: int = 0
 
     def label(self) -> str:
-        return f"{self.scene} ({self.number})" if self.number > 1 else self.scene
+        """The name of the group: which scene, of when, of which of several runs."""
+        return titled(f"{self.scene} ({self.number})" if self.number > 1 else self.scene, self.days)
 
     def name(self, title: str, more: str = "") -> str:
         """The name of a layer: what, of which scene, of when."""
-        period = self.days[0] if self.days else ""
-        if len(self.days) > 1:
-            period = span(self.days[0], self.days[-1])
-        place = ", ".join(filter(None, (self.label(), period)))
-        return " ".join(filter(None, (title, place, f"({more})" if more else "")))
+        return " ".join(filter(None, (title, self.label(), f"({more})" if more else "")))
 
     def group(self, parent: QgsLayerTreeGroup) -> QgsLayerTreeGroup:
         """The run's group, in that of the layers which QGIS has put there, or next to it."""
@@ -268,8 +261,7 @@ def _dress(context: QgsProcessingContext, kept_as: str, name: str, kind: str, ru
     run.kinds.add(kind)
     details = context.layerToLoadOnCompletionDetails(kept_as)
     details.name = name
-    if kind in ("ept", "image"):
-        details.forceName = True  # the file's name is always the same, or says more than QGIS's
+    details.forceName = True  # QGIS prefers the file's name, which is "dsm" in every workspace
     if hasattr(details, "layerSortKey"):  # QGIS 3.32; its groupName would not know how often a run was repeated
         details.layerSortKey = -_FROM_TOP.index(kind)
     details.setPostProcessor(styler)

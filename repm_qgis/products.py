@@ -219,7 +219,7 @@ PRODUCTS = (
     ),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
     Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
-    Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", help=_MOSAIC, tiled=True),
+    Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", "DSM mosaic", help=_MOSAIC, tiled=True),
     Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
     Product("dtm", "output", "Terrain (DTM)", RASTER, ALWAYS, "dsm", help=_TERRAIN),
     Product(

@@ -458,14 +458,14 @@ def _document(path: str) -> Dict[str, Any]:
     return document
 
 
-def origin(path: str) -> Tuple[str, str]:
-    """The workspace in which a scene began, and its first image; "" for what its file does not contain."""
+def origin(path: str) -> Tuple[str, List[str]]:
+    """The workspace in which a scene began, "" where its file does not say it, and its images."""
     try:
         document = _document(path)
         first = {entry["stage"]: entry["options"] for entry in document["history"]}.get("epmfit", {})
-        return str(first.get("workspace", "")), str(document["views"][0]["image"])
+        return str(first.get("workspace", "")), [str(view["image"]) for view in document["views"]]
     except (SceneError, KeyError, TypeError, AttributeError, IndexError):
-        return "", ""
+        return "", []
 
 
 def days(path: str) -> List[str]:

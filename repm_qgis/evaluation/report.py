@@ -58,9 +58,14 @@ class Report:
     """A page that is written from top to bottom; all methods but :meth:`html` and :meth:`write` return the page."""
 
     def __init__(self, title: str, subtitle: str = "") -> None:
-        self._title, self._subtitle = title, subtitle
+        self._title, self._subtitle, self._of = title, subtitle, ""
         self._parts: List[Tuple[str, Dict[str, Any]]] = []
         self._sections: List[str] = []
+
+    def of(self, name: str) -> Report:
+        """Name what the page is of, in its title: a scene and its days."""
+        self._of = name
+        return self
 
     def section(self, title: str) -> Report:
         """Start a section; from three sections on the page opens with links to them."""
@@ -125,7 +130,7 @@ class Report:
     def html(self) -> str:
         """The whole page."""
         made = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()
-        head = {"title": self._title, "subtitle": self._subtitle, "sections": self._sections}
+        head = {"title": self._title, "of": self._of, "subtitle": self._subtitle, "sections": self._sections}
         head["language"] = reader().language
         return page("report.html", parts=self._parts, made=made, **head)
 

@@ -22,6 +22,7 @@ from ..geometry.vertical import DEVIATION_TAG, TAG
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, Provenance
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import RasterWriter, created
+from ..names import DAYS
 from ..options import DsmFuseOptions
 from ..records import FusionFacts
 from ..scene import Scene
@@ -63,6 +64,9 @@ class _Products:
         metadata.update({"REPM_FILL": options.fill, TAG: datum.name})
         if deviation_m is not None:
             metadata[DEVIATION_TAG] = f"{deviation_m:.3f}"
+        taken = {view.time.date().isoformat() for view in scene.views if view.time is not None}
+        if taken:
+            metadata[DAYS] = " ".join(sorted(taken))
         kind, place = np.dtype(np.float32), cells.geotransform
 
         def raster(path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt, **more: Any) -> RasterWriter:

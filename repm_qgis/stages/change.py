@@ -8,6 +8,7 @@ from ..change.finding import Found, find_changes
 from ..change.page import change_page
 from ..change.parameters import CHANGE
 from ..evaluation.styles import write_style
+from ..names import dates_title
 from ..options import ChangeOptions
 from ..parallel import run_whole
 from ..products import products_of
@@ -33,7 +34,7 @@ def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
             write_style(product.style, path, (-found.shown_m, found.shown_m))
     if options.report:
         progress.step(0.92, "Report")
-        change_page(options, found).write(options.report)
+        change_page(options, found).of(dates_title(options.before, options.after)).write(options.report)
     _log(found, progress)
     progress.step(1.0, "Done")
     gains, losses = found.total(True), found.total(False)

@@ -13,6 +13,7 @@ from ..evaluation.gcp_page import gcp_page
 from ..evaluation.styles import write_style
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
+from ..names import scene_title, surface_title
 from ..options import CheckGcpsOptions
 from ..progress import Progress, counted
 from ..scene import Scene
@@ -54,7 +55,8 @@ def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     if options.output:
         _write_points(scene, found, options.output)
     if options.report:
-        gcp_page(found, options).write(options.report)
+        name = scene_title(scene, options.scene) if scene and options.scene else surface_title(str(options.dsm))
+        gcp_page(found, options).of(name).write(options.report)
     _log_heights(found, progress)
     progress.step(1.0, "points checked")
     counts = {"points": len(found.gcps), "wrong": list(found.wrong)}

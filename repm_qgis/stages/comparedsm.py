@@ -18,6 +18,7 @@ from ..evaluation.profiles import read_lines
 from ..evaluation.styles import write_style
 from ..imagery import raster
 from ..las import is_cloud
+from ..names import surface_title
 from ..options import CompareDsmOptions
 from ..parallel import run_whole
 from ..progress import Part, Progress
@@ -43,7 +44,7 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, A
         write_style("dsm_error", options.error)
     if options.report:
         progress.step(0.92, "Report")
-        comparison_page(found[0], options.error or "", found[1:]).write(options.report)
+        comparison_page(found[0], options.error or "", found[1:]).of(surface_title(options.dsm)).write(options.report)
     for path, one in zip(paths, found):
         moved = one.alignment
         if moved.method != "none":

@@ -8,6 +8,7 @@ import shutil
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
@@ -22,6 +23,7 @@ from ..fusion.visible import nadir_first
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
+from ..names import scene_title
 from ..options import DsmFuseOptions, ViewerOptions, is_textured
 from ..ortho.colour_ortho import make_colour_ortho
 from ..ortho.colour_sources import ColourPlan, colour_plan
@@ -73,7 +75,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         made = _derived(finished, progress)
         if options.viewer:
             shown = {name: getattr(draped, name) for name in ("viewer", *_DRAPED)}
-            run_whole(viewer.written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
+            written = partial(viewer.written, name=scene_title(scene, options.scene))
+            run_whole(written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         _each_alone(fusion, pairs, Part(progress, whole, 1.0))
     scene.require_same_images()
     _log(options, parameters, facts, progress)

@@ -12,6 +12,7 @@ from ..disk_space import require_space, terrain_needs
 from ..evaluation.styles import write_style
 from ..imagery.raster import NODATA, created
 from ..memory import Work, workers_within
+from ..names import surface_title
 from ..options import DsmFuseOptions, DtmOptions
 from ..parallel import kept_workers, run_tasks, run_whole
 from ..products import product
@@ -113,7 +114,8 @@ def _made(
         "the cells have a terrain."
     )
     if options.report:
-        terrain_page(options, surface, facts, progress.warnings).write(options.report)
+        page = terrain_page(options, surface, facts, progress.warnings)
+        page.of(surface_title(surface.path)).write(options.report)
     progress.step(1.0, "Terrain made")
     return {**{name: getattr(options, name) for name in (*_RASTERS, "report")}, **facts}
 

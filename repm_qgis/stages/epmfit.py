@@ -26,6 +26,7 @@ from ..imagery.acquisition import time_sidecars
 from ..imagery.collars import write_collar_mask
 from ..imagery.raster import raster_identity, require_content
 from ..memory import planned_mib
+from ..names import scene_title
 from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
@@ -60,7 +61,7 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
         scene.save(scene_path)
     for path in tiles_paths:
         write_tiles(scene, path)
-    report = fit_report(scene)
+    report = fit_report(scene).of(scene_title(scene, scene_path))
     for path in report_paths:
         report.write(path)
     errors = [view.error for tile in scene.tiles for view in tile.views.values()]

@@ -17,6 +17,7 @@ from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
 from ..imagery.raster import created
+from ..names import scene_title
 from ..options import ErrorMapOptions
 from ..progress import Progress
 from ..scene import Scene, Tile, View
@@ -67,7 +68,8 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     write_style("error", options.output)
     facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
-        errormap_report(scene, view, options.output, rmse, worst, altitude).write(options.report)
+        report = errormap_report(scene, view, options.output, rmse, worst, altitude)
+        report.of(scene_title(scene, options.scene)).write(options.report)
     errors = f"equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px ({refinement})"
     progress.info(f"{view.name} at {altitude:.0f} m: {errors}.")
     progress.step(1.0, "error mapped")

@@ -15,6 +15,7 @@ from ..evaluation.verdict import of_rpcs
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
 from ..imagery.vrt import image_vrt_text
+from ..names import scene_title
 from ..options import ExportRpcOptions
 from ..progress import Progress, counted
 from ..rpc.correction import corrected
@@ -44,7 +45,7 @@ def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
         document = {"format": "repm-rpcs", "engine": __version__, "images": [_record(each) for each in exported]}
         write_text(str(folder / _LIST), json.dumps(document, indent=1, allow_nan=False))
     if options.report:
-        rpc_page(exported, options.scene).write(options.report)
+        rpc_page(exported, options.scene).of(scene_title(scene, options.scene)).write(options.report)
     worst = max(each.corrected.max_px for each in exported)
     images = [str(Path(options.rpc_folder) / each.files[0]) for each in exported]
     off = f"at most {within_px(exported):.4f} px from the pointed model"

@@ -12,6 +12,7 @@ from ..errors import Cancelled, ImageError, RepmError
 from ..evaluation.inspection_page import inspection_page, verdict
 from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
+from ..names import images_name
 from ..options import InspectOptions
 from ..progress import Progress, counted
 from ..run_estimate import estimate
@@ -42,7 +43,8 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
         _write_overlaps(places, crs, options.overlaps)
     outlook = _outlook(places, max(parameters.tiles.sizes_px))
     if options.report:
-        inspection_page(places, unusable, parameters.pointing, outlook).write(options.report)
+        page = inspection_page(places, unusable, parameters.pointing, outlook)
+        page.of(images_name(options.images)).write(options.report)
     progress.info(verdict(places, unusable))
     if outlook:
         progress.info(outlook)

@@ -35,6 +35,7 @@ from ..mosaic.offsets import Offsets, Overlap, solve_offsets
 from ..mosaic.page import mosaic_page
 from ..mosaic.parameters import MosaicParameters, OffsetParameters
 from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
+from ..names import mosaic_name
 from ..options import DsmFuseOptions, MosaicOptions
 from ..parallel import kept_workers, run_tasks
 from ..products import kept_folder
@@ -99,7 +100,7 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
         progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are feathered.")
     if options.report:
         page = mosaic_page(options, layout, overlaps, offsets, cells, seam, whole.warnings)
-        page.write(options.report)
+        page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report)
     progress.step(1.0, "Mosaic made")
     return {
         "output": options.output,

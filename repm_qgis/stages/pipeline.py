@@ -13,6 +13,7 @@ from ..disk_space import Need, fusion_needs, heights_need, require_space
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
+from ..names import scene_title
 from ..options import PRESETS, PipelineOptions
 from ..parallel import kept_workers
 from ..products import FOLDER, paths_of
@@ -82,7 +83,7 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     report_paths = with_copy(str(Path(options.fit.workspace) / "report.html"), options.report)
     made = {"tiles": first["tiles"], "tie_points": heights["tie_points"], "heights": heights["heights"]}
     products = {**fused, "scene": scene_path, "report": report_paths[-1], **made}
-    report = pipeline_report(scene, products, seconds, options.command)
+    report = pipeline_report(scene, products, seconds, options.command).of(scene_title(scene, scene_path))
     for path in report_paths:
         report.write(path)
     progress.step(1.0, "done")

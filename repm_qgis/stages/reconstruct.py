@@ -23,6 +23,7 @@ from ..imagery.parameters import StretchParameters
 from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
+from ..names import scene_title
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
@@ -95,7 +96,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     if ties_path != done.tie_points:
         copy_layer(done.tie_points, ties_path)
     write_style("tie_points", ties_path)  # of those that are reused too: their reader may have another language
-    reconstruct_report(done).write(report_path)
+    reconstruct_report(done).of(scene_title(done, options.output_scene)).write(report_path)
     progress.step(1.0, "heights reconstructed")
     written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}
     count = done.pointing.count if done.pointing else 0

@@ -20,6 +20,7 @@ from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import raster_identity, write
 from ..memory import refining_mib, tile_work, workers_within
+from ..names import scene_title
 from ..options import RefineOptions
 from ..parallel import run_tasks
 from ..progress import Progress, Recorder
@@ -54,7 +55,7 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
         seconds, changes = time.monotonic() - start, parameters.changes()
         scene = scene.recorded("refine", key, options.to_json(), seconds, notes.warnings, changes)
         scene.save(options.output_scene)
-    refine_report(scene).write(report_path)
+    refine_report(scene).of(scene_title(scene, options.output_scene)).write(report_path)
     errors = [view.refined.error for tile in scene.tiles for view in tile.views.values() if view.refined]
     rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.info(f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max {largest:.3f} px.")

@@ -21,6 +21,7 @@ from ..geometry.cell_grid import CellGrid
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum
 from ..imagery.raster import opened, raster_identity, read, write
+from ..names import scene_title
 from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
 from ..records import GroundShift, RegistrationFigures
@@ -367,7 +368,7 @@ def _write_products(scene: Scene, figures: RegistrationFigures, options: Registe
         longest = max((math.hypot(*offset.moved[:2]) for offset in figures.offsets), default=0.0)
         write_style("offsets", options.offsets, limits=(0.0, float(f"{longest / 2:.1g}") or 1.0))
     if options.report:
-        registration_page(scene, figures).write(options.report)
+        registration_page(scene, figures).of(scene_title(scene, options.output_scene)).write(options.report)
 
 
 def _arrows(figures: RegistrationFigures) -> Any:

@@ -20,9 +20,9 @@ def run(options: ViewerOptions, progress: Progress) -> Dict[str, Any]:
     return result
 
 
-def written(options: ViewerOptions, progress: Progress) -> Dict[str, Any]:
+def written(options: ViewerOptions, progress: Progress, name: str = "") -> Dict[str, Any]:
     """The page, with its size in the log; says nothing of how far it is."""
-    facts = write_viewer(options, progress)
+    facts = write_viewer(options, progress, name=name)
     columns, rows = facts.cells
     progress.info(f"Page of {columns} x {rows} cells, {facts.size / 1e6:.1f} MB.")
     if facts.factor > 1:

@@ -28,6 +28,7 @@ from ..evaluation.templates import page
 from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
+from ..names import surface_title
 from ..options import ViewerOptions
 from ..products import STYLES
 from ..progress import Progress
@@ -50,8 +51,10 @@ class ViewerFacts:
     size: int
 
 
-def write_viewer(options: ViewerOptions, progress: Progress, parameters: ViewerParameters = VIEWER) -> ViewerFacts:
-    """Write the page of a DSM, whole or not at all.
+def write_viewer(
+    options: ViewerOptions, progress: Progress, parameters: ViewerParameters = VIEWER, name: str = ""
+) -> ViewerFacts:
+    """Write the page of a DSM, whole or not at all; ``name`` is what the page is of, "" for what its file says.
 
     Raises ImageError for a raster that cannot be read, EmptyResultError for a DSM without heights, OverlapError for
     a raster of another place, MissingPackageError without jinja2, WorkspaceError where the page cannot be written.
@@ -83,7 +86,7 @@ def write_viewer(options: ViewerOptions, progress: Progress, parameters: ViewerP
     text = page(
         "viewer.html",
         language=reader().language,
-        title=Path(options.dsm).stem,
+        title=name or surface_title(options.dsm) or Path(options.dsm).stem,
         version=__version__,
         facts=facts,
         whole=list(whole.size),

@@ -135,4 +135,4 @@ def test_from_the_zip_to_a_dsm_in_eight_clicks(desktop_start, tmp_path):
     plan = {"zip": str(next(tmp_path.glob("*.zip")))}
     found = desktop_start("drive_first_hour.py", plan, seconds=200, settings="", engine=None)
     assert found["success"] and len(found["clicks"]) <= 8, found["clicks"]
-    assert any(name.startswith("DSM sample DSM") for name in found["layers"])
+    assert any(name.startswith("DSM sample town") for name in found["layers"])

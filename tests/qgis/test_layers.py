@@ -33,7 +33,7 @@ def test_tiles_come_with_name_style_and_crs(load, sample, tmp_path, feedback):
     assert isinstance(
         layer.renderer(), (QgsGraduatedSymbolRenderer, QgsCategorizedSymbolRenderer, QgsRuleBasedRenderer)
     )
-    assert layer.name() in ("Tiles town", "t")  # the second where Processing prefers file names
+    assert layer.name() == "Tiles town"
     assert results["MAX_ERROR"] >= results["RMSE"] > 0
     assert max(feedback.heard["progress"]) == 100
 
@@ -48,27 +48,49 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
     assert algorithm._scene_name({"workspace": temporary, "images": images}) == "IMG_1"
     inspect = QgsApplication.processingRegistry().algorithmById("repm:inspect").create()
     several = ["/data/order 7/IMG_1/a.tif", "/data/order 7/IMG_2/b.tif"]
-    names = {"order 7": several, "data": images, "IMG_1": images[:1]}
+    hills = ["/data/hills/IMG_1.tif", "/data/hills/IMG_2.tif"]
+    names = {"order 7": several, "hills": hills, "IMG_1": images[:1]}
     assert {name: inspect._scene_name({"images": given}) for name, given in names.items()} == dict(zip(names, names))
     fuse = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
     assert fuse._scene_name({"scene": "/work/giza/scene.json"}) == "giza"
     assert fuse._scene_name({"scene": temporary + "/scene.json"}) == ""
+    compare = QgsApplication.processingRegistry().algorithmById("repm:comparedsm").create()
+    assert compare._scene_name({"dsm": "/work/giza/dsm.tif", "reference": "/data/lidar.tif"}) == "giza"
+    mosaic = QgsApplication.processingRegistry().algorithmById("repm:mosaic").create()
+    parts = {"dsms": ["/work/west/dsm.tif", "/work/east/dsm.tif"], "scenes": []}
+    assert mosaic._scene_name({**parts, "output": temporary + "/OUTPUT.tif"}) == "west + east"
+    assert mosaic._scene_name({**parts, "output": "/work/valley.vrt"}) == "valley"
     change = QgsApplication.processingRegistry().algorithmById("repm:change").create()
     for before, after, name in (
-        ("/data/giza 2019.tif", "/data/giza 2024.tif", "giza 2019 to giza 2024"),
-        ("/work/2019/dsm.tif", "/work/2024/dsm.tif", "2019 to 2024"),
+        ("/data/giza 2019.tif", "/data/giza 2024.tif", "giza 2019 – giza 2024"),
+        ("/work/2019/dsm.tif", "/work/2024/dsm.tif", "2019 – 2024"),
         (temporary + "/dsm.tif", "/work/2024/dsm.tif", "2024"),
-        (temporary + "1/dsm.tif", temporary + "2/dsm.tif", "dsm"),
+        (temporary + "1/dsm.tif", temporary + "2/dsm.tif", ""),
     ):
         assert change._scene_name({"before": before, "after": after}) == name
+
+
+def test_layers_that_stay_are_not_named_after_their_files(load, sample, tmp_path, monkeypatch):
+    """QGIS gives what lies outside the temporary folder its file's name: "dsm" in every workspace."""
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    folder = tmp_path / "old town" / "out"
+    _, layers = load(
+        "epmfit", {"IMAGES": sample["images"], "WORKSPACE": str(folder), "REPORT": ""}, {"TILES": folder / "tiles.gpkg"}
+    )
+    assert layers["TILES"].name() == "Tiles old town"
+    page = (folder / "equivalent_error.html").read_text(encoding="utf-8")
+    assert "<title>Equivalent pinhole cameras: old town</title>" in page
 
 
 def test_a_layers_name_tells_what_of_which_scene_and_of_when(plugin):
     from repm.processing_provider.styles import Run
 
     assert Run("hills", ["2019-04-02"]).name("DSM", "EGM96 height") == "DSM hills, 2019-04-02 (EGM96 height)"
-    assert Run("hills", ["2019-04-02", "2019-05-01"]).name("Tiles") == "Tiles hills, 2019-04-02 to 2019-05-01"
+    assert Run("hills", ["2019-04-02", "2019-05-01"]).name("Tiles") == "Tiles hills, 2019-04-02 – 2019-05-01"
     assert Run("hills", number=2).name("Tiles") == "Tiles hills (2)"
+    assert Run("hills", ["2019-04-02"], number=2).label() == "hills (2), 2019-04-02"
     assert Run("").name("DSM", "EGM96 height") == "DSM (EGM96 height)"
 
 

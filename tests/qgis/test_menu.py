@@ -18,7 +18,7 @@ def test_three_steps_lead_a_new_user_to_a_dsm_and_the_tutorial(desktop_start):
     assert found["folder"].endswith("sample images")
     assert not found["second step"] and found["second step after the first"]
     assert found["success"]
-    assert any(name.startswith("DSM sample DSM") for name in found["layers"])
+    assert any(name.startswith("DSM sample town") for name in found["layers"])
     tutorial, guide = found["pages"]
     assert "<title>Tutorial" in tutorial and "<title>User guide" in guide
     assert not found["left"] and not found["menu after"]

@@ -1,0 +1,144 @@
+"""What a scene is called on the map, in reports and on pages: by the folder or file that says most, and the days.
+
+Folders such as "out" and files such as "dsm.tif" say nothing of a scene, nor do the temporary folders of QGIS; then the
+folder around them names it, or the images.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import List, Sequence
+
+from .checks import as_text
+from .errors import ImageError
+from .imagery import raster
+from .scene import Scene, origin
+
+DAYS = "REPM_DAYS"
+"""The item of a DSM's metadata with the days on which its images were taken, between spaces."""
+
+_KINDS = {"dsm", "dtm", "dem", "ortho", "orthophoto", "mosaic", "terrain", "truth", "confidence", "surface"}
+_PLAIN = _KINDS | {
+    *("out", "output", "outputs", "result", "results", "product", "products", "export", "exports", "run", "runs"),
+    *("work", "workspace", "working", "temp", "tmp", "test", "tests", "data", "raw", "images", "image", "img", "imgs"),
+    *("scene", "scenes", "repm", "folder", "new", "neu", "bilder", "daten", "ergebnis", "ergebnisse", "ausgabe"),
+    *("home", "user", "users", "documents", "dokumente", "downloads", "desktop", "schreibtisch", "mnt", "media"),
+}
+_TEMPORARY = re.compile(r"processing_\w+|[0-9a-f]{32}")
+_MOST_PARTS = 3  # that a mosaic is named after
+_SCENES_OF_RUNS = ("registered.json", "reconstructed.json", "scene.json")
+
+
+def titled(name: str, taken: Sequence[str]) -> str:
+    """A scene's name and its days: "hills, 2019-04-02"."""
+    return ", ".join(filter(None, (name, period(taken))))
+
+
+def period(taken: Sequence[str]) -> str:
+    """The first and the last of some days (ISO 8601), "" where none is known."""
+    return " – ".join(dict.fromkeys((taken[0], taken[-1]))) if taken else ""
+
+
+def folder_name(path: str) -> str:
+    """The name of a folder, or of the one around it where its own says nothing; "" where neither says anything."""
+    if not path:
+        return ""
+    folder, home = Path(os.path.abspath(path)), Path.home()
+    if any(_TEMPORARY.fullmatch(part) for part in folder.parts):
+        return ""
+    for each in (folder, folder.parent):
+        if each == home or each in home.parents:
+            return ""
+        if not _is_plain(each.name):
+            return each.name
+    return ""
+
+
+def images_name(paths: Sequence[str]) -> str:
+    """The name of the folder that holds all of several images, else that of the first image's file."""
+    if not paths:
+        return ""
+    try:
+        folder = os.path.commonpath([os.path.dirname(os.path.abspath(path)) for path in paths])
+    except ValueError:  # on several drives
+        folder = ""
+    return (folder_name(folder) if len(paths) > 1 else "") or Path(paths[0]).stem
+
+
+def surface_name(path: str) -> str:
+    """The name of a raster of heights or a cloud: its file's, else its folder's, else that of the scene beside it."""
+    folder = os.path.dirname(os.path.abspath(path))
+    if any(_TEMPORARY.fullmatch(part) for part in Path(folder).parts):
+        return ""
+    words = re.split(r"[_\- ]+", Path(path).stem)
+    while words and words[0].lower() in _KINDS:
+        del words[0]
+    while words and words[-1].lower() in _KINDS:
+        del words[-1]
+    stem = Path(path).stem
+    own = stem[stem.find(words[0]) : stem.rfind(words[-1]) + len(words[-1])] if words else ""
+    found = own if own and not _is_plain(own) else folder_name(folder)
+    scenes = (os.path.join(folder, name) for name in _SCENES_OF_RUNS)
+    return found or next((images_name(origin(scene)[1]) for scene in scenes if os.path.exists(scene)), "")
+
+
+def scene_name(path: str) -> str:
+    """The name of a scene, by its file: the workspace's, else that in which it began, else the images'."""
+    began, images = origin(path)
+    return folder_name(os.path.dirname(path)) or folder_name(began) or images_name(images)
+
+
+def run_name(workspace: str, output: str, images: Sequence[str]) -> str:
+    """The name of what a run makes of images: the workspace's, else the DSM's file's, else the images'."""
+    return folder_name(workspace) or (surface_name(output) if output else "") or images_name(images)
+
+
+def scene_title(scene: Scene, path: str) -> str:
+    """The name and the days of a scene whose file is, or will be, ``path``."""
+    record = scene.record_of("epmfit")
+    began = str(record.options.get("workspace") or "") if record else ""
+    images = [view.image for view in scene.views]
+    taken = sorted({view.time.date().isoformat() for view in scene.views if view.time is not None})
+    return titled(folder_name(os.path.dirname(path)) or folder_name(began) or images_name(images), taken)
+
+
+def surface_title(path: str) -> str:
+    """The name and the days of a DSM."""
+    return titled(surface_name(path), surface_days(path))
+
+
+def dates_title(before: str, after: str) -> str:
+    """The names of the DSMs of two dates, and the days of their images."""
+    return titled(dates_name(before, after), sorted({*surface_days(before), *surface_days(after)}))
+
+
+def dates_name(before: str, after: str) -> str:
+    """The names of the DSMs of two dates, or the one name that both have."""
+    return " – ".join(dict.fromkeys(filter(None, map(surface_name, (before, after)))))
+
+
+def mosaic_name(output: str, parts: Sequence[str]) -> str:
+    """The name of a mosaic: its file's, or those of its parts where there are few."""
+    names = (scene_name(part) if part.lower().endswith(".json") else surface_name(part) for part in parts)
+    found = list(dict.fromkeys(filter(None, names)))
+    stem = surface_name(output)
+    return " + ".join(found) if not stem and len(found) <= _MOST_PARTS else stem
+
+
+def surface_days(path: str) -> List[str]:
+    """The days of the images that a DSM of this plugin was made of; empty for other files."""
+    try:
+        with raster.opened(path) as dataset:
+            return sorted(set(as_text(dataset.GetMetadataItem(DAYS) or "").split()))
+    except ImageError:
+        return []
+
+
+def _is_plain(name: str) -> bool:
+    """Whether a name says nothing of a scene: a common word, with a short number or a cell size."""
+    words = [word.lower() for word in re.split(r"[_\- ().]+", name) if word]
+    telling = [word for word in words if word not in _PLAIN and not re.fullmatch(r"\d{1,3}m?", word)]
+    plain_end = re.fullmatch(r"([^\W\d_]+)\d{1,3}", telling[0]) if len(telling) == 1 else None
+    return not telling or bool(plain_end and plain_end[1] in _PLAIN)
