@@ -15,9 +15,9 @@ from benchmarks.tables import table
 from repm_qgis.imagery.vrt import image_vrt_text
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.correction import corrected
+from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.rpc.writers import rpb_text, rpc_tags, rpc_txt
-from repm_qgis.simulation.rpc_fit import fit_rpc
 
 _SHIFT = np.array([[1.0, 0.0, 17.25], [0.0, 1.0, -20.0]])
 _TURN = np.array([[0.7, -1.0, 0.0], [1.0, 0.6, 0.0]])

@@ -24,11 +24,11 @@ from repm_qgis.geometry.interpolation import upsample_grid
 from repm_qgis.geometry.refinement import PolynomialMap, Terrain
 from repm_qgis.geometry.surface import Surface
 from repm_qgis.rpc import Rpc
+from repm_qgis.rpc.fit import fit_rpc
+from repm_qgis.rpc.parameters import RpcFitParameters
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene
-from repm_qgis.simulation.parameters import RpcFitParameters
-from repm_qgis.simulation.rpc_fit import fit_rpc
 from repm_qgis.simulation.sensor import GF7, ZY3, Look, Sensor, aim
 
 # DESIGN.md, section 4: uncorrected and polynomial RMSE and maximum, px, of the first scene of each site.

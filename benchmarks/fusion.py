@@ -26,9 +26,9 @@ from repm_qgis.matching.pair_backend import rectified_over_tile
 from repm_qgis.parallel import run_tasks
 from repm_qgis.progress import Silent
 from repm_qgis.records import HeightMapRecord
+from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene
-from repm_qgis.simulation.rpc_fit import fit_rpc
 from repm_qgis.simulation.scene import SceneSpec, make_views
 from repm_qgis.stereo.height_maps import write_height_map
 from repm_qgis.stereo.triangulation import pair_geometry

@@ -25,9 +25,9 @@ from repm_qgis.imagery.raster import created
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching.pair_backend import match_pair_over_tile
 from repm_qgis.rpc import Rpc
+from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene as SceneFile
-from repm_qgis.simulation.rpc_fit import fit_rpc
 from repm_qgis.simulation.scene import SceneSpec, make_views
 from repm_qgis.simulation.sensor import PLEIADES
 from repm_qgis.stereo.pairing import rectified_pair

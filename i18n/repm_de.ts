@@ -1244,6 +1244,14 @@
         <translation>Größte Höhe (m, leer: automatisch)</translation>
     </message>
     <message>
+        <source>Height of ortho-ready images (m, empty: from their metadata)</source>
+        <translation>Höhe der Bilder „ortho-ready“ (m, leer: aus ihren Metadaten)</translation>
+    </message>
+    <message>
+        <source>The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it.</source>
+        <translation>Die Höhe über dem Ellipsoid WGS 84, auf die Bilder „ortho-ready“ projiziert wurden (Maxar OR2A, Airbus projected, GF und ZY 2A), wenn ihre Metadaten sie nicht nennen. Leer: Ein DEM ergibt sie, sonst wird die Mitte der Höhen des RPC angenommen, und das Protokoll sagt es. Bilder in Sensorgeometrie brauchen sie nicht.</translation>
+    </message>
+    <message>
         <source>Tile size (px, 0: automatic)</source>
         <translation>Kachelgröße (px, 0: automatisch)</translation>
     </message>

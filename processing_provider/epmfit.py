@@ -33,6 +33,7 @@ class EpmFit(RepmAlgorithm):
             parameters.rpcs(),
             parameters.masks(),
             *parameters.altitudes(),
+            parameters.ortho_ready_height(),
             *parameters.tiles_and_budget(),
             *(parameters.product(self.ID, name) for name in ("workspace", "tiles", "report")),
         ]

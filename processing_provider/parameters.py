@@ -407,6 +407,21 @@ def altitudes() -> list[QgsProcessingParameterDefinition]:
     ]
 
 
+def ortho_ready_height() -> QgsProcessingParameterDefinition:
+    return advanced(
+        number(
+            EpmFitOptions,
+            "ortho_ready_height",
+            tr("Height of ortho-ready images (m, empty: from their metadata)"),
+            tr(
+                "The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus "
+                "projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the "
+                "middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it."
+            ),
+        )
+    )
+
+
 def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
     return [
         advanced(

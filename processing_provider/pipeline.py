@@ -49,6 +49,7 @@ class Pipeline(RepmAlgorithm):
             parameters.pointing(),
             parameters.adjustment(),
             *parameters.altitudes(),
+            parameters.ortho_ready_height(),
             *parameters.tiles_and_budget(),
             parameters.advanced(parameters.model()),
             parameters.advanced(parameters.order()),

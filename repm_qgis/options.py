@@ -223,6 +223,8 @@ class EpmFitOptions(Options):
     ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is in the image or in a sidecar file;
     empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels that are
     neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
+    ``ortho_ready_height`` is the height, m above the ellipsoid, to which ortho-ready images were projected whose
+    metadata do not state it; None: it is found with a DEM, or assumed.
     ``extent`` is xmin, ymin, xmax, ymax in ``extent_crs`` (any PROJ text); None takes all that two images see.
     ``altitude_min/max`` in metres above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in
     px of the finest image, 0 = the largest that keeps the equivalent error under ``error_budget`` px.
@@ -238,6 +240,7 @@ class EpmFitOptions(Options):
     dem: Optional[str] = read(None)
     altitude_min: Optional[float] = number(None, -12000, 10000, "m")
     altitude_max: Optional[float] = number(None, -12000, 10000, "m")
+    ortho_ready_height: Optional[float] = number(None, -12000, 10000, "m")
     tile_size: int = whole(0, 256, 20000, "px", automatic=True)
     error_budget: float = number(0.1, 0.001, 100, "px")
     crs: Optional[str] = None

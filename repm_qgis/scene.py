@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Annotated, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -25,11 +25,13 @@ from .errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneV
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.footprints import bounds_of_wkt
 from .geometry.frames import EnuFrame, projected_crs
+from .geometry.map_plane import MapPlane
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain
 from .geometry.tiles import enclosing
 from .imagery.acquisition import acquired, moment, sensor_of
 from .imagery.enhancement import Stretch, view_stretch
+from .imagery.ortho_ready import OrthoReady, plane_of
 from .imagery.parameters import STRETCH, StretchParameters
 from .options import BACKENDS, MODELS, PRESETS
 from .records import (
@@ -91,7 +93,9 @@ class View(Record):
     UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
-    ``content`` tells the image from another one that takes its name, "" where that cannot be told.
+    ``content`` tells the image from another one that takes its name, "" where that cannot be told. ``plane`` is the map
+    that an ortho-ready image was projected to, None for an image in its sensor's geometry: then ``rpc`` gives lines of
+    sight only, and ``model`` the pixels.
     """
 
     name: Name
@@ -107,6 +111,7 @@ class View(Record):
     sensor: str = ""
     part: Optional[Window] = None
     content: str = ""
+    plane: Optional[MapPlane] = None
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
@@ -114,6 +119,11 @@ class View(Record):
             return "has a pointing that is too large for a correction"
         whole = Window(0, 0, *self.size)
         return "" if self.part is None or self.part.common(whole) == self.part else "has a part outside its image"
+
+    @property
+    def model(self) -> Union[Rpc, OrthoReady]:
+        """The exact model of the image's pixels, as the vendor delivered it."""
+        return self.rpc if self.plane is None else OrthoReady(self.rpc, self.plane)
 
     @property
     def time(self) -> Optional[datetime]:
@@ -141,14 +151,14 @@ class View(Record):
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row, pointing included."""
-        pixels: FloatArray = self.rpc.project(lon_lat_h) @ self.pointing[:, :2].T + self.pointing[:, 2]
+        pixels: FloatArray = self.model.project(lon_lat_h) @ self.pointing[:, :2].T + self.pointing[:, 2]
         return pixels
 
     def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
         """(..., 2) column, row and heights to (..., 3) longitude, latitude, height, pointing included."""
         offset: FloatArray = np.asarray(col_row) - self.pointing[:, 2]
         raw: FloatArray = offset @ np.linalg.inv(self.pointing[:, :2]).T
-        return self.rpc.localise(raw, height)
+        return self.model.localise(raw, height)
 
     def stretch(self, parameters: StretchParameters = STRETCH) -> Stretch:
         """The stretch of the view's intensities, the same in all stages. Raises ImageError where it shows nothing."""
@@ -396,7 +406,7 @@ class Scene(Record):
                 for number, values in enumerate(typed(Tuple[Any, ...], document.get("tiles"))):
                     # Stored refinements belong to the vendors' RPCs; pointing came later.
                     with within(number):
-                        tile = Tile.read(values, lambda name: scene.terrain(scene.view(name).rpc))
+                        tile = Tile.read(values, lambda name: scene.terrain(scene.view(name).model))
                     tiles.append(with_files(tile, find))
             return cls.from_mapping({**vars(scene), "tiles": tiles})
         except (Misfit, RpcInvalidError, SceneError) as error:
@@ -530,24 +540,36 @@ def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
 
 
 def load_views(
-    images: Sequence[str], rpcs: Sequence[str] = (), masks: Sequence[str] = (), whole: bool = True
+    images: Sequence[str],
+    rpcs: Sequence[str] = (),
+    masks: Sequence[str] = (),
+    whole: bool = True,
+    height: Optional[float] = None,
 ) -> Tuple[View, ...]:
     """Open images, read their RPCs, and make views; names are unique, in the order given.
 
     ``rpcs`` names the images' RPC files in the same order; "" is for an image whose RPC is to be found, as all are
     where the sequence is empty. ``masks`` likewise names rasters of what is not to be used, "" for none. ``whole``:
-    no EXTENT says that only a part of them will be read, and files that hold almost nothing are refused.
+    no EXTENT says that only a part of them will be read, and files that hold almost nothing are refused. ``height`` is
+    the plane's, m above the ellipsoid, of ortho-ready images whose metadata do not state it; None: unknown.
 
     Raises ImageError or an RpcError with the file's name.
     """
     views: List[View] = []
     none = [""] * len(images)
     for path, rpc_file, mask in zip(images, rpcs or none, masks or none):
-        views.append(load_view(path, rpc_file, mask, views, whole))
+        views.append(load_view(path, rpc_file, mask, views, whole, height))
     return tuple(views)
 
 
-def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[View] = (), whole: bool = True) -> View:
+def load_view(
+    path: str,
+    rpc_file: str = "",
+    mask: str = "",
+    others: Sequence[View] = (),
+    whole: bool = True,
+    height: Optional[float] = None,
+) -> View:
     """One of the views of :func:`load_views`, with a name that none of the others has."""
     from .imagery.raster import content_of, grey_band, name_of, opened_image, opened_masked
     from .imagery.spacing import stated_spacings
@@ -555,18 +577,20 @@ def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[Vi
 
     with opened_image(path, whole) as dataset:
         rpc = rpc_of(dataset, path, rpc_file)
-        width, height, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
+        plane = plane_of(dataset, path, rpc, height)
+        columns, rows, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
         when, sensor = acquired(dataset, path), sensor_of(dataset, path)
         stated = tuple(stated_spacings(dataset))
     with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
         mask = os.path.abspath(mask) if os.path.exists(mask) else mask
-    if min(width, height) < 64:
-        raise ImageError(f"'{path}' is only {width} x {height} px: matching needs at least 64 px a side.")
+    if min(columns, rows) < 64:
+        raise ImageError(f"'{path}' is only {columns} x {rows} px: matching needs at least 64 px a side.")
     taken = {view.name.lower() for view in others}  # files of products: most systems do not tell cases apart
     name = file_name(name_of(path))
     while name.lower() in taken:
         name = f"{name}_{len(others) + 1}"
-    image, gsd = os.path.abspath(path) if os.path.exists(path) else path, _gsd(path, rpc, width, height)
+    image = os.path.abspath(path) if os.path.exists(path) else path
+    gsd = _gsd(path, rpc if plane is None else OrthoReady(rpc, plane), rpc.height_off, columns, rows)
     for metres, where in stated:
         if not 1 / _GSD_RATIO <= metres / gsd <= _GSD_RATIO:
             raise RpcInvalidError(
@@ -574,7 +598,8 @@ def load_view(path: str, rpc_file: str = "", mask: str = "", others: Sequence[Vi
                 "the image was resampled, give the RPC of these pixels; else correct or remove what is wrong."
             )
     content = content_of(path)
-    return View(name, image, band, width, height, rpc, gsd, acquired=when, mask=mask, sensor=sensor, content=content)
+    view = View(name, image, band, columns, rows, rpc, gsd, acquired=when, mask=mask, sensor=sensor, content=content)
+    return replace(view, plane=plane)
 
 
 def middle_of(views: Sequence[View]) -> Tuple[float, float]:
@@ -598,14 +623,14 @@ def common_heights(views: Sequence[View]) -> Tuple[float, float]:
     return ends[most[0]], ends[most[-1] + 1]
 
 
-def _gsd(path: str, rpc: Rpc, width: int, height: int) -> float:
+def _gsd(path: str, model: Union[Rpc, OrthoReady], middle: float, width: int, height: int) -> float:
     """Ground sampling distance at the image's centre and the RPC's middle height, geometric mean of both axes, m."""
     centre = np.array([[width / 2, height / 2]]) + np.array([[0, 0], [1, 0], [0, 1]])
-    ground = rpc.localise(centre, rpc.height_off)
+    ground = model.localise(centre, middle)
     if not np.isfinite(ground).all():
-        middle = f"the image's centre (column {width / 2:g}, row {height / 2:g})"
+        place = f"the image's centre (column {width / 2:g}, row {height / 2:g})"
         question = "is it another image's RPC, or that of the uncropped image?"
-        raise RpcInvalidError(f"The RPC of '{path}' does not see {middle}: {question}")
+        raise RpcInvalidError(f"The RPC of '{path}' does not see {place}: {question}")
     enu = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
     gsd = math.sqrt(float(np.linalg.norm(enu[1] - enu[0]) * np.linalg.norm(enu[2] - enu[0])))
     if not _GSD_M[0] <= gsd <= _GSD_M[1]:

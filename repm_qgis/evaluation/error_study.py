@@ -30,7 +30,7 @@ def _errors_by_model(
     terrain: Optional[Terrain] = None,
 ) -> Dict[str, EquivalentError]:
     """The error over a window (col, row, width, height) without correction and after each refinement."""
-    grid = virtual_grid(view.rpc.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
+    grid = virtual_grid(view.model.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
     fitted = fit_pinhole(grid)
     errors = {"uncorrected": fitted.error}
     for model in models:
@@ -53,7 +53,7 @@ def _errors_by_size(view: View, scene: Scene) -> Curves:
 def _errors_by_altitude(view: View, scene: Scene) -> Curves:
     """RMSE over the whole image at each altitude of the scene's range: for each model the altitudes and errors."""
     window = (0.0, 0.0, float(view.width), float(view.height))
-    grid = virtual_grid(view.rpc.localise, window, scene.altitudes, scene.frame, (13, 13, _LEVELS))
+    grid = virtual_grid(view.model.localise, window, scene.altitudes, scene.frame, (13, 13, _LEVELS))
     fitted = fit_pinhole(grid)
     refined = refine_pinhole("polynomial", fitted.camera, grid, window)
     after = refined.to_original.original_from_refined(refined.camera.project(grid.enu))
@@ -72,7 +72,7 @@ def add_error_study(report: Report, scene: Scene) -> None:
     rows = []
     tiles = scene.tiles[:: max(1, len(scene.tiles) // _TILES)][:_TILES]
     for view in scene.views:
-        terrain = scene.terrain(view.rpc)  # the model is measured only where there is a surface
+        terrain = scene.terrain(view.model)  # the model is measured only where there is a surface
         models = _MODELS + (("terrain",) if terrain is not None else ())
         seen = [(tile.views[view.name].window, tile.altitudes) for tile in tiles if view.name in tile.views]
         found = [_errors_by_model(view, scene, *tile, models, terrain) for tile in seen]

@@ -74,6 +74,19 @@ def make_surface(path: str, bounds: Bounds, cell_m: float, target: str) -> str:
     ``bounds`` are west, south, east, north in degrees; cells are averages over about ``cell_m``; gaps are filled
     from their border. Raises ImageError or OverlapError as :func:`dem_range` does. Returns ``target``.
     """
+    heights, transform = _coarse(path, bounds, cell_m)
+    wkt, names = pyproj.CRS("EPSG:4326").to_wkt(), ("height above the WGS 84 ellipsoid (m)",)
+    return write(target, [heights.astype(np.float32)], transform, wkt, descriptions=names, unit="m")
+
+
+def surface_of(path: str, bounds: Bounds, cell_m: float) -> Surface:
+    """The surface of :func:`make_surface`, without a file."""
+    heights, transform = _coarse(path, bounds, cell_m)
+    return _on(heights, transform)
+
+
+def _coarse(path: str, bounds: Bounds, cell_m: float) -> Tuple[FloatArray, Sequence[float]]:
+    """The heights of :func:`make_surface` and their geotransform."""
     extents = (bounds[2] - bounds[0], bounds[3] - bounds[1])
     step = max(cell_m / 111000.0, *(extent / DEM.surface_cells for extent in extents))
     width, height = (max(2, int(np.ceil(extent / step))) for extent in extents)
@@ -96,8 +109,7 @@ def make_surface(path: str, bounds: Bounds, cell_m: float, target: str) -> str:
     heights = np.where(np.isfinite(heights), heights, np.nanmean(heights))
     if vertical_part(crs):
         heights += _undulation(crs, path, bounds, (height, width))
-    wkt, names = pyproj.CRS("EPSG:4326").to_wkt(), ("height above the WGS 84 ellipsoid (m)",)
-    return write(target, [heights.astype(np.float32)], transform, wkt, descriptions=names, unit="m")
+    return heights, transform
 
 
 def _undulation(crs: pyproj.CRS, path: str, bounds: Bounds, shape: Tuple[int, int]) -> FloatArray:
@@ -120,8 +132,11 @@ def load_surface(path: str) -> Surface:
 @lru_cache(maxsize=4)
 def _surface(path: str, *_: object) -> Surface:
     with opened(path) as dataset:
-        heights = read(dataset).astype(np.float64)
-        west, step_lon, _, north, _, step_lat = dataset.GetGeoTransform()
+        return _on(read(dataset).astype(np.float64), dataset.GetGeoTransform())
+
+
+def _on(heights: FloatArray, transform: Sequence[float]) -> Surface:
+    west, step_lon, _, north, _, step_lat = transform
     return Surface(west + step_lon / 2, north + step_lat / 2, step_lon, -step_lat, heights)
 
 

@@ -6,7 +6,7 @@ import glob
 import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
@@ -201,6 +201,9 @@ def _paired(
             before = found[view.name].image
             reason = f"has two images of one acquisition with '{view.name}', '{before}' and '{path}'; leave one out"
             raise OptionError("XS", list(files), reason)
+        if image.plane is not None and view.plane is not None and not image.plane.source:
+            # One height was chosen for all bands of an acquisition.
+            image = replace(image, plane=replace(image.plane, height=view.plane.height, source=view.plane.source))
         found[view.name] = image
     return found
 

@@ -44,13 +44,13 @@ class Multispectral:
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row of the multispectral image."""
-        ground = self.pan.rpc.localise(self.pan.project(lon_lat_h), lon_lat_h[..., 2])
-        pixels: FloatArray = self.image.rpc.project(ground) + np.array(self.shift)
+        ground = self.pan.model.localise(self.pan.project(lon_lat_h), lon_lat_h[..., 2])
+        pixels: FloatArray = self.image.model.project(ground) + np.array(self.shift)
         return pixels
 
     def pan_pixels(self, col_row: FloatArray, height: float) -> FloatArray:
         """(..., 2) pixels of the multispectral image, without its shift, to those of the panchromatic image."""
-        pixels: FloatArray = self.pan.rpc.project(self.image.rpc.localise(col_row, height))
+        pixels: FloatArray = self.pan.model.project(self.image.model.localise(col_row, height))
         return pixels
 
 

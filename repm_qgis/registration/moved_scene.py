@@ -68,7 +68,7 @@ def moved_view(view: View, crs: str, bounds: Bounds, altitudes: Altitudes, shift
     lattice = np.meshgrid(*(np.linspace(*pair, count) for pair, count in zip(ends, _NODES)))
     ground = np.column_stack([axis.ravel() for axis in lattice])
     seen = view.project(_geodetic(crs, ground))
-    raw = view.rpc.project(_geodetic(crs, shift.applied(ground)))
+    raw = view.model.project(_geodetic(crs, shift.applied(ground)))
     middle = raw.mean(axis=0)  # small numbers, or the solution loses digits
     design = np.column_stack([raw - middle, np.ones(len(raw))])
     solution = np.linalg.lstsq(design, seen, rcond=None)[0].T

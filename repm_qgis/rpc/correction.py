@@ -19,6 +19,7 @@ import numpy as np
 
 from ..arrays import Altitudes, FloatArray, Size
 from ..errors import RpcInvalidError
+from .fit import Localise, fit_rpc
 from .grid import virtual_grid
 from .model import Rpc, monomials
 from .parameters import CORRECTION, CorrectionParameters
@@ -27,6 +28,7 @@ DELIVERED = "as delivered"
 SHIFTED = "shift, in the offsets"
 EXACT = "affine, in the numerators"
 FITTED = "affine, numerators fitted"
+PROJECTED = "fitted to the map's pixels"
 _TERMS = 20
 
 
@@ -65,6 +67,18 @@ def corrected(
         method = EXACT if rpc.row_den == rpc.col_den else FITTED
     error = np.linalg.norm(made.project(ground) - _pointed(rpc, pointing, ground), axis=1)
     return CorrectedRpc(made, method, float(error.max()), float(np.sqrt(np.mean(error**2))))
+
+
+def of_projected(localise: Localise, rpc: Rpc, size: Size, altitudes: Altitudes) -> CorrectedRpc:
+    """The RPC of an ortho-ready image's own pixels, its pointing correction included, over the heights of ``rpc``, that
+    of its lines of sight, and ``altitudes``.
+
+    ``localise`` is the pointed model's; the other arguments as in :func:`corrected`. Raises RpcInvalidError where the
+    model has no ground point for some pixels.
+    """
+    low, high = rpc.height_range
+    fit = fit_rpc(localise, size, (min(low, altitudes[0]), max(high, altitudes[1])))
+    return CorrectedRpc(replace(fit.rpc, accuracy_m=rpc.accuracy_m), PROJECTED, fit.max_px, fit.rms_px)
 
 
 def _pointed(rpc: Rpc, pointing: FloatArray, ground: FloatArray) -> FloatArray:

@@ -563,3 +563,9 @@ def xml_texts(text: str, names: Sequence[str]) -> Dict[str, List[str]]:
     """The texts of all elements of some names in an XML text, bounded as RPC files are; raises RpcInvalidError."""
     tree = _tree(text)
     return {name: [_leaf(node) for node in _anywhere(tree, name)] for name in names}
+
+
+def xml_inside(text: str, outer: str, inner: str) -> List[str]:
+    """The texts of all elements of one name that lie in elements of another, as :func:`xml_texts` reads them."""
+    tree = _tree(text)
+    return [_leaf(node) for parent in _anywhere(tree, outer) for node in _anywhere(parent, inner)]

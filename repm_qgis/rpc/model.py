@@ -126,25 +126,32 @@ class Rpc(Record):
                 result[start : start + _CHUNK, 1] = values[2] / values[3] * self.row_scale + self.row_off
         return result.reshape(points.shape[:-1] + (2,))
 
-    def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
+    def localise(
+        self, col_row: FloatArray, height: FloatArray | float, near: Optional[FloatArray] = None
+    ) -> FloatArray:
         """Find the ground points at given heights (m above the WGS 84 ellipsoid) that are seen at (..., 2) pixels.
 
         Gives (..., 3) longitude, latitude (degrees), height (m); NaN where the model has no answer there. Newton's
         method on the forward model with a Jacobian from central differences that is refreshed once; the model is so
-        nearly affine that four passes reach 1e-8 px.
+        nearly affine that four passes reach 1e-8 px. ``near`` are (..., 2) longitudes and latitudes within some px of
+        the points: from there one Jacobian serves them all, which takes a fifth of the time.
         """
         pixels = np.asarray(col_row, dtype=np.float64)
         flat = pixels.reshape(-1, 2)
         heights = np.broadcast_to(np.asarray(height, dtype=np.float64), pixels.shape[:-1]).reshape(-1)
+        first = None if near is None else np.asarray(near, dtype=np.float64).reshape(-1, 2)
         ground = np.empty((flat.shape[0], 3))
         for start in range(0, flat.shape[0], _CHUNK):
             part = slice(start, start + _CHUNK)
-            ground[part] = self._localise_part(flat[part], heights[part])
+            ground[part] = self._localise_part(flat[part], heights[part], None if first is None else first[part])
         return ground.reshape(pixels.shape[:-1] + (3,))
 
-    def _localise_part(self, pixels: FloatArray, heights: FloatArray) -> FloatArray:
+    def _localise_part(self, pixels: FloatArray, heights: FloatArray, near: Optional[FloatArray]) -> FloatArray:
         ground = np.empty((pixels.shape[0], 3))
         ground[:, 0], ground[:, 1], ground[:, 2] = self.lon_off, self.lat_off, heights
+        refreshed = (1, 6)
+        if near is not None:
+            ground[:, :2], refreshed = near, (4, 9)
         error = np.full(pixels.shape[0], np.inf)
         for iteration in range(_LOCALISE_STEPS):
             residual = pixels - self.project(ground)
@@ -152,9 +159,12 @@ class Rpc(Record):
             finite = np.isfinite(error)
             if not finite.any() or error[finite].max() < _LOCALISE_TOLERANCE_PX:
                 break
-            if iteration == 0:  # all start at the same place
-                inverse = self._inverse_jacobian(np.array([[self.lon_off, self.lat_off, self.height_off]]))
-            elif iteration in (1, 6):
+            if iteration == 0:  # all start at the same place, or in a small one
+                middle = np.array([[self.lon_off, self.lat_off, self.height_off]])
+                if near is not None:
+                    middle = ground[finite][np.count_nonzero(finite) // 2][None]
+                inverse = self._inverse_jacobian(middle)
+            elif iteration in refreshed:
                 inverse = self._inverse_jacobian(ground)
             step = np.einsum("nij,nj->ni", inverse, residual)
             # A step beyond the model's own domain would run into its poles.

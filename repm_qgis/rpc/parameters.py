@@ -1,4 +1,4 @@
-"""The numbers that the export of corrected RPCs chooses."""
+"""The numbers that the fit of RPCs and the export of corrected ones choose."""
 
 from __future__ import annotations
 
@@ -18,4 +18,14 @@ class CorrectionParameters(Parameters):
     check_inset: float = 0.3  # ... and the steps by which its ends lie inside, so that it shares no node; chosen
 
 
+@dataclass(frozen=True)
+class RpcFitParameters(Parameters):
+    """The fit of an RPC to a sensor (Tao and Hu 2001)."""
+
+    nodes: Tuple[int, int, int] = (16, 16, 7)  # of the virtual grid, along columns, rows and heights
+    ridge: float = 1e-6  # of the largest singular value: costs under 1e-3 px, and keeps denominators near one
+    reweights: int = 4  # passes, each weighted by the denominator of the one before
+
+
 CORRECTION = CorrectionParameters()
+RPC_FIT = RpcFitParameters()

@@ -63,8 +63,11 @@ def rpc_of(dataset: gdal.Dataset, path: str, rpc_file: Optional[str] = None) -> 
     if rpc is not None:
         return rpc
     if dataset.GetProjection() and dataset.GetGeoTransform(can_return_null=True):
-        reason = "is already projected to a map (an ortho-ready or orthorectified product)"
-        remedy = "order the Basic, Sensor or Primary level, which comes with RPCs"
+        reason = "is already projected to a map"
+        remedy = (
+            "an ortho-ready product comes with one, which belongs into its folder or into RPCS; instead of an "
+            "orthoimage, order the Basic, Sensor or Primary level"
+        )
         raise RpcMissingError(f"'{path}' has no RPC and {reason}: {remedy}.")
     remedy = "Put the vendor's RPC file into the image's folder under its original name, or name it in RPCS"
     raise RpcMissingError(f"No RPC found for '{path}'. Looked in: {', '.join(tried)}. {remedy}.")

@@ -34,12 +34,14 @@ from .parameters import POINTING, SweepParameters
 
 @dataclass(frozen=True)
 class SweepResult:
-    """The range found, margins included; how many of all cells gave an altitude; the distance of the planes."""
+    """The range found, margins included; how many of all cells gave an altitude; the distance of the planes; and the
+    (N, 3) longitudes, latitudes and altitudes of these cells."""
 
     altitudes: Altitudes
     matched: int
     cells: int
     step_m: float
+    points: FloatArray
 
 
 def sweep_altitudes(
@@ -90,13 +92,15 @@ def _swept(
         altitude, score = _sweep_patch(sweep, patch, shift)
         good = _in_large_parts(np.where(score > parameters.least_correlation, altitude, np.nan), step, parameters)
         cells += score.size
-        found.append(altitude[good])
-    heights = np.concatenate(found) if found else np.empty(0)
+        places = upsample_grid(_lattice(crs, patch), (altitude.shape[0], altitude.shape[1]))[good]
+        found.append(np.column_stack([places, altitude[good]]))
+    points = np.concatenate(found) if found else np.empty((0, 3))
+    heights = points[:, 2]
     if heights.size < max(parameters.least_cells, parameters.least_share * cells):
         return None
     low, high = np.percentile(heights, (parameters.tail_percent, 100.0 - parameters.tail_percent))
     low, high = altitudes.around_sweep(low, high, step)
-    return SweepResult((max(search[0], low), min(search[1], high)), int(heights.size), cells, float(step))
+    return SweepResult((max(search[0], low), min(search[1], high)), int(heights.size), cells, float(step), points)
 
 
 def _in_large_parts(altitude: FloatArray, step: float, parameters: SweepParameters) -> Mask:
@@ -196,11 +200,16 @@ def _reduced_pair(sweep: _Sweep, patch: Bounds) -> Tuple[Tuple[int, int], FloatA
     """A patch's shape in cells, the lattice of its longitudes and latitudes, and its images (None: not both see it)."""
     cell = max(sweep.first.gsd_m, sweep.second.gsd_m) * sweep.parameters.reduction
     shape = (max(8, int((patch[3] - patch[1]) / cell)), max(8, int((patch[2] - patch[0]) / cell)))
-    u, v = np.linspace(patch[0], patch[2], 9), np.linspace(patch[3], patch[1], 9)
-    lon_lat = geodetic_from_projected(sweep.crs, np.stack(np.meshgrid(u, v), axis=-1))
+    lon_lat = _lattice(sweep.crs, patch)
     images = [_Reduced.of(view, sweep, patch) for view in (sweep.first, sweep.second)]
     known = [image for image in images if image is not None]
     return shape, lon_lat, known if len(known) == 2 else None
+
+
+def _lattice(crs: str, patch: Bounds) -> FloatArray:
+    """(9, 9, 2) longitudes and latitudes over a patch, from its first cell's to its last one's, rows running south."""
+    u, v = np.linspace(patch[0], patch[2], 9), np.linspace(patch[3], patch[1], 9)
+    return geodetic_from_projected(crs, np.stack(np.meshgrid(u, v), axis=-1))
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ def _placed(gcp: Gcp, views: Sequence[View], parameters: PointingParameters) -> 
         limit = promise_of(view, parameters.promises).horizontal_m + parameters.places.margin_m
         found[view.name] = (_distance(gcp, view), limit)
         reach = limit / view.gsd_m
-        pixel = view.rpc.project(gcp.lon_lat_h)
+        pixel = view.model.project(gcp.lon_lat_h)
         inside = inside or bool(((pixel > -reach) & (pixel < np.array(view.size) + reach)).all())
     name = min(found, key=lambda view: found[view][0] - found[view][1])
     return PlacedPoint(gcp, name, *found[name], inside)
@@ -110,7 +110,7 @@ def _placed(gcp: Gcp, views: Sequence[View], parameters: PointingParameters) -> 
 
 def _distance(gcp: Gcp, view: View) -> float:
     """Metres on the ground from a point to where a view's RPC puts its pixel, at the point's height."""
-    lon, lat, _ = view.rpc.localise(gcp.pixels[view.name], gcp.height)
+    lon, lat, _ = view.model.localise(gcp.pixels[view.name], gcp.height)
     distance = float(_WGS84.inv(gcp.lon, gcp.lat, lon, lat)[2])
     return distance if math.isfinite(distance) else math.inf
 

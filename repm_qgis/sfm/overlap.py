@@ -56,7 +56,7 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
     Raises whatever :func:`~repm_qgis.scene.load_views` raises, RpcInvalidError where two images have the same RPC, and
     OverlapError where no two images overlap.
     """
-    views = load_views(options.images, options.rpcs, options.masks, whole=options.extent is None)
+    views = load_views(options.images, options.rpcs, options.masks, options.extent is None, options.ortho_ready_height)
     return of_one_place(_each_once(views, warn), least_px, warn, _wanted(options))
 
 
@@ -77,7 +77,7 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
 
     for view in views:
         same = next((other for other in kept if same_pixels(other, view)), None)
-        alike = next((other for other in kept if other.rpc == view.rpc), None)
+        alike = next((other for other in kept if other.model == view.model), None)
         if same is None and alike is not None:
             raise RpcInvalidError(
                 f"The images {alike.name} and {view.name} have the same RPC: give each image its own (the file beside "
@@ -160,7 +160,7 @@ def foreign_rpc(views: Sequence[View]) -> str:
     The sign: an RPC that was made for an image that begins where this one does and is much larger.
     """
     found = []
-    for view in views:
+    for view in (view for view in views if view.plane is None):
         rpc, size = view.rpc, np.array(view.size)
         middle, reach = np.array([rpc.col_off, rpc.row_off]), np.abs([rpc.col_scale, rpc.row_scale])
         made = np.rint(middle + reach + 1)

@@ -38,6 +38,15 @@ class SweepParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class PlaneParameters(Parameters):
+    """The height that ortho-ready images were projected to, where nobody says it. All values are chosen."""
+
+    reach_m: float = 500.0  # by which the assumed height may be wrong: vendors take a mean height of the ground
+    fine_reduction: int = 2  # image px for one cell of the second sweep, whose planes are as much closer
+    fine_reach_m: float = 40.0  # beyond the DEM's heights, searched by the second sweep
+
+
+@dataclass(frozen=True)
 class PairParameters(Parameters):
     """Which pairs are matched (Qin 2019; see docs/method.md, "Pairs"). Weights of time and sun are chosen."""
 
@@ -272,6 +281,7 @@ class PointingParameters(Parameters):
     """All parameters of this package."""
 
     sweep: SweepParameters = SweepParameters()
+    planes: PlaneParameters = PlaneParameters()
     pairs: PairParameters = PairParameters()
     keypoints: KeypointParameters = KeypointParameters()
     patches: PatchParameters = PatchParameters()

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Optional, Tuple
 
 from ..parameters import Parameters
+from ..rpc.parameters import RpcFitParameters
 
 
 @dataclass(frozen=True)
@@ -42,15 +43,6 @@ class RenderParameters(Parameters):
     coarse_cells: int = 8  # side of a cell of the coarse maxima, and sub-pixels between coarse rays
     wall_hit_m: float = 0.3  # a hit so far below the surface there is on a wall
     bisections: int = 6  # halvings of the last step, of half a cell
-
-
-@dataclass(frozen=True)
-class RpcFitParameters(Parameters):
-    """The fit of an RPC to a sensor (Tao and Hu 2001)."""
-
-    nodes: Tuple[int, int, int] = (16, 16, 7)  # of the virtual grid, along columns, rows and heights
-    ridge: float = 1e-6  # of the largest singular value: costs under 1e-3 px, and keeps denominators near one
-    reweights: int = 4  # passes, each weighted by the denominator of the one before
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from ..errors import OptionError
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import created
 from ..progress import Part, Progress
+from ..rpc.fit import RpcFit, fit_rpc
 from ..rpc.model import Rpc
 from ..rpc.writers import rpc_tags
 from ..sfm.ground_control import Gcp, write_gcps
@@ -31,7 +32,6 @@ from .gcps import choose_gcps, common_square
 from .mountains import build_mountains
 from .parameters import SIMULATION, SimulationParameters, VendorParameters
 from .render import render_view
-from .rpc_fit import RpcFit, fit_rpc
 from .sensor import PLEIADES, PushbroomView, Sensor, aim
 from .surface import Ground, SimulatedSurface, Sun
 from .town import Town

@@ -34,6 +34,7 @@ from ..rpc.readers import rpc_sidecars
 from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
 from ..sfm.overlap import views_of
+from ..sfm.plane_heights import with_planes
 from ..stereo.parameters import STEREO
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
@@ -111,6 +112,16 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     crs = _crs(options, views)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
+    views, search = with_planes(
+        views,
+        crs,
+        Bounds(*bounds_of(area)),
+        search,
+        options.dem,
+        Part(progress, 0.0, 0.3),
+        parameters.pointing.sweep,
+        parameters.pointing.planes,
+    )
     ends, part, sweep = (
         (options.altitude_min, options.altitude_max),
         Part(progress, 0.0, 0.6),

@@ -108,7 +108,7 @@ def error_at(
     """(..., 2) pinhole minus RPC pixel at ground nodes, the refined camera's where there is one; and the RPC pixel."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
     # The vendor's RPC: pointing corrections, found later, are no fault of the camera.
-    pixels = view.rpc.project(ground)
+    pixels = view.model.project(ground)
     fitted = tile.views[view.name]
     enu = scene.frame.from_geodetic(ground)
     if fitted.refined is None:

@@ -18,7 +18,7 @@ from ..imagery.vrt import image_vrt_text
 from ..names import scene_title
 from ..options import ExportRpcOptions
 from ..progress import Progress, counted
-from ..rpc.correction import corrected
+from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
 from ..scene import Scene, View
 from ..workspace import whole_folder, write_text
@@ -56,13 +56,16 @@ def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
 
 def _exported(scene: Scene, view: View) -> ExportedRpc:
     try:
-        made = corrected(view.rpc, view.pointing, view.size, scene.altitudes)
+        if view.plane is None:
+            made = corrected(view.rpc, view.pointing, view.size, scene.altitudes)
+        else:
+            made = of_projected(view.localise, view.rpc, view.size, scene.altitudes)
     except RpcInvalidError as error:
         raise RpcInvalidError(
             f"The RPC of '{view.image}' cannot be exported: {error} Make the scene again with the image's own RPC."
         ) from error
     middle, height = np.array([(view.width - 1) / 2, (view.height - 1) / 2]), sum(scene.altitudes) / 2
-    before, after = view.rpc.localise(middle, height), view.localise(middle, height)
+    before, after = view.model.localise(middle, height), view.localise(middle, height)
     moved = np.full(2, np.nan)
     if np.isfinite(before).all() and np.isfinite(after).all():
         moved = EnuFrame(*map(float, before)).from_geodetic(after)[:2]

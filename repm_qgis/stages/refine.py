@@ -110,9 +110,9 @@ def _refined(task: RefineTask) -> List[Tile]:
     for tile in task.tiles:
         views = {}
         for name, seen in tile.views.items():
-            rpc = scene.view(name).rpc
-            grid = virtual_grid(rpc.localise, seen.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
-            how = scene.order, scene.terrain(rpc)
+            model = scene.view(name).model
+            grid = virtual_grid(model.localise, seen.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
+            how = scene.order, scene.terrain(model)
             refined = refine_pinhole(scene.refinement, seen.camera, grid, seen.window, *how)
             image = _write_image(scene, tile.id, name, refined, task.kernel) if task.kernel else seen.image
             views[name] = replace(seen, refined=refined, image=image)

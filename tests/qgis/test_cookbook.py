@@ -82,8 +82,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_thirteen_tasks():
-    assert sorted(TASKS) == list(range(1, 14))
+def test_the_book_has_fourteen_tasks():
+    assert sorted(TASKS) == list(range(1, 15))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -198,6 +198,15 @@ def test_13_two_dates_of_a_quarry(cook):
     dug *= gdal.Open(str(folder / "quarry.tif")).GetGeoTransform()[1] ** 2
     assert abs(found["LOST_M3"] - dug) < min(3 * found["LOST_DEVIATION_M3"], 0.1 * dug)
     assert (folder / "change.html").exists() and "10,000 m³" in TASKS[13]
+
+
+def test_14_ortho_ready_images(cook):
+    folder, said = cook(14)
+    assert said.count("projected to 960.00 m above the ellipsoid (ORTHO_READY_HEIGHT)") == 2
+    truth = str(folder / "mountains" / "truth.tif")
+    sensor, ready = (score_files(str(folder / name), truth, "3d") for name in ("mountains.tif", "ready.tif"))
+    assert abs(ready.metrics.nmad - sensor.metrics.nmad) < 0.05
+    assert abs(ready.alignment.dz - sensor.alignment.dz) < 0.2, "m: the height is that of the projection"
 
 
 def test_the_whole_book_is_quick():

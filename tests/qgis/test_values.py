@@ -57,6 +57,7 @@ def test_inputs_become_options_of_the_engine(plugin, context, feedback, rasters)
         "dem": rasters[0],
         "altitude_min": -5.5,
         "altitude_max": None,
+        "ortho_ready_height": None,
         "tile_size": 512,
         "error_budget": 0.1,
         "rpcs": [],

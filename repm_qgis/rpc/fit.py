@@ -13,9 +13,9 @@ import numpy as np
 
 from ..arrays import Altitudes, FloatArray, Size
 from ..errors import RpcInvalidError
-from ..rpc.grid import virtual_grid
-from ..rpc.model import Rpc, monomials
-from .parameters import SIMULATION, RpcFitParameters
+from .grid import virtual_grid
+from .model import Rpc, monomials
+from .parameters import RPC_FIT, RpcFitParameters
 
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -29,9 +29,7 @@ class RpcFit:
     rms_px: float
 
 
-def fit_rpc(
-    localise: Localise, size: Size, heights: Altitudes, parameters: RpcFitParameters = SIMULATION.rpc_fit
-) -> RpcFit:
+def fit_rpc(localise: Localise, size: Size, heights: Altitudes, parameters: RpcFitParameters = RPC_FIT) -> RpcFit:
     """Fit an RPC to a sensor model, and measure its residuals on another, denser grid.
 
     ``localise`` takes (N, 2) columns and rows and (N,) heights, and returns (N, 3) longitudes, latitudes, heights.
