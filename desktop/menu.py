@@ -15,6 +15,7 @@ from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
 from .install import InstallDialog, offer_once
+from .surface_editing import SurfaceEditingDock
 
 TITLE = "REPM"
 
@@ -29,8 +30,10 @@ class PluginMenu:
         self._offer: Any = None
         self._toolbox_actions = model_copy.register()
         self._dock: Optional[ControlPointsDock] = None
+        self._editor: Optional[SurfaceEditingDock] = None
         self.add(self.tr("First steps"), "repm", self.first_steps)
         self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
+        self.add(self.tr("Edit a DSM…"), "editdsm", self.edit_dsm)
         self.add(self.tr("Install the engine's packages…"), "environment", self.install)
         self.add(self.tr("Tutorial"), "", lambda: open_document("tutorial"))
         self.add(self.tr("Help"), "", lambda: open_document("guide"))
@@ -57,10 +60,11 @@ class PluginMenu:
         for action in self._actions:
             self._iface.removePluginMenu(TITLE, action)
             action.deleteLater()
-        if self._dock is not None:
-            self._dock.close_down()
-            self._dock.deleteLater()
-            self._dock = None
+        for dock in (self._dock, self._editor):
+            if dock is not None:
+                dock.close_down()
+                dock.deleteLater()
+        self._dock = self._editor = None
         if self._panel is not None:
             self._panel.close()
             self._panel.deleteLater()
@@ -79,6 +83,14 @@ class PluginMenu:
             self._iface.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._dock)
         self._dock.setUserVisible(True)
         return self._dock
+
+    def edit_dsm(self) -> SurfaceEditingDock:
+        """Show the dock, beside the map where it has not been moved."""
+        if self._editor is None:
+            self._editor = SurfaceEditingDock(self._iface)
+            self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._editor)
+        self._editor.setUserVisible(True)
+        return self._editor
 
     def first_steps(self) -> None:
         if self._panel is None:

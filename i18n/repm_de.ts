@@ -428,6 +428,49 @@
     </message>
 </context>
 <context>
+    <name>EditDsm</name>
+    <message>
+        <source>Apply edits to a DSM</source>
+        <translation>Bearbeitungen auf ein DOM anwenden</translation>
+    </message>
+    <message>
+        <source>Removes, fills or sets heights, flattens water and keeps breaklines, by the records of a GeoPackage.</source>
+        <translation>Entfernt, füllt oder setzt Höhen, ebnet Wasser ein und hält Bruchkanten, nach den Einträgen eines GeoPackage.</translation>
+    </message>
+    <message>
+        <source>DSM to edit</source>
+        <translation>Zu bearbeitendes DOM</translation>
+    </message>
+    <message>
+        <source>A surface model of this plugin or of others, in a projected CRS. It is not changed.</source>
+        <translation>Ein Oberflächenmodell von diesem Plugin oder von anderen, in einem projizierten KBS. Es wird nicht verändert.</translation>
+    </message>
+    <message>
+        <source>Edits</source>
+        <translation>Bearbeitungen</translation>
+    </message>
+    <message>
+        <source>A layer of polygons and lines with the fields number, operation (remove, fill, set, flatten or breakline), value and width in metres, and enabled. Plugins &gt; REPM &gt; Edit a DSM writes one.</source>
+        <translation>Ein Layer mit Polygonen und Linien und den Feldern number, operation (remove, fill, set, flatten oder breakline), value und width in Metern und enabled. Erweiterungen &gt; REPM &gt; DOM bearbeiten schreibt einen.</translation>
+    </message>
+    <message>
+        <source>Confidence of the DSM</source>
+        <translation>Konfidenz des DOM</translation>
+    </message>
+    <message>
+        <source>The raster that was written with the DSM. It is not changed.</source>
+        <translation>Das Raster, das mit dem DOM geschrieben wurde. Es wird nicht verändert.</translation>
+    </message>
+    <message>
+        <source>Number of edits</source>
+        <translation>Zahl der Bearbeitungen</translation>
+    </message>
+    <message>
+        <source>Cells that edits cover</source>
+        <translation>Zellen, die Bearbeitungen bedecken</translation>
+    </message>
+</context>
+<context>
     <name>Environment</name>
     <message>
         <source>Report the environment</source>
@@ -782,6 +825,10 @@
     <message>
         <source>Measure control points…</source>
         <translation>Passpunkte messen…</translation>
+    </message>
+    <message>
+        <source>Edit a DSM…</source>
+        <translation>DOM bearbeiten…</translation>
     </message>
     <message>
         <source>Install the engine's packages…</source>
@@ -1596,6 +1643,22 @@
         <translation>1, wo etwas auf dem Boden steht; 0, wo das DOM den Boden zeigt; 255, wo es keine Höhe hat.</translation>
     </message>
     <message>
+        <source>Edited DSM</source>
+        <translation>Bearbeitetes DOM</translation>
+    </message>
+    <message>
+        <source>The DSM with all edits that are enabled, as a GeoTIFF; the original stays as it is.</source>
+        <translation>Das DOM mit allen Bearbeitungen, die gelten, als GeoTIFF; das Original bleibt, wie es ist.</translation>
+    </message>
+    <message>
+        <source>Confidence of the edited DSM</source>
+        <translation>Konfidenz des bearbeiteten DOM</translation>
+    </message>
+    <message>
+        <source>The confidence raster, in which edited heights have the source "edited" and no expected error.</source>
+        <translation>Das Konfidenzraster, in dem bearbeitete Höhen die Quelle „von Hand bearbeitet“ und keinen erwarteten Fehler haben.</translation>
+    </message>
+    <message>
         <source>Equivalent error</source>
         <translation>Äquivalenter Fehler</translation>
     </message>
@@ -1813,6 +1876,133 @@
     <message>
         <source>Make a DSM stage by stage (model)</source>
         <translation>DOM Stufe für Stufe erzeugen (Modell)</translation>
+    </message>
+</context>
+<context>
+    <name>SurfaceEditingDock</name>
+    <message>
+        <source>Edit a DSM</source>
+        <translation>DOM bearbeiten</translation>
+    </message>
+    <message>
+        <source>The DSM that is edited. It stays as it is: the edited one lies beside it.</source>
+        <translation>Das DOM, das bearbeitet wird. Es bleibt, wie es ist: Das bearbeitete liegt daneben.</translation>
+    </message>
+    <message>
+        <source>The confidence of this DSM, if there is one: a copy of it says which heights were edited by hand.</source>
+        <translation>Die Konfidenz dieses DOM, falls es eine gibt: Eine Kopie von ihr sagt, welche Höhen von Hand bearbeitet wurden.</translation>
+    </message>
+    <message>
+        <source>Remove heights</source>
+        <translation>Höhen entfernen</translation>
+    </message>
+    <message>
+        <source>Fill from the rim</source>
+        <translation>Vom Rand aus füllen</translation>
+    </message>
+    <message>
+        <source>Set to a height</source>
+        <translation>Auf eine Höhe setzen</translation>
+    </message>
+    <message>
+        <source>Flatten water</source>
+        <translation>Wasser einebnen</translation>
+    </message>
+    <message>
+        <source>Keep a breakline</source>
+        <translation>Bruchkante halten</translation>
+    </message>
+    <message>
+        <source>The width of the brush, or the width within which a breakline fades.</source>
+        <translation>Die Breite des Pinsels oder die Breite, innerhalb derer eine Bruchkante ausläuft.</translation>
+    </message>
+    <message>
+        <source>Polygon</source>
+        <translation>Polygon</translation>
+    </message>
+    <message>
+        <source>Brush</source>
+        <translation>Pinsel</translation>
+    </message>
+    <message>
+        <source>Line</source>
+        <translation>Linie</translation>
+    </message>
+    <message>
+        <source>Undo</source>
+        <translation>Rückgängig</translation>
+    </message>
+    <message>
+        <source>Removes the last edit of the list.</source>
+        <translation>Entfernt die letzte Bearbeitung der Liste.</translation>
+    </message>
+    <message>
+        <source>The edits in their order. One without its tick is passed over.</source>
+        <translation>Die Bearbeitungen in ihrer Reihenfolge. Eine ohne Häkchen wird übergangen.</translation>
+    </message>
+    <message>
+        <source>DSM:</source>
+        <translation>DOM:</translation>
+    </message>
+    <message>
+        <source>Confidence:</source>
+        <translation>Konfidenz:</translation>
+    </message>
+    <message>
+        <source>Edit:</source>
+        <translation>Bearbeitung:</translation>
+    </message>
+    <message>
+        <source>Height:</source>
+        <translation>Höhe:</translation>
+    </message>
+    <message>
+        <source>Width:</source>
+        <translation>Breite:</translation>
+    </message>
+    <message>
+        <source>Choose the DSM that is to be edited.</source>
+        <translation>Das DOM wählen, das bearbeitet werden soll.</translation>
+    </message>
+    <message>
+        <source>This DSM is a temporary file: its edits are gone when QGIS ends. Save the layer first.</source>
+        <translation>Dieses DOM ist eine temporäre Datei: Seine Bearbeitungen sind weg, wenn QGIS endet. Den Layer zuerst speichern.</translation>
+    </message>
+    <message>
+        <source>Hold the left button down and paint.</source>
+        <translation>Mit gedrückter linker Maustaste malen.</translation>
+    </message>
+    <message>
+        <source>Left click: a vertex. Right click: the shape is finished. Backspace: one vertex less. Esc: none.</source>
+        <translation>Linksklick: ein Stützpunkt. Rechtsklick: Die Form ist fertig. Rücktaste: ein Stützpunkt weniger. Esc: keiner.</translation>
+    </message>
+    <message>
+        <source>from the shore</source>
+        <translation>vom Ufer</translation>
+    </message>
+    <message>
+        <source>Making the edited DSM…</source>
+        <translation>Das bearbeitete DOM entsteht…</translation>
+    </message>
+    <message>
+        <source>The edited DSM could not be made.</source>
+        <translation>Das bearbeitete DOM ist nicht entstanden.</translation>
+    </message>
+    <message>
+        <source>The edit was taken back. {reason}</source>
+        <translation>Die Bearbeitung wurde zurückgenommen. {reason}</translation>
+    </message>
+    <message>
+        <source>{name} (edited)</source>
+        <translation>{name} (bearbeitet)</translation>
+    </message>
+    <message>
+        <source>Choose an edit, press Polygon or Brush, and draw on the map.</source>
+        <translation>Eine Bearbeitung wählen, Polygon oder Pinsel drücken und auf der Karte zeichnen.</translation>
+    </message>
+    <message>
+        <source>Edits in {file}: {count}.</source>
+        <translation>Bearbeitungen in {file}: {count}.</translation>
     </message>
 </context>
 <context>

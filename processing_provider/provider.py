@@ -17,6 +17,7 @@ from .checkgcps import CheckGcps
 from .comparedsm import CompareDsm
 from .dsmfuse import DsmFuse
 from .dtm import Dtm
+from .editdsm import EditDsm
 from .environment import Environment
 from .epmfit import EpmFit
 from .errormap import ErrorMap
@@ -43,6 +44,7 @@ ALGORITHMS = (
     DsmFuse,
     Mosaic,
     Dtm,
+    EditDsm,
     Pipeline,
     CompareDsm,
     CheckGcps,

@@ -12,7 +12,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
 from osgeo import ogr
 
 from .errors import WorkspaceError
-from .options import VIEWER_CELLS, DsmFuseOptions, DtmOptions, MosaicOptions
+from .options import VIEWER_CELLS, DsmFuseOptions, DtmOptions, EditDsmOptions, MosaicOptions
 from .products import tiles_folder
 from .progress import Progress
 from .records import ViewPair
@@ -114,6 +114,13 @@ def terrain_needs(options: DtmOptions, cells: int, folder: str) -> List[Need]:
     needs = [_need(folder, cells * _TERRAIN_CELL)]
     rasters = ((options.output, 1.0), (options.heights, 1.0), (options.mask, _TERRAIN_MASK))
     return needs + [_need(path, 2 * share * cells * _RASTERS["output"]) for path, share in rasters if path]
+
+
+def editing_needs(options: EditDsmOptions, cells: int, bands: int) -> List[Need]:
+    """Products of an edited DSM of so many cells, whose confidence has so many bands; each is copied in its final
+    form from one that is not compressed."""
+    rasters = ((options.output, 1), (options.edited_confidence, bands))
+    return [_need(path, cells * count * (4.0 + _RASTERS["output"])) for path, count in rasters if path]
 
 
 def _area(scene: Scene) -> float:

@@ -702,6 +702,27 @@ class DtmOptions(Options):
 
 
 @dataclass(frozen=True)
+class EditDsmOptions(Options):
+    """Apply edits to a DSM, in the order of their numbers, and write a new one.
+
+    ``edits`` is a layer of polygons and lines with fields as in :mod:`repm_qgis.editing.edits`. ``confidence`` is the
+    DSM's raster of expected errors, and ``edited_confidence`` where the edited one goes, in which the source of edited
+    heights is "edited"; None = there is none, or it is not wanted.
+    """
+
+    dsm: str = read()
+    edits: str = read()
+    output: str = given()
+    confidence: Optional[str] = read(None)
+    edited_confidence: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.edited_confidence and not self.confidence:
+            raise OptionError("CONFIDENCE", self.confidence, "must be given where EDITED_CONFIDENCE is to be written")
+
+
+@dataclass(frozen=True)
 class CheckGcpsOptions(Options):
     """Measure a scene's RPCs and pointing, and a DSM, at ground control points.
 

@@ -49,6 +49,7 @@ _SOURCE_CLASSES = (
     "Interpolated on the DEM",
     "Ground in a shadow",
     "From the cells beside it",
+    "Edited by hand",
 )
 STYLES = (
     Style("gcps"),
@@ -167,6 +168,8 @@ _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows
 _TERRAIN = "Heights of the bare ground in metres as a GeoTIFF, above what the DSM's heights refer to."
 _OBJECT_HEIGHTS = "The DSM minus the terrain in metres: how high houses and trees are."
 _OBJECTS = "1 where something stands on the ground, 0 where the DSM shows the ground, 255 where it has no height."
+_EDITED = "The DSM with all edits that are enabled, as a GeoTIFF; the original stays as it is."
+_EDITED_CONFIDENCE = 'The confidence raster, in which edited heights have the source "edited" and no expected error.'
 _REPORTS = {
     "inspect": "Report of the images",
     "epmfit": "Report of the cameras",
@@ -226,6 +229,15 @@ PRODUCTS = (
         "dtm", "heights", "Heights above the terrain", RASTER, UNLESS_SKIPPED, "object_heights", help=_OBJECT_HEIGHTS
     ),
     Product("dtm", "mask", "Objects", RASTER, style="objects", help=_OBJECTS),
+    Product("editdsm", "output", "Edited DSM", RASTER, ALWAYS, "dsm", help=_EDITED),
+    Product(
+        "editdsm",
+        "edited_confidence",
+        "Confidence of the edited DSM",
+        RASTER,
+        style="confidence",
+        help=_EDITED_CONFIDENCE,
+    ),
     Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS, help=_EXPORTED),
     Product("exportrpc", "rpc_folder", "Folder for the corrected RPCs", BUILT_FOLDER, ALWAYS, help=_RPCS),

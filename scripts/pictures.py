@@ -31,6 +31,7 @@ SHOWN = {
     "errormap_map.png": "error_map.png",
     "inspect_map.png": "inspect.png",
     "control_points_window.png": "control_points.png",
+    "surface_editing_edited.png": "editing.png",
     "menu_first_steps.png": "first_steps.png",
     "install_dialog.png": "install.png",
 }
@@ -154,6 +155,7 @@ def desktop(folder: str) -> None:
             "tests/qgis/test_install.py",
             "tests/qgis/test_menu.py",
             "tests/qgis/test_control_points.py",
+            "tests/qgis/test_surface_editing.py",
         ],
         cwd=ROOT,
         env={**os.environ, "REPM_KEEP_PICTURES": folder},

@@ -274,6 +274,11 @@ class QgsDockWidget(QtWidgets.QDockWidget):
 
 
 class QgsMapLayerComboBox(QtWidgets.QComboBox):
+    layerChanged = QtCore.pyqtSignal(object)  # noqa: N815 - QGIS's name
+
+    def setLayer(self, layer):
+        pass
+
     def setFilters(self, filters):
         pass
 

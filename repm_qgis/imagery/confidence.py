@@ -20,6 +20,7 @@ class Provenance(IntEnum):
     INTERPOLATED_ON_DEM = 3
     SHADOW = 4
     NEIGHBOURS = 5
+    EDITED = 6
 
 
 CONFIDENCE_BANDS = (
@@ -27,7 +28,7 @@ CONFIDENCE_BANDS = (
     "spread between them (m)",
     "mean matching score",
     "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM, "
-    "4 ground in a shadow, 5 from the cells beside it",
+    "4 ground in a shadow, 5 from the cells beside it, 6 edited by hand",
     "expected error (m): two thirds are within",
 )
 SOURCE_BAND = 4

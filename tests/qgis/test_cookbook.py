@@ -82,8 +82,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_fourteen_tasks():
-    assert sorted(TASKS) == list(range(1, 15))
+def test_the_book_has_fifteen_tasks():
+    assert sorted(TASKS) == list(range(1, 16))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -207,6 +207,18 @@ def test_14_ortho_ready_images(cook):
     sensor, ready = (score_files(str(folder / name), truth, "3d") for name in ("mountains.tif", "ready.tif"))
     assert abs(ready.metrics.nmad - sensor.metrics.nmad) < 0.05
     assert abs(ready.alignment.dz - sensor.alignment.dz) < 0.2, "m: the height is that of the projection"
+
+
+def test_15_edits_of_the_surface(cook):
+    folder, said = cook(15)
+    before, after = heights(folder / "dsm.tif"), heights(folder / "edited.tif")
+    source = gdal.Open(str(folder / "edited_confidence.tif")).ReadAsArray()[3]
+    assert re.findall(r"\bEDITS:\t(\d+)", said) == ["3"]
+    house, beside = (slice(76, 91), slice(52, 72)), before[72:95, 49].max()
+    assert before[house].max() - beside > 4 > 2 > after[house].max() - beside
+    assert len(np.unique(after[127:137, 43:57])) == 1 and np.isnan(after[0:5, 26:33]).all()
+    edited = source == 6
+    assert edited.sum() > 700 and (after[~edited & np.isfinite(after)] == before[~edited & np.isfinite(after)]).all()
 
 
 def test_the_whole_book_is_quick():

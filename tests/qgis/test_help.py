@@ -17,7 +17,8 @@ from qgis.core import QgsApplication
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
 IN_ORDER = "environment sampledata inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
-IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "dtm", "change"]
+IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "dtm"]
+IN_ORDER += ["editdsm", "change"]
 
 
 def help_page(name):

@@ -33,6 +33,7 @@ PARAMETERS = {
     "OUTLIER_RADIUS MESH_VERTICES COLOUR XS PANSHARPEN CLOUD_NORMALS CLUSTER OUTPUT WORKSPACE REPORT TILES "
     "TIE_POINTS CONFIDENCE ORTHO CLOUD EPT MESH VIEW_HEIGHTS VIEWER",
     "dtm": "DSM SCENE CONFIDENCE LARGEST SLOPE VOIDS CLUSTER OUTPUT HEIGHTS MASK REPORT",
+    "editdsm": "DSM EDITS CONFIDENCE OUTPUT EDITED_CONFIDENCE",
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES CLUSTER ERROR REPORT",
     "change": "BEFORE AFTER BEFORE_CONFIDENCE AFTER_CONFIDENCE ALIGN MIN_AREA CLUSTER "
     "OUTPUT SIGNIFICANT VOLUMES REPORT",
@@ -56,6 +57,7 @@ OUTPUTS = {
     "N_TIE_POINTS VALID_PERCENT",
     "dtm": "OUTPUT HEIGHTS MASK REPORT OBJECTS_PERCENT VALID_PERCENT",
     "comparedsm": "ERROR REPORT RMSE MEDAE MAE NMAD COMPLETENESS",
+    "editdsm": "OUTPUT EDITED_CONFIDENCE EDITS EDITED_CELLS",
     "change": "OUTPUT SIGNIFICANT VOLUMES REPORT CHANGES GAINED_M3 GAINED_DEVIATION_M3 LOST_M3 LOST_DEVIATION_M3 "
     "LEVEL_M",
     "checkgcps": "OUTPUT REPORT "
@@ -135,7 +137,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "exportcameras",
         "exportrpc",
     )
-    work += ("reconstruct", "dsmfuse", "mosaic", "dtm", "comparedsm", "checkgcps", "viewer", "change")
+    work += ("reconstruct", "dsmfuse", "mosaic", "dtm", "editdsm", "comparedsm", "checkgcps", "viewer", "change")
     assert [name for name in shown if name in work] == list(work)
     assert len({entry.displayName().split(" ")[0] for entry in provider.algorithms()}) == len(shown)
 

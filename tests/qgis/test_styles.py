@@ -257,7 +257,7 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
         found[layer.renderer().usesBands()[0]] = [each.label for each in layer.renderer().classes()]
     assert found[1] == ["1", "2", "3"]
     sources = ["Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM"]
-    assert found[4] == [*sources, "Ground in a shadow", "From the cells beside it"]
+    assert found[4] == [*sources, "Ground in a shadow", "From the cells beside it", "Edited by hand"]
     assert len({tuple(pixel) for pixel in drawn(layer, layer.extent(), (4, 4)).reshape(-1, 3)}) == 4
 
 

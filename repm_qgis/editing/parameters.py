@@ -1,0 +1,23 @@
+"""The numbers that edits of a surface choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..parameters import Parameters
+
+
+@dataclass(frozen=True)
+class EditingParameters(Parameters):
+    """Chosen, unless a source is given."""
+
+    shore_cells: int = 3  # width of the strip around water whose heights say how high the water is
+    shore_percentile: float = 10.0  # of these heights: banks and trees are higher, a tenth may be wrong and too low
+    most_solved: int = 1_000_000  # cells of a window whose fill is solved as a whole; of more, on coarser cells
+    accurate_m: float = 1e-4  # how exactly a fill is solved
+    most_iterations: int = 200  # 30 are usual
+    smoothings: int = 4  # relaxations on the DSM's own cells for each step from coarser ones
+    block_cells: int = 1024  # side of a block, at most; bounds the memory, and changes no byte
+
+
+EDITING = EditingParameters()
