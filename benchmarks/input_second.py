@@ -15,7 +15,7 @@ import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Callable, Iterator, List, Sequence
+from typing import Callable, Iterator, List, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -26,11 +26,13 @@ from benchmarks.input_dsms import relief, surface
 from benchmarks.own_rpcs import sound_scenes
 from benchmarks.runner import ROOT, few, say
 from benchmarks.tables import table
+from repm_qgis.arrays import Bounds
 from repm_qgis.errors import RepmError
-from repm_qgis.evaluation.grids import Grid
-from repm_qgis.geometry.vertical import ELLIPSOID, TAG
+from repm_qgis.geometry.tiles import enclosing
+from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG
 from repm_qgis.imagery.raster import opened, read, write
 from repm_qgis.rpc.writers import rpc_tags, rpc_txt
+from repm_qgis.scene import Scene
 
 _PLACE, _CRS = (500000.0, 1.0, 0.0, 4800000.0, 0.0, -1.0), pyproj.CRS("EPSG:32631").to_wkt("WKT1_GDAL")
 _LOCAL = 'LOCAL_CS["site of works",UNIT["metre",1]]'
@@ -54,6 +56,14 @@ def put_together(wrong: str, folder: Path) -> List[Job]:
     if wrong == "displaced by 20 m in a flat town":
         dsms = [
             write(str(folder / f"{east}.tif"), [flat_town(east)], _PLACE, _CRS, metadata=_ELLIPSOID) for east in (0, 20)
+        ]
+    elif wrong == "6 m too high, and both state 0.5 m":
+        tags = {**_ELLIPSOID, DEVIATION_TAG: "0.5"}
+        heights = (relief()[:, :200], relief()[:, 100:] + np.float32(6.0))
+        places = (_PLACE, (_PLACE[0] + 100.0, *_PLACE[1:]))
+        dsms = [
+            write(str(folder / f"{k}.tif"), [np.ascontiguousarray(heights[k])], places[k], _CRS, metadata=tags)
+            for k in (0, 1)
         ]
     else:
         dsms = [surface(folder, "good"), surface(folder, "wrong", wrong, start=100)]
@@ -279,6 +289,7 @@ _MOSAICS: Sequence[str] = (
     "mirrored",
     "displaced by 20 m",
     "displaced by 20 m in a flat town",
+    "6 m too high, and both state 0.5 m",
     "right",
 )
 
@@ -314,31 +325,30 @@ TRIALS: List[Trial] = [replace(trial, limit_s=120.0) for trial in _TRIALS]
 # --- sound scenes ---------------------------------------------------------------------------------------------------
 
 
-def _half(images: Sequence[str], whole: str, side: int, folder: Path) -> str:
+def _bounds(images: Sequence[str], folder: Path) -> Tuple[Bounds, str]:
+    """The ground that a scene's images show together, and its CRS."""
+    ended = run_in(ROOT, "epmfit", {"images": list(images), "workspace": str(folder / "w")}, folder)
+    if ended.error:
+        raise RepmError(ended.error)
+    scene = Scene.load(ended.result["scene"])
+    return enclosing([tile.bounds for tile in scene.tiles]), scene.crs
+
+
+def _half(images: Sequence[str], bounds: Bounds, crs: str, side: int, folder: Path) -> str:
     """A DSM of three fifths of a scene, in the west or the east, made from the images; the second one in feet."""
-    with opened(whole) as dataset:
-        (west, south, east, north), crs = Grid.of(dataset).bounds, dataset.GetProjection()
-    reach = 0.6 * (east - west)
-    extent = (west, south, west + reach, north) if side == 0 else (east - reach, south, east, north)
+    reach = 0.6 * (bounds.xmax - bounds.xmin)
+    ends = (bounds.xmin, bounds.xmin + reach) if side == 0 else (bounds.xmax - reach, bounds.xmax)
     path = str(folder / f"half_{side}.tif")
-    ended = run_in(
-        ROOT,
-        "pipeline",
-        {
-            "images": list(images),
-            "workspace": str(folder / f"w{side}"),
-            "output": path,
-            "extent": list(extent),
-            "extent_crs": pyproj.CRS.from_wkt(crs).to_2d().to_wkt(),
-        },
-        folder,
-    )
+    made = {"images": list(images), "workspace": str(folder / f"w{side}"), "output": path}
+    extent = [ends[0], bounds.ymin, ends[1], bounds.ymax]
+    ended = run_in(ROOT, "pipeline", {**made, "extent": extent, "extent_crs": crs}, folder)
     if ended.error:
         raise RepmError(ended.error)
     if side:
         with opened(path) as dataset:
             heights, place, wkt = read(dataset), dataset.GetGeoTransform(), dataset.GetProjection()
-        write(path, [heights / np.float32(0.3048)], place, wkt, unit="ft", metadata=_ELLIPSOID)
+            tags = dataset.GetMetadata()
+        write(path, [heights / np.float32(0.3048)], place, wkt, unit="ft", metadata=tags)
     return path
 
 
@@ -349,8 +359,8 @@ def sound_mosaics() -> List[str]:
         say(f"{name} ...")
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)
-            run_in(ROOT, *pipeline(folder, images), folder)
-            halves = [_half(images, str(folder / "run.tif"), side, folder) for side in (0, 1)]
+            bounds, crs = _bounds(images, folder)
+            halves = [_half(images, bounds, crs, side, folder) for side in (0, 1)]
             report = str(folder / "r.html")
             ended = run_in(ROOT, "mosaic", {"dsms": halves, "output": str(folder / "m.tif"), "report": report}, folder)
             table_of = re.sub("<[^>]+>", " ", Path(report).read_text(encoding="utf-8").split("to the side, m")[1])

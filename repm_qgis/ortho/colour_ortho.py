@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import List, Tuple
+from typing import Callable, List, Tuple
 
 import numpy as np
 
@@ -62,11 +62,13 @@ def make_colour_ortho(
     folder: str,
     progress: Progress,
     parameters: OrthoParameters = ORTHO,
+    require_same: Callable[[], None] = lambda: None,
 ) -> None:
     """Write the orthophoto of a finished DSM on its cells.
 
-    ``folder`` is for blocks. Raises OverlapError for a multispectral image that shows nothing of its panchromatic one,
-    WorkspaceError where the file cannot be written.
+    ``folder`` is for blocks; ``require_same`` is asked when all pixels are read, before the file is made. Raises
+    OverlapError for a multispectral image that shows nothing of its panchromatic one, WorkspaceError where the file
+    cannot be written.
     """
     numbers = parameters.colour
     surface = SeenSurface.of(dsm, [source.view for source in plan.sources], parameters)
@@ -88,6 +90,7 @@ def make_colour_ortho(
     ]
     run_tasks(_block, tasks, workers, Part(progress, 0.4, 0.95), lambda _: "taking colours")
     parts = tuple((task.own, task.path) for task in tasks)
+    require_same()
     write_blocks(path, Blocks(dsm, parts, plan.names, plan.kind, plan.nodata, plan.natural), progress)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Sequence, Tuple
+from typing import Callable, Sequence, Tuple
 
 import numpy as np
 
@@ -42,11 +42,12 @@ def make_grey_ortho(
     folder: str,
     progress: Progress,
     parameters: OrthoParameters = ORTHO,
+    require_same: Callable[[], None] = lambda: None,
 ) -> None:
     """Write the orthophoto of a finished DSM on its cells, from ``views``, the most vertical one first.
 
-    ``folder`` is for blocks. Raises ImageError where a view cannot be read, WorkspaceError where the file cannot be
-    written.
+    ``folder`` is for blocks; ``require_same`` is asked when all pixels are read, before the file is made. Raises
+    ImageError where a view cannot be read, WorkspaceError where the file cannot be written.
     """
     side = parameters.block_cells
     work = Work("one block of the orthophoto", colouring_mib(side**2, 1, 1), lambda _: "do without ORTHO")
@@ -59,6 +60,7 @@ def make_grey_ortho(
     ]
     run_tasks(_block, tasks, workers, progress, lambda _: "taking greys")
     parts = tuple((task.own, task.path) for task in tasks)
+    require_same()
     write_blocks(path, Blocks(dsm, parts, ("brightness",)), progress)
 
 

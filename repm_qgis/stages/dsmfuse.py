@@ -11,10 +11,10 @@ from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..disk_space import fusion_needs, require_space
-from ..errors import EmptyResultError, OptionError, SceneError
+from ..errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
@@ -23,6 +23,7 @@ from ..fusion.visible import nadir_first
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
+from ..imagery.raster import content_of
 from ..names import scene_title
 from ..options import DsmFuseOptions, ViewerOptions, is_textured
 from ..ortho.colour_ortho import make_colour_ortho
@@ -56,6 +57,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     layout = _laid_out(scene, options, progress, parameters)
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     plan = colours_of(scene, options, progress, parameters)
+    require_same = _same_images(scene, plan)
     bands = len(plan.names) if plan else 0
     require_space("fusion", fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands), progress)
     whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for what all pairs make together
@@ -67,7 +69,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         ends = [whole * each for each in _ends(1.0, _ORTHO * painted, _POINTS * bool(clouds))]
         facts, stored = fused(fusion, Part(progress, 0.0, ends[0]))
         dsm = FinishedSurface.of(options.output, layout.crs, layout.datum)
-        ortho = _orthophoto(fusion, dsm, plan, Part(progress, ends[0], ends[1])) if painted else None
+        ortho = _orthophoto(fusion, dsm, plan, require_same, Part(progress, ends[0], ends[1])) if painted else None
         colours = ortho if plan else None
         facts = _clouds(fusion, dsm, clouds, colours, facts, Part(progress, ends[1], ends[2]))
         cloud = clouds[-1] if facts.points else None
@@ -78,7 +80,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
             written = partial(viewer.written, name=scene_title(scene, options.scene))
             run_whole(written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         _each_alone(fusion, pairs, Part(progress, whole, 1.0))
-    scene.require_same_images()
+    require_same()
     _log(options, parameters, facts, progress)
     progress.step(1.0, "DSM fused")
     paths = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
@@ -150,21 +152,43 @@ def colours_of(
     return plan
 
 
+def _same_images(scene: Scene, plan: Optional[ColourPlan]) -> Callable[[], None]:
+    """What raises SceneError where an image of the scene is another one than it was made from, and ImageError where one
+    that is read for its colours alone is another one than now."""
+    known = {os.path.realpath(view.image) for view in scene.views}
+    files = [path for path in (plan.files if plan else ()) if os.path.realpath(path) not in known]
+    before = {path: content_of(path) for path in files}
+
+    def require() -> None:
+        scene.require_same_images()
+        for path, content in before.items():
+            if content_of(path) != content:
+                raise ImageError(f"'{path}' was replaced while its colours were read: run again with the right image.")
+
+    return require
+
+
 def _matched(scene: Scene) -> List[ViewPair]:
     """The pairs that the height maps were matched from; the first views of a tile where all were matched together."""
     made = {record.pair for tile in scene.tiles for record in tile.heights}
     return [pair for pair in scene.pairs if pair.names in made]
 
 
-def _orthophoto(fusion: Fusion, dsm: FinishedSurface, plan: Optional[ColourPlan], progress: Progress) -> str:
+def _orthophoto(
+    fusion: Fusion,
+    dsm: FinishedSurface,
+    plan: Optional[ColourPlan],
+    require_same: Callable[[], None],
+    progress: Progress,
+) -> str:
     """Make the orthophoto from the finished DSM, in colour where there is a plan, and a temporary one if nobody keeps
     it; gives its path."""
     wanted, folder = fusion.options.ortho, str(fusion.folder)
     path, numbers = wanted or f"{folder}/colours.tif", fusion.parameters.ortho
     if plan:
-        make_colour_ortho(plan, dsm, fusion.options, path, folder, progress, numbers)
+        make_colour_ortho(plan, dsm, fusion.options, path, folder, progress, numbers, require_same)
     else:
-        make_grey_ortho(nadir_first(fusion.scene), dsm, fusion.options, path, folder, progress, numbers)
+        make_grey_ortho(nadir_first(fusion.scene), dsm, fusion.options, path, folder, progress, numbers, require_same)
     if wanted:
         write_style(product("dsmfuse", "ortho").style, wanted, taken=fusion.scene.taken())
     return path

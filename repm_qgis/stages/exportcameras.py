@@ -47,7 +47,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     for model, place in zip(models, places):
         points, residuals = tie_points(scene, model.tile)
         whole = replace(model, points=points, residuals_px=residuals)
-        _write_model(whole, written_as, place, options, stretches, progress, (done, count))
+        _write_model(scene, whole, written_as, place, options, stretches, progress, (done, count))
         done += len(model.views)
     error = max(view.error.max for model in models for view in model.views)
     rmse = float(np.sqrt(np.mean([view.error.rmse**2 for model in models for view in model.views])))
@@ -88,6 +88,7 @@ def _check_place(place: Path, layout: str) -> None:
 
 
 def _write_model(
+    scene: Scene,
     model: TileModel,
     written_as: ExportFormat,
     place: Path,
@@ -105,6 +106,7 @@ def _write_model(
             mask: Optional[str] = written_as.mask(image)
             mask_path, stretch = folder / mask if mask else None, stretches.get(view.name)
             write_image(view, folder / image, mask_path, stretch, options.kernel, progress)
+        scene.require_same_images()  # before the folder takes its name
         written_as.write(model, images, folder)
         write_text(str(folder / _FRAME_FILE), json.dumps(_frame(model, images, options), indent=1, allow_nan=False))
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import SceneError
+from repm_qgis.errors import ImageError, SceneError
 from repm_qgis.imagery.raster import content_of
+from repm_qgis.ortho import grey_ortho
 from repm_qgis.scene import Scene
-from repm_qgis.stages import fusing, reconstruct, run_stage
+from repm_qgis.stages import dsmfuse, exportcameras, fusing, reconstruct, run_stage
 
 WORDS = "was made from other pixels than '.*img_02.tif' has now: put the image back, or run 'Fit"
 
@@ -71,6 +73,51 @@ def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
     with pytest.raises(SceneError, match=WORDS):
         run_stage("dsmfuse", {"scene": made["output_scene"], **products}, told())
     assert not (tmp_path / "ortho.tif").exists()
+
+
+def test_amid_the_orthophoto(fitted, tmp_path, told, monkeypatch):
+    """One of other pixels than the DSM's does not take its name."""
+    images, options = fitted
+    made = run_stage("reconstruct", options, told())
+    last = grey_ortho.run_tasks
+    monkeypatch.setattr(grey_ortho, "run_tasks", lambda *given: (last(*given), replace_image(images[1]))[0])
+    products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
+    with pytest.raises(SceneError, match=WORDS):
+        run_stage("dsmfuse", {"scene": made["output_scene"], **products}, told())
+    assert (tmp_path / "dsm.tif").exists() and not (tmp_path / "ortho.tif").exists()
+
+
+def test_amid_the_export(fitted, tmp_path, told, monkeypatch):
+    images, options = fitted
+    refined = run_stage("refine", {**options, "output_scene": str(tmp_path / "w" / "refined.json")}, told())
+    last, done = exportcameras.write_image, []
+
+    def written(*given):
+        last(*given)
+        if not done:
+            done.append(replace_image(images[1]))
+
+    monkeypatch.setattr(exportcameras, "write_image", written)
+    wanted = {"scene": refined["output_scene"], "folder": str(tmp_path / "cameras"), "format": "colmap"}
+    with pytest.raises(SceneError, match=WORDS):
+        run_stage("exportcameras", wanted, told())
+    assert not list((tmp_path / "cameras").rglob("*.tif"))
+
+
+def test_an_image_that_is_read_for_its_colours(fitted, urban):
+    """It is none of the scene's, which knows nothing of it: it is compared with what it was at the beginning."""
+    images, options = fitted
+    scene = Scene.load(options["scene"])
+    require = dsmfuse._same_images(scene, SimpleNamespace(files=[*images, colours := f"{images[0]}.colours.tif"]))
+    with pytest.raises(ImageError, match="colours.tif' was replaced while its colours were read"):
+        shutil.copy(urban.images[2], colours)
+        require()
+    shutil.copy(urban.images[2], colours)
+    require = dsmfuse._same_images(scene, SimpleNamespace(files=[*images, colours]))
+    require()
+    replace_image(colours)
+    with pytest.raises(ImageError, match="colours.tif' was replaced"):
+        require()
 
 
 def test_what_other_programs_add_to_an_image_replaces_nothing(fitted, tmp_path):
