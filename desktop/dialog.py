@@ -9,11 +9,20 @@ from typing import Any, Callable, Mapping, Sequence
 
 from processing.gui.AlgorithmDialog import AlgorithmDialog
 from processing.gui.ParametersPanel import ParametersPanel
-from qgis.core import QgsProcessing, QgsProcessingAlgorithm, QgsProcessingParameterDefinition, QgsVectorLayer
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingAlgorithm,
+    QgsProcessingParameterDefinition,
+    QgsProject,
+    QgsVectorLayer,
+)
+from qgis.gui import QgsMapLayerComboBox
+from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QPoint
-from qgis.PyQt.QtWidgets import QLineEdit, QMenu, QStyle, QVBoxLayout, QWidget
+from qgis.PyQt.QtWidgets import QComboBox, QLineEdit, QMenu, QStyle, QVBoxLayout, QWidget
 
 from ..processing_provider.last_scene import last_scene
+from ..processing_provider.styles import hillshades
 from ..processing_provider.values import is_empty
 from ..repm_qgis.options import PRESETS
 
@@ -40,6 +49,7 @@ class Panel(ParametersPanel):
         if "BACKEND" in self.wrappers:
             colmap = self._together(_OF_COLMAP)
             self._follow("BACKEND", lambda: colmap.setVisible(self._value("BACKEND") == "colmap"))
+        self._leave_out_hillshades(QgsProject.instance())
         self._preset = "none"
         self._follow("PRESET", self._fill_in)
 
@@ -102,6 +112,16 @@ class Panel(ParametersPanel):
         except RepmError:
             return []
         return [(getattr(each, name), getattr(each, name)) for each in found]
+
+    def _leave_out_hillshades(self, project: QgsProject) -> None:
+        """A list of layers names each DSM once: its hillshade has the same source, and QGIS offers it first."""
+        shades = hillshades(project)
+        if not shades:
+            return
+        for box in self.findChildren(QComboBox):
+            if box.metaObject().className() == "QgsMapLayerComboBox":
+                box = sip.cast(box, QgsMapLayerComboBox)  # Python takes it for what it knows
+                box.setExceptedLayerList([*box.exceptedLayerList(), *shades])
 
     def _take_up_last_scene(self) -> None:
         optional = QgsProcessingParameterDefinition.Flag.FlagOptional

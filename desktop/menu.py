@@ -14,6 +14,7 @@ from . import model_copy
 from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
+from .hillshades import HillshadesFollow
 from .install import InstallDialog, offer_once
 from .surface_editing import SurfaceEditingDock
 
@@ -29,6 +30,7 @@ class PluginMenu:
         self._installer: Optional[InstallDialog] = None
         self._offer: Any = None
         self._toolbox_actions = model_copy.register()
+        self._hillshades = HillshadesFollow()
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
         self.add(self.tr("First steps"), "repm", self.first_steps)
@@ -74,6 +76,7 @@ class PluginMenu:
             self._installer.deleteLater()
             self._installer = None
         model_copy.unregister(self._toolbox_actions)
+        self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []
 
     def measure_control_points(self) -> ControlPointsDock:

@@ -75,7 +75,7 @@ class SampleData(RepmAlgorithm):
         """Have the scene loaded as a group: QGIS knows the folder as the only result, and loads no folder."""
         from ..repm_qgis.names import folder_name
 
-        run = styles.Run(folder_name(made["FOLDER"]) or self.tr("Sample images"))
+        run = styles.Run(folder_name(made["FOLDER"]) or self.tr("Sample images"), data=True)
         hints = QgsProcessingUtils.LayerHint
         points = QUrl.fromLocalFile(made["GCPS"])
         query = QUrlQuery()

@@ -19,6 +19,7 @@ from qgis.core import (
     QgsProject,
     QgsProviderRegistry,
     QgsRasterLayer,
+    QgsRasterRange,
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
@@ -32,6 +33,8 @@ from .language import language, said
 _FROM_TOP = [style.kind for style in STYLES]
 _OFF = [style.kind for style in STYLES if style.off]
 _ORDER, _SCENE, _NUMBER = "repm/order", "repm/scene", "repm/number"
+SHADED = "repm/shaded"
+"""The property of a hillshade's node in the tree of layers that names the DSM's layer, which it follows."""
 
 
 def _tr(text: str) -> str:
@@ -44,13 +47,14 @@ class Run:
 
     The group is the last one of the ``scene`` ("" for none: no group) where nothing of its ``kinds`` is in it yet, so
     that stages that follow each other share theirs; a run that is repeated makes a new one, with a number.
-    ``days`` are those on which the images were taken.
+    ``days`` are those on which the images were taken. ``data``: the group holds what runs begin with, and is no run's.
     """
 
     scene: str
     days: Sequence[str] = ()
     kinds: set[str] = field(default_factory=set)
     number: int = 0
+    data: bool = False
 
     def label(self) -> str:
         """The name of the group: which scene, of when, of which of several runs."""
@@ -60,6 +64,9 @@ class Run:
         """The name of a layer: what, of which scene, of when."""
         return " ".join(filter(None, (title, self.label(), f"({more})" if more else "")))
 
+    def _identity(self) -> str:
+        return f"data:{self.scene}" if self.data else self.scene
+
     def group(self, parent: QgsLayerTreeGroup) -> QgsLayerTreeGroup:
         """The run's group, in that of the layers which QGIS has put there, or next to it."""
         while parent.customProperty(_SCENE) and parent.parent() is not None:
@@ -67,14 +74,14 @@ class Run:
         mine = {
             int(child.customProperty(_NUMBER, 1)): child
             for child in parent.children()
-            if isinstance(child, QgsLayerTreeGroup) and child.customProperty(_SCENE) == self.scene
+            if isinstance(child, QgsLayerTreeGroup) and child.customProperty(_SCENE) == self._identity()
         }
         if not self.number:
             last = max(mine, default=0)
             self.number = last + 1 if not last or _kinds(mine[last]) & self.kinds else last
         if self.number not in mine:
             made = parent.insertGroup(0, self.label())
-            made.setCustomProperty(_SCENE, self.scene)
+            made.setCustomProperty(_SCENE, self._identity())
             made.setCustomProperty(_NUMBER, self.number)
             return made
         return mine[self.number]
@@ -112,6 +119,8 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
         if os.path.exists(self._style):
             layer.loadNamedStyle(self._style)
             layer.triggerRepaint()
+        if self._kind == "image" and isinstance(layer, QgsRasterLayer):
+            _without_collar(layer)
         for name, text in self._views.items():
             layer.styleManager().addStyle(name, QgsMapLayerStyle(text))
         project = context.project()
@@ -126,6 +135,21 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
             _as_terrain(layer, project)
 
 
+def _without_collar(layer: QgsRasterLayer) -> None:
+    """Make what lies around an image transparent: on the map it is turned, and QGIS fills the corners with zeros."""
+    nothing = QgsRasterRange(0, 0)
+    for band in range(1, layer.bandCount() + 1):
+        layer.dataProvider().setUserNoDataValue(band, [nothing])
+    layer.setDefaultContrastEnhancement()  # the stretch without the zeros
+    layer.triggerRepaint()
+
+
+def hillshades(project: Optional[QgsProject]) -> list[QgsMapLayer]:
+    """The hillshades of our DSMs: nobody chooses these as a surface."""
+    nodes = project.layerTreeRoot().findLayers() if project is not None else []
+    return [node.layer() for node in nodes if node.customProperty(SHADED) and node.layer() is not None]
+
+
 def _shade(layer: QgsRasterLayer, node: QgsLayerTreeLayer, project: QgsProject, run: Run) -> None:
     """Lay the DSM's own hillshade over its colours: one raster layer can have only one of the two."""
     hillshade = QgsRasterLayer(layer.source(), run.name(_tr("Hillshade")), layer.providerType())
@@ -136,6 +160,7 @@ def _shade(layer: QgsRasterLayer, node: QgsLayerTreeLayer, project: QgsProject, 
     project.addMapLayer(hillshade, False)
     above = node.parent().insertLayer(node.parent().children().index(node), hillshade)
     above.setCustomProperty(_ORDER, _FROM_TOP.index("hillshade"))
+    above.setCustomProperty(SHADED, layer.id())
     above.setExpanded(False)
 
 
@@ -155,7 +180,7 @@ def _as_terrain(layer: QgsRasterLayer, project: QgsProject) -> None:
 def _place(node: QgsLayerTreeLayer, kind: str, run: Run) -> QgsLayerTreeLayer:
     """Move a layer into its run's group, to its place from the top; gives its node.
 
-    What would hide a DSM is switched off where there is one.
+    What would hide a DSM, or lies on it, is switched off where there is one.
     """
     parent = node.parent()
     group = run.group(parent) if run.scene else parent

@@ -3,8 +3,8 @@
 import os
 import sys
 
-from qgis.core import QgsApplication
-from qgis.PyQt.QtWidgets import QApplication, QGroupBox, QLineEdit, QMenu
+from qgis.core import QgsApplication, QgsProject, QgsRasterLayer
+from qgis.PyQt.QtWidgets import QApplication, QComboBox, QGroupBox, QLineEdit, QMenu
 from qgis.utils import iface
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
@@ -96,6 +96,13 @@ def look():
     FOUND["not refined"] = taken if isinstance(taken, str) else ""  # QGIS has a NULL of its own
     panel.setParameters({"SCENE": FOUND["scene"]})
     FOUND["tiles"], _ = offered(panel, "TILE")
+
+    surface, shade = (QgsRasterLayer(PLAN["lists"]["FIXED"][1], name) for name in ("surface", "its hillshade"))
+    QgsProject.instance().addMapLayers([surface, shade])
+    node = QgsProject.instance().layerTreeRoot().findLayer(shade.id())
+    node.setCustomProperty("repm/shaded", surface.id())
+    boxes = opened("change").mainWidget().wrappers["BEFORE"].wrappedWidget().findChildren(QComboBox)
+    FOUND["surfaces"] = [boxes[0].itemText(index).split(" [")[0] for index in range(boxes[0].count())]
     finish()
 
 

@@ -42,8 +42,8 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     assert layers["Tie points old town"]["renderer"] != "QgsSingleSymbolRenderer"
     # In one group, in an order in which nothing hides what matters.
     assert [(layer["name"].replace(" old town", ""), layer["shown"]) for layer in found["layers"]] == [
-        ("Tie points", True),
-        ("Tiles", True),
+        ("Tie points", False),
+        ("Tiles", False),
         ("Point cloud", False),
         ("Orthophoto", False),
         ("Confidence", False),

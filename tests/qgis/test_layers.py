@@ -11,6 +11,7 @@ from qgis.core import (
     QgsApplication,
     QgsCategorizedSymbolRenderer,
     QgsGraduatedSymbolRenderer,
+    QgsPointXY,
     QgsProcessingContext,
     QgsProject,
     QgsRuleBasedRenderer,
@@ -201,11 +202,11 @@ def test_each_run_has_its_group_and_stages_of_one_scene_share_theirs(plugin, fee
         ("village", True),
         [("dsm village", True)],
         ("town (2)", True),
-        [("tiles town (2)", True), ("confidence town (2)", False), ("dsm town (2)", True)],
+        [("tiles town (2)", False), ("confidence town (2)", False), ("dsm town (2)", True)],
         ("town", True),
         [
-            ("tie_points town", True),
-            ("tiles town", True),
+            ("tie_points town", False),
+            ("tiles town", False),
             ("error town", False),  # it would hide the DSM
             ("ortho town", False),
             ("dsm town", True),
@@ -283,3 +284,44 @@ def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
     assert isinstance(layer.renderer(), QgsSingleBandPseudoColorRenderer)
     assert layer.renderer().classificationMin() == -layer.renderer().classificationMax()
     assert (tmp_path / "e.qml").exists()
+
+
+def test_a_hillshade_is_shown_hidden_and_removed_with_its_dsm(load, sample, tmp_path, feedback):
+    from repm.desktop.hillshades import HillshadesFollow
+    from repm.processing_provider.styles import hillshades
+
+    _, layers = load("dtm", {"DSM": sample["truth"], "REPORT": ""}, {"OUTPUT": tmp_path / "bare.tif"})
+    project, dsm = load.project, layers["OUTPUT"]
+    (shade,) = hillshades(project)
+    assert shade.source() == dsm.source()
+    follow = HillshadesFollow(project)
+    root = project.layerTreeRoot()
+    for shown in (False, True):
+        root.findLayer(dsm.id()).setItemVisibilityChecked(shown)
+        assert root.findLayer(shade.id()).itemVisibilityChecked() == shown
+    project.removeMapLayer(dsm.id())
+    assert not project.mapLayers()
+    follow.stop()
+
+
+def test_corners_of_sample_images_are_transparent(plugin, context, feedback, tmp_path):
+    """On the map an image is turned, and QGIS fills what lies beside it with zeros, which would be black."""
+    project = QgsProject()
+    context.setProject(project)
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:sampledata")
+    _, fine = algorithm.run({"FOLDER": str(tmp_path / "hills"), "SIZE": 128}, context, feedback)
+    from processing.gui.Postprocessing import handleAlgorithmResults
+    from repm.processing_provider.styles import Run
+
+    assert fine and handleAlgorithmResults(algorithm, context, feedback, parameters={})
+    (group,) = project.layerTreeRoot().findGroups()
+    assert group.name() == "hills"
+    run = Run("hills", kinds={"dsm"})
+    assert run.group(project.layerTreeRoot()) != group and run.label() == "hills"  # a run's group has no number for it
+    (image,) = project.mapLayersByName("img_01")
+    box, provider = image.extent(), image.dataProvider()
+    corner, fine = provider.sample(QgsPointXY(box.xMinimum(), box.yMaximum()), 1)
+    middle, inside = provider.sample(box.center(), 1)
+    assert inside and middle > 0 and not (fine and corner == 0)
+    assert image.renderer().contrastEnhancement().minimumValue() > 0
+    project.clear()
