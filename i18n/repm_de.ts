@@ -126,6 +126,10 @@
         <source>{figure} of heights by {source} (m)</source>
         <translation>{figure} der Höhen durch {source} (m)</translation>
     </message>
+    <message>
+        <source>CE90 of positions by {source} (m)</source>
+        <translation>CE90 der Lage durch {source} (m)</translation>
+    </message>
 </context>
 <context>
     <name>CompareDsm</name>
@@ -208,6 +212,10 @@
     <message>
         <source>Normalised median absolute deviation (m)</source>
         <translation>Normalisierte mediane absolute Abweichung (m)</translation>
+    </message>
+    <message>
+        <source>LE90 (m): nine of ten heights are off by no more</source>
+        <translation>LE90 (m): neun von zehn Höhen sind höchstens so falsch</translation>
     </message>
     <message>
         <source>Completeness at the first threshold (%)</source>
@@ -1296,7 +1304,7 @@
     </message>
     <message>
         <source>The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it.</source>
-        <translation>Die Höhe über dem Ellipsoid WGS 84, auf die Bilder „ortho-ready“ projiziert wurden (Maxar OR2A, Airbus projected, GF und ZY 2A), wenn ihre Metadaten sie nicht nennen. Leer: Ein DEM ergibt sie, sonst wird die Mitte der Höhen des RPC angenommen, und das Protokoll sagt es. Bilder in Sensorgeometrie brauchen sie nicht.</translation>
+        <translation>Die Höhe über dem Ellipsoid WGS 84, auf die Bilder „ortho-ready“ projiziert wurden (Maxar OR2A, Airbus projected, GF und ZY 2A), wenn ihre Metadaten sie nicht nennen. Leer: Ein DGM ergibt sie, sonst wird die Mitte der Höhen des RPC angenommen, und das Protokoll sagt es. Bilder in Sensorgeometrie brauchen sie nicht.</translation>
     </message>
     <message>
         <source>Tile size (px, 0: automatic)</source>
@@ -1551,8 +1559,8 @@
         <translation>Konfidenz</translation>
     </message>
     <message>
-        <source>For each height: its expected error in metres, how many pairs agree, and how it was found.</source>
-        <translation>Zu jeder Höhe: der erwartete Fehler in Metern, wie viele Paare übereinstimmen und wie sie gefunden wurde.</translation>
+        <source>For each height: its expected error and LE90 in metres, how many pairs agree, and how it was found.</source>
+        <translation>Zu jeder Höhe: ihr erwarteter Fehler und LE90 in Metern, wie viele Paare übereinstimmen und wie sie gefunden wurde.</translation>
     </message>
     <message>
         <source>Orthophoto</source>

@@ -60,5 +60,11 @@ class CheckGcps(RepmAlgorithm):
                 f"{name}_{output}", self.tr("{figure} of heights by {source} (m)").format(figure=figure, source=source)
             )
             for name, source in by.items()
-            for output, figure in (("MEDAE", "MedAE"), ("RMSE", "RMSE"), ("MAX", "Max"))
+            for output, figure in (("MEDAE", "MedAE"), ("RMSE", "RMSE"), ("LE90", "LE90"), ("MAX", "Max"))
+        ] + [
+            QgsProcessingOutputNumber(
+                f"{name}_CE90", self.tr("CE90 of positions by {source} (m)").format(source=source)
+            )
+            for name, source in by.items()
+            if name != "DSM"
         ]

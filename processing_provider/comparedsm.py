@@ -116,6 +116,7 @@ class CompareDsm(RepmAlgorithm):
                 ("MEDAE", self.tr("Median absolute error (m)")),
                 ("MAE", self.tr("Mean absolute error (m)")),
                 ("NMAD", self.tr("Normalised median absolute deviation (m)")),
+                ("LE90", self.tr("LE90 (m): nine of ten heights are off by no more")),
                 ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),
             )
         ]

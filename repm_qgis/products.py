@@ -94,6 +94,15 @@ STYLES = (
         view_of="confidence",
         title="Source of each height",
     ),
+    Style(
+        "confidence_le90",
+        "viridis",
+        template="ramp",
+        unit=" m",
+        band=6,
+        view_of="confidence",
+        title="LE90 of each height",
+    ),
     Style("sources", off=True, template="palette"),
     Style("mesh", "elevation", off=True, unit=" m"),
     Style("image", plain=True),
@@ -138,7 +147,7 @@ _TILES = "The outlines of the tiles, with the equivalent error of each image's c
 _TIES = "Points on the ground that two or more images show, with their residuals in px."
 _HEIGHTS = "A folder for one height map of each pair and tile, from which the DSM is made."
 _DSM = "Heights in metres as a GeoTIFF; where nothing was matched, there is no height."
-_CONFIDENCE = "For each height: its expected error in metres, how many pairs agree, and how it was found."
+_CONFIDENCE = "For each height: its expected error and LE90 in metres, how many pairs agree, and how it was found."
 _ORTHO = "The images in map geometry, on the cells of the DSM, in colour where the images have colours."
 _DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
 _OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."

@@ -7,6 +7,7 @@ from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
+from ..accuracy import EXPLAINED
 from ..arrays import FloatArray
 from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures, verdict
@@ -60,8 +61,10 @@ def _side_by_side(page: Report, everyone: Mapping[str, Comparison]) -> None:
         m, a = one.metrics, one.alignment
         shares = [f"{share:.1f}" for _, share in m.completeness]
         shift = [f"{a.dx:+.2f}, {a.dy:+.2f}, {a.dz:+.2f}"] if moved else []
-        rows.append([name, f"{m.valid:.1f}", *fixed(m.rmse, m.medae, m.mae, m.nmad), f"{m.bias:+.3f}", *shares, *shift])
-    headers = ["DSM", "valid (%)", "RMSE (m)", "MedAE (m)", "MAE (m)", "NMAD (m)", "bias (m)"]
+        rows.append(
+            [name, f"{m.valid:.1f}", *fixed(m.rmse, m.medae, m.mae, m.nmad, m.le90), f"{m.bias:+.3f}", *shares, *shift]
+        )
+    headers = ["DSM", "valid (%)", "RMSE (m)", "MedAE (m)", "MAE (m)", "NMAD (m)", "LE90 (m)", "bias (m)"]
     headers += [f"< {level:g} m (%)" for level, _ in first.metrics.completeness]
     page.section("Side by side").table(
         headers + ["dx, dy, dz added (m)"] * moved,
@@ -103,7 +106,7 @@ def _summary(page: Report, found: Comparison, everyone: Mapping[str, Comparison]
     page.paragraph(
         f"{m.cells} of {m.reference_cells} reference cells have a DSM height ({m.valid:.1f} %). "
         f"Half of them are within {m.medae:.3f} m of the reference; NMAD {m.nmad:.3f} m, RMSE {m.rmse:.3f} m, "
-        f"bias {m.bias:+.3f} m."
+        f"LE90 {m.le90:.3f} m, bias {m.bias:+.3f} m."
     )
     for text in found.warnings:
         page.warning(text)
@@ -148,10 +151,12 @@ def _metrics(page: Report, found: Comparison) -> None:
 def _accuracy_tables(page: Report, found: Comparison, by: str, parts: Sequence[Tuple[str, HeightMetrics]]) -> None:
     rows = [("all", found.metrics)] + [(name, m) for name, m in parts if m.reference_cells]
     page.table(
-        f"{by} | Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | bias (m)",
-        [[name, m.cells, *fixed(m.rmse, m.medae, m.mae, m.nmad, m.bias)] for name, m in rows],
+        f"{by} | Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | LE90 (m) | bias (m)",
+        [[name, m.cells, *fixed(m.rmse, m.medae, m.mae, m.nmad, m.le90, m.bias)] for name, m in rows],
         "e is DSM − reference, over the cells that have both heights. MedAE is the median of |e| (ME in the method's "
         "paper), bias is the median of e. "
+        + EXPLAINED
+        + " RMSE is called RMSE_V by ASPRS (2023). "
         + ("" if found.exact else "Medians are good to 0.5 mm. ")
         + "Medians of parts are good to 5 mm.",
     )

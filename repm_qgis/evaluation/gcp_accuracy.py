@@ -13,6 +13,7 @@ import numpy as np
 from osgeo import gdal
 from pyproj import CRS, Transformer
 
+from ..accuracy import distances, le90
 from ..arrays import FloatArray, Mask
 from ..checks import as_text
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
@@ -35,20 +36,23 @@ _METRES_PER_DEGREE = 111320.0
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Of ``count`` points, metres: median of the absolute errors, root mean square, and largest absolute error."""
+    """Of ``count`` points, metres: median of the absolute errors, root mean square, largest absolute error, and the
+    error that nine of ten points do not exceed (LE90 of heights, CE90 of horizontal distances)."""
 
     count: int
     medae: float
     rmse: float
     max: float
+    le90: float
 
     @classmethod
     def of(cls, values: FloatArray) -> "ErrorSummary":
         """Of signed errors of any shape; NaN are left out, and no value at all gives NaN."""
         size = np.abs(values[np.isfinite(values)])
         if not size.size:
-            return cls(0, *[float("nan")] * 3)
-        return cls(size.size, float(np.median(size)), float(np.sqrt(np.mean(size**2))), float(size.max()))
+            return cls(0, *[float("nan")] * 4)
+        figures = np.median(size), np.sqrt(np.mean(size**2)), size.max(), le90(size)
+        return cls(size.size, *map(float, figures))
 
 
 @dataclass
@@ -75,6 +79,10 @@ class GcpAccuracy:
 
     def summary(self, column: str, component: str, role: str = "") -> ErrorSummary:
         return ErrorSummary.of(self.errors[column][self.rows(role), COMPONENTS.index(component)])
+
+    def horizontal(self, column: str, role: str = "") -> ErrorSummary:
+        """Of the horizontal distances from the true places."""
+        return ErrorSummary.of(distances(self.errors[column][self.rows(role), :2]))
 
 
 def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpParameters = GCPS) -> None:

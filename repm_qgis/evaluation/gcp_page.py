@@ -6,6 +6,7 @@ from typing import Any, List
 
 import numpy as np
 
+from ..accuracy import EXPLAINED, LEAST_POINTS
 from ..geometry.frames import EnuFrame, mean_place
 from ..options import CheckGcpsOptions
 from ..progress import counted
@@ -14,6 +15,8 @@ from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from .report import Report, fixed
 
 _MOST_LABELS = 60
+_BEST = ("dsm", "scene", "compensated", "rpc")
+"""The columns, that of the best product first."""
 _SHORT = {"rpc": "RPC", "compensated": "compensated", "scene": "scene", "dsm": "DSM"}
 
 
@@ -36,7 +39,7 @@ def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
 
 def _good(found: GcpAccuracy) -> str:
     """The figure that says most of the result: the DSM's, else that of the best geometry of the images."""
-    for column in ("dsm", "scene", "compensated", "rpc"):
+    for column in _BEST:
         figures = found.summary(column, "height") if column in found.errors else None
         if figures is not None and figures.count and column == "dsm":
             return f"Half of the DSM's heights are within {figures.medae:.3f} m of the points'."
@@ -66,12 +69,49 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
     for column in found.errors:
         for role in _roles(found):
             e = found.summary(column, "height", role)
-            rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.medae, e.rmse, e.max)])
+            rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.medae, e.rmse, e.le90, e.max)])
     page.section("Heights").table(
-        "heights by | points | count | MedAE, m | RMSE, m | Max, m",
+        "heights by | points | count | MedAE, m | RMSE, m | LE90, m | Max, m",
         rows,
-        "MedAE is the median of the absolute errors (ME in the method's paper), Max the largest of them."
+        "MedAE is the median of the absolute errors (ME in the method's paper), Max the largest of them. "
+        + EXPLAINED
         + _notes(found),
+    )
+    _positions(page, found)
+
+
+def _positions(page: Report, found: GcpAccuracy) -> None:
+    """Horizontal accuracy, and both in the words of a contract."""
+    rows: List[List[Any]] = []
+    for column in found.errors:
+        for role in _roles(found):
+            e = found.horizontal(column, role)
+            if e.count:
+                rows.append([COLUMNS[column], role or "all", e.count, *fixed(e.medae, e.rmse, e.le90, e.max)])
+    if rows:
+        page.section("Positions").table(
+            "positions by | points | count | median, m | RMSE_H, m | CE90, m | Max, m",
+            rows,
+            "Horizontal distances of the place found from the true one. CE90: nine of ten points lie in a circle of "
+            "this radius around their true places (NMAS). RMSE_H is the root mean square of the distances.",
+        )
+    role = "check" if any(gcp.role == "check" for gcp in found.gcps) else ""
+    words = [text for column in _BEST if column in found.errors for text in [_in_words(found, column, role)] if text]
+    if words:
+        page.paragraph(words[0])
+
+
+def _in_words(found: GcpAccuracy, column: str, role: str) -> str:
+    """The accuracy of the best product in the words of ASPRS (2023) and NMAS; "" where no point has a height."""
+    height, place = found.summary(column, "height", role), found.horizontal(column, role)
+    if not height.count:
+        return ""
+    points = counted(height.count, "check point" if role else "point")
+    horizontal = f", RMSE_H {place.rmse:.3f} m, CE90 {place.le90:.3f} m" if place.count else ""
+    few = "" if height.count >= LEAST_POINTS else f" ASPRS asks for at least {LEAST_POINTS} check points."
+    return (
+        f"{COLUMNS[column]}, in the words of contracts: vertical accuracy RMSE_V {height.rmse:.3f} m (ASPRS 2023), "
+        f"LE90 {height.le90:.3f} m (NMAS){horizontal}, of {points}.{few}"
     )
 
 

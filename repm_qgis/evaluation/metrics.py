@@ -6,6 +6,7 @@ With e = DSM - reference over the cells where both have a height (N of them), an
 - MedAE = median(\\|e\\|), the paper's "median error" ME. Elsewhere ME is the mean error, signed.
 - MAE = sum(\\|e\\|) / N.
 - bias = median(e), signed: positive where the DSM is too high.
+- LE90: the quantile of 90 % of \\|e\\|, as contracts ask for (:mod:`repm_qgis.accuracy`).
 - NMAD = 1.4826 median(\\|e - median(e)\\|): the standard deviation that the bulk of the cells has, without the bias.
 - valid = 100 N / M.
 - completeness(t) = 100 count(\\|e\\| < t) / M, over *all* reference cells: a hole counts as a miss, so that leaving
@@ -22,6 +23,7 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from ..accuracy import SHARE, le90
 from ..arrays import Floats, IntArray
 from ..imagery.sampling import NMAD_FACTOR, nmad
 
@@ -42,6 +44,7 @@ class HeightMetrics:
     mae: float
     nmad: float
     bias: float
+    le90: float
     completeness: Tuple[Tuple[float, float], ...]
 
     @property
@@ -111,23 +114,25 @@ class ErrorCollector:
 
     def metrics(self) -> HeightMetrics:
         shares = 100.0 * self._within / self._reference if self._reference else np.zeros(len(self._thresholds))
-        bias, medae, spread = self._medians() if self._n else (math.nan,) * 3
+        bias, medae, spread, most = self._quantiles() if self._n else (math.nan,) * 4
         n = self._n or math.nan
         rmse = math.sqrt(self._squares / n) if self._n else math.nan
         completeness = tuple(zip(self._thresholds, map(float, shares)))
-        return HeightMetrics(self._n, self._reference, rmse, medae, self._absolutes / n, spread, bias, completeness)
+        figures = rmse, medae, self._absolutes / n, spread, bias, most
+        return HeightMetrics(self._n, self._reference, *figures, completeness)
 
-    def _medians(self) -> Tuple[float, float, float]:
-        """Bias, MedAE and NMAD."""
+    def _quantiles(self) -> Tuple[float, float, float, float]:
+        """Bias, MedAE, NMAD and LE90."""
         if self._counts is None:
             values = np.concatenate(self._blocks)
             self._blocks = [values]
-            return float(np.median(values)), float(np.median(np.abs(values))), nmad(values)
+            return float(np.median(values)), float(np.median(np.abs(values))), nmad(values), le90(values)
         filled = np.flatnonzero(self._counts)
         middles, counts = (filled - self._half + 0.5) * self._bin, self._counts[filled]
-        bias = _weighted_median(middles, counts, self._bin)
-        spread = NMAD_FACTOR * _weighted_median(np.abs(middles - bias), counts, self._bin)
-        return bias, _weighted_median(np.abs(middles), counts, self._bin), spread
+        bias = _weighted_quantile(middles, counts, self._bin)
+        spread = NMAD_FACTOR * _weighted_quantile(np.abs(middles - bias), counts, self._bin)
+        medae, most = (_weighted_quantile(np.abs(middles), counts, self._bin, share) for share in (0.5, SHARE))
+        return bias, medae, spread, most
 
     def _count(self, values: Floats, counts: IntArray) -> None:
         if values.size:
@@ -137,11 +142,11 @@ class ErrorCollector:
             counts[low : low + found.size] += found
 
 
-def _weighted_median(middles: Floats, counts: IntArray, width: float) -> float:
-    """Median of a histogram; values are taken as evenly spread inside their bin."""
+def _weighted_quantile(middles: Floats, counts: IntArray, width: float, quantile: float = 0.5) -> float:
+    """A quantile of a histogram; values are taken as evenly spread inside their bin."""
     order = np.argsort(middles, kind="stable")
     total = np.cumsum(counts[order])
-    half = total[-1] / 2.0
+    half = quantile * total[-1]
     at = int(np.searchsorted(total, half))
     before = float(total[at - 1]) if at else 0.0
     share = (half - before) / float(counts[order][at])

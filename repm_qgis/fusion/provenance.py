@@ -13,6 +13,7 @@ from typing import Tuple
 
 import numpy as np
 
+from ..accuracy import LE90
 from ..arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
 from .aggregation import Candidate, FusedCells
@@ -35,7 +36,7 @@ class SurfaceCells:
 
     def facts(self) -> Tuple[FloatImage, ...]:
         """What the confidence raster has, in the order of its bands."""
-        return self.count, self.spread, self.score, self.source, self.error
+        return self.count, self.spread, self.score, self.source, self.error, np.float32(LE90) * self.error
 
 
 def described(

@@ -30,9 +30,10 @@ CONFIDENCE_BANDS = (
     "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM, "
     "4 ground in a shadow, 5 from the cells beside it, 6 edited by hand",
     "expected error (m): two thirds are within",
+    "LE90 (m): nine of ten are within, but for what all heights have in common",
 )
-SOURCE_BAND = 4
-_SOURCE, _ERROR = CONFIDENCE_BANDS[SOURCE_BAND - 1].split(":")[0], CONFIDENCE_BANDS[-1].split(" (")[0]
+SOURCE_BAND, ERROR_BAND = 4, 5
+_SOURCE, _ERROR = CONFIDENCE_BANDS[SOURCE_BAND - 1].split(":")[0], CONFIDENCE_BANDS[ERROR_BAND - 1].split(" (")[0]
 
 
 class ConfidenceBands(NamedTuple):

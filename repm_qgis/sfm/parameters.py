@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Tuple
 
+from ..accuracy import CE90, LE90
 from ..parameters import Parameters
 
 
@@ -204,8 +205,8 @@ class PromiseParameters(Parameters):
 
     unknown_m: float = 20.0  # CE90; chosen between the best satellites (4 m) and older ones
     unknown_px: float = 20.0  # the same in ground sampling distances, if that is more: coarser ones are worse. Chosen
-    ce90: float = 2.146  # by the standard deviation in each direction (normal distribution)
-    le90: float = 1.645  # by the standard deviation of heights (normal distribution)
+    ce90: float = CE90  # by the standard deviation in each direction (normal distribution)
+    le90: float = LE90  # by the standard deviation of heights (normal distribution)
     freedom: float = 8.0  # observed disagreements that a promise counts as much as; chosen
     gross_share: float = 0.05  # of scenes in which an RPC is not as promised, but grossly wrong; chosen
     gross_most: float = 100.0  # times as wrong as promised, at most; chosen

@@ -28,8 +28,9 @@ _SHORT = {"east": "e", "north": "n", "height": "h"}
 def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
     """Measure; see :mod:`repm_qgis.evaluation.gcp_accuracy` for what the errors mean.
 
-    Gives ``{column}_medae``, ``_rmse`` and ``_max`` of the heights (m) for rpc, compensated, scene and dsm as far as
-    they are known, the same for the three ``components``, and the points left out as ``wrong``.
+    Gives ``{column}_medae``, ``_rmse``, ``_le90`` and ``_max`` of the heights and the ``_ce90`` of the positions (m)
+    for rpc, compensated, scene and dsm as far as they are known, the same for the three ``components``, and the points
+    left out as ``wrong``.
 
     Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
     """
@@ -86,10 +87,13 @@ def _numbers(found: GcpAccuracy) -> Dict[str, Any]:
         for component in COMPONENTS:
             errors = found.summary(column, component)
             if errors.count:
-                of = {"medae": errors.medae, "rmse": errors.rmse, "max": errors.max, "count": errors.count}
+                of = {name: getattr(errors, name) for name in ("medae", "rmse", "max", "le90", "count")}
                 numbers["components"].setdefault(column, {})[component] = of
                 if component == "height":
-                    numbers.update({f"{column}_{name}": of[name] for name in ("medae", "rmse", "max")})
+                    numbers.update({f"{column}_{name}": of[name] for name in ("medae", "rmse", "max", "le90")})
+        around = found.horizontal(column)
+        if around.count:
+            numbers[f"{column}_ce90"] = around.le90
     return numbers
 
 
@@ -97,7 +101,10 @@ def _log_heights(found: GcpAccuracy, progress: Progress) -> None:
     for column in found.errors:
         errors = found.summary(column, "height")
         if errors.count:
-            figures = f"heights MedAE {errors.medae:.3f} m, RMSE {errors.rmse:.3f} m, Max {errors.max:.3f} m"
+            figures = (
+                f"heights MedAE {errors.medae:.3f} m, RMSE {errors.rmse:.3f} m, LE90 {errors.le90:.3f} m, "
+                f"Max {errors.max:.3f} m"
+            )
             points = f"{counted(errors.count, 'point')}{_checked(found, column)}"
             progress.info(f"{COLUMNS[column]}: {figures} of {points}.")
 

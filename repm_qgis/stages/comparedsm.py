@@ -54,8 +54,8 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, A
                 f"{moved.nmad_after:.3f} m after."
             )
         progress.info(
-            "{}RMSE {rmse:.3f} m, MedAE {medae:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, bias {bias:+.3f} m; "
-            "{valid:.1f} % of the reference's cells have a height.".format(
+            "{}RMSE {rmse:.3f} m, MedAE {medae:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, "
+            "LE90 {le90:.3f} m, bias {bias:+.3f} m; {valid:.1f} % of the reference's cells have a height.".format(
                 f"'{path}': " if options.others else "", **_figures(one)
             )
         )
@@ -99,7 +99,7 @@ def _error_raster(path: str, reference: gdal.Dataset) -> Any:
 
 def _accuracy(metrics: HeightMetrics) -> Dict[str, Any]:
     """Figures of one set of cells; None where there is none to compare (JSON knows no NaN)."""
-    values = {name: getattr(metrics, name) for name in ("rmse", "medae", "mae", "nmad", "bias")}
+    values = {name: getattr(metrics, name) for name in ("rmse", "medae", "mae", "nmad", "le90", "bias")}
     return {
         **{name: value if math.isfinite(value) else None for name, value in values.items()},
         "valid": metrics.valid,

@@ -242,13 +242,14 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
     from repm.processing_provider import styles
 
     bands = [np.tile([1.0, 2.0, 3.0, 3.0], (4, 1)), np.ones((4, 4)), np.ones((4, 4)), np.tile([0.0, 1, 2, 3], (4, 1))]
-    layer = raster("confidence", *bands, np.full((4, 4), 0.5))
+    layer = raster("confidence", *bands, np.full((4, 4), 0.5), np.full((4, 4), 0.8))
     views = styles._views("confidence", layer.source(), feedback)
     styles.LayerStyler.make("", "confidence", styles.Run("town"), views=views).postProcessLayer(
         layer, QgsProcessingContext(), feedback
     )
     manager = layer.styleManager()
-    assert set(manager.styles()) == {"default", "Height maps that agree", "Source of each height"}
+    views = {"Height maps that agree", "Source of each height", "LE90 of each height"}
+    assert set(manager.styles()) == {"default", *views}
     assert layer.renderer().type() == "singlebandpseudocolor" and layer.renderer().usesBands() == [5]
     found = {}
     for name in ("Height maps that agree", "Source of each height"):
@@ -258,6 +259,8 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
     assert found[1] == ["1", "2", "3"]
     sources = ["Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM"]
     assert found[4] == [*sources, "Ground in a shadow", "From the cells beside it", "Edited by hand"]
+    assert manager.setCurrentStyle("LE90 of each height") and layer.renderer().usesBands() == [6]
+    assert manager.setCurrentStyle("Source of each height")
     assert len({tuple(pixel) for pixel in drawn(layer, layer.extent(), (4, 4)).reshape(-1, 3)}) == 4
 
 

@@ -109,6 +109,9 @@ def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
     error = np.abs(height + shift["dz"] - truth)[known]
     # Measured on scenes of other seeds: 67 % (make bench-confidence).
     assert 0.55 < (error <= expected[known]).mean() < 0.8
+    # The LE90 beside it holds nine of ten: 91.5 % in the mountains, 87.8 % in the town, whose errors have longer tails.
+    nine = gdal.Open(run.result["confidence"]).ReadAsArray()[5]
+    assert 0.85 < (error <= nine[known]).mean() < 0.95
     half = expected[known] > np.median(expected[known])
     assert np.median(error[half]) > 1.05 * np.median(error[~half])
 
@@ -142,7 +145,7 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
         known = (heights > -9000) & (same > -9000)
         assert known.sum() > 0.5 * known.size * 0.5
         assert np.median(np.abs(heights - same)[known]) < 0.5
-    assert gdal.Open(str(tmp_path / "pairs" / names[1])).RasterCount == 5
+    assert gdal.Open(str(tmp_path / "pairs" / names[1])).RasterCount == 6
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals there")
