@@ -1,4 +1,7 @@
-"""Products that nobody gave a name: a workspace of the user's own keeps them, instead of QGIS's temporary folder."""
+"""Products that nobody gave a name: a workspace of the user's own keeps them, instead of QGIS's temporary folder.
+
+So all that a run loads is there when the project is opened again.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,13 @@ from qgis.core import (
 
 from ..repm_qgis.products import Product, products_of
 
-_IN_WORKSPACE = ("workspace", "report", "tiles", "tie_points")  # the engine keeps these there, and copies them out
+_NOT_PLACED = ("workspace", "output_scene", "heights")  # what says where the workspace is, or lies in it if left out
+_AFTER_RUN = {
+    **{"pipeline": "dsm", "dsmfuse": "dsm", "epmfit": "cameras", "errormap": "equivalent_error"},
+    **{"refine": "refinement", "reconstruct": "reconstruction", "register": "registration"},
+}
+"""What products of one name in several stages are called after. The engine's own ``tiles.gpkg`` and ``report.html`` are
+those of the last run, and are replaced by the next."""
 _promised: set[str] = set()  # places of runs that are under way
 
 
@@ -34,15 +43,14 @@ def in_workspace(
     """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
     ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made."""
     places: dict[str, str] = {}
-    if algorithm.parameterDefinition("WORKSPACE") is not None:
-        workspace = algorithm.parameterAsString(parameters, "WORKSPACE", context)
-        if workspace != QgsProcessing.TEMPORARY_OUTPUT and is_lasting(workspace):
-            names = {
-                each.option.upper(): _name(algorithm, each)
-                for each in products_of(algorithm.name())
-                if each.option not in _IN_WORKSPACE and _is_temporary(parameters.get(each.option.upper()))
-            }
-            places = _free(os.path.abspath(workspace), names)
+    workspace = _workspace(algorithm, parameters, context)
+    if workspace:
+        names = {
+            each.option.upper(): _name(algorithm, each)
+            for each in products_of(algorithm.name())
+            if each.option not in _NOT_PLACED and _is_temporary(parameters.get(each.option.upper()))
+        }
+        places = _free(workspace, names)
     _promised.update(places.values())
     try:
         yield {**parameters, **{name: _at(path, parameters[name]) for name, path in places.items()}}
@@ -50,11 +58,23 @@ def in_workspace(
         _promised.difference_update(places.values())
 
 
+def _workspace(algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, Any], context: QgsProcessingContext) -> str:
+    """The user's own folder in which a stage works, its scene's too; "" where it works in temporary ones."""
+    for name in ("WORKSPACE", "OUTPUT_SCENE", "SCENE") if algorithm.name() in _AFTER_RUN else ():
+        if algorithm.parameterDefinition(name) is not None:
+            given = algorithm.parameterAsString(parameters, name, context)
+            place = given if name == "WORKSPACE" else os.path.dirname(given)
+            return os.path.abspath(place) if given != QgsProcessing.TEMPORARY_OUTPUT and is_lasting(place) else ""
+    return ""
+
+
 def _name(algorithm: QgsProcessingAlgorithm, product: Product) -> tuple[str, str]:
     """A product's name in the workspace, and its extension ("" for folders)."""
     definition = algorithm.parameterDefinition(product.option.upper())
     extension = "" if definition.type() == "folderDestination" else f".{definition.defaultFileExtension()}"
-    return product.style or product.option, extension
+    shared = product.option if product.option in ("report", "tiles", "tie_points") else ""
+    of_run = _AFTER_RUN[algorithm.name()]
+    return f"{of_run}_{shared}" if shared else product.style or product.option, extension
 
 
 def _free(folder: str, names: Mapping[str, tuple[str, str]]) -> dict[str, str]:

@@ -83,7 +83,16 @@ def test_a_workspace_keeps_what_has_no_name_and_makes_nothing_twice(plugin, ears
     assert (first, second) == ("town/dsm.tif", "town/dsm_2.tif")
     for path in ("dsm.qml", "dsm_2.qml", "report.html", "tiles.gpkg", "reconstructed_tie_points.gpkg"):
         assert (tmp_path / "town" / path).exists(), path
-    assert runs[0][0]["TIE_POINTS"] != runs[1][0]["TIE_POINTS"]
+    # Nothing lies in the temporary folder, which is gone when the project is opened again; nothing is replaced.
+    loaded = [results[name] for results, _ in runs for name in (*MAP, "REPORT")]
+    assert len(set(loaded)) == len(loaded)
+    assert {pathlib.Path(path).parent for path in loaded} == {tmp_path / "town"}
+    assert (tmp_path / "town" / "dsm_tie_points_2.qml").exists() and (tmp_path / "town" / "dsm_report.html").exists()
+    errormap = QgsApplication.processingRegistry().algorithmById("repm:errormap")
+    given = {"SCENE": runs[0][0]["SCENE"], "OUTPUT": "TEMPORARY_OUTPUT", "REPORT": "TEMPORARY_OUTPUT"}
+    results, fine = errormap.run(given, QgsProcessingContext(), ears())  # a stage that takes the scene up
+    places = [pathlib.Path(results[name]).relative_to(tmp_path / "town").as_posix() for name in ("OUTPUT", "REPORT")]
+    assert fine and places == ["error.tif", "equivalent_error_report.html"]
     for words in ("Reused the cameras", "Reused the refinement", "and the relative pointing"):
         assert not any(words in note for note in runs[0][1]) and any(words in note for note in runs[1][1]), words
 
