@@ -31,10 +31,14 @@ def test_sample_images_come_as_a_group(plugin, feedback, tmp_path):
     gc.collect()
     assert handleAlgorithmResults(algorithm, context, feedback, parameters=given)
     (group,) = project.layerTreeRoot().children()
-    assert isinstance(group, QgsLayerTreeGroup) and group.name() == "Sample images first try"
+    assert isinstance(group, QgsLayerTreeGroup) and group.name() == "first try"
     layers = [node.layer() for node in group.findLayers()]
     first, *images, hillshade, last = (layer.name() for layer in layers)
-    assert (first, hillshade, last) == ("Ground control points", "Hillshade Sample images first try", "True DSM")
+    assert (first, hillshade, last) == (
+        "Ground control points first try",
+        "Hillshade first try",
+        "True DSM first try",
+    )
     assert sorted(images) == ["img_01", "img_02", "img_03"]
     assert all(layer.isValid() for layer in layers)
     points = layers[0]
