@@ -7,7 +7,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.errors import ImageError
-from repm_qgis.imagery.dem import make_surface
+from repm_qgis.imagery.dem import dem_range, make_surface
 from repm_qgis.imagery.heights import read_heights, read_values
 from repm_qgis.imagery.raster import opened
 from repm_qgis.stages import run_stage
@@ -101,6 +101,31 @@ def test_a_dem_is_in_metres(tmp_path, surface, kind):
         with opened(make_surface(path, (3.0001, 36.1431, 3.0015, 36.1440), 10.0, target)) as dataset:
             made.append(read_heights(dataset))
     np.testing.assert_allclose(made[1], made[0], atol=0.05)
+
+
+def test_whole_numbers_with_a_nodata_value_may_lie_below_zero(tmp_path, told):
+    """Coasts and hollows in 16 bits: the nodata value is declared, so all other numbers are heights."""
+    rng = np.random.default_rng(2)
+    heights = (rng.integers(-60, 40, (200, 220)) * 1.0).astype(np.float32)
+    paths = []
+    for number in range(2):
+        path = str(tmp_path / f"{number}.tif")
+        dataset = gdal.GetDriverByName("GTiff").Create(path, 220, 200, 1, gdal.GDT_Int16)
+        dataset.SetGeoTransform((500_000, 1, 0, 4_000_000, 0, -1))
+        dataset.SetProjection(gdal_wkt())
+        dataset.GetRasterBand(1).SetNoDataValue(-32768)
+        dataset.GetRasterBand(1).WriteArray(np.where(np.arange(220) < 20, -32768, heights - number))
+        dataset = None
+        paths.append(path)
+    with opened(paths[0]) as dataset:
+        found = read_heights(dataset)
+    assert np.isnan(found[:, :20]).all() and (found[:, 20:] == heights[:, 20:]).all()
+    low, high, _ = dem_range(paths[0], "EPSG:32631", (500_050, 3_999_850, 500_150, 3_999_950))
+    assert (low, high) == (-60.0, 39.0)
+    compared = run_stage("comparedsm", {"dsm": paths[0], "reference": paths[1], "align": "none"}, told())
+    assert compared["rmse"] == pytest.approx(1.0, abs=1e-6)
+    made = run_stage("mosaic", {"dsms": paths, "output": str(tmp_path / "m.tif")}, told())
+    assert [each["added"] for each in made["offsets"]] == pytest.approx([-0.5, 0.5], abs=1e-3)
 
 
 @pytest.mark.parametrize(
