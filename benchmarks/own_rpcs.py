@@ -92,8 +92,9 @@ def _row(name: str, images: Sequence[str]) -> List[Any]:
     known = height_uncertainty(sound["views"], sound["figures"])
     best: Optional[Exchange] = max(crossed["pairs"], key=lambda each: each.evidence, default=None)
     outcome = "refused" if "refused" in crossed else "accepted"
-    if outcome == "accepted" and best is not None and best.evidence > exchanged.POINTING.exchange.least_evidence:
-        outcome = "warned"
+    limit = exchanged.POINTING.exchange.least_evidence
+    if outcome == "accepted" and best is not None and best.evidence >= -limit:
+        outcome = "warned" if best.evidence > limit else "the log says that nothing tells"
     return [
         name,
         "; ".join(f"{each.own_px:.2f} / {each.exchanged_px:.2f}" for each in sound["pairs"]),

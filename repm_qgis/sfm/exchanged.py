@@ -106,14 +106,17 @@ def require_own_rpcs(
     altitude: float,
     warn: Callable[[str], None],
     parameters: PointingParameters = POINTING,
+    *,
+    info: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Warn where the ties say that two images have each other's RPC; raise RpcInvalidError where they leave no doubt.
+    """Warn where the ties say that two images have each other's RPC; raise RpcInvalidError where they leave no doubt,
+    and give information where they do not tell.
 
     Views, tracks and altitude are those of :func:`exchanges`.
     """
     p = parameters.exchange
     for each in sorted(exchanges(views, tracks, altitude, parameters), key=lambda each: -each.evidence):
-        if each.evidence <= p.least_evidence:
+        if each.evidence < -p.least_evidence:
             return
         first, second = each.pair
         found = (
@@ -121,6 +124,12 @@ def require_own_rpcs(
             "those exchanged (medians, with shifts alone)"
         )
         remedy = "give each image its own RPC (the file beside it, or RPCS)"
+        if each.evidence <= p.least_evidence:
+            info(
+                f"Nothing in the images tells whether {first} and {second} have each other's RPC, which would turn the "
+                f"surface upside down: {found}. A DEM or a reference tells it."
+            )
+            continue
         if each.evidence > p.sure_evidence and each.exchanged_px <= p.sure_px:
             raise RpcInvalidError(
                 f"The images {first} and {second} have each other's RPC: {found}. Heights would be upside down: "

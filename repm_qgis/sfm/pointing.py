@@ -90,7 +90,7 @@ def point_views(
     else:
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
     controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
-    require_own_rpcs(scene.views, tracks, sum(scene.altitudes) / 2, progress.warn, parameters)
+    require_own_rpcs(scene.views, tracks, sum(scene.altitudes) / 2, progress.warn, parameters, info=progress.info)
     if not controlled:
         _require_small_trends(adjusted, parameters)
     views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]

@@ -62,6 +62,17 @@ def test_what_is_likely_and_not_sure_is_said(views):
     require_own_rpcs(views, tracks, altitude, pytest.fail, eager)
 
 
+def test_what_ties_cannot_tell_is_said(views):
+    """Mirrored lines of sight, as a simulated three-line camera's: no warning, and no silence."""
+    tracks, altitude = ties(views, 3.0)
+    said = []
+    for each in (views, crossed(views)):
+        require_own_rpcs(each, tracks, altitude, pytest.fail, info=said.append)
+    assert len(said) == 2 and all("Nothing in the images tells whether" in text for text in said)
+    tracks, altitude = ties(views, 0.05)
+    require_own_rpcs(views, tracks, altitude, pytest.fail, info=pytest.fail)
+
+
 def test_few_ties_say_nothing(views):
     tracks, altitude = ties(views, 0.03, count=POINTING.exchange.least_ties - 1)
     assert list(exchanges(crossed(views), tracks, altitude)) == []
