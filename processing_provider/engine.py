@@ -263,17 +263,21 @@ class _EngineProcess:
                 f"The engine interpreter '{python}' cannot be started ({error}): choose another in Settings > Options "
                 "> Processing > Providers > REPM."
             ) from None
-        threading.Thread(target=self._tell, args=(job,), daemon=True).start()  # a pipe holds 64 KiB
+        self._tell(job)
         self._readers = [
             self._read(self._process.stdout, self._lines.put, at_end=True),
             self._read(self._process.stderr, self._last_words.append),
         ]
 
-    def _tell(self, job: str) -> None:
-        """Give the process its job, and leave the pipe open: that it closes says that QGIS is gone."""
-        with suppress(OSError, ValueError):  # it has ended, and its output says why
-            self._process.stdin.write(f"{job}\n".encode())
-            self._process.stdin.flush()
+    def _tell(self, line: str) -> None:
+        """Give the process its job, or a later word, and leave the pipe open: that it closes says that QGIS is gone."""
+
+        def write() -> None:
+            with suppress(OSError, ValueError):  # it has ended, and its output says why
+                self._process.stdin.write(f"{line}\n".encode())
+                self._process.stdin.flush()
+
+        threading.Thread(target=write, daemon=True).start()  # a pipe holds 64 KiB
 
     def _read(self, stream, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
         def read() -> None:
@@ -404,10 +408,18 @@ class _EngineProcess:
         return True
 
     def _end_on_windows(self, running: bool) -> None:
-        if running:
+        if running and not self._cancelled_in_time():
             taskkill = os.path.join(os.environ.get("SYSTEMROOT", r"C:\Windows"), "System32", "taskkill.exe")
             ending = _quiet_process()
             ending.setStandardOutputFile(QProcess.nullDevice())
             ending.start(taskkill, ["/F", "/T", "/PID", str(self._process.pid)])
             ending.waitForFinished()
         self._process.wait()
+
+    def _cancelled_in_time(self) -> bool:
+        """Ask the engine to end, so that it cleans up: signals would end it at once. Gives whether it has ended."""
+        self._tell("cancel")
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_GRACE_S + 0.5)
+            return True
+        return False

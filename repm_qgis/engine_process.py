@@ -8,8 +8,9 @@ Beside the options, the job may name the ``language`` of texts, reports and lege
 English. The exit code is 0 for a result, 1 for an expected failure, 2 for a bug (``"type": "bug"`` with the traceback).
 
 SIGTERM and Ctrl-C cancel: the stage's clean-up runs, and within 2 s the process ends with exit code 1 and the sentence.
-With REPM_ENGINE_WATCH_STDIN set, the process ends itself and its group when its standard input closes, that is when
-the process that started it is gone.
+With REPM_ENGINE_WATCH_STDIN set, so does a line ``cancel`` on standard input, which serves Windows, where signals end a
+process at once; and the process ends itself and its group when its standard input closes, that is when the process that
+started it is gone. On Windows all that it has started ends with it, however it ends.
 """
 
 from __future__ import annotations
@@ -21,28 +22,34 @@ import sys
 import threading
 import time
 import traceback
-from typing import Any, Dict
+from contextlib import suppress
+from typing import Any, Dict, Tuple
 
 from .errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
 from .shortage import reserve_buffers, said_in_a_sentence
 from .translation import reader, written_in
+from .windows import end_children_with_us
 from .workspace import name_nothing_more, remove_own_temporaries
 
 _MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
+_CANCELLING = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGBREAK") if hasattr(signal, name)]
+_CANCEL = b"cancel\n"  # a line on standard input
 
 
-def _first_line() -> bytes:
-    """The first line of standard input, which is not read any further: its end says that the parent is gone."""
-    line = bytearray()
-    while not line.endswith(b"\n") and len(line) <= _MAX_JOB_BYTES:
+def _first_line() -> Tuple[bytes, bytes]:
+    """The first line of standard input, and what came with it: it is not read to its end, which says that the parent is
+    gone."""
+    read, piece = bytearray(), b""
+    while b"\n" not in piece and len(read) <= _MAX_JOB_BYTES:
         piece = os.read(0, 65536)
         if not piece:
             break
-        line += piece
-    return bytes(line)
+        read += piece
+    line, _, rest = bytes(read).partition(b"\n")
+    return line, rest
 
 
 def _job(path: str, line: bytes) -> Dict[str, Any]:
@@ -72,11 +79,12 @@ class _Cancelling:
     """
 
     def __init__(self, lines: JsonLines) -> None:
-        self._lines, self._engine, self._asked = lines, os.getpid(), False
+        self._lines, self._engine, self._asked, self._listening = lines, os.getpid(), False, False
 
     def listen(self) -> None:
+        self._listening = True
         sys.unraisablehook = self._unheard
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in _CANCELLING:
             signal.signal(number, self._hear)
 
     @staticmethod
@@ -90,11 +98,26 @@ class _Cancelling:
 
         Python gives up its own handlers when it ends, and the system's would kill it then.
         """
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in _CANCELLING:
             signal.signal(number, signal.SIG_IGN)
+        self._listening = False
 
     def asked(self) -> bool:
         return self._asked
+
+    def ask(self) -> None:
+        """What the signals do, from any thread; where the main one is amid native code it is heard all the same."""
+        if os.name == "nt":
+            signal.raise_signal(signal.SIGINT)
+        else:
+            os.kill(self._engine, signal.SIGINT)
+        threading.Thread(target=self._end_unheard, name="end-unheard", daemon=True).start()
+
+    def _end_unheard(self) -> None:
+        time.sleep(_GRACE_S)
+        if self._listening and not self._asked:
+            name_nothing_more()
+            self._end_now()
 
     def _hear(self, number: int, frame: object) -> None:
         if os.getpid() != self._engine:  # a forked worker inherits this handler; its clean-up is the engine's business
@@ -108,28 +131,54 @@ class _Cancelling:
 
     def _end_in_time(self) -> None:
         time.sleep(_GRACE_S)
+        self._end_now()
+
+    def _end_now(self) -> None:
         end_workers()
         remove_own_temporaries()
         self._lines.last_words(type="error", kind="Cancelled", text=self._lines.translate(str(Cancelled())))
         os._exit(1)
 
 
-def _end_with_parent() -> None:
-    """Cancel, and soon after end the process group, once standard input closes."""
+def _own_input() -> int:
+    """Standard input under another number, and nothing in its place.
 
-    def watch() -> None:
-        try:
-            while os.read(0, 4096):
-                pass
-        except OSError:
-            pass
+    Windows makes one request at a time of a pipe like this: workers, who get standard input and ask what it is as they
+    begin, would wait for the end of our reading.
+    """
+    pipe, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    return pipe
+
+
+def _heed_parent(cancelling: _Cancelling, said: bytes) -> None:
+    """Cancel where standard input says so; cancel, and soon after end the process group, once it closes.
+
+    ``said`` was read of it already.
+    """
+    pipe = _own_input() if os.name == "nt" else 0
+
+    def watch(said: bytes) -> None:
+        with suppress(OSError):
+            while True:
+                if _CANCEL in said:
+                    said = b""
+                    cancelling.ask()
+                piece = os.read(pipe, 4096)
+                if not piece:
+                    break
+                said = said[-len(_CANCEL) :] + piece
         if hasattr(os, "killpg") and os.getpgrp() == os.getpid():  # ours alone: the parent made it for us
             os.killpg(0, signal.SIGTERM)
             time.sleep(_GRACE_S)
             os.killpg(0, signal.SIGKILL)
+        elif os.name == "nt":
+            cancelling.ask()
+            time.sleep(_GRACE_S + 0.3)  # the cancel ends it before, as a rule
         os._exit(1)
 
-    threading.Thread(target=watch, name="watch-parent", daemon=True).start()
+    threading.Thread(target=watch, args=(said,), name="watch-parent", daemon=True).start()
 
 
 def _run(arguments: list[str], lines: JsonLines, line: bytes) -> Dict[str, Any]:
@@ -155,10 +204,11 @@ def main(arguments: list[str]) -> int:
     lines.cancelled_by(cancelling.asked)
     try:
         cancelling.listen()
+        end_children_with_us()
         os.dup2(2, 1)
-        line = _first_line() if arguments[1:] == ["-"] else b""
+        line, rest = _first_line() if arguments[1:] == ["-"] else (b"", b"")
         if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
-            _end_with_parent()
+            _heed_parent(cancelling, rest)
         return _ended(arguments, lines, cancelling, line)
     except Cancelled as cancelled:  # heard before the stage began, or while the last line was being prepared
         cancelling.stop_listening()

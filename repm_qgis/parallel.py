@@ -15,7 +15,7 @@ import tempfile
 import threading
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
 from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
 
@@ -24,6 +24,7 @@ from .errors import OutOfMemoryError, RepmError, WorkerError
 from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 from .translation import reader, written_in
+from .windows import cancel_transfers
 from .workspace import ensure_folder, remove_temporary, temporary_name
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
@@ -31,6 +32,8 @@ _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's mallopt (malloc.h)
 _POLL_S = 0.3
 _NO_MEMORY = 71  # the exit code of a worker that could not begin
+_LEAST_STATUS = 0xC0000000  # from here on exit codes are errors of Windows (ntstatus.h)
+_STATUS_NO_MEMORY = {0xC0000017, 0xC000012D}  # STATUS_NO_MEMORY, STATUS_COMMITMENT_LIMIT
 _LONGEST_FOLDER = 70  # of characters; a socket's whole path may have 103 on macOS
 _FEW = 3
 """With so few tasks, starting processes costs more than it gains: the task's own threads use the cores instead."""
@@ -144,7 +147,7 @@ class _Pool:
                 progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
         except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
             certain = killed_before is not None and (memory_kills() or 0) > killed_before
-            raise _death(self._ends(), certain, f"after {len(results)} of {len(tasks)} tasks") from error
+            raise _death(self._ends(), certain, len(results), len(tasks)) from error
         except BaseException:
             self._end()
             raise
@@ -169,7 +172,7 @@ class _Pool:
         """End the workers amid their tasks."""
         for process in self._processes():
             process.terminate()
-        self.close()
+        self._let_go(ended=True)
 
     def kill(self) -> None:
         for process in self._processes():
@@ -181,9 +184,46 @@ class _Pool:
 
     def close(self) -> None:
         """Let the workers go."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=True, cancel_futures=True)
-        self._executor, self._workers = None, 0
+        if os.name == "nt":  # where nothing counts what they used, and one that is still importing takes seconds to end
+            self._end()
+        else:
+            self._let_go()
+
+    def _let_go(self, ended: bool = False) -> None:
+        executor, self._executor, self._workers = self._executor, None, 0
+        if executor is None:
+            return
+        with _unblocked(executor) if ended else nullcontext():
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _unblocked(executor: ProcessPoolExecutor) -> Iterator[None]:
+    """Within the block, nobody waits for a task to reach workers that have ended.
+
+    A task on its way fills the pipe. Its writer would wait for a reader for ever, and the executor for the writer, in
+    Python before 3.12.1, and on Windows.
+    """
+    queue, over = getattr(executor, "_call_queue", None), threading.Event()  # no public name has it
+
+    def unblock() -> None:
+        while queue is not None and not over.wait(0.02):
+            with suppress(OSError, EOFError, ValueError):  # it has been closed
+                if os.name == "nt":
+                    cancel_transfers(queue._writer.fileno())
+                else:
+                    while queue._reader.poll():
+                        queue._reader.recv_bytes()
+
+    thread = threading.Thread(target=unblock, name="unblock", daemon=True)
+    with suppress(RuntimeError):  # no memory for it: then for the most part nothing is on its way
+        thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        if thread.ident is not None:
+            thread.join()
 
 
 def _context() -> multiprocessing.context.BaseContext:
@@ -293,20 +333,25 @@ def _unguarded() -> RepmError:
     )
 
 
-def _death(codes: Sequence[Optional[int]], certain: bool, when: str) -> RepmError:
-    """What is said of a worker that ended without an answer, by the exit codes of all."""
+def _death(codes: Sequence[Optional[int]], certain: bool, done: int, total: int) -> RepmError:
+    """What is said of a worker that ended without an answer, by the exit codes of all, and of how many tasks."""
+    when = f"after {done} of {total} tasks"
     if certain:
         return OutOfMemoryError(f"The system killed a worker process {when} because memory ran out: {MEMORY_REMEDY}.")
     if _NO_MEMORY in codes:
         return OutOfMemoryError(f"A worker process could not start {when} because memory ran out: {MEMORY_REMEDY}.")
+    if _STATUS_NO_MEMORY.intersection(codes):
+        return OutOfMemoryError(f"Windows ended a worker process {when} because memory ran out: {MEMORY_REMEDY}.")
     signals = {-code for code in codes if code is not None and code < 0}
     if getattr(signal, "SIGKILL", None) in signals:
         text = f"A worker process was killed (SIGKILL) {when}, most likely because memory ran out: {MEMORY_REMEDY}."
         return OutOfMemoryError(text)
-    if 1 in codes:  # Python's own end, while it imported the script that started it
+    if 1 in codes and not done:  # Python's own end, while it imported the script that started it
         return _unguarded()
     crash = signals - {signal.SIGTERM}  # which ended those that had not died
-    name = f" ({', '.join(sorted(signal.Signals(number).name for number in crash))})" if crash else ""
+    names = [signal.Signals(number).name for number in crash]
+    names += [f"0x{code:08X}" for code in codes if code is not None and code >= _LEAST_STATUS]
+    name = f" ({', '.join(sorted(names))})" if names else ""
     return WorkerError(
         f"A worker process ended without an answer{name} {when}: run again; if memory ran out, {MEMORY_REMEDY}."
     )
@@ -438,7 +483,9 @@ def begin_worker() -> None:
 
 
 def _prepare() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGBREAK"):  # the latter is Ctrl-Break, on Windows
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     _end_with_engine()
     prepare_process()
 

@@ -21,7 +21,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
-from . import __version__
+from . import __version__, windows
 from .errors import Cancelled, RepmError, WorkspaceError
 
 _kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
@@ -171,8 +171,8 @@ _own_temporaries: Set[str] = set()
 
 def process_exists(number: int) -> bool:
     """Whether a process of this machine has this number."""
-    if sys.platform == "win32":
-        return _windows_process_exists(number)
+    if os.name == "nt":  # where signal 0 would end it
+        return windows.process_exists(number)
     try:
         os.kill(number, 0)
     except ProcessLookupError:
@@ -180,18 +180,6 @@ def process_exists(number: int) -> bool:
     except OSError:  # it is there, and another user's
         return True
     return True
-
-
-def _windows_process_exists(number: int) -> bool:
-    """Signal 0 would end the process on Windows: its handle is asked instead (WinBase.h: 0x1000, STILL_ACTIVE 259)."""
-    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
-    handle = kernel.OpenProcess(0x1000, False, number)
-    if not handle:
-        return False
-    code = ctypes.c_ulong()
-    known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
-    kernel.CloseHandle(handle)
-    return not known or code.value == 259
 
 
 def remove_temporary(path: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from repm_qgis.stages import run_stage
 ROOT = Path(__file__).resolve().parents[2]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
 WORK = """
-import os, signal, time
+import ctypes, os, signal, time
 from repm_qgis.errors import OptionError
 
 def square(x):
@@ -38,6 +39,16 @@ def picky(x):
 def deadly(x, number):
     if x == 3:
         os.kill(os.getpid(), number)
+    return x
+
+def crashing(x):
+    if x == 3:
+        ctypes.windll.kernel32.TerminateProcess(ctypes.c_void_p(-1), 0xC0000005)
+    return x
+
+def starving(x):
+    if x == 3:
+        ctypes.windll.kernel32.TerminateProcess(ctypes.c_void_p(-1), 0xC000012D)
     return x
 
 def hungry(x):
@@ -105,6 +116,7 @@ def test_exceptions_of_tasks_are_raised_here(work, told, workers):
         run_tasks(work.picky, list(range(8)), workers, told(), str)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="no signals end processes there: see the next test")
 def test_a_worker_that_dies_is_said(work, told):
     for number, error, words in (
         (
@@ -117,6 +129,31 @@ def test_a_worker_that_dies_is_said(work, told):
         with pytest.raises(error, match=words) as caught:
             run_tasks(partial(work.deadly, number=number), list(range(8)), 2, told(), str)
         assert "MEMORY" in str(caught.value) and "TILE_SIZE" in str(caught.value)
+
+
+@pytest.mark.skipif(os.name != "nt", reason="exit codes that Windows gives to what it ends")
+def test_a_worker_that_windows_ends_is_said(work, told):
+    with pytest.raises(WorkerError, match=r"without an answer \(0xC0000005\) after \d of 8 tasks: run again"):
+        run_tasks(work.crashing, list(range(8)), 2, told(), str)
+    with pytest.raises(
+        OutOfMemoryError, match=r"Windows ended a worker process after \d of 8 tasks because memory ran"
+    ):
+        run_tasks(work.starving, list(range(8)), 2, told(), str)
+
+
+@pytest.mark.parametrize(
+    "codes, done, error, words",
+    (
+        ((0xC0000017, -15), 2, OutOfMemoryError, "Windows ended a worker process after 2 of 8 tasks because memory"),
+        ((0xC0000409, -15), 2, WorkerError, r"without an answer \(0xC0000409\) after 2 of 8 tasks"),
+        ((1, -15), 2, WorkerError, "without an answer after 2 of 8 tasks"),  # somebody ended it in the Task Manager
+        ((1, -15), 0, WorkerError, "could not begin"),
+    ),
+)
+def test_exit_codes_of_windows_are_told_apart(codes, done, error, words):
+    found = parallel._death(codes, False, done, 8)
+    assert type(found) is error
+    assert re.search(words, str(found)), found
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no server and no sockets in files there")
@@ -165,7 +202,7 @@ def test_where_the_system_says_that_it_killed_for_memory_so_do_we(work, told, mo
     counts = iter((3, 4))
     monkeypatch.setattr(parallel, "memory_kills", lambda: next(counts))
     with pytest.raises(OutOfMemoryError, match="The system killed a worker process after . of 8 tasks because memory"):
-        run_tasks(partial(work.deadly, number=signal.SIGKILL), list(range(8)), 2, told(), str)
+        run_tasks(partial(work.deadly, number=getattr(signal, "SIGKILL", 9)), list(range(8)), 2, told(), str)
 
 
 @pytest.mark.parametrize("workers", (1, 2))
@@ -215,6 +252,9 @@ def test_cancel_is_quick_and_leaves_no_process(work, told):
     with pytest.raises(Cancelled):
         run_tasks(work.slow, list(range(8)), 2, told(cancel_at=3), str)
     assert time.monotonic() - start < 5
+    assert multiprocessing.active_children() == []
+    if os.name == "nt":  # which has no ps, and no server whose children these would be
+        return
     listed = subprocess.run(
         ["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True, stdout=subprocess.PIPE, check=False
     ).stdout
@@ -222,6 +262,15 @@ def test_cancel_is_quick_and_leaves_no_process(work, told):
     assert "spawn_main" not in running and "forkserver" not in running
 
 
+def test_cancel_is_quick_though_a_task_is_on_its_way(work, told):
+    """It fills the pipe, and with the workers its readers are gone: its writer would wait for ever."""
+    start = time.monotonic()
+    with pytest.raises(Cancelled):
+        run_tasks(work.slow, [bytes(1 << 20)] * 12, 2, told(cancel_at=3), len)
+    assert time.monotonic() - start < 5
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not count it")
 def test_what_workers_use_is_counted_as_used_by_this_process(work, told):
     before = os.times()
     run_tasks(work.busy, [0.2] * 6, 2, told(), str)

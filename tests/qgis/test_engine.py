@@ -186,6 +186,27 @@ def test_cancel_ends_the_whole_tree_within_two_seconds(engine, feedback, tmp_pat
     assert not (tmp_path / ".dsm.part.tif").exists()
 
 
+def test_on_windows_the_engine_is_asked_to_cancel(engine, feedback, tmp_path, monkeypatch):
+    """Signals would end it at once there: so it is told over its standard input, and cleans up."""
+    pids = tmp_path / "pids"
+    monkeypatch.setattr(engine._EngineProcess, "_end_group", engine._EngineProcess._end_on_windows)
+    monkeypatch.setattr(engine, "remove_half_written", lambda *arguments: None)
+
+    def cancel():
+        started(pids)
+        feedback.cancel()
+
+    thread = threading.Thread(target=cancel)
+    thread.start()
+    with pytest.raises(QgsProcessingException, match="Cancelled by the user"):
+        engine.run_apart("spawned", {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON)
+    thread.join()
+    assert not (tmp_path / ".dsm.part.tif").exists()
+    for pid in started(pids):
+        if alive(pid):  # workers of the test's own
+            os.kill(pid, signal.SIGKILL)
+
+
 def test_the_engine_ends_when_the_process_that_started_it_is_killed(engine, tmp_path):
     """As when QGIS dies: only the pipe on the engine's standard input tells."""
     pids, job = tmp_path / "pids", tmp_path / "job.json"

@@ -1,0 +1,68 @@
+"""What only Windows has to be asked, by its own calls; on other systems nothing is done."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+
+_QUERY, _STILL_ACTIVE = 0x1000, 259
+_KILL_ON_JOB_CLOSE, _EXTENDED_LIMITS = 0x2000, 9  # winnt.h
+
+
+class _Limits(ctypes.Structure):
+    """JOBOBJECT_EXTENDED_LIMIT_INFORMATION (winnt.h)."""
+
+    _fields_ = [
+        ("process_time", ctypes.c_int64),
+        ("job_time", ctypes.c_int64),
+        ("flags", ctypes.c_uint32),
+        ("least_working_set", ctypes.c_size_t),
+        ("most_working_set", ctypes.c_size_t),
+        ("processes", ctypes.c_uint32),
+        ("affinity", ctypes.c_size_t),
+        ("priority", ctypes.c_uint32),
+        ("scheduling", ctypes.c_uint32),
+        ("transfers", ctypes.c_uint64 * 6),
+        ("memory", ctypes.c_size_t * 4),
+    ]
+
+
+def end_children_with_us() -> bool:
+    """Have Windows end all that this process starts as soon as this process has ended, killed or not.
+
+    Windows knows no process groups: whoever ends a process leaves its children. A job object, whose only handle this
+    process holds until its end, takes them along. Gives whether that is so.
+    """
+    if sys.platform != "win32":
+        return False
+    kernel = ctypes.WinDLL("kernel32")
+    kernel.CreateJobObjectW.restype = kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    job = ctypes.c_void_p(kernel.CreateJobObjectW(None, None))
+    limits = _Limits(flags=_KILL_ON_JOB_CLOSE)
+    size = ctypes.sizeof(limits)
+    return bool(
+        job
+        and kernel.SetInformationJobObject(job, _EXTENDED_LIMITS, ctypes.byref(limits), size)
+        and kernel.AssignProcessToJobObject(job, ctypes.c_void_p(kernel.GetCurrentProcess()))
+    )
+
+
+def process_exists(number: int) -> bool:
+    """Whether a process of this machine has this number; False elsewhere than on Windows."""
+    if sys.platform != "win32":
+        return False
+    kernel = ctypes.WinDLL("kernel32")
+    kernel.OpenProcess.restype = ctypes.c_void_p
+    handle = ctypes.c_void_p(kernel.OpenProcess(_QUERY, False, number))
+    if not handle:
+        return False
+    code = ctypes.c_ulong()
+    known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return not known or code.value == _STILL_ACTIVE
+
+
+def cancel_transfers(handle: int) -> None:
+    """Have reads and writes that any thread of this process is waiting for on a handle fail now."""
+    if sys.platform == "win32":
+        ctypes.WinDLL("kernel32").CancelIoEx(ctypes.c_void_p(handle), None)
