@@ -27,7 +27,7 @@ from ..repm_qgis.installer.interpreter import candidates, is_program, program_in
 from ..repm_qgis.installer.packages import PACKAGES
 from . import settings
 from .cleanup import remove_half_written
-from .language import language, said
+from .language import labels, language, said
 
 PLUGIN_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 WATCH_VARIABLE = "REPM_ENGINE_WATCH_STDIN"
@@ -115,7 +115,7 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
     from ..repm_qgis.translation import written_in
 
     try:
-        with written_in(language()), one_thread_for_loaded_sums():
+        with written_in(language(), labels(stage)), one_thread_for_loaded_sums():
             return run_stage(stage, options, FeedbackProgress(feedback, said))
     except RepmError as error:
         raise _failure(str(error)) from None
@@ -136,7 +136,7 @@ def run_apart(
     """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
     python = python or find_python()
     start = time.time()
-    job = json.dumps({**options, "language": language()})
+    job = json.dumps({**options, "language": language(), "labels": labels(stage)})
     feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(job)}")
     try:
         return _EngineProcess(stage, python, job).result(feedback)

@@ -192,7 +192,7 @@ def _run(arguments: list[str], lines: JsonLines, line: bytes) -> Dict[str, Any]:
     bound_cache()
     reserve_buffers()
     job = _job(arguments[1], line)
-    with written_in(job.pop("language", None)):
+    with written_in(job.pop("language", None), job.pop("labels", None)):
         lines.translate = reader().translate
         return run_stage(arguments[0], job, lines)
 

@@ -17,6 +17,7 @@ from contextvars import ContextVar
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
 from .errors import OptionError
@@ -196,26 +197,39 @@ def _loaded(language: str, path: Path) -> Translator:
 
 
 _reader: ContextVar[Translator] = ContextVar("reader", default=_ENGLISH)
+_NO_LABELS: Mapping[str, str] = MappingProxyType({})
+_labels: ContextVar[Mapping[str, str]] = ContextVar("labels", default=_NO_LABELS)
 
 
 @contextmanager
-def written_in(language: Optional[str]) -> Iterator[None]:
+def written_in(language: Optional[str], labels: Optional[Mapping[str, str]] = None) -> Iterator[None]:
     """Within the block, reports and legends are written in this language; None is English.
 
-    Raises OptionError for what is no language's code. A language without a catalogue is English.
+    ``labels`` are what a dialog calls the options, by their names in capitals: reports say these instead. Raises
+    OptionError for what is no language's code or no labels. A language without a catalogue is English.
     """
+    if labels is not None and not (
+        isinstance(labels, Mapping) and all(isinstance(text, str) for pair in labels.items() for text in pair)
+    ):
+        raise OptionError("labels", labels, "must be texts by the names of options")
     if language is not None and not (isinstance(language, str) and _CODE.fullmatch(language)):
         raise OptionError("language", language, "must be a language's code, such as en or de")
-    token = _reader.set(Translator.of(language or SOURCE_LANGUAGE))
+    token, named = _reader.set(Translator.of(language or SOURCE_LANGUAGE)), _labels.set(labels or {})
     try:
         yield
     finally:
         _reader.reset(token)
+        _labels.reset(named)
 
 
 def reader() -> Translator:
     """Who reads what is written now."""
     return _reader.get()
+
+
+def labels() -> Mapping[str, str]:
+    """What the dialog of who reads calls the options, by their names in capitals; empty where there is no dialog."""
+    return _labels.get()
 
 
 def said(text: str) -> str:

@@ -152,6 +152,11 @@ def colour_bar(colours: Sequence[str], low: float, high: float, unit: str = "") 
     return draw("colour_bar", key=f"d{next(_IDS)}", stops=stops, marks=marks, unit=unit)
 
 
+def legend(classes: Sequence[Tuple[str, str]]) -> Drawing:
+    """The key of a picture of classes: colours (``#rrggbb``) and names, in their order."""
+    return draw("legend", entries=[(16.0, 8.0 + 20 * row, *entry) for row, entry in enumerate(classes)])
+
+
 @dataclass
 class _Plot:
     """Axes in a fixed frame, and how values become places in it."""

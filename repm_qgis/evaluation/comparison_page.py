@@ -204,13 +204,15 @@ def _cumulative(found: Comparison) -> Tuple[FloatArray, FloatArray]:
 
 def _pictures(page: Report, found: Comparison) -> None:
     error = found.thumbnails["error"]
+    cell = abs(found.cell_m[0]) * found.thumbnail_factor
+    relief = pictures.grey_relief(found.thumbnails["reference"], cell)
     limit = max(abs(v) for v in pictures.percentile_range(error))
     page.section("Pictures").png(
-        pictures.png_bytes(pictures.colour_map(error, -limit, limit, "diverging")),
-        "DSM − reference. Red: the DSM is higher. Blue: it is lower. White: equal. Transparent: no error is known.",
+        pictures.png_bytes(pictures.over(relief, pictures.colour_map(error, -limit, limit, "diverging"))),
+        "DSM − reference, over the shaded reference. Red: the DSM is higher. Blue: it is lower. Grey: equal, or "
+        "no error is known.",
     )
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))
-    cell = abs(found.cell_m[0]) * found.thumbnail_factor
     low, high = pictures.percentile_range(found.thumbnails["reference"])
     for name, text in (("dsm", "The DSM, aligned, on the reference's grid"), ("reference", "The reference")):
         picture = pictures.png_bytes(pictures.shaded_relief(found.thumbnails[name], cell, low, high))

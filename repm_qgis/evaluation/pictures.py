@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from typing import Any, Optional, Tuple
+from typing import Any, Mapping, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,37 @@ def colour_map(array: Floats, low: float, high: float, ramp: str = "viridis") ->
     out[..., :3] = ramp_table(ramp)[(np.clip(scaled, 0, 1) * 255).round().astype(np.intp)]
     out[..., 3] = np.where(good, 255, 0)
     return out
+
+
+def categories(values: Floats, colours: Mapping[int, str]) -> ByteImage:
+    """The colours (rows, columns, 4) of classes by their numbers; NaN, and what is no class, is transparent."""
+    out = np.zeros((*values.shape, 4), np.uint8)
+    for value, colour in colours.items():
+        out[values == value] = (*rgb(colour), 255)
+    return out
+
+
+def over(base: ByteImage, colours: ByteImage, share: float = 0.6) -> ByteImage:
+    """Colours (rows, columns, 4) laid over a picture (rows', columns', 4) of the same ground in greys, so that a reader
+    sees where they are: they make ``share`` of what is shown, and where there are none the picture stands alone."""
+    rows, columns = (np.arange(n) * m // n for n, m in zip(colours.shape[:2], base.shape[:2]))
+    below = base[rows][:, columns].astype(np.float32)
+    grey = below[..., :3] @ np.array([0.299, 0.587, 0.114], np.float32)
+    known, seen = colours[..., 3] > 0, below[..., 3] > 0
+    mixed = share * colours[..., :3] + (1 - share) * grey[..., None]
+    out = np.where((known & seen)[..., None], mixed, np.where(known[..., None], colours[..., :3], grey[..., None]))
+    alpha = np.where(known | seen, 255, 0)
+    laid: ByteImage = np.concatenate([out, alpha[..., None]], axis=-1).round().astype(np.uint8)
+    return laid
+
+
+def grey_relief(heights: Floats, cell: float) -> ByteImage:
+    """A surface's shading alone, in greys, (rows, columns, 4): what :func:`over` lays colours on."""
+    light = hillshade(*gradients(np.asarray(heights, np.float32), cell))
+    known = np.isfinite(heights)
+    grey = np.where(known, 80 + 175 * np.nan_to_num(light), 0)
+    shaded: ByteImage = np.stack([grey, grey, grey, np.where(known, 255, 0)], axis=-1).round().astype(np.uint8)
+    return shaded
 
 
 def gradients(heights: FloatImage, cell: float) -> Tuple[FloatImage, FloatImage]:
@@ -146,6 +177,21 @@ def photograph(path: str | os.PathLike[str], max_px: int) -> ByteImage:
     return out
 
 
+def thumbnail(path: str | os.PathLike[str], max_px: int) -> ByteImage:
+    """A small picture of an image, (rows, columns, 4), stretched from 2 to 98 % of each band, of single pixels: so it
+    takes no time however large the image is. Raises ImageError where it cannot be read."""
+    with raster.opened(os.fspath(path)) as dataset:
+        bands = (1, 2, 3) if dataset.RasterCount >= 3 else (1, 1, 1)
+    planes = [preview(path, max_px, band, nearest=True)[0] for band in bands]
+    stretched = []
+    for values in planes:
+        low, high = percentile_range(values)
+        stretched.append(np.clip((np.nan_to_num(values, nan=low) - low) / (high - low), 0, 1) * 255)
+    alpha = np.where(np.isfinite(planes[0]), 255, 0)
+    picture: ByteImage = np.stack([*stretched, alpha], axis=-1).round().astype(np.uint8)
+    return picture
+
+
 def png_bytes(picture: NDArray[Any]) -> bytes:
     """A (rows, columns), (..., 3) or (..., 4) uint8 array as the bytes of a PNG. Raises ValueError for other arrays."""
     return _encoded(picture, "PNG", _PNG_LEVEL)
@@ -185,8 +231,10 @@ def _encoded(picture: NDArray[Any], driver: str, option: str) -> bytes:
                 gdal.Unlink(leftover)
 
 
-def preview(path: str | os.PathLike[str], max_px: int, band: int = 1) -> Tuple[FloatImage, float]:
-    """Read a raster small, by averaging valid cells (from overviews where there are any).
+def preview(
+    path: str | os.PathLike[str], max_px: int, band: int = 1, nearest: bool = False
+) -> Tuple[FloatImage, float]:
+    """Read a raster small, by averaging valid cells (from overviews where there are any), or by taking single ones.
 
     Returns (rows, columns) with NaN for nodata, at most ``max_px`` on the longer side, and the size of its cells in
     metres (1 where the raster has no place on the ground). Raises ImageError where the raster cannot be read.
@@ -195,7 +243,7 @@ def preview(path: str | os.PathLike[str], max_px: int, band: int = 1) -> Tuple[F
         columns, rows = dataset.RasterXSize, dataset.RasterYSize
         factor = max(1.0, max(columns, rows) / float(max(1, max_px)))
         size = (max(1, round(columns / factor)), max(1, round(rows / factor)))
-        values = raster.read(dataset, band=band, size=None if factor == 1 else size)
+        values = raster.read(dataset, band=band, size=None if factor == 1 else size, nearest=nearest)
         per_unit = metres_per_unit(Grid.of(dataset))
         cell = abs(dataset.GetGeoTransform()[1]) * per_unit[0]
         return values, cell * factor

@@ -132,8 +132,7 @@ def _differences(page: Report, figures: RegistrationFigures) -> None:
         "The reference minus the surface after the registration, north up.",
     )
     for caption, band in zip(captions, bands):
-        step, times = max(1, math.ceil(max(band.shape) / _PICTURE_PX)), max(1, _PICTURE_PX // max(band.shape))
-        shown = np.kron(band[::step, ::step], np.ones((times, times), dtype=np.float32))
-        picture = pictures.png_bytes(pictures.colour_map(shown, -limit, limit, "diverging"))
+        step = max(1, math.ceil(max(band.shape) / _PICTURE_PX))
+        picture = pictures.png_bytes(pictures.colour_map(band[::step, ::step], -limit, limit, "diverging"))
         page.png(picture, caption)
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))

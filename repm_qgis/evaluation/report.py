@@ -15,15 +15,18 @@ import math
 import numbers
 import os
 import re
+import struct
 from typing import Any, Dict, Iterable, List, Sequence, Tuple, Union
 
-from ..translation import reader
+from ..translation import labels, reader
 from ..workspace import write_text
+from .readable import readable
 from .templates import Drawing, page
 
 _NUMBER = re.compile(r"^[<>≤≥~±+\-−]?\s*\d[\d\s,.]*(e[+-]?\d+)?\s*(%|°|[a-zA-Zµ²³/]{1,5})?$", re.IGNORECASE)
 _LONG = 40
 _MOST_ROWS = 300
+_SHOWN_PX = 800  # of a picture's longer side on the page, about, in whole pixels of the picture
 
 
 def number(value: Any) -> str:
@@ -112,10 +115,18 @@ class Report:
         return self._add("verdict", good=good, findings=list(findings))
 
     def png(self, data: bytes, caption: str = "") -> Report:
-        """A PNG, carried inside the page. Raises ValueError where ``data`` is not a PNG."""
+        """A PNG, carried inside the page, and shown so many times larger that it can be read: a small surface has few
+        pixels. Raises ValueError where ``data`` is not a PNG."""
         if data[:8] != b"\x89PNG\r\n\x1a\n":
             raise ValueError("The picture's bytes are not a PNG.")
-        return self._add("png", source=base64.b64encode(data).decode("ascii"), caption=caption)
+        size = struct.unpack(">II", data[16:24])  # of the header, which is a PNG's first chunk
+        width = size[0] * max(1, round(_SHOWN_PX / max(size)))
+        return self._add("png", source=base64.b64encode(data).decode("ascii"), caption=caption, width=width)
+
+    def gallery(self, drawn: Iterable[Tuple[bytes, str]], caption: str = "") -> Report:
+        """Small PNGs side by side, each with its name below."""
+        pictures = [(base64.b64encode(data).decode("ascii"), name) for data, name in drawn]
+        return self._add("gallery", pictures=pictures, caption=caption)
 
     def svg(self, drawing: Drawing, caption: str = "") -> Report:
         """A drawing of :mod:`~repm_qgis.evaluation.charts`. Raises ValueError for text that was not escaped there."""
@@ -132,7 +143,8 @@ class Report:
         made = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()
         head = {"title": self._title, "of": self._of, "subtitle": self._subtitle, "sections": self._sections}
         head["language"] = reader().language
-        return page("report.html", parts=self._parts, made=made, **head)
+        made_page = page("report.html", parts=self._parts, made=made, **head)
+        return readable(made_page, reader().language, labels())
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the page, whole or not at all. Raises WorkspaceError where the file cannot be written."""

@@ -10,13 +10,16 @@ import numpy as np
 from osgeo import ogr
 
 from .. import __version__
-from ..arrays import FloatArray, FloatImage
+from ..arrays import ByteImage, FloatArray, FloatImage
 from ..environment import version_of
+from ..errors import RepmError
 from ..geometry.footprints import footprint
-from ..geometry.frames import projected_from_geodetic
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..geometry.interpolation import on_lattice
+from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.raster import opened
 from ..installer.packages import PACKAGES
-from ..products import forms, products_of
+from ..products import STYLES, forms, products_of
 from ..progress import counted
 from ..records import FusionFacts
 from ..scene import Scene, View
@@ -27,6 +30,7 @@ from .geometry_section import add_geometry
 from .registration_section import add_registration
 from .report import Report, fixed
 
+_BELOW_PX = 1200  # of an image that is shown below its error map, along the longer side
 _TILES_LAYER = "The TILES layer has them all."
 _PATH_OPTIONS = frozenset(forms())  # options that name files and folders to write
 
@@ -87,9 +91,32 @@ def errormap_report(scene: Scene, view: View, path: str, rmse: float, max_error:
     refinement = scene.refinement or "none yet: the images as they are"
     report.facts([("Refinement", refinement), ("RMSE", f"{rmse:.3g} px"), ("Max", f"{max_error:.3g} px")])
     values, _ = pictures.preview(path, 900)
-    caption = f"Magnitude of the equivalent error of {view.name}, north up."
-    _map(report, values, (0.0, max(max_error, 1e-6)), caption, "px")
+    caption = f"Magnitude of the equivalent error of {view.name}, north up, over the image."
+    _map(report, values, (0.0, max(max_error, 1e-6)), caption, "px", _image_below(scene, view, path, values, altitude))
     return report.svg(charts.histogram(values, "px", "Magnitude of the equivalent error"), "Distribution.")
+
+
+def _image_below(scene: Scene, view: View, path: str, values: FloatImage, altitude: float) -> Optional[ByteImage]:
+    """What a view shows of the cells of an error map, on level ground; None where the image cannot be read."""
+    with opened(path) as dataset:
+        place, size = dataset.GetGeoTransform(), (dataset.RasterXSize, dataset.RasterYSize)
+    rows, columns = values.shape
+    x = place[0] + place[1] * size[0] * (np.arange(columns) + 0.5) / columns
+    y = place[3] + place[5] * size[1] * (np.arange(rows) + 0.5) / rows
+
+    def pixels(xy: FloatArray) -> FloatArray:
+        lon_lat = geodetic_from_projected(scene.crs, xy)
+        return view.rpc.project(np.concatenate([lon_lat, np.full((*lon_lat.shape[:-1], 1), altitude)], axis=-1))
+
+    try:
+        picture = pictures.photograph(view.image, _BELOW_PX)
+    except RepmError:
+        return None
+    scale = np.array([picture.shape[1] / view.width, picture.shape[0] / view.height])
+    at = np.floor((on_lattice(x, y, pixels) + 0.5) * scale).astype(int)
+    inside = ((at >= 0) & (at < (picture.shape[1], picture.shape[0]))).all(axis=-1)
+    column, row = np.where(inside[..., None], at, 0)[..., 0], np.where(inside[..., None], at, 0)[..., 1]
+    return np.where(inside[..., None], picture[row, column], np.uint8(0))
 
 
 def pipeline_report(
@@ -109,7 +136,7 @@ def pipeline_report(
     _reconstruction(report, scene)
     if scene.registration is not None:
         add_registration(report, scene.registration)
-    _confidence(report, products.get("confidence"))
+    _confidence(report, products.get("confidence"), products.get("ortho") or "", products["output"])
     made = sorted(products_of("pipeline"), key=lambda product: product.stage != "dsmfuse")
     files = [(each.title, products.get(each.option)) for each in made if each.style or each.stage == "dsmfuse"]
     files.append(("Scene, for the next stage", products["scene"]))
@@ -139,9 +166,24 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
         report.paragraph(facts.dem_offset.sentence())
 
 
-def _map(report: Report, values: FloatImage, limits: Tuple[float, float], caption: str, unit: str = "") -> None:
-    """A coloured picture and its key."""
-    report.png(pictures.png_bytes(pictures.colour_map(values, *limits)), caption)
+def _classes(report: Report, values: FloatImage, entries: Mapping[int, Tuple[str, str]], caption: str) -> None:
+    """A picture of classes, and the colour (``#rrggbb``) and name of each class."""
+    colours = pictures.categories(values, {value: colour for value, (colour, _) in entries.items()})
+    report.png(pictures.png_bytes(colours), caption)
+    report.svg(charts.legend(list(entries.values())))
+
+
+def _map(
+    report: Report,
+    values: FloatImage,
+    limits: Tuple[float, float],
+    caption: str,
+    unit: str = "",
+    base: Optional[ByteImage] = None,
+) -> None:
+    """A coloured picture, over what lies there where that is known, and its key."""
+    coloured = pictures.colour_map(values, *limits)
+    report.png(pictures.png_bytes(coloured if base is None else pictures.over(base, coloured)), caption)
     report.svg(charts.colour_bar(pictures.RAMPS["viridis"], *limits, unit))
 
 
@@ -234,19 +276,32 @@ def _reconstruction(report: Report, scene: Scene) -> None:
     report.section("Height maps").table(headers, rows, note, where=_TILES_LAYER)
 
 
-def _confidence(report: Report, path: Optional[str]) -> None:
-    """How reliable the heights are, and where."""
+def _confidence(report: Report, path: Optional[str], ortho: str, dsm: str) -> None:
+    """How reliable the heights are, and where: over the orthophoto, or else over the shaded DSM."""
     if not path:
         return
+    base = pictures.photograph(ortho, 500) if ortho else pictures.grey_relief(*pictures.preview(dsm, 500))
+    kinds = next(style.classes for style in STYLES if style.kind == "confidence_source")
     with opened(path) as dataset:
         titles = [dataset.GetRasterBand(band + 1).GetDescription() for band in range(dataset.RasterCount)]
     report.section("Confidence")
     for band, title in enumerate(titles, start=1):
-        values, _ = pictures.preview(path, 500, band)
+        named = band == SOURCE_BAND or title == CONFIDENCE_BANDS[0]
+        values, _ = pictures.preview(path, 500, band, nearest=named)
         known = values[np.isfinite(values)]
         if not known.size or float(known.max() - known.min()) < 1e-6:
             continue  # the same everywhere: with two images there is one height map
-        _map(report, values, pictures.percentile_range(values), title[:1].upper() + title[1:] + ".")
+        found = [int(value) for value in np.unique(known)]
+        if band == SOURCE_BAND:
+            entries = {value: (pictures.CLASSES[value], kinds[value]) for value in found if value < len(kinds)}
+            _classes(report, values, entries, "Where each height comes from.")
+        elif named and len(found) <= len(pictures.CLASSES):
+            table = pictures.ramp_table("viridis", len(found))
+            entries = {v: ("#" + bytes(colour).hex(), f"{v:g}") for v, colour in zip(found, table)}
+            _classes(report, values, entries, "How many height maps agree.")
+        else:
+            caption = title[:1].upper() + title[1:] + "."
+            _map(report, values, pictures.percentile_range(values), caption, base=base)
 
 
 def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> Report:

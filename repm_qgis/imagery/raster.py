@@ -145,12 +145,19 @@ def require_content(path: str, part: Optional[Window] = None) -> None:
         _require(path, hollow(dataset, part))
 
 
-def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: Optional[Size] = None) -> FloatImage:
+def read(
+    dataset: Image,
+    window: Optional[Window] = None,
+    band: int = 1,
+    size: Optional[Size] = None,
+    nearest: bool = False,
+) -> FloatImage:
     """A window of one band as (height, width) float32; nodata and values that are not finite become NaN.
 
     So do pixels that the file's own mask or alpha band hides, or a :class:`MaskedImage` excludes. ``band`` 0 reads
     the grey of a colour image (ITU-R BT.601 luma), NaN where any colour is. ``size`` (width, height) reads it reduced,
-    by averaging, from overviews unless it was opened without. Raises ImageError for a truncated or damaged file.
+    by averaging, from overviews unless it was opened without; ``nearest`` takes single pixels, for values that are
+    names of classes. Raises ImageError for a truncated or damaged file.
     """
     if isinstance(dataset, MaskedImage):
         return np.where(dataset.excluded(window, size), np.float32(np.nan), read(dataset.image, window, band, size))
@@ -161,7 +168,8 @@ def read(dataset: Image, window: Optional[Window] = None, band: int = 1, size: O
         return grey
     col, row, width, height = window or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     handle = dataset.GetRasterBand(band)
-    options = {} if size is None else {"buf_xsize": size[0], "buf_ysize": size[1], "resample_alg": gdal.GRIORA_Average}
+    how = gdal.GRIORA_NearestNeighbour if nearest else gdal.GRIORA_Average
+    options = {} if size is None else {"buf_xsize": size[0], "buf_ysize": size[1], "resample_alg": how}
     values, reason = _attempt(lambda: handle.ReadAsArray(col, row, width, height, **options))
     if reason:
         raise ImageError(

@@ -14,6 +14,7 @@ from .inputs import Layout
 from .offsets import Offsets, Overlap
 
 _PICTURE_PX = 1000
+_MOST_KEYS = 24  # of DSMs in the key
 
 
 def mosaic_page(
@@ -106,7 +107,11 @@ def _overlaps(page: Report, layout: Layout, overlaps: Sequence[Overlap], offsets
 
 
 def _sources(page: Report, path: str, count: int) -> None:
-    values, _ = pictures.preview(path, _PICTURE_PX)
-    drawn = pictures.png_bytes(pictures.colour_map(values, 1.0, float(count), "viridis"))
-    page.section("Sources").png(drawn, "The number of the DSM that each height comes from, north up.")
-    page.svg(charts.colour_bar(pictures.RAMPS["viridis"], 1.0, float(count), "number of the DSM"))
+    values, _ = pictures.preview(path, _PICTURE_PX, nearest=True)
+    numbers, some = range(1, count + 1), pictures.CLASSES
+    colours = {number: some[(number - 1) % len(some)] for number in numbers}
+    page.section("Sources").png(
+        pictures.png_bytes(pictures.categories(values, colours)),
+        "The number of the DSM that each height comes from, north up, as in the list of DSMs.",
+    )
+    page.svg(charts.legend([(colours[number], str(number)) for number in numbers][:_MOST_KEYS]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html.parser import HTMLParser
 
 VOID = {"meta", "img", "br", "hr", "link", "input"}
@@ -42,3 +43,8 @@ def checked(text):
     assert page.open == []
     assert "@import" not in text and "url(http" not in text and "<script" not in text
     return page
+
+
+def plain(text):
+    """A page's source without the marks of explained words, which may stand in any sentence."""
+    return re.sub(r"</?abbr[^>]*>", "", text)

@@ -13,6 +13,7 @@ from repm_qgis.evaluation.stage_reports import pipeline_report
 from repm_qgis.products import PRODUCTS, STYLES, forms, products_of
 from repm_qgis.scene import Scene
 from repm_qgis.stages import STAGES, run_stage
+from tests.engine.pages import plain
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 
@@ -75,7 +76,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(urban, tmp_pa
 
 def test_the_report_names_every_product_that_was_made(urban_run):
     made = {**urban_run.result, "view_heights": "/somewhere/pairs"}
-    page = pipeline_report(Scene.load(made["scene"]), made, made["seconds"], None).html()
+    page = plain(pipeline_report(Scene.load(made["scene"]), made, made["seconds"], None).html())
     for product in products_of("pipeline"):
         if product.stage == "dsmfuse":
             assert f"<td>{product.title}</td>" in page and str(made[product.option]) in page

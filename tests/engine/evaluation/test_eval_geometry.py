@@ -16,12 +16,13 @@ from repm_qgis.evaluation.stage_reports import fit_report
 from repm_qgis.geometry.sun import sun_position
 from repm_qgis.records import GcpFigures
 from repm_qgis.scene import Scene
+from tests.engine.pages import plain
 
 
 def page_of(scene):
     report = Report("geometry")
     add_geometry(report, scene)
-    return report.html()
+    return plain(report.html())
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from repm_qgis.records import FusionFacts
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.ground_control import Gcp
 from repm_qgis.translation import written_in
+from tests.engine.pages import plain
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def made(urban_run):
 def test_a_good_run_is_called_good_and_says_why(urban_run, made):
     scene, facts = made
     assert verdict.of_run(scene, facts) == []
-    page = pipeline_report(scene, urban_run.result, urban_run.result["seconds"], None).html()
+    page = plain(pipeline_report(scene, urban_run.result, urban_run.result["seconds"], None).html())
     top = page[: page.index("<img")]
     assert 'class="warning good"' in top and "<strong>Good.</strong>" in top
     assert f"{facts.valid_percent:.0f} % of the ground that two images see has a height." in top
@@ -65,7 +66,7 @@ def test_each_figure_beyond_its_bound_is_a_finding(made):
 def test_a_report_lists_what_to_look_at(urban_run, made):
     scene, facts = made
     result = {**urban_run.result, "valid_percent": 12.0}
-    page = pipeline_report(scene, result, result["seconds"], None).html()
+    page = plain(pipeline_report(scene, result, result["seconds"], None).html())
     top = page[: page.index("<img")]
     assert "<strong>Look at:</strong>" in top and "<li>Only 12 % of the ground" in top and "Good." not in top
 
@@ -101,7 +102,7 @@ def test_the_share_of_heights_is_that_of_the_ground_which_two_images_see(urban_r
 
 def tops(pages):
     """What each page shows above its first section."""
-    return {name: page.html().split("<h2")[0] for name, page in pages.items()}
+    return {name: plain(page.html()).split("<h2")[0] for name, page in pages.items()}
 
 
 def test_the_pages_of_cameras_begin_with_a_verdict(made, urban_run, tmp_path):

@@ -16,6 +16,7 @@ from repm_qgis.evaluation.gcp_accuracy import ErrorSummary, wrong_control
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from tests.engine.pages import plain
 
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
 
@@ -155,7 +156,7 @@ def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points,
     assert result["components"]["compensated"]["east"]["max"] < 0.5  # 0.3 px of 0.5 m, in three views
     found, _ = features(result["output"])
     assert [name for name, feature in found.items() if feature["properties"]["wrong"]] == ["P02", "P06"]
-    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert page.count("<td>wrong</td>") == 2 and "P02 contradicts the others" in page
 
 
@@ -301,7 +302,7 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
     length = float(style.split("(10 mm = ")[1].split(" m)")[0])
     east_north = result["components"]["compensated"]
     assert length >= 0.9 * min(east_north["east"]["rmse"], east_north["north"]["rmse"])
-    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     for words in (
         "RPC localisation, image-space compensation",
         "The DSM&#39;s height",
@@ -322,14 +323,14 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
 def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, told):
     bare = written(tmp_path / "bare.csv", urban, points, views=0)
     run_stage("checkgcps", {"gcps": bare, "dsm": urban.truth, "report": str(tmp_path / "dsm.html")}, told())
-    page = (tmp_path / "dsm.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "dsm.html").read_text(encoding="utf-8"))
     assert "12 points<" in page  # roles mean nothing where no image was measured
     for words in ("compensation", "own few measured pixels", "In the images"):
         assert words not in page
     run_stage(
         "checkgcps", {"gcps": exact, "scene": scene, "dsm": urban.truth, "report": str(tmp_path / "a.html")}, told()
     )
-    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "a.html").read_text(encoding="utf-8"))
     for words in (
         "12 points: 6 for control and 6 for checking",
         "no point confirms itself",

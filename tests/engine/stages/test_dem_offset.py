@@ -16,6 +16,7 @@ from repm_qgis.records import DemOffset, FusionFacts
 from repm_qgis.registration.dem_offset import stated_height_deviation
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from tests.engine.pages import plain
 
 
 def dem_of(truth, folder, up, cells=10, cut=slice(None)):
@@ -68,7 +69,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
     assert text in warned and f"at most {found.most_m:.1f} m are to be expected" in warned and "above" in text
     facts = FusionFacts.from_mapping(made)
     assert any(text in finding for finding in verdict.of_run(scene, facts))
-    page = pipeline_report(scene, {**urban_run.result, **made}, urban_run.result["seconds"], None).html()
+    page = plain(pipeline_report(scene, {**urban_run.result, **made}, urban_run.result["seconds"], None).html())
     assert page.count(f"The DSM lies {found.up_m:.1f} m above the DEM") == 1 and "Nothing here measures" not in page
 
 

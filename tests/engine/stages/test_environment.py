@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from repm_qgis.progress import Recorder, Silent
 from repm_qgis.stages import environment, run_stage
+from tests.engine.pages import plain
 
 
 def test_the_report_holds_versions_and_machine(tmp_path):
@@ -11,7 +12,7 @@ def test_the_report_holds_versions_and_machine(tmp_path):
 
     report = tmp_path / "environment.html"
     result = run_stage("environment", {"report": str(report)}, Silent())
-    page = report.read_text(encoding="utf-8")
+    page = plain(report.read_text(encoding="utf-8"))
     assert result["report"] == str(report)
     assert numpy.__version__ in page and result["interpreter"] in page
     for name in result["versions"]:
@@ -33,7 +34,7 @@ def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
         "Not installed: pycolmap (tie points), laspy (points). To install what is missing, choose this.",
         "Not installed: scipy (more). To install what is missing, run 'that'.",
     ]
-    page = report.read_text(encoding="utf-8")
+    page = plain(report.read_text(encoding="utf-8"))
     assert "Not installed: pycolmap (tie points), laspy (points)." in page and "choose this." in page
     assert result["missing"] == found["missing"]
 
@@ -50,7 +51,7 @@ def test_what_cuda_needs_is_told_with_its_command(tmp_path, monkeypatch):
     }
     monkeypatch.setattr(environment, "survey", lambda folder: found)
     run_stage("environment", {"report": str(tmp_path / "r.html")}, Silent())
-    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "NVIDIA X, 8 GiB; pycolmap was built without it" in page and "pip install pycolmap-cuda12" in page
     found["cuda"].update(built=True, usable=True, remedy="")
     run_stage("environment", {"report": str(tmp_path / "r.html")}, Silent())

@@ -19,7 +19,7 @@ from repm_qgis.records import GroundShift
 from repm_qgis.registration.moved_scene import moved_scene
 from repm_qgis.scene import Scene, load_views
 from repm_qgis.stages import run_stage
-from tests.engine.pages import checked
+from tests.engine.pages import checked, plain
 
 AFFINE = np.array([[1.00008, -1e-4, 4.5], [0.7e-4, 0.9999, -12.25]])
 
@@ -208,7 +208,7 @@ def test_a_correction_that_no_rpc_can_hold_is_a_warning_with_the_number(pointed,
     made = export(path, tmp_path / "out", told, said=said, report=str(tmp_path / "r.html"))
     assert made["max_error"] > 0.01 and len(said.warnings) == 3
     assert f"by up to {made['max_error']:.3f} px (usual: at most 0.01 px)" in " ".join(said.warnings)
-    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "Every exported RPC" not in page and "the correction is too large" in page
 
 

@@ -148,7 +148,8 @@ def test_products_show_before_and_after(registered):
     assert np.median(rows, axis=0) == pytest.approx([made["east"], made["north"], made["up"]], abs=0.3)
     page = Path(made["report"]).read_text(encoding="utf-8")
     assert f"{made['up']:+.3f}" in page and "moved.tif" in page and "standard deviation" in page
-    assert "is more than the" in page  # nine metres are more than the RPCs let expect
+    # Six metres to the side and nine up are no more than RPCs without a known promise let expect.
+    assert "is more than the" not in page and "nine of ten scenes are off by no more" in page
     assert Path(made["differences"]).with_suffix(".qml").exists() and Path(made["offsets"]).with_suffix(".qml").exists()
 
 
