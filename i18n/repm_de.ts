@@ -722,6 +722,26 @@
         <source>Number of pairs that are worth matching</source>
         <translation>Anzahl der Paare, deren Zuordnung sich lohnt</translation>
     </message>
+    <message>
+        <source>Images of the best pair</source>
+        <translation>Bilder des besten Paars</translation>
+    </message>
+    <message>
+        <source>Images of the best triplet</source>
+        <translation>Bilder des besten Tripels</translation>
+    </message>
+    <message>
+        <source>DSM of the best pair…</source>
+        <translation>DOM aus dem besten Paar…</translation>
+    </message>
+    <message>
+        <source>DSM of the best triplet…</source>
+        <translation>DOM aus dem besten Tripel…</translation>
+    </message>
+    <message>
+        <source>The images are inspected.</source>
+        <translation>Die Bilder sind geprüft.</translation>
+    </message>
 </context>
 <context>
     <name>Mosaic</name>

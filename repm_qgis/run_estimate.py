@@ -15,8 +15,8 @@ from .records import ViewPair
 from .scene import Scene
 from .stereo.parameters import STEREO
 
-_START_S = 1.5  # of a core, whatever the images
-_PIXEL_S = 2.4e-6  # of a core, for each pixel of ground that a pair sees
+_START_S = 2.0  # of a core, whatever the images
+_PIXEL_S = 3.2e-6  # of a core, for each pixel of ground that a pair sees
 _OWN_SURFACE = 1.33  # where the terrain model refines on a surface that has to be found first
 _EIGHT_DIRECTIONS = 1.3  # of semi-global matching instead of three
 _SHARED = 0.87  # of what so many workers could do, as they wait for each other
@@ -33,13 +33,13 @@ class RunEstimate(NamedTuple):
 
     def sentence(self) -> str:
         """What the log says of a run that begins."""
-        time, size = _duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
+        time, size = duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
         workers = counted(self.workers, "worker")
         return f"This run will take about {time} with {workers}, and {size} of memory; less where it is continued."
 
     def outlook(self) -> str:
         """What a page says of a run that may come."""
-        time, size = _duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
+        time, size = duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
         workers = counted(self.workers, "worker")
         return f"A DSM of all this ground will take about {time} with {workers}, and {size} of memory."
 
@@ -71,7 +71,8 @@ def estimate(
     return RunEstimate(_START_S + work, wall, mib, count)
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time in words, no more exact than the estimate."""
     if seconds < 90:
         return f"{max(5, 5 * round(seconds / 5))} s"
     return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import os
-from typing import Any, List, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
+from ..errors import RepmError
 from ..imagery.acquisition import duration_text
 from ..progress import counted
+from ..run_estimate import duration
+from ..scene import View
 from ..sfm.advice import expected_accuracy_m
 from ..sfm.inspection import CARE, NO, YES, PairFacts, Place
 from ..sfm.parameters import POINTING, PointingParameters
-from . import charts
+from . import charts, pictures
 from .report import Report, fixed
 
 _MOST_PAIRS = 200
+_MOST_PICTURES, _PICTURE_PX = 40, 260
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Images to make a DSM of, and how long that takes, seconds by the clock."""
+
+    images: Tuple[View, ...]
+    wall_s: float
 
 
 def inspection_page(
@@ -23,16 +36,18 @@ def inspection_page(
     unusable: Mapping[str, str],
     parameters: PointingParameters = POINTING,
     outlook: str = "",
+    choices: Sequence[Choice] = (),
 ) -> Report:
     """Where images lie, how pairs overlap, and what to match; ``unusable`` are reasons by the files' paths.
 
-    ``outlook`` is what a run would take, "" where there is nothing to run.
+    ``outlook`` is what a run would take, "" where there is nothing to run; ``choices`` are images to begin with.
     """
     count = sum(len(place.images) for place in places)
     page = Report("Images inspected", f"{counted(count, 'image')}, {counted(_pairs(places), 'overlap')}")
     page.paragraph(verdict(places, unusable))
     if outlook:
         page.paragraph(outlook)
+    _choices(page, choices)
     for path, reason in unusable.items():
         page.warning(f"'{os.path.basename(path)}' cannot be used: {reason}")
     for number, place in enumerate(places, start=1):
@@ -40,9 +55,46 @@ def inspection_page(
         caption = f"Footprints{of} at {place.altitude:.0f} m above the ellipsoid, north up ({place.crs})."
         page.svg(charts.footprints({facts.view.name: facts.outline for facts in place.images}), caption)
     _images(page, places, unusable)
+    _pictures(page, places)
     _overlaps(page, places, parameters)
     _first_area(page, places, parameters)
     return page
+
+
+def _choices(page: Report, choices: Sequence[Choice]) -> None:
+    """What to begin with, and how long each takes."""
+    if not choices:
+        return
+    names = {2: "the best pair", 3: "the best triplet"}
+    page.section("Images to begin with").table(
+        "choice | images | about",
+        [
+            [
+                names.get(len(each.images), "all images"),
+                ", ".join(view.name for view in each.images),
+                duration(each.wall_s),
+            ]
+            for each in choices
+        ],
+        "The time is that of 'Make a DSM from satellite images' with the quality 'default' on this computer, if it "
+        "does nothing else; it is right within a factor of two. A third image fills what two do not see, and finds "
+        "gross errors. In QGIS, the message above the map opens the dialog with the pair or the triplet.",
+    )
+
+
+def _pictures(page: Report, places: Sequence[Place]) -> None:
+    """A small picture of each image, to see clouds."""
+    drawn = []
+    images = [facts.view for place in places for facts in place.images]
+    for view in images[:_MOST_PICTURES]:
+        try:
+            picture = pictures.thumbnail(view.image, _PICTURE_PX)
+        except RepmError:
+            continue  # the image's RPC could be read, and more is not needed here
+        drawn.append((pictures.png_bytes(picture), view.name))
+    if drawn:
+        more = f" {len(images) - len(drawn)} more images have none here." if len(images) > len(drawn) else ""
+        page.gallery(drawn, f"The images as they were taken, not north up: look for clouds, haze and snow.{more}")
 
 
 def verdict(places: Sequence[Place], unusable: Mapping[str, str]) -> str:

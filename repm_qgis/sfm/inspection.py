@@ -65,13 +65,38 @@ class PairFacts:
 class Place:
     """Images that lie together: their CRS, the altitude (m above the ellipsoid) of the outlines, images and pairs.
 
-    Pairs are in the order of their worth: those that are matched first, then others.
+    Images are in the order of their times, and pairs in that of their worth: those that are matched first, then others
+    by the time between their images.
     """
 
     crs: str
     altitude: float
     images: Tuple[ImageFacts, ...]
     pairs: Tuple[PairFacts, ...]
+
+    def best(self) -> Tuple[Tuple[str, ...], ...]:
+        """The images to begin with, by their names: the best pair, and with the best third image the best triplet.
+
+        A third image must make a pair that is worth matching with both, or it is none. None at all where no pair is.
+        """
+        if not self.pairs or self.pairs[0].worth == NO:
+            return ()
+        grade = {frozenset(each.pair.names): rank for rank, each in enumerate(self.pairs) if each.worth != NO}
+        first = self.pairs[0].pair.names
+        ranks = {}
+        for image in self.images:
+            sides = [frozenset((image.view.name, name)) for name in first]
+            if image.view.name not in first and all(side in grade for side in sides):
+                ranks[image.view.name] = max(grade[side] for side in sides), sum(grade[side] for side in sides)
+        third = min(ranks, key=lambda name: (*ranks[name], name), default=None)
+        return (first,) if third is None else (first, (*first, third))
+
+    def seen_px(self, names: Sequence[str]) -> List[float]:
+        """The pixels of ground that each pair of these images sees which a run with them alone would match."""
+        gsd_m = min(each.view.gsd_m for each in self.images if each.view.name in names)
+        mine = [each for each in self.pairs if set(each.pair.names) <= set(names)]
+        matched = [each for each in mine if each.chosen or (len(names) <= 3 and each.worth != NO)]
+        return [each.ground.GetArea() / gsd_m**2 for each in matched]
 
     def first_area(self, parameters: PointingParameters = POINTING) -> Optional[Bounds]:
         """A small square in the overlap of the best pair, for a first trial; None where no pair is worth it."""
@@ -113,7 +138,16 @@ def _place(views: Sequence[View], least_px: float, parameters: PointingParameter
         is_matched = pair.names in ranks
         worth = _worth(pair, percent, gsd, is_matched, parameters)
         pairs.append(PairFacts(pair, ground, percent, is_matched, *worth))
-    pairs.sort(key=lambda facts: ((YES, CARE, NO).index(facts.worth), ranks.get(facts.pair.names, len(ranks))))
+    pairs.sort(
+        key=lambda facts: (
+            (YES, CARE, NO).index(facts.worth),
+            ranks.get(facts.pair.names, len(ranks)),
+            math.inf if facts.pair.days is None else facts.pair.days,
+            -facts.percent,
+            facts.pair.names,
+        )
+    )
+    images = tuple(sorted(images, key=lambda facts: (facts.view.acquired or "", facts.view.name)))
     return Place(crs, altitude, images, tuple(pairs))
 
 

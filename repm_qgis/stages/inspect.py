@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import os
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from osgeo import ogr
 
 from ..errors import Cancelled, ImageError, RepmError
-from ..evaluation.inspection_page import inspection_page, verdict
+from ..evaluation.inspection_page import Choice, inspection_page, verdict
 from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
 from ..names import images_name
 from ..options import InspectOptions
 from ..progress import Progress, counted
-from ..run_estimate import estimate
+from ..run_estimate import RunEstimate, estimate
 from ..scene import View, load_view
 from ..sfm.inspection import CARE, YES, Place, inspect_views
 from ..vector import write_layer
@@ -41,9 +41,10 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
         _write_footprints(places, crs, options.footprints)
     if options.overlaps:
         _write_overlaps(places, crs, options.overlaps)
-    outlook = _outlook(places, max(parameters.tiles.sizes_px))
+    tile_px = max(parameters.tiles.sizes_px)
+    outlook, choices = _outlook(places, tile_px), _choices(places, tile_px)
     if options.report:
-        page = inspection_page(places, unusable, parameters.pointing, outlook)
+        page = inspection_page(places, unusable, parameters.pointing, outlook, choices)
         page.of(images_name(options.images)).write(options.report)
     progress.info(verdict(places, unusable))
     if outlook:
@@ -51,20 +52,44 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     progress.step(1.0, "images inspected")
     worth = sum(facts.worth in (YES, CARE) for place in places for facts in place.pairs)
     written = {"footprints": options.footprints, "overlaps": options.overlaps, "report": options.report}
-    return {**written, "n_images": len(views), "n_pairs": worth}
+    best = {len(choice.images): [view.image for view in choice.images] for choice in choices}
+    return {**written, "n_images": len(views), "n_pairs": worth, "pair": best.get(2), "triplet": best.get(3)}
+
+
+def _estimate(seen: Sequence[float], tile_px: int) -> Optional[RunEstimate]:
+    """What matching takes of pairs that see so many pixels of ground each; None without a pair."""
+    if not seen:
+        return None
+    tasks = sum(math.ceil(pixels / tile_px**2) for pixels in seen)
+    return estimate(sum(seen), max(min(math.sqrt(pixels), tile_px) for pixels in seen), tasks)
 
 
 def _outlook(places: Sequence[Place], tile_px: int) -> str:
     """About how long a DSM of all the ground takes, and how much memory; "" where there is none to make."""
-    pixels, sides, tasks = 0.0, [0.0], 0
+    expected = _estimate([px for place in places for px in _all_px(place)], tile_px)
+    return expected.outlook() if expected else ""
+
+
+def _all_px(place: Place) -> List[float]:
+    gsd_m = min(facts.view.gsd_m for facts in place.images)
+    return [facts.ground.GetArea() / gsd_m**2 for facts in place.pairs if facts.chosen]
+
+
+def _choices(places: Sequence[Place], tile_px: int) -> List[Choice]:
+    """The images to begin with, of the place with most images: the best pair, the best triplet, all of them."""
+    found: List[Choice] = []
     for place in places:
-        gsd_m = min(facts.view.gsd_m for facts in place.images)
-        for facts in place.pairs:
-            if facts.chosen:
-                seen = facts.ground.GetArea() / gsd_m**2
-                pixels, tasks = pixels + seen, tasks + math.ceil(seen / tile_px**2)
-                sides.append(min(math.sqrt(seen), tile_px))
-    return estimate(pixels, max(sides), tasks).outlook() if tasks else ""
+        views = {facts.view.name: facts.view for facts in place.images}
+        sets = [(names, place.seen_px(names)) for names in place.best()]
+        if sets and len(views) > max(len(names) for names, _ in sets):
+            sets.append((tuple(views), _all_px(place)))
+        for names, seen in sets:
+            expected = _estimate(seen, tile_px)
+            if expected is not None:
+                found.append(Choice(tuple(views[name] for name in names), expected.wall_s))
+        if found:
+            break
+    return found
 
 
 def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Dict[str, str]]:

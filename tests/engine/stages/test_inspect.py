@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from osgeo import ogr
 
 from repm_qgis.errors import ImageError, OptionError
 from repm_qgis.stages import run_stage
+from tests.engine.pages import plain
 
 
 def rows(path):
@@ -50,9 +52,13 @@ def test_layers_and_page(urban, job, told, tmp_path):
         assert row["worth"] == "yes" and row["matched"] == 1
     for name in ("footprints", "overlaps"):
         assert (tmp_path / f"{name}.qml").read_text(encoding="utf-8").startswith("<!DOCTYPE qgis")
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
     verdict = "Good: 3 pairs of 3 are worth matching; begin with"
     assert any(verdict in note for note in said.notes)
+    assert sorted(result["triplet"]) == sorted(urban.images) and set(result["pair"]) < set(urban.images)
+    assert page.count('<figure><img src="data:image/png') == 3  # small pictures
+    for words in ("the best pair</td>", "the best triplet</td>", "the message above the map"):
+        assert words in page, words
     for words in (verdict, "Footprints at", "A small area to start with", f"[{urban.crs}]", "accuracy, m"):
         assert words in page, words
 
@@ -61,7 +67,7 @@ def test_the_proposed_area_is_one_that_the_first_stage_takes(urban, job, told, t
     import re
 
     run_stage("inspect", job(urban.images), told())
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
     found = re.search(r"<pre>(-?\d+),(-?\d+),(-?\d+),(-?\d+) \[(EPSG:\d+)\]</pre>", page)
     xmin, xmax, ymin, ymax = map(float, found.groups()[:4])
     fitted = {"images": urban.images, "workspace": str(tmp_path / "w"), "extent": (xmin, ymin, xmax, ymax)}
@@ -72,13 +78,13 @@ def test_the_proposed_area_is_one_that_the_first_stage_takes(urban, job, told, t
 
 def test_bad_images_are_named_and_stop_nobody(urban, job, told, tmp_path, write_image):
     (tmp_path / "text.tif").write_text("no image")
-    plain = write_image(tmp_path / "no_rpc.tif")
-    bad = [str(tmp_path / "text.tif"), plain, str(tmp_path / "gone.tif")]
+    bare = write_image(tmp_path / "no_rpc.tif")
+    bad = [str(tmp_path / "text.tif"), bare, str(tmp_path / "gone.tif")]
     said = told()
     result = run_stage("inspect", job([bad[0], *urban.images[:2], *bad[1:]]), said)
     assert (result["n_images"], result["n_pairs"]) == (2, 1)
     assert len(said.warnings) == 3
-    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
     for name, why in (("text.tif", "Cannot open"), ("no_rpc.tif", "No RPC found"), ("gone.tif", "")):
         assert any(f"'{name}' cannot be used: " in text and why in text for text in said.warnings)
         assert name in page
@@ -126,3 +132,18 @@ def test_images_that_show_different_ground(urban, shared_data, job, told):
 def test_options_that_make_no_sense(options, words, told):
     with pytest.raises(OptionError, match=words):
         run_stage("inspect", options, told())
+
+
+def test_rows_are_sorted_and_each_choice_has_a_time(shared_data, job, told, tmp_path):
+    """The best pair of the real town's January first, then a third image that fits both; times as runs took."""
+    images = [str(shared_data / "jax_068" / f"JAX_068_{name}_RGB.tif") for name in ("013", "012", "009", "011", "001")]
+    result = run_stage("inspect", job(images), told())
+    assert [Path(path).name[8:11] for path in result["triplet"]] == ["009", "011", "012"]
+    footprints, _ = rows(result["footprints"])
+    assert [row["taken"] for row in footprints] == sorted(row["taken"] for row in footprints)
+    page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
+    told_s = [int(each) for each in re.findall(r'<td class="n">(\d+) s</td>', page.split("all images")[0])]
+    # A core takes 5.3 s and 10.9 s for the pair and the triplet where other work goes on; two workers share it.
+    assert len(told_s) == 2 and told_s[0] <= told_s[1]
+    for seconds, core_s in zip(told_s, (5.3, 10.9)):
+        assert core_s / 2 / 2 <= seconds <= 2 * core_s
