@@ -36,6 +36,7 @@ from ..repm_qgis.options import (
     PipelineOptions,
     ReconstructOptions,
     RefineOptions,
+    is_delivery,
 )
 from ..repm_qgis.products import tiles_folder
 
@@ -100,7 +101,10 @@ class Images(QgsProcessingParameterMultipleLayers):
     """
 
     def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
-        return super().checkValueIsAcceptable(input)
+        named = [input] if isinstance(input, str) else input if isinstance(input, list) else []
+        # One folder may hold many images: the engine counts them.
+        several = any(isinstance(path, str) and is_delivery(path) for path in named)
+        return several or super().checkValueIsAcceptable(input)
 
     def clone(self) -> Images:
         return Images(self)
@@ -173,8 +177,9 @@ def images(least: int = 2) -> QgsProcessingParameterDefinition:
     return helped(
         parameter,
         tr(
-            "Two or more images of the same ground in sensor geometry (level Basic, Sensor or "
-            "Primary), each with its RPC in the file or beside it."
+            "Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or "
+            "ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path "
+            "of a folder or a ZIP file, as it was delivered, for the images in it."
         ),
     )
 

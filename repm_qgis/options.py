@@ -183,6 +183,16 @@ def require_mesh(path: str) -> None:
         raise OptionError("MESH", path, "must end with .ply, .glb or .obj")
 
 
+def is_archive(path: str) -> bool:
+    """Whether a path is that of an archive as products are delivered in, by its name."""
+    return path.lower().endswith(".zip") and not path.startswith("/vsi")
+
+
+def is_delivery(path: str) -> bool:
+    """Whether a path in IMAGES stands for all images of a folder or an archive."""
+    return is_archive(path) or os.path.isdir(path)
+
+
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
     """Raise OptionError for a list of images that is none, or lists of files ``beside`` them that do not fit it."""
     if not all(images):
@@ -220,6 +230,7 @@ class InspectOptions(Options):
 class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
 
+    ``images`` are files; any tile of a product stands for the whole image, a folder or an archive for all images in it.
     ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is in the image or in a sidecar file;
     empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels that are
     neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
@@ -249,7 +260,7 @@ class EpmFitOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.images) < 2 and all(self.images):
+        if len(self.images) < 2 and all(self.images) and not any(map(is_delivery, self.images)):
             raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
         _check_images(self.images, RPCS=self.rpcs, MASKS=self.masks)
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:

@@ -26,7 +26,7 @@ from osgeo import gdal
 from ..checks import as_texts
 from ..errors import RpcError
 from ..rpc.formats import sidecar_text, xml_texts
-from ..rpc.readers import files_in_folder, product_of
+from ..rpc.readers import beside, files_in_folder, product_of
 from .sensors import sensor_in
 
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
@@ -133,7 +133,7 @@ def time_sidecars(path: str) -> List[str]:
     products = (core, re.sub(r"_[A-Za-z-]+$", "", core))
     names = [*(f"DIM_{name}.XML" for name in products), *(f"{stem}{ending}" for ending in (".IMD", ".XML", ".geom"))]
     there, keys = files_in_folder(image), dict.fromkeys(name.lower() for name in names)
-    return [str(image.with_name(name)) for key in keys for name in there.get(key, ())]
+    return [beside(image, name) for key in keys for name in there.get(key, ())]
 
 
 def duration_text(days: Optional[float]) -> str:

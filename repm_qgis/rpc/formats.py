@@ -504,7 +504,13 @@ def decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
+ARCHIVED = re.compile(r"/vsi(?:zip|tar)/", re.IGNORECASE)
+"""How GDAL's names of files in archives begin."""
+
+
 def _content(path: str) -> bytes:
+    if ARCHIVED.match(path):
+        return _archived(path)
     if not os.path.isfile(path):
         raise RpcMissingError(f"There is no RPC file '{path}'.")
     try:
@@ -512,6 +518,20 @@ def _content(path: str) -> bytes:
             data = stream.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         raise RpcMissingError(f"Cannot read the RPC file '{path}' ({error.strerror or error}).") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise RpcInvalidError(f"it is larger than {MAX_FILE_BYTES >> 20} MiB, which no RPC file is.")
+    return data
+
+
+def _archived(path: str) -> bytes:
+    """The content of a file in an archive."""
+    stream = gdal.VSIFOpenL(path, "rb")
+    if stream is None:
+        raise RpcMissingError(f"There is no RPC file '{path}'.")
+    try:
+        data = bytes(gdal.VSIFReadL(1, MAX_FILE_BYTES + 1, stream) or b"")
+    finally:
+        gdal.VSIFCloseL(stream)
     if len(data) > MAX_FILE_BYTES:
         raise RpcInvalidError(f"it is larger than {MAX_FILE_BYTES >> 20} MiB, which no RPC file is.")
     return data
@@ -569,3 +589,12 @@ def xml_inside(text: str, outer: str, inner: str) -> List[str]:
     """The texts of all elements of one name that lie in elements of another, as :func:`xml_texts` reads them."""
     tree = _tree(text)
     return [_leaf(node) for parent in _anywhere(tree, outer) for node in _anywhere(parent, inner)]
+
+
+def xml_attributes(text: str, name: str, attribute: str) -> List[str]:
+    """An attribute of all elements of one name in an XML text, bounded as RPC files are; raises RpcInvalidError."""
+    found = []
+    for node in _anywhere(_tree(text), name):
+        inside = {part[1]: part[2][1] for part in node[2:] if part[0] == gdal.CXT_Attribute and len(part) > 2}
+        found += [inside[attribute]] if attribute in inside else []
+    return found

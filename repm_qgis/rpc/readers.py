@@ -27,7 +27,7 @@ from osgeo import gdal
 from ..arrays import FloatArray
 from ..checks import as_texts
 from ..errors import RpcInvalidError, RpcMissingError
-from .formats import DIMAP, FORMAT_NAMES, FoundRpc, checked, read_sidecar, rpc_from_texts, tile_size
+from .formats import ARCHIVED, DIMAP, FORMAT_NAMES, FoundRpc, checked, read_sidecar, rpc_from_texts, tile_size
 from .model import Rpc
 
 _AGREE_PX = 0.5  # vendors round the same model to different digits in its different files
@@ -175,7 +175,13 @@ def rpc_sidecars(path: str) -> List[str]:
     possible += [stem + end for end in ("_RPC.XML", ".XML", ".RPB", "_RPC.TXT", ".RPC", ".geom", ".JSON")]
     there = files_in_folder(image)
     names = [name for key in dict.fromkeys(name.lower() for name in possible) for name in there.get(key, ())]
-    return [str(image.with_name(name)) for name in names if name != image.name]
+    return [beside(image, name) for name in names if name != image.name]
+
+
+def beside(image: Path, name: str) -> str:
+    """The path of another file in an image's folder, which may be one in an archive."""
+    path = image.with_name(name)
+    return path.as_posix() if ARCHIVED.match(image.as_posix()) else str(path)
 
 
 def product_of(image: Path) -> str:
@@ -187,6 +193,10 @@ def product_of(image: Path) -> str:
 def files_in_folder(image: Path) -> Dict[str, List[str]]:
     """Names of the files in an image's folder by their lower-case form; empty where the folder cannot be listed."""
     names: Dict[str, List[str]] = {}
+    if ARCHIVED.match(image.as_posix()):
+        for name in (gdal.ReadDir(image.parent.as_posix()) or [])[:_MAX_FOLDER]:
+            names.setdefault(name.lower(), []).append(name)
+        return {key: sorted(found) for key, found in names.items()}
     try:
         with os.scandir(image.parent) as entries:
             for number, entry in enumerate(entries):

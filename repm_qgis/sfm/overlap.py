@@ -17,9 +17,10 @@ import pyproj
 from ..arrays import FloatArray, Window
 from ..errors import OverlapError, RpcInvalidError
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring
+from ..imagery.deliveries import with_images
 from ..imagery.raster import opened, read
 from ..options import EpmFitOptions
-from ..progress import listed
+from ..progress import Silent, listed
 from ..scene import View, common_heights, load_views
 
 Warn = Callable[[str], None]
@@ -56,6 +57,7 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
     Raises whatever :func:`~repm_qgis.scene.load_views` raises, RpcInvalidError where two images have the same RPC, and
     OverlapError where no two images overlap.
     """
+    options = with_images(options, Silent())
     views = load_views(options.images, options.rpcs, options.masks, options.extent is None, options.ortho_ready_height)
     return of_one_place(_each_once(views, warn), least_px, warn, _wanted(options))
 

@@ -24,6 +24,7 @@ from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
 from ..imagery.collars import write_collar_mask
+from ..imagery.deliveries import with_images
 from ..imagery.raster import raster_identity, require_content
 from ..memory import planned_mib
 from ..names import scene_title
@@ -44,6 +45,7 @@ from .parameters import ENGINE, EngineParameters, TileParameters
 def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
     """Read the RPCs, find area and altitudes, lay tiles, fit cameras; gives the scene, the TILES layer, the report."""
     start = time.monotonic()
+    options = with_images(options, progress)
     folder = ensure_folder(options.workspace)
     scene_path = str(folder / "scene.json")
     tiles_paths = with_copy(str(folder / "tiles.gpkg"), options.tiles)

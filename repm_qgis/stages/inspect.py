@@ -12,6 +12,7 @@ from ..errors import Cancelled, ImageError, RepmError
 from ..evaluation.inspection_page import Choice, inspection_page, verdict
 from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
+from ..imagery.deliveries import with_images
 from ..names import images_name
 from ..options import InspectOptions
 from ..progress import Progress, counted
@@ -30,6 +31,7 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     An image that cannot be used is named in a warning and on the page, and does not stop the others. Raises ImageError
     where none can be used, WorkspaceError.
     """
+    options = with_images(options, progress)
     views, unusable = _loaded(options, progress)
     if not views:
         path, reason = next(iter(unusable.items()))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
+import shutil
 
 import pytest
 from osgeo import gdal
@@ -347,3 +349,16 @@ def test_a_number_that_is_left_out_has_its_default(plugin, context, feedback, ra
     found = options("dsmfuse", given, context, feedback)
     assert found["resolution"] == found["outlier_radius"] == 0
     assert algorithm("sampledata").checkParameterValues({"SIZE": None, "FOLDER": "f"}, context) == (True, "")
+
+
+def test_one_folder_is_accepted_as_images(plugin, context, sample, tmp_path):
+    """QGIS counts paths: a folder is one, and holds many images."""
+    folder = tmp_path / "as delivered"
+    folder.mkdir()
+    for path in sample["images"][:2]:
+        shutil.copy(path, folder)
+    given = {"IMAGES": [str(folder)], "WORKSPACE": str(tmp_path / "w"), "OUTPUT": str(tmp_path / "dsm.tif")}
+    assert algorithm("pipeline").checkParameterValues(given, context) == (True, "")
+    (folder / os.path.basename(sample["images"][1])).unlink()
+    fine, text = algorithm("pipeline").checkParameterValues(given, context)
+    assert not fine and "must name at least two images" in text

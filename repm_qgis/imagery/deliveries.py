@@ -1,0 +1,176 @@
+"""What analysts receive: products in tiles, and folders or archives as they were delivered.
+
+A product that its vendor cut into tiles is one image with one RPC. Its index names the tiles: Maxar's ``NAME.TIL``,
+Airbus's ``DIM_NAME.XML``; GDAL opens the index as the whole image. Naming any of the tiles means the whole.
+
+A folder, or an archive, stands for all images in it that have an RPC: the panchromatic ones where there are such, and
+the multispectral ones, whose colours may be wanted, beside them. Quick looks, masks and orthoimages have none.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple, TypeVar
+
+from osgeo import gdal
+
+from ..errors import ImageError, OptionError, RepmError, RpcError
+from ..options import EpmFitOptions, InspectOptions, is_archive, is_delivery
+from ..progress import Progress, counted, listed
+from ..rpc.formats import sidecar_text, xml_attributes
+from ..rpc.readers import files_in_folder, product_of, rpc_of
+from .bands import intensity_bands
+from .raster import opened
+
+T = TypeVar("T", EpmFitOptions, InspectOptions)
+
+_TILE = re.compile(r"_R\d{1,4}C\d{1,4}(?=[-_.]|$)", re.IGNORECASE)
+_TIL_FILES = re.compile(r"^\s*filename\s*=\s*\"([^\"\r\n]{1,255})\"", re.IGNORECASE | re.MULTILINE)
+_IMAGES = (".tif", ".tiff", ".jp2", ".ntf", ".nitf")
+_NO_IMAGES = re.compile(r"^(?:msk|prv|icon|browse)|_(?:msk|browse|preview|udm2?)\b|-browse", re.IGNORECASE)
+_MOST_ENTRIES = 20_000
+_DEEPEST = 8
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """The images to match, and the multispectral ones that came with them in a folder or an archive."""
+
+    images: Tuple[str, ...]
+    xs: Tuple[str, ...] = ()
+
+
+def delivered(named: Sequence[str]) -> Delivery:
+    """The images that paths stand for, each once, in the paths' order: a tile for its whole, a folder or an archive for
+    all images in it.
+
+    Raises ImageError for a folder or an archive without any image that has an RPC.
+    """
+    images: List[str] = []
+    xs: List[str] = []
+    for path in named:
+        if not is_delivery(path):
+            images.append(whole_of(path))
+            continue
+        greys, colours = _inside(path)
+        images += greys or colours
+        xs += colours if greys else []
+    return Delivery(tuple(dict.fromkeys(images)), tuple(dict.fromkeys(xs)))
+
+
+def with_images(options: T, progress: Progress) -> T:
+    """The options of a stage whose ``images`` are files, after a sentence about those that stand for others.
+
+    Raises OptionError where lists of files beside the images cannot be in their order any more, or where a folder has
+    too few images for the stage.
+    """
+    found = delivered(options.images)
+    if found.images == options.images:
+        return options
+    for name in ("rpcs", "masks"):
+        files = getattr(options, name, ())
+        if files:
+            reason = "must be empty where a folder, an archive or a tile stands for images: name these in IMAGES"
+            raise OptionError(name.upper(), list(files), reason)
+    names = [os.path.basename(path) for path in found.images]
+    progress.info(f"IMAGES stands for {counted(len(names), 'image')}: {listed(names)}.")
+    if found.xs:
+        colours = listed([f"'{path}'" for path in found.xs])
+        progress.info(f"Multispectral images came with them; give them as XS for their colours: {colours}.")
+    return replace(options, images=found.images)
+
+
+def whole_of(path: str) -> str:
+    """The index of the product whose tile a path is; the path itself where it is none, where the product has only this
+    tile, or where other tiles are missing."""
+    image = Path(path)
+    if not _TILE.search(image.stem) or not os.path.isfile(path):
+        return path
+    there = files_in_folder(image)
+    for index in _indexes(image, there):
+        tiles = _tiles_of(index)
+        mine = image.name.lower() in (tile.lower() for tile in tiles)
+        if mine and len(tiles) > 1 and all(tile.lower() in there for tile in tiles):
+            return index
+    return path
+
+
+def _indexes(image: Path, there: Dict[str, List[str]]) -> Iterator[str]:
+    """The files in an image's folder that may be the index of its product: those of its own name first."""
+    plain = _TILE.sub("", image.stem)
+    core = product_of(image)
+    # Names of Pleiades Neo's images have the band after the name that the product's own file has.
+    own = [f"{plain}.til", *(f"dim_{name}.xml" for name in (core, re.sub(r"_[A-Za-z-]+$", "", core)))]
+    others = sorted(key for key in there if key.endswith(".til"))
+    for key in dict.fromkeys(name.lower() for name in (*own, *others)):
+        yield from (str(image.with_name(name)) for name in there.get(key, ()))
+
+
+def _tiles_of(index: str) -> List[str]:
+    """The names of the image files in its own folder that an index names; empty for a file that is none."""
+    try:
+        text = sidecar_text(index)
+        if index.lower().endswith(".til"):
+            names = _TIL_FILES.findall(text)
+        else:
+            names = [name for name in xml_attributes(text, "DATA_FILE_PATH", "href") if name]
+    except RpcError:
+        return []
+    return [name for name in names[:_MOST_ENTRIES] if os.path.basename(name.replace("\\", "/")) == name]
+
+
+# --- folders and archives -------------------------------------------------------------------------------------------
+
+
+def _inside(path: str) -> Tuple[List[str], List[str]]:
+    """The panchromatic and the other images with an RPC in a folder or an archive."""
+    files = [file for file in _files(path) if _looks_like_one(file)]
+    if is_archive(path) and any(file.lower().endswith(".til") or _is_part(file, files) for file in files):
+        raise ImageError(f"'{path}' holds an image in tiles: unpack the archive, and choose the folder.")
+    whole = dict.fromkeys(whole_of(file) for file in files if not file.lower().endswith((".til", ".xml")))
+    greys: List[str] = []
+    colours: List[str] = []
+    reasons: List[str] = []
+    for image in whole:
+        try:
+            with opened(image) as dataset:
+                rpc_of(dataset, image)
+                (greys if len(intensity_bands(dataset)) == 1 else colours).append(image)
+        except RepmError as error:
+            reasons.append(str(error))
+    if not greys and not colours:
+        first = f": {reasons[0]}" if reasons else f": none of its files ends with {', '.join(_IMAGES)}."
+        raise ImageError(f"'{path}' holds no image with an RPC{first}")
+    return greys, colours
+
+
+def _is_part(file: str, files: Sequence[str]) -> bool:
+    """Whether a file is one of several tiles of a product."""
+    name = _TILE.sub("", os.path.basename(file)).lower()
+    return bool(_TILE.search(os.path.basename(file))) and any(
+        other != file and _TILE.sub("", os.path.basename(other)).lower() == name for other in files
+    )
+
+
+def _looks_like_one(file: str) -> bool:
+    name = os.path.basename(file)
+    return name.lower().endswith((*_IMAGES, ".til")) and not _NO_IMAGES.search(name) and not name.startswith(".")
+
+
+def _files(path: str) -> List[str]:
+    """The files in a folder or an archive, sorted; links to folders are not followed."""
+    if is_archive(path):
+        root = f"/vsizip/{os.path.abspath(path).replace(os.sep, '/')}"
+        found: Optional[List[str]] = gdal.ReadDirRecursive(root)
+        return sorted(f"{root}/{name}" for name in (found or [])[:_MOST_ENTRIES] if not name.endswith("/"))
+    files: List[str] = []
+    start = path.rstrip("/\\").count(os.sep)
+    for folder, folders, names in os.walk(path):
+        folders[:] = sorted(folders) if folder.count(os.sep) - start < _DEEPEST else []
+        files += [os.path.join(folder, name) for name in names]
+        if len(files) > _MOST_ENTRIES:
+            raise ImageError(f"'{path}' holds more than {_MOST_ENTRIES} files: choose the folder of one product.")
+    return sorted(files)
