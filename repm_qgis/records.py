@@ -339,7 +339,8 @@ class ReferenceFigures(Record):
     east, north, up) with ``deviation`` (of a direction that the relief does not determine the vendor's promise), and
     ``determined`` horizontal directions (unit vectors). ``before_m`` and ``after_m`` are NMADs of the differences,
     ``bias_m`` their median before; ``range_m`` is how far they are correlated. ``other_relief`` is None where the
-    surface has the reference's relief, and where that has too little to tell.
+    surface has the reference's relief, and where that has too little to tell. ``about`` is a sentence on what its
+    heights are and which were taken.
     """
 
     file: str
@@ -356,6 +357,7 @@ class ReferenceFigures(Record):
     bias_m: float
     range_m: Metres
     other_relief: Optional[OtherRelief] = None
+    about: str = ""
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,8 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
         )
         for each in figures.references:
             page.facts([(f"Datum of '{os.path.basename(each.file)}'", f"{each.datum}: {each.datum_from}")])
+            if each.about:
+                page.facts([(f"Heights of '{os.path.basename(each.file)}'", each.about)])
     if figures.neighbours:
         page.facts([("Placed together with", ", ".join(figures.neighbours))])
     _offsets(page, figures)

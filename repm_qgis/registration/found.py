@@ -23,6 +23,7 @@ class FoundHeights:
     ``datum`` is what the file itself says that this is, None where it does not say. ``name``, ``width_m``, ``disc``
     and ``slopes`` are those of :class:`~repm_qgis.registration.surfaces.Reference`. Where the file does not say the
     unit of its heights, they and the slopes are as it has them, and ``places_in`` names the unit of its places.
+    ``about`` is a sentence on what they are and which of them were taken, for the report.
     """
 
     name: str
@@ -33,6 +34,7 @@ class FoundHeights:
     slopes: Optional[FloatArray] = None
     datum: Optional[HeightDatum] = None
     places_in: Optional[str] = None
+    about: str = ""
 
 
 def places_unit(system: pyproj.CRS) -> Optional[str]:
@@ -102,9 +104,10 @@ class FoundPoints:
         disc: bool = False,
         datum: Optional[HeightDatum] = None,
         places_in: Optional[str] = None,
+        about: str = "",
     ) -> FoundHeights:
         """All of them; raises OverlapError where there are none."""
         if not self._count:
             raise no_heights(self._path)
         xyz = np.concatenate(self._parts)
-        return FoundHeights(self._path, xyz[:, :2], xyz[:, 2], width_m, disc, None, datum, places_in)
+        return FoundHeights(self._path, xyz[:, :2], xyz[:, 2], width_m, disc, None, datum, places_in, about)

@@ -6,8 +6,10 @@ package h5py, where either is there.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -21,10 +23,16 @@ from ..imagery.raster import quiet
 from ..untrusted import distrust
 from .found import FoundHeights, FoundPoints, Within
 from .parameters import REGISTRATION, RegistrationParameters
+from .photons import dense
 
 _DRIVERS = ("HDF5", "netCDF")
 _GROUP = re.compile(r"gt[123][lr]|BEAM\d{4}")
+_HIGHEST_M = 12_000.0  # of any height on the Earth: fills are larger
+_LATEST_S = 4e9  # a century after the epoch
 _ROWS = 1 << 20  # that are read at once
+_EPOCH = datetime(2018, 1, 1)  # of delta_time, of ICESat-2 (ATLAS SDP) and GEDI
+_ITRF = "WGS 84 ellipsoid (ITRF2014)"
+_GROUND = "heights of the ground below vegetation, where there is one"
 _MOST_ROWS = 1_000_000_000  # of a beam; a file of a few kB can claim any number
 
 
@@ -45,7 +53,10 @@ def flags(parameters: RegistrationParameters = REGISTRATION) -> Dict[str, Tuple[
 
 @dataclass(frozen=True)
 class Laser:
-    """A product of a laser: its support, and where its HDF5 files have places, heights and quality in each beam."""
+    """A product of a laser: its support, and where its HDF5 files have places, heights, quality and time in each beam.
+
+    ``frame`` is what its heights are above, ``criterion`` says which of them are good.
+    """
 
     name: str
     width_m: Tuple[float, float]
@@ -54,6 +65,9 @@ class Laser:
     lat: str
     height: str
     quality: Tuple[str, ...] = ()
+    time: str = ""
+    frame: str = "WGS 84 ellipsoid"
+    criterion: str = ""
 
 
 def lasers(parameters: RegistrationParameters = REGISTRATION) -> Tuple[Laser, ...]:
@@ -63,7 +77,18 @@ def lasers(parameters: RegistrationParameters = REGISTRATION) -> Tuple[Laser, ..
     photons, footprint = (p.atl03_disc_m, p.atl03_disc_m), (p.gedi_disc_m, p.gedi_disc_m)
     height, part = land + "terrain/h_te_best_fit", "_20m"
     return (
-        Laser("ATL03", photons, True, "heights/lon_ph", "heights/lat_ph", "heights/h_ph", ("heights/signal_conf_ph",)),
+        Laser(
+            "ATL03",
+            photons,
+            True,
+            "heights/lon_ph",
+            "heights/lat_ph",
+            "heights/h_ph",
+            ("heights/signal_conf_ph",),
+            "heights/delta_time",
+            _ITRF,
+            "photons of medium and high confidence, and those of low confidence that lie among many",
+        ),
         Laser(
             "ATL06",
             p.atl06_m,
@@ -72,6 +97,9 @@ def lasers(parameters: RegistrationParameters = REGISTRATION) -> Tuple[Laser, ..
             ice + "latitude",
             ice + "h_li",
             (ice + "atl06_quality_summary",),
+            ice + "delta_time",
+            _ITRF,
+            "segments with atl06_quality_summary 0",
         ),
         Laser(
             "ATL08 (20 m)",
@@ -80,8 +108,23 @@ def lasers(parameters: RegistrationParameters = REGISTRATION) -> Tuple[Laser, ..
             land + "longitude" + part,
             land + "latitude" + part,
             height + part,
+            (),
+            land + "delta_time",
+            _ITRF,
+            _GROUND,
         ),
-        Laser("ATL08", p.atl08_m, False, land + "longitude", land + "latitude", height),
+        Laser(
+            "ATL08",
+            p.atl08_m,
+            False,
+            land + "longitude",
+            land + "latitude",
+            height,
+            (),
+            land + "delta_time",
+            _ITRF,
+            _GROUND,
+        ),
         Laser(
             "GEDI L2A",
             footprint,
@@ -90,6 +133,8 @@ def lasers(parameters: RegistrationParameters = REGISTRATION) -> Tuple[Laser, ..
             "lat_lowestmode",
             "elev_lowestmode",
             ("quality_flag", "degrade_flag"),
+            "delta_time",
+            criterion="footprints with quality_flag 1 and degrade_flag 0",
         ),
     )
 
@@ -113,12 +158,35 @@ def read_lasers(path: str, crs: str, bounds: Bounds, check: Callable[[], None] =
             "heights as a CSV file or a raster."
         )
     points = FoundPoints(path, Within(pyproj.CRS("EPSG:4326"), crs, bounds))
+    seen = _Seen()
     for beam in having:
-        _add_beam(points, store, f"{beam}/", laser, path, check)
-    return points.found(laser.width_m, laser.disc, HeightDatum("", ELLIPSOID))
+        _add_beam(points, store, f"{beam}/", laser, path, seen, check)
+    return points.found(laser.width_m, laser.disc, HeightDatum("", ELLIPSOID), about=seen.sentence(laser))
 
 
-def _add_beam(points: FoundPoints, store: Any, beam: str, laser: Laser, path: str, check: Callable[[], None]) -> None:
+@dataclass
+class _Seen:
+    """What was read around the scene: how many heights there are, how many were taken, and when they were measured (s
+    since the epoch)."""
+
+    there: int = 0
+    taken: int = 0
+    begin: float = math.inf
+    end: float = -math.inf
+
+    def sentence(self, laser: Laser) -> str:
+        """For the report: the product, its epoch and datum, and which of its heights count."""
+        when = ""
+        if self.begin <= self.end:
+            days = [(_EPOCH + timedelta(seconds=each)).date().isoformat() for each in (self.begin, self.end)]
+            when = f", measured {' to '.join(dict.fromkeys(days))}"
+        count = f"{self.taken} of {self.there} around the scene"
+        return f"{laser.name}{when}, heights above the {laser.frame}; used are {laser.criterion}: {count}."
+
+
+def _add_beam(
+    points: FoundPoints, store: Any, beam: str, laser: Laser, path: str, seen: _Seen, check: Callable[[], None]
+) -> None:
     shape = store.shape(beam + laser.height)
     places = [store.shape(beam + name) for name in (laser.lon, laser.lat)]
     qualities = [name for name in laser.quality if store.shape(beam + name)]
@@ -134,19 +202,43 @@ def _add_beam(points: FoundPoints, store: Any, beam: str, laser: Laser, path: st
         if not near.any():
             continue
         height = store.read(beam + laser.height, begin, count)
+        near &= np.abs(height) < _HIGHEST_M
+        seen.there += int(np.count_nonzero(near))
         for name in qualities:
-            good = _good(name.rpartition("/")[2], store.read(beam + name, begin, count))
-            near &= good.reshape(good.shape + (1,) * (near.ndim - 1))
+            values = store.read(beam + name, begin, count)
+            if values.ndim == 2:
+                near &= _of_surfaces(lon, lat, height, values, near)
+            else:
+                good = _good(name.rpartition("/")[2], values)
+                near &= good.reshape(good.shape + (1,) * (near.ndim - 1))
+        seen.taken += int(np.count_nonzero(near))
+        if laser.time and store.shape(beam + laser.time) == (shape[0],) and near.any():
+            times = store.read(beam + laser.time, begin, count)[near.reshape(len(near), -1).any(axis=1)]
+            known = times[(times > 0) & (times < _LATEST_S)]
+            if known.size:
+                seen.begin, seen.end = min(seen.begin, float(known.min())), max(seen.end, float(known.max()))
         points.add(lon[near], lat[near], height[near])
+
+
+def _of_surfaces(lon: FloatArray, lat: FloatArray, height: FloatArray, values: FloatArray, near: Mask) -> Mask:
+    """(N,) which photons come back from a surface, by their (N, 5) confidences; they are looked at where they are
+    ``near``."""
+    least, most = flags()["signal_conf_ph"]
+    low = float(REGISTRATION.low_confidence)
+    confidence = np.where(values <= most, values, -1.0)[:, [0, 3]].max(axis=1)  # land and land ice, of five surfaces
+    good: Mask = confidence >= least
+    looked = near & (confidence >= 0)
+    if (looked & (confidence == low)).any():
+        among = np.zeros(len(near), dtype=bool)
+        among[looked] = dense(lon[looked], lat[looked], height[looked], confidence[looked] < low)
+        good |= among & (confidence == low)
+    return good
 
 
 def _good(name: str, values: FloatArray) -> Mask:
     """(N,) whether values of a field of quality are those of a good height."""
     low, high = flags()[name]
-    good = (values >= low) & (values <= high)
-    if good.ndim == 1:
-        return np.asarray(good)
-    return np.asarray(good[:, [0, 3]].any(axis=1))  # for land and for land ice, of five kinds of surface
+    return np.asarray((values >= low) & (values <= high))
 
 
 # Files ------------------------------------------------------------------------------------------------------------

@@ -71,6 +71,7 @@ class Laid:
     datum_from: str
     shift: Shift
     choice: Optional[DatumChoice] = None  # where neither the user nor the file says what the datum is
+    about: str = ""  # a sentence on what the heights are
 
     def figures(self) -> ReferenceFigures:
         """What a scene keeps of it."""
@@ -91,6 +92,7 @@ class Laid:
             bias_m=float(np.median(before)) if len(before) else 0.0,
             range_m=self.shift.range_m,
             other_relief=self.shift.other_relief,
+            about=self.about,
         )
 
     def differences(self, ground: GroundShift) -> Tuple[FloatArray, FloatArray, FloatArray]:
@@ -169,7 +171,7 @@ def lay(
     reference = in_datum(found, surface.crs, datum)
     means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
     shift = choice.shift if choice else solve_shift(means, reference, prior, tilted, check, parameters)
-    return Laid(reference, means, datum, said, shift, choice)
+    return Laid(reference, means, datum, said, shift, choice, found.about)
 
 
 def overlaps(surfaces: Sequence[OwnSurface]) -> List[Tuple[int, int]]:

@@ -37,6 +37,11 @@ class RegistrationParameters(Parameters):
     atl08_part_m: Tuple[float, float] = (12.0, 20.0)  # ... and their parts, since release 5
     gedi_disc_m: float = 25.0  # footprint (Dubayah et al. 2020, Science of Remote Sensing 1)
     least_confidence: int = 3  # of ATL03 photons: medium (Neumann et al. 2019, Remote Sens. Environ. 233)
+    low_confidence: int = 2  # of photons that count where they are dense, by day and in weak beams
+    photon_window_m: Tuple[float, float] = (25.0, 3.5)  # along the track and in height, that photons are counted in ...
+    photon_cells: Tuple[int, int] = (5, 7)  # ... in so many cells, odd numbers
+    photon_least: int = 6  # photons in a window, at least ...
+    photon_sigma: float = 4.0  # ... and so many standard deviations (Poisson) more than noise puts there
     cloud_points: int = 4  # that a cell of a gridded cloud needs
     cloud_cells: int = 4_000_000  # of a gridded cloud: larger scenes have larger cells
     most_heights: int = 10_000_000  # of points and lasers within the scene: more do not fit into memory

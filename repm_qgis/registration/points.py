@@ -39,7 +39,7 @@ _TEXT = ("geometry", "wkt", "geom")  # "POINT (3.1 42.2)", as GeoPandas writes i
 _POINT = re.compile(r"\s*POINT\s*(?:Z|M|ZM)?\s*\(\s*([-+.\deE]+)\s+([-+.\deE]+)", re.IGNORECASE)
 _EMPTY = ("", "nan", "none", "null", "na")
 _HEIGHTS = ("height", "h", "z", "elevation", "elev", "altitude", "alt")
-_ELLIPSOIDAL = ("ellipsoidal_height", "height_ellipsoid", "h_ellipsoid")
+_ELLIPSOIDAL = ("ellipsoidal_height", "height_ellipsoid", "h_ellipsoid", "height_above_datum")  # the last is ASP's
 _LASER_HEIGHTS = {
     "h_ph": "ATL03",
     "h_li": "ATL06",

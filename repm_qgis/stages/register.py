@@ -189,6 +189,8 @@ def _work(
         try:
             around = bounds.grown(prior.most_m)
             found.append(read_reference(path, scene.crs, around, numbers.averaged_cells * finest, check))
+            if found[-1].about:
+                progress.info(f"'{os.path.basename(path)}': {found[-1].about}")
         except OverlapError:
             if len(options.others) + len(options.reference) < 2:
                 raise
