@@ -66,7 +66,6 @@ class FirstSteps(QDialog):
             lambda: open_document("tutorial"),
         )
         later = QLabel(self.tr("You find these steps again in the menu Plugins > REPM."))
-        later.setEnabled(False)
         self._layout.addWidget(later, 5, 0, 1, 3)
         self.refresh()
 

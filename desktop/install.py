@@ -149,7 +149,6 @@ class InstallDialog(QDialog):
         self.remove = self._button(_tr("Remove the environment"), self._remove)
         self.open_log = self._button(_tr("Open the log"), self._open_log)
         self.close_button = self._button(_tr("Close"), self.close)
-        self.install.setDefault(True)
         buttons = QHBoxLayout()
         for button in (self.remove, self.open_log):
             buttons.addWidget(button)
@@ -218,7 +217,10 @@ class InstallDialog(QDialog):
 
     def _show_state(self, possible: bool = True) -> None:
         running = self._task is not None
+        fine = installation.state() == installation.FINE
         self.install.setEnabled(possible and not running)
+        self.install.setDefault(not fine)
+        self.close_button.setDefault(fine)  # who presses Enter now wants to go on
         self.cancel.setEnabled(running)
         self.remove.setEnabled(not running and bool(installation.folders()))
         self.open_log.setEnabled(os.path.exists(installation.log_path()))

@@ -14,6 +14,7 @@ from . import model_copy
 from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
+from .geoid_grids import GeoidGridsDialog
 from .hillshades import HillshadesFollow
 from .install import InstallDialog, offer_once
 from .surface_editing import SurfaceEditingDock
@@ -28,6 +29,7 @@ class PluginMenu:
         self._iface, self._actions = iface, []
         self._panel: Optional[FirstSteps] = None
         self._installer: Optional[InstallDialog] = None
+        self._grids: Optional[GeoidGridsDialog] = None
         self._offer: Any = None
         self._toolbox_actions = model_copy.register()
         self._hillshades = HillshadesFollow()
@@ -37,6 +39,7 @@ class PluginMenu:
         self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
         self.add(self.tr("Edit a DSM…"), "editdsm", self.edit_dsm)
         self.add(self.tr("Install the engine's packages…"), "environment", self.install)
+        self.add(self.tr("Geoid grids…"), "", self.geoid_grids)
         self.add(self.tr("Tutorial"), "", lambda: open_document("tutorial"))
         self.add(self.tr("Help"), "", lambda: open_document("guide"))
         # QGIS is still starting: a window now would lie behind its splash screen.
@@ -75,6 +78,10 @@ class PluginMenu:
             self._installer.close_down()
             self._installer.deleteLater()
             self._installer = None
+        if self._grids is not None:
+            self._grids.close_down()
+            self._grids.deleteLater()
+            self._grids = None
         model_copy.unregister(self._toolbox_actions)
         self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []
@@ -100,6 +107,14 @@ class PluginMenu:
             self._panel = FirstSteps(self._iface, self.install)
         self._panel.show()
         self._panel.raise_()
+
+    def geoid_grids(self) -> GeoidGridsDialog:
+        """Show the dialog that fetches geoid grids."""
+        if self._grids is None:
+            self._grids = GeoidGridsDialog(self._iface)
+        self._grids.show()
+        self._grids.raise_()
+        return self._grids
 
     def install(self) -> None:
         """Show the dialog that installs the engine's packages."""

@@ -705,6 +705,49 @@
     </message>
 </context>
 <context>
+    <name>GeoidGridsDialog</name>
+    <message>
+        <source>REPM: geoid grids</source>
+        <translation>REPM: Geoidgitter</translation>
+    </message>
+    <message>
+        <source>Heights above a geoid, as most maps have them, are brought to the ellipsoid with a grid. QGIS ships few of them. They are fetched from PROJ's network into your profile, and can be used at once.</source>
+        <translation>Höhen über einem Geoid, wie die meisten Karten sie haben, werden mit einem Gitter auf das Ellipsoid bezogen. QGIS bringt nur wenige mit. Sie werden aus dem Netz von PROJ in Ihr Profil geholt und sind sofort nutzbar.</translation>
+    </message>
+    <message>
+        <source>EGM2008: Copernicus DEM, most vendors' heights above sea level</source>
+        <translation>EGM2008: Copernicus DEM, Höhen über dem Meer der meisten Anbieter</translation>
+    </message>
+    <message>
+        <source>EGM96: SRTM, older products</source>
+        <translation>EGM96: SRTM, ältere Produkte</translation>
+    </message>
+    <message>
+        <source>NAVD88 (GEOID18): lidar of the contiguous United States</source>
+        <translation>NAVD88 (GEOID18): Lidar der zusammenhängenden Vereinigten Staaten</translation>
+    </message>
+    <message>
+        <source>Installed</source>
+        <translation>Vorhanden</translation>
+    </message>
+    <message>
+        <source>Fetch</source>
+        <translation>Holen</translation>
+    </message>
+    <message>
+        <source>Fetching {name}…</source>
+        <translation>{name} wird geholt…</translation>
+    </message>
+    <message>
+        <source>The grid could not be fetched: {error}</source>
+        <translation>Das Gitter konnte nicht geholt werden: {error}</translation>
+    </message>
+    <message>
+        <source>{name} is installed: heights above this geoid can be used now.</source>
+        <translation>{name} ist installiert: Höhen über diesem Geoid sind jetzt nutzbar.</translation>
+    </message>
+</context>
+<context>
     <name>Inspect</name>
     <message>
         <source>Inspect images</source>
@@ -861,6 +904,10 @@
     <message>
         <source>Install the engine's packages…</source>
         <translation>Pakete der Engine installieren…</translation>
+    </message>
+    <message>
+        <source>Geoid grids…</source>
+        <translation>Geoidgitter…</translation>
     </message>
     <message>
         <source>Tutorial</source>

@@ -6,9 +6,10 @@ import configparser
 import os
 from typing import Any
 
-from qgis.core import QgsApplication, QgsProcessingModelAlgorithm, QgsProcessingProvider
+from qgis.core import QgsApplication, QgsProcessingModelAlgorithm, QgsProcessingProvider, QgsXmlUtils
 from qgis.PyQt.QtCore import QCoreApplication
 from qgis.PyQt.QtGui import QIcon
+from qgis.PyQt.QtXml import QDomDocument
 
 from . import settings
 from .base import PLUGIN_FOLDER, RepmAlgorithm, group_title, numbered, resource
@@ -65,7 +66,11 @@ class ShippedModel(QgsProcessingModelAlgorithm):
 
     def read(self) -> bool:
         """Read the model's file, whose labels and explanations are shown in QGIS's language."""
-        return self.fromFile(MODEL) and self.loadVariant(_in_language(self.toVariant()))
+        document = QDomDocument()
+        with open(MODEL, encoding="utf-8") as stream:
+            document.setContent(stream.read())
+        # Read once: of a model that is read twice QGIS says in its log that each output is there already.
+        return bool(self.loadVariant(_in_language(QgsXmlUtils.readVariant(document.firstChildElement()))))
 
     def createInstance(self) -> ShippedModel:
         model = ShippedModel()

@@ -1,0 +1,72 @@
+"""Runs inside a real QGIS desktop: geoid grids by a button, a batch run with reports, what the log says of loading."""
+
+import os
+import sys
+
+from qgis.core import QgsApplication
+from qgis.PyQt.QtCore import QTimer
+from qgis.PyQt.QtWidgets import QApplication
+from qgis.utils import iface, loadPlugin, plugins, startPlugin, unloadPlugin
+
+sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
+from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
+
+FOUND.update(name="helpers", log=[])
+
+
+@guarded
+def load_again():
+    QgsApplication.messageLog().messageReceived.connect(lambda text, tag, level: FOUND["log"].append(text))
+    unloadPlugin("repm")
+    loadPlugin("repm")
+    startPlugin("repm")
+    QTimer.singleShot(1500, look_at_windows)
+
+
+@guarded
+def look_at_windows():
+    menu = plugins["repm"].menu
+    menu.first_steps()
+    menu.install()
+    QApplication.processEvents()
+    installer = menu._installer
+    FOUND["default"] = [installer.install.isDefault(), installer.close_button.isDefault()]
+    picture(menu._panel, "first_steps.png")
+    picture(installer, "install.png")
+    menu._panel.close()
+    installer.close()
+    dialog = menu.geoid_grids()
+    FOUND["grids"] = {name: button.text() for name, button in dialog.buttons.items()}
+    dialog.buttons["us_nga_egm08_25.tif"].click()
+    QTimer.singleShot(3000, lambda: look_at_grids(dialog))
+
+
+@guarded
+def look_at_grids(dialog):
+    FOUND["said"] = dialog.said.text()
+    FOUND["fetched"] = {name: button.text() for name, button in dialog.buttons.items()}
+    picture(dialog, "grids.png")
+    dialog.buttons["us_nga_egm96_15.tif"].click()
+    QTimer.singleShot(2500, lambda: run_batch(dialog))
+
+
+@guarded
+def run_batch(dialog):
+    FOUND["failed"] = dialog.said.text()
+    FOUND["parts"] = [name for name in os.listdir(PLAN["folder_of_grids"]) if name.endswith(".part")]
+    dialog.close()
+    from processing.core.ProcessingResults import resultsList
+    from processing.gui.BatchAlgorithmDialog import BatchAlgorithmDialog
+
+    algorithm = QgsApplication.processingRegistry().createAlgorithmById("repm:inspect")
+    batch = BatchAlgorithmDialog(algorithm, iface.mainWindow())
+    rows, panel = PLAN["rows"], batch.mainWidget()
+    panel.batchRowCount = lambda: len(rows)
+    panel.parametersForRow = lambda row, *_, **__: (rows[row], True)
+    batch.runAlgorithm()
+    FOUND["pages"] = [each.filename for each in resultsList.getResults()]
+    batch.close()
+    finish()
+
+
+begin(load_again)
