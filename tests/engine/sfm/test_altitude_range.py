@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from repm_qgis.arrays import Bounds
 from repm_qgis.errors import OptionError
 from repm_qgis.geometry.footprints import ray_slope
-from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
+from repm_qgis.geometry.frames import geodetic_from_projected, mean_place, projected_from_geodetic, utm_crs
 from repm_qgis.rpc.writers import rpc_txt
-from repm_qgis.sfm.altitude_range import altitude_range, sweep_altitudes, sweep_patches
+from repm_qgis.sfm import altitude_range as altitude_range_module
+from repm_qgis.sfm.altitude_range import SweepResult, altitude_range, sweep_altitudes, sweep_patches
 from repm_qgis.sfm.parameters import POINTING
 from repm_qgis.stages import run_stage
 from repm_qgis.workspace import write_text
 
 NONE = (None, None)
+SWEEP = POINTING.sweep
 
 
 @pytest.mark.parametrize("kind, wider", (("urban", 90.0), ("mountains", 90.0)))
@@ -117,7 +120,9 @@ def test_what_the_user_gives_comes_first(urban, told):
     wide = (0.0, 900.0)
     found, source = altitude_range(urban.views, urban.crs, urban.bounds, wide, (100.0, None), None, told())
     assert found[0] == 100.0 and source == "given and images" and found[1] >= urban.surface.max()
-    with pytest.raises(OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range"):
+    with pytest.raises(
+        OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range: the ground lies between [12]?[0-9]{2} "
+    ):
         altitude_range(urban.views, urban.crs, urban.bounds, search, (5000.0, None), None, told())
 
 
@@ -186,3 +191,72 @@ def test_a_run_across_180_degrees(urban, told, tmp_path):
     heights = heights[heights > -1000]
     assert heights.size > 20_000
     np.testing.assert_allclose(np.percentile(heights, (5, 50, 95)), np.percentile(urban.surface, (5, 50, 95)), atol=8)
+
+
+def test_of_several_pairs_that_with_most_heights_counts(monkeypatch, told):
+    """Pairs are tried one after the other, until one shows enough of the ground."""
+    matched, asked = {"ab": 3, "ac": 7, "bc": 5, "bd": 900}, []
+
+    def swept(first, second, *rest):
+        asked.append(first + second)
+        count = matched[asked[-1]]
+        return SweepResult((0.0, float(count)), count, 1000, 1.0, np.empty((0, 3))) if count else None
+
+    monkeypatch.setattr(altitude_range_module, "_pairs", lambda *given: [(pair[0], pair[1], 0.3) for pair in matched])
+    monkeypatch.setattr(altitude_range_module, "_swept", swept)
+    area = Bounds(0.0, 0.0, 1.0, 1.0), (0.0, 100.0)
+    three = replace(SWEEP, pairs=3)
+    assert sweep_altitudes((), "", *area, told(), three).matched == 7 and asked == ["ab", "ac", "bc"]
+    asked.clear()
+    matched.update(ac=100)  # a tenth of the cells is enough
+    assert sweep_altitudes((), "", *area, told(), three).matched == 100 and asked == ["ab", "ac"]
+    matched.update(ab=0, ac=0, bc=0)
+    assert sweep_altitudes((), "", *area, told(), three) is None
+
+
+def test_pairs_of_one_day_and_of_the_best_ratio_come_first(urban):
+    """Images of two seasons hardly correlate, whatever their ratio; narrow pairs measure nothing."""
+    a, b, c = urban.views
+    search = urban.height_range
+
+    def order(*views):
+        found = altitude_range_module._pairs(views, Bounds(*urban.bounds), urban.crs, search, SWEEP)
+        return [{first.name, second.name} for first, second, _ in found]
+
+    ratios = {
+        frozenset((first.name, second.name)): ratio
+        for first, second, ratio in altitude_range_module._pairs(
+            (a, b, c), Bounds(*urban.bounds), urban.crs, search, SWEEP
+        )
+    }
+    day, winter = "2020-06-01T10:30:00Z", "2020-12-01T10:30:00Z"
+    for early, late in ((a, b), (b, c), (a, c)):
+        other = next(view for view in (a, b, c) if view not in (early, late))
+        dated = [replace(early, acquired=day), replace(late, acquired=day), replace(other, acquired=winter)]
+        assert order(*dated)[0] == {early.name, late.name}
+    same = [replace(view, acquired=day) for view in (a, b, c)]
+    wanted = sorted(ratios, key=lambda pair: abs(np.log(ratios[pair] / SWEEP.best_base_to_height)))
+    assert order(*same) == [set(pair) for pair in wanted]
+    narrow = replace(b, name="narrow", rpc=a.rpc.shifted(3.0, 0.0))
+    assert {"narrow", a.name} not in order(a, narrow, c)
+
+
+@pytest.mark.parametrize("cells", (-2, 0, 1, 3))
+def test_errors_of_rpcs_across_the_parallax_are_found_in_whole_cells(urban, cells):
+    """They would hide the correlation; along the parallax they are heights."""
+    first, second = urban.true_views[:2]
+    patch = sweep_patches(Bounds(*urban.bounds), first.gsd_m, SWEEP)[0]
+    planes = np.arange(urban.height_range[0] - 20.0, urban.height_range[1] + 20.0, 4.0)
+    sweep = altitude_range_module._Sweep(first, second, urban.crs, planes, SWEEP)
+    centre = mean_place(altitude_range_module._lattice(urban.crs, patch).reshape(-1, 2))
+    slopes = [ray_slope(view, centre, float(planes.mean())) for view in (first, second)]
+    east, north = (slopes[1] - slopes[0]) / np.hypot(*(slopes[1] - slopes[0]))
+    # A ground place that lies so many cells across the parallax, in the second image's pixels.
+    away = np.array([-north, east]) * cells * SWEEP.reduction * first.gsd_m
+    degrees = away / 111_320.0 / (np.cos(np.radians(centre[1])), 1.0)
+    here = np.array([*centre, planes.mean()])
+    moved = second.project(here + (*degrees, 0.0)) - second.project(here)
+    wrong = replace(sweep, second=replace(second, rpc=second.rpc.shifted(*(-moved))))
+    score, _, shift = altitude_range_module._cross_shift(wrong, patch)
+    wanted = np.round([-cells * east, -cells * north])  # rows run south
+    assert score > 0.5 and tuple(wanted) == shift

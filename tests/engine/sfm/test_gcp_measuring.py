@@ -117,3 +117,13 @@ def test_new_points_get_names_that_are_free():
         measuring.add({"id": measuring.new_name(), "lon": 2, "lat": 3, "height": 4, "role": "control"})
     measuring.remove("P02")
     assert measuring.new_name() == "P02"
+
+
+def test_a_new_name_keeps_what_was_skipped(urban, measuring):
+    (first, second), (here, there) = measuring.points[:2], [view.name for view in urban.views[:2]]
+    measuring.skip(first.id, here)
+    measuring.skip(second.id, there)
+    measuring.edit(first.id, id="new")
+    assert measuring._state.skipped == {("new", here), (second.id, there)}
+    assert measuring.can_undo and measuring.undo()
+    assert measuring._state.skipped == {(first.id, here), (second.id, there)}

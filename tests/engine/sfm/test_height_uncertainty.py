@@ -112,3 +112,12 @@ def test_an_image_without_ties_says_nothing(urban):
 def test_what_is_usual_is_less_than_what_is_promised(urban):
     pairs, figures = [ViewPair("img_01", "img_02", 20.0, 0.4, 1)], figures_of(urban.views[:2], {})
     assert usual_height_deviation(pairs, figures, 0.5) == pytest.approx(POINTING.usual_px / np.sqrt(2) * 0.5 / 0.4)
+
+
+def test_a_view_without_a_correction_was_not_moved(urban):
+    views = urban.views[:2]
+    moved = {views[0].name: (3.0, -5.0)}
+    found, other = (
+        height_uncertainty(views, figures_of(views, shifts)) for shifts in (moved, {**moved, views[1].name: (0.0, 0.0)})
+    )
+    assert found == other

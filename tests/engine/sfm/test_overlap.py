@@ -10,8 +10,10 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.errors import OverlapError, RpcInvalidError
+from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.options import EpmFitOptions
 from repm_qgis.scene import common_heights
+from repm_qgis.sfm import overlap
 from repm_qgis.sfm.overlap import foreign_rpc, not_overlapping, of_one_place, places, views_of
 
 
@@ -188,3 +190,27 @@ def test_copies_of_one_image_alone_are_no_pair(urban, tmp_path):
     again.symlink_to(urban.images[0])
     with pytest.raises(OverlapError, match="All images are copies of '.*img_01.tif': choose another"):
         views_of(EpmFitOptions(images=(urban.images[0], str(again)), workspace=str(tmp_path / "w")), 64)
+
+
+def test_how_far_images_lie_from_each_other_is_that_of_their_middles(urban):
+    """Also where one is a crop of the other: the first pixels of both would say something else."""
+    view = urban.views[0]
+    crop = replace(view, width=100, height=80, rpc=view.rpc.shifted(30.0, 200.0))
+    frame = EnuFrame(*map(float, view.localise((np.array(view.size) - 1) / 2, 190.0)))
+    east, north, _ = frame.from_geodetic(view.localise(np.array([30.0 + 49.5, 200.0 + 39.5]), 190.0))
+    assert overlap._between(view, crop, 190.0) == pytest.approx([east, north], abs=0.5)
+    assert overlap._between(crop, view, 190.0) == pytest.approx([-east, -north], abs=0.5)
+
+
+def test_levels_are_no_farther_apart_than_half_of_the_smaller_footprint(urban, monkeypatch):
+    """Between two levels that are, small crops overlap at a height that nobody looks at."""
+    first, second = urban.views[0], urban.views[2]
+    asked = []
+    monkeypatch.setattr(overlap, "_outline", lambda view, height: asked.append(height) or np.empty((0, 2)))
+    side = min(min(view.size) * view.gsd_m for view in (first, second))
+    for apart, count in ((0.0, 2), (0.6, 3), (1.1, 4), (2.4, 6), (1000.0, overlap._MOST_LEVELS)):
+        ends = iter([np.zeros(2), np.array([apart * side, 0.0])])
+        monkeypatch.setattr(overlap, "_between", lambda *given, ends=ends: next(ends))
+        asked.clear()
+        assert not overlap._overlap(first, second, 64)
+        assert sorted(set(asked)) == pytest.approx(np.linspace(*common_heights((first, second)), count))
