@@ -1678,6 +1678,14 @@
         <translation>Die Oberfläche in 3D, mit darübergelegten Rastern und Profilen: eine Seite für den Browser, ganz ohne Netz.</translation>
     </message>
     <message>
+        <source>STAC item for catalogues</source>
+        <translation>STAC-Eintrag für Kataloge</translation>
+    </message>
+    <message>
+        <source>A STAC item beside the DSM: when and where the images were taken, and the files that were made.</source>
+        <translation>Ein STAC-Eintrag neben dem DOM: wann und wo die Bilder aufgenommen wurden, und die Dateien, die entstanden.</translation>
+    </message>
+    <message>
         <source>DSM mosaic</source>
         <translation>DOM-Mosaik</translation>
     </message>

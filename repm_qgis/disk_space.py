@@ -33,6 +33,7 @@ _TERRAIN_CELL, _TERRAIN_MASK = 9.0, 0.05  # of a block, not compressed; of the m
 _LAZ, _LAS, _PLY, _EPT = 4.2, 30.0, 31.0, 14.0  # for each point; EPT: while it is built
 _NORMAL = 12.0  # of a point; LAZ takes less
 _VERTEX = 48.0  # with its two triangles
+_ITEM = 1 << 14  # of a STAC item, whatever the DSM
 _PAGE_CELL = 3.0  # heights, an orthophoto and the expected error
 
 
@@ -86,6 +87,8 @@ def fusion_needs(
         temporary = [name for name in ("ortho", "confidence") if not getattr(options, name)]
         needs += [_need(folder, cells * _RASTERS[name]) for name in temporary]
         needs.append(_need(options.viewer, min(cells, VIEWER_CELLS) * _PAGE_CELL))
+    if options.stac:
+        needs.append(_need(options.stac, _ITEM))
     if options.view_heights:
         needs.append(_need(options.view_heights, len(pairs) * cells * (_RASTERS["output"] + _RASTERS["confidence"])))
     if points:

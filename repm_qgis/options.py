@@ -431,8 +431,9 @@ class DsmFuseOptions(Options):
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height, and those that a shadow leaves without texture that of the ground where it ends; ``all``,
     remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres, 0 = off.
-    ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser): files to write, None = not
-    wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone. ``mesh_vertices``: at most so
+    ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser), ``stac`` (an item for
+    catalogues): files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each
+    pair alone. ``mesh_vertices``: at most so
     many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``, the natural ones where the
     images or ``xs`` have them; ``greys``; ``all``, all their bands. ``xs`` are multispectral images beside panchromatic
     ones, in any order; empty: those that lie beside the images under the vendors' names. ``pansharpen`` gives them the
@@ -459,6 +460,7 @@ class DsmFuseOptions(Options):
     mesh_vertices: int = whole(500_000, 0, 2**31 - 1)  # a PLY's indices
     view_heights: Optional[str] = None
     viewer: Optional[str] = None
+    stac: Optional[str] = None
     colour: str = choice("auto", COLOURS)
     xs: Tuple[str, ...] = read(())
     pansharpen: bool = switch(True)
@@ -468,6 +470,8 @@ class DsmFuseOptions(Options):
         super().__post_init__()
         if self.viewer:
             require_page("VIEWER", self.viewer)
+        if self.stac and not self.stac.lower().endswith((".json", ".geojson")):
+            raise OptionError("STAC", self.stac, "must end with .json")
         if not all(self.xs) or len(set(self.xs)) != len(self.xs):
             raise OptionError("XS", list(self.xs), "must be a list of multispectral images, each named once")
         if self.xs and self.colour == "greys":

@@ -173,6 +173,7 @@ _PAIRS = (
 )
 _VIEWER = "The surface in 3-D, with rasters draped over it and profiles: a page for the browser, without any network."
 
+_STAC = "A STAC item beside the DSM: when and where the images were taken, and the files that were made."
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
 _TERRAIN = "Heights of the bare ground in metres as a GeoTIFF, above what the DSM's heights refer to."
@@ -232,6 +233,7 @@ PRODUCTS = (
     ),
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
     Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
+    Product("dsmfuse", "stac", "STAC item for catalogues", FILE, filter="STAC (*.json)", help=_STAC),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", "DSM mosaic", help=_MOSAIC, tiled=True),
     Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
     Product("dtm", "output", "Terrain (DTM)", RASTER, ALWAYS, "dsm", help=_TERRAIN),

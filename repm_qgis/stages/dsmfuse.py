@@ -16,6 +16,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from ..disk_space import fusion_needs, require_space
 from ..errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
+from ..exports.stac import require_times, write_item
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
 from ..fusion.outliers import needed_neighbours
@@ -81,6 +82,9 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
             run_whole(written, ViewerOptions(dsm=options.output, **shown), progress, "making the page")
         _each_alone(fusion, pairs, Part(progress, whole, 1.0))
     require_same()
+    if options.stac:
+        titles = {each.option: (each.title, getattr(options, each.option)) for each in products_of("dsmfuse")}
+        write_item(options.stac, scene, {name: each for name, each in titles.items() if name != "stac"})
     _log(options, parameters, facts, progress)
     progress.step(1.0, "DSM fused")
     paths = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
@@ -101,6 +105,8 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:
         require_ept_place(options.ept)
+    if options.stac:
+        require_times(scene)
     cell, numbers = options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m), parameters.fusion
     layout = DsmLayout.of(scene, scene.tiles, crs, datum, cell)
     require_cell(options.resolution, min(layout.grid.shape) * cell, scene.gsd_m, parameters.tiles)

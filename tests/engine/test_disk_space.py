@@ -94,6 +94,7 @@ def test_every_product_of_fusion_counts(tmp_path):
     """A product without bytes here would be forgotten."""
     options = {each.option: str(tmp_path / each.option) for each in products_of(PIPELINE[-1])}
     options.update(cloud=str(tmp_path / "cloud.laz"), mesh=str(tmp_path / "mesh.ply"), viewer=str(tmp_path / "v.html"))
+    options.update(stac=str(tmp_path / "dsm.json"))
     scene = Scene.__new__(Scene)
     values = {"path": tmp_path / "s.json", "area": "POLYGON((0 0,0 100,100 100,100 0,0 0))", "views": (), "pairs": ()}
     for name, value in values.items():
