@@ -94,7 +94,7 @@ class FirstSteps(QDialog):
 
     def _make_images(self) -> None:
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
-        folder = str(QgsSettings().value(SAMPLE, "") or os.path.join(documents, "REPM", "sample images"))
+        folder = str(QgsSettings().value(SAMPLE, "") or os.path.join(documents, "REPM", self.tr("sample images")))
         self._run("repm:sampledata", {"FOLDER": folder}, self._images_made)
 
     def _images_made(self, successful: bool, results: Any) -> None:
@@ -103,7 +103,7 @@ class FirstSteps(QDialog):
         self.refresh()
 
     def _make_dsm(self) -> None:
-        workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), "sample town")
+        workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), self.tr("sample town"))
         self._run("repm:pipeline", {"IMAGES": _sample_images(), "WORKSPACE": workspace})
 
     def _run(self, algorithm: str, parameters: dict[str, Any], finished: Callable[..., Any] = lambda *_: None) -> None:

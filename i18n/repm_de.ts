@@ -703,6 +703,14 @@
         <source>Make the sample images first.</source>
         <translation>Erst die Beispielbilder erzeugen.</translation>
     </message>
+    <message>
+        <source>sample images</source>
+        <translation>Beispielbilder</translation>
+    </message>
+    <message>
+        <source>sample town</source>
+        <translation>Beispielstadt</translation>
+    </message>
 </context>
 <context>
     <name>GeoidGridsDialog</name>
@@ -1091,6 +1099,18 @@
     <message>
         <source>Seconds: {stages}</source>
         <translation>Sekunden: {stages}</translation>
+    </message>
+    <message>
+        <source>The page in English, with all details</source>
+        <translation>Die englische Seite, mit allen Einzelheiten</translation>
+    </message>
+    <message>
+        <source>Further parameters</source>
+        <translation>Weitere Parameter</translation>
+    </message>
+    <message>
+        <source>Parameters</source>
+        <translation>Parameter</translation>
     </message>
 </context>
 <context>

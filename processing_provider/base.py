@@ -134,7 +134,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         more = {entry.name(): entry.help() for entry in self.parameterDefinitions()}
         labels = {each.name(): each.description() for each in entries}
         try:
-            return helppages.page(self.ID, QgsApplication.locale() or "en", labels, more)
+            return helppages.page(self.ID, QgsApplication.locale() or "en", labels, more, self.title())
         except WorkspaceError:  # a profile where nothing can be written
             return QUrl.fromLocalFile(os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")).toString()
 

@@ -231,7 +231,7 @@ def _patches(
         progress.check_cancelled()
         progress.step(0.5 * index / len(windows), f"reading part {index + 1} of {len(windows)}")
         found.append((warper.read(grid.window(window)), read_heights(reference, window)))
-    progress.step(0.5, "shift")
+    progress.step(0.5, "estimating the shift")
     return found
 
 

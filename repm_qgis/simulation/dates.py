@@ -224,7 +224,7 @@ def make_dated_scene(
         spec.lat,
     )
     ground = Ground.empty(surface_bounds(town, views), spec.cell_m / step)
-    progress.step(0.02, "district")
+    progress.step(0.02, "building the district")
     district = District(ground, spec.base_m, spec.seed, progress, parameters.district)
     result = _write_truth(spec, folder, ground, district, parameters)
     low, high = float(ground.height.min()), float(ground.height.max()) + 10.0

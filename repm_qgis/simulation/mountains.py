@@ -17,7 +17,7 @@ def build_mountains(ground: Ground, base: float, relief: float, seed: int, progr
     cell = ground.cell
     shape = ground.height.shape
     extent = cell * max(shape)
-    progress.step(0.1, "mountains")
+    progress.step(0.1, "raising the mountains")
     # Large scenes have tens of millions of nodes, so every raster is deleted as soon as it is no longer needed.
     share = np.abs(fractal(rng, shape, cell, extent / 2.0, extent / 40))
     share *= np.float32(-0.64)
@@ -30,7 +30,7 @@ def build_mountains(ground: Ground, base: float, relief: float, seed: int, progr
     height += np.float32(base)
     rock = np.hypot(*slopes(height, cell, False))
     rock /= np.median(rock)
-    progress.step(0.4, "rock, woods and snow")
+    progress.step(0.4, "covering the ground with rock, woods and snow")
     progress.check_cancelled()
     fine = fractal(rng, shape, cell, 12 * cell, 0.0, 0.3)
     broad = fractal(rng, shape, cell, extent / 6, 8 * cell, 0.5)

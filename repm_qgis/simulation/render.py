@@ -268,7 +268,7 @@ def _fine_strip(
     begins = range(-halo, cols + halo, chunk)
     for number, begin in enumerate(begins):
         progress.check_cancelled()
-        progress.step(number / len(begins), "rays")
+        progress.step(number / len(begins), "lines of sight")
         end = min(begin + chunk, cols + halo)
         rays, height = caster.cast(places(begin, end), rows)
         target = slice((begin + halo) * oversample, (end + halo) * oversample)

@@ -116,7 +116,7 @@ def make_surface(
         build_mountains(ground, spec.base_m, spec.relief_m, spec.seed, progress)
     else:
         Town(ground, spec.base_m, spec.seed, progress, parameters.town).build()
-    progress.step(0.7, "sunlight")
+    progress.step(0.7, "light of the sun")
     wall_m = math.inf if spec.kind == "mountains" else parameters.town.wall_m
     return ground.finish(spec.crs, spec.sun, wall_m, parameters.light)
 

@@ -47,7 +47,7 @@ class Town:
         self._open_ground()
         across, along = (int(self._half / size) + 1 for size in self._parameters.block_m)
         for i in range(-across, across + 1):
-            self._progress.step(0.1 + 0.55 * (i + across) / (2 * across + 1), "town")
+            self._progress.step(0.1 + 0.55 * (i + across) / (2 * across + 1), "building the town")
             self._progress.check_cancelled()
             for j in range(-along, along + 1):
                 self._block(i, j)

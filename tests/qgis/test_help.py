@@ -129,3 +129,51 @@ def test_the_examples_of_help_work_one_after_the_other_from_the_zip(headless, tm
                     "VIEWER",
                 ):
                     assert (folder / value).exists(), f"{example}: no {key}"
+
+
+@pytest.fixture
+def german(plugin, monkeypatch):
+    """QGIS in German: its locale, and the plugin's own texts."""
+    from qgis.PyQt.QtCore import QCoreApplication, QTranslator
+
+    translator = QTranslator()
+    assert translator.load(str(ROOT / "i18n" / "repm_de.qm"))
+    QCoreApplication.installTranslator(translator)
+    monkeypatch.setattr(QgsApplication, "locale", staticmethod(lambda: "de"))
+    yield
+    QCoreApplication.removeTranslator(translator)
+
+
+@pytest.mark.parametrize("name", ("inspect", "pipeline", "dsmfuse", "comparedsm"))
+def test_help_is_german_in_a_german_qgis(german, name):
+    page = help_page(name)
+    text = page.read_text(encoding="utf-8")
+    words = html.unescape(re.sub(r"<[^>]+>", "", text))
+    algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}").create()
+    assert '<html lang="de">' in text and f"<title>{algorithm.title()}</title>" in text and "Ergebnisse" in words
+    for entry in algorithm.parameterDefinitions():
+        assert re.search(rf"<strong>[^<]+</strong><br><code>{entry.name()}</code>", text), entry.name()
+        assert entry.description() in words, entry.name()
+    assert (page.parent / f"{name}_en.html").exists()
+
+
+def test_german_documents_take_the_place_of_the_english_ones(german):
+    from repm.processing_provider import helppages
+
+    for algorithm in QgsApplication.processingRegistry().providerById("repm").algorithms():
+        algorithm.helpUrl()
+    address = helppages.document("guide", "de")
+    guide = pathlib.Path(urllib.parse.unquote(urllib.parse.urlparse(address).path))
+    text = guide.read_text(encoding="utf-8")
+    assert "<h1" in text and "Anleitung" in text and '<html lang="de">' in text
+    assert '<a id="install-the-engines-packages"></a>' in text  # English documents lead there, too
+    tutorial = guide.with_name("tutorial.html").read_text(encoding="utf-8")
+    assert "von der Bestellung" in tutorial and "guide.html#was-man-braucht" in tutorial
+    for page, shown in ((guide, text), (guide.with_name("tutorial.html"), tutorial)):
+        for link in re.findall(r'(?:href|src)="([^"#]+)', shown):
+            if not link.startswith(("http", "mailto:")):
+                place = urllib.parse.unquote(link[7:] if link.startswith("file://") else link)
+                assert (page.parent / place).resolve().exists(), link
+    assert "tutorial_en.html#1-order" in tutorial  # what only the English one has
+    assert "Six steps" in guide.with_name("tutorial_en.html").read_text(encoding="utf-8")
+    assert '<html lang="en">' in guide.with_name("method.html").read_text(encoding="utf-8")

@@ -61,6 +61,13 @@ def test_decimals_are_those_of_the_language():
     assert ' width="640"' in text and "0.25 m" in body(page)
 
 
+def test_words_are_explained_in_the_readers_language():
+    with written_in("de"):
+        text = body(Report("x").facts([("NMAD", "0.4 m")]).paragraph("Die Verknüpfungspunkte und die Höhenkarten."))
+    assert re.search(r'title="1,4826-mal der Median [^"]*">NMAD</abbr>', text)
+    assert ">Verknüpfungspunkte</abbr>" in text and ">Höhenkarten</abbr>" in text
+
+
 def test_small_pictures_are_shown_in_whole_pixels_of_a_readable_size():
     def width(size):
         made = pictures.png_bytes(np.zeros((*size, 3), np.uint8))
