@@ -20,11 +20,13 @@ from qgis.gui import QgsMapLayerComboBox
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QPoint
 from qgis.PyQt.QtWidgets import QComboBox, QLineEdit, QMenu, QStyle, QVBoxLayout, QWidget
+from qgis.utils import iface
 
 from ..processing_provider.last_scene import last_scene
 from ..processing_provider.styles import hillshades
 from ..processing_provider.values import is_empty
 from ..repm_qgis.options import PRESETS
+from .next_step import STEPS, push_message
 
 _OF_COLMAP = ("GEOMETRIC", "COLMAP_FUSION", "WINDOW_RADIUS", "GPU_MEMORY")
 
@@ -34,6 +36,16 @@ class Dialog(AlgorithmDialog):
 
     def getParametersPanel(self, alg: QgsProcessingAlgorithm, parent: Any) -> Panel:
         return Panel(parent, alg, self.in_place, self.active_layer)
+
+    def finish(self, successful: bool, result: Any, *more: Any, **named: Any) -> None:
+        """Offers the next step on the map, and here as well, where this dialog stays open."""
+        given = self.createProcessingParameters()
+        super().finish(successful, result, *more, **named)
+        if successful:
+            text, buttons = STEPS.after(iface, self.algorithm().name(), given, result)
+            if buttons and self.isVisible():
+                closing = [(title, lambda run=run: (self.close(), run())) for title, run in buttons]
+                push_message(self.messageBar(), text, closing)
 
 
 class Panel(ParametersPanel):

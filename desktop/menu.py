@@ -17,6 +17,7 @@ from .first_steps import FirstSteps, show_once
 from .geoid_grids import GeoidGridsDialog
 from .hillshades import HillshadesFollow
 from .install import InstallDialog, offer_once
+from .next_step import STEPS
 from .surface_editing import SurfaceEditingDock
 
 TITLE = "REPM"
@@ -82,6 +83,7 @@ class PluginMenu:
             self._grids.close_down()
             self._grids.deleteLater()
             self._grids = None
+        STEPS.forget()
         model_copy.unregister(self._toolbox_actions)
         self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []

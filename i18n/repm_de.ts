@@ -1228,6 +1228,49 @@
     </message>
 </context>
 <context>
+    <name>RepmNextStep</name>
+    <message>
+        <source>The DSM is made. Is it in the right place?</source>
+        <translation>Das DOM ist fertig. Liegt es am richtigen Ort?</translation>
+    </message>
+    <message>
+        <source>The DSM of the registered scene is made. Compare it again, best with heights that were not used.</source>
+        <translation>Das DOM der registrierten Szene ist fertig. Es noch einmal vergleichen, am besten mit Höhen, die nicht verwendet wurden.</translation>
+    </message>
+    <message>
+        <source>If the DSM is off by more than you accept, register its scene to the reference, and make it again.</source>
+        <translation>Wenn das DOM weiter danebenliegt, als zulässig ist, seine Szene auf die Referenz registrieren und es neu erzeugen.</translation>
+    </message>
+    <message>
+        <source>Register to this reference…</source>
+        <translation>Auf diese Referenz registrieren…</translation>
+    </message>
+    <message>
+        <source>The scene was moved by {distance} m. Make its DSM again.</source>
+        <translation>Die Szene wurde um {distance} m verschoben. Ihr DOM neu erzeugen.</translation>
+    </message>
+    <message>
+        <source>Before</source>
+        <translation>Vorher</translation>
+    </message>
+    <message>
+        <source>After</source>
+        <translation>Nachher</translation>
+    </message>
+    <message>
+        <source>Make the DSM again…</source>
+        <translation>DOM neu erzeugen…</translation>
+    </message>
+    <message>
+        <source>Compare with a reference…</source>
+        <translation>Mit Referenz vergleichen…</translation>
+    </message>
+    <message>
+        <source>Register to a reference…</source>
+        <translation>Auf Referenz registrieren…</translation>
+    </message>
+</context>
+<context>
     <name>RepmParameters</name>
     <message>
         <source>Satellite images with RPCs</source>

@@ -23,5 +23,28 @@ def remember(path: str) -> None:
     QgsSettings().setValue(_KEY, "\n".join([path, *others][:_MOST]))
 
 
+def of_surface(path: str) -> str:
+    """The scene that a DSM was fused of, among those that were written last; "" where it is none of them."""
+    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.imagery.raster import opened
+
+    try:
+        with opened(path) as dataset:
+            made_of = dataset.GetMetadataItem("REPM_SCENE")
+        return next((known for known in _known() if made_of and _fingerprint(known) == made_of), "")
+    except RepmError:
+        return ""
+
+
+def _fingerprint(path: str) -> str:
+    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.scene import Scene
+
+    try:
+        return Scene.load(path).fingerprint if os.path.exists(path) else ""
+    except RepmError:
+        return ""
+
+
 def _known() -> list[str]:
     return str(QgsSettings().value(_KEY, "") or "").splitlines()

@@ -131,7 +131,7 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
         if self._title and layer.name() == self._given:  # else QGIS names results after their files, as the user chose
             layer.setName(self._run.name(self._title, self._more))
         if self._kind == "dsm" and isinstance(layer, QgsRasterLayer):
-            _shade(layer, placed, project, self._run)
+            shade(layer, placed, project, self._run.name(_tr("Hillshade")))
             _as_terrain(layer, project)
 
 
@@ -150,9 +150,9 @@ def hillshades(project: Optional[QgsProject]) -> list[QgsMapLayer]:
     return [node.layer() for node in nodes if node.customProperty(SHADED) and node.layer() is not None]
 
 
-def _shade(layer: QgsRasterLayer, node: QgsLayerTreeLayer, project: QgsProject, run: Run) -> None:
+def shade(layer: QgsRasterLayer, node: QgsLayerTreeLayer, project: QgsProject, name: str) -> None:
     """Lay the DSM's own hillshade over its colours: one raster layer can have only one of the two."""
-    hillshade = QgsRasterLayer(layer.source(), run.name(_tr("Hillshade")), layer.providerType())
+    hillshade = QgsRasterLayer(layer.source(), name, layer.providerType())
     if not hillshade.isValid():
         return
     hillshade.loadNamedStyle(os.path.join(PLUGIN_FOLDER, "resources", "styles", "hillshade.qml"))

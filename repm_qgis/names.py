@@ -19,7 +19,20 @@ from .scene import Scene, origin
 DAYS = "REPM_DAYS"
 """The item of a DSM's metadata with the days on which its images were taken, between spaces."""
 
-_KINDS = {"dsm", "dtm", "dem", "ortho", "orthophoto", "mosaic", "terrain", "truth", "confidence", "surface", "edited"}
+_KINDS = {
+    "dsm",
+    "dtm",
+    "dem",
+    "ortho",
+    "orthophoto",
+    "mosaic",
+    "terrain",
+    "truth",
+    "confidence",
+    "surface",
+    "edited",
+    "registered",
+}
 _PLAIN = _KINDS | {
     *("out", "output", "outputs", "result", "results", "product", "products", "export", "exports", "run", "runs"),
     *("work", "workspace", "working", "temp", "tmp", "test", "tests", "data", "raw", "images", "image", "img", "imgs"),

@@ -29,6 +29,7 @@ MODULES = {
     "styles.py": "RepmStyles",
     "model_copy.py": "RepmModelCopy",
     "install.py": "RepmInstall",
+    "next_step.py": "RepmNextStep",
 }
 
 

@@ -32,6 +32,7 @@ SHOWN = {
     "inspect_map.png": "inspect.png",
     "control_points_window.png": "control_points.png",
     "surface_editing_edited.png": "editing.png",
+    "next_step_after.png": "registered.png",
     "menu_first_steps.png": "first_steps.png",
     "install_dialog.png": "install.png",
 }
@@ -156,6 +157,7 @@ def desktop(folder: str) -> None:
             "tests/qgis/test_menu.py",
             "tests/qgis/test_control_points.py",
             "tests/qgis/test_surface_editing.py",
+            "tests/qgis/test_next_step.py",
         ],
         cwd=ROOT,
         env={**os.environ, "REPM_KEEP_PICTURES": folder},

@@ -279,6 +279,12 @@ class QgsMapLayerComboBox(QtWidgets.QComboBox):
     def setLayer(self, layer):
         pass
 
+    def setExceptedLayerList(self, layers):
+        pass
+
+    def exceptedLayerList(self):
+        return []
+
     def setFilters(self, filters):
         pass
 

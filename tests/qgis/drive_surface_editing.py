@@ -70,6 +70,9 @@ def open_dock():
             layer.loadNamedStyle(PLAN["dsm"].replace(".tif", ".qml"))
             top = layer
         QgsProject.instance().addMapLayer(layer)
+    from repm.processing_provider.styles import shade
+
+    shade(top, QgsProject.instance().layerTreeRoot().findLayer(top.id()), QgsProject.instance(), "Hillshade town")
     QgsProject.instance().layerTreeRoot().findLayers()[0].setItemVisibilityChecked(False)
     QgsProject.instance().setCrs(top.crs())
     iface.mapCanvas().setDestinationCrs(top.crs())
@@ -163,9 +166,11 @@ def undo(dock):
 def after_undo(dock):
     FOUND["left edits"] = [edit.operation for edit in dock.records.edits]
     FOUND["layers"] = layers()
-    FOUND["renderers"] = [
-        layer.renderer().type() for layer in QgsProject.instance().mapLayers().values() if "edited" in layer.source()
-    ]
+    FOUND["renderers"] = {
+        layer.name(): layer.renderer().type()
+        for layer in QgsProject.instance().mapLayers().values()
+        if "edited" in layer.source()
+    }
     edited = next(layer for layer in QgsProject.instance().mapLayers().values() if layer.name() == "DSM town (edited)")
     iface.setActiveLayer(edited)
     FOUND["of the edited layer"] = [dock.records.dsm == PLAN["dsm"], dock.list.count()]

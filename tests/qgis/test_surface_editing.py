@@ -108,7 +108,10 @@ def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
     ]
     assert "no heights surround" in found["taken back"][0] and found["taken back"][1] == 4
     assert found["enabled"] == [True, False, True, True] and found["left edits"] == ["fill", "set", "flatten"]
-    assert "singlebandpseudocolor" in found["renderers"] and found["of the edited layer"] == [True, 3]
+    renderers = found["renderers"]
+    assert renderers["DSM town (edited)"] == "singlebandpseudocolor"
+    assert renderers["Hillshade town (edited)"] == "hillshade" and names["Hillshade town (edited)"]
+    assert found["of the edited layer"] == [True, 3]
     assert found["left"] == 0
     assert sorted(name for name in os.listdir(os.path.dirname(dsm)) if not name.endswith(".qml")) == [
         "confidence.tif",

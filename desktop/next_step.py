@@ -1,0 +1,229 @@
+"""What comes after a run: a message with a button for the next step, whose dialog is filled in.
+
+The path is *run, compare, register, run again, compare again*: from the first DSM to one in the right place.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any, Callable, Mapping, Optional
+
+from qgis.core import (
+    Qgis,
+    QgsLayerTreeNode,
+    QgsProcessing,
+    QgsProcessingContext,
+    QgsProject,
+    QgsRasterLayer,
+    QgsVectorLayer,
+)
+from qgis.PyQt.QtCore import QCoreApplication
+from qgis.PyQt.QtWidgets import QPushButton
+
+from ..processing_provider import last_scene
+from ..processing_provider.kept import is_lasting
+from ..processing_provider.language import said
+from ..processing_provider.styles import hillshades
+from ..processing_provider.values import any_paths, is_empty, layer_path
+from ..repm_qgis.options import DsmFuseOptions
+from ..repm_qgis.products import STYLES, products_of
+
+_PATH = ("pipeline", "dsmfuse", "comparedsm", "register")
+Button = tuple[str, Callable[[], Any]]
+
+
+def _tr(text: str) -> str:
+    return QCoreApplication.translate("RepmNextStep", text)
+
+
+class NextSteps:
+    """Leads from one step to the next; one for a session, which knows the reference and the fusion that were used."""
+
+    def __init__(self) -> None:
+        self._reference: list[str] = []
+        self._fused: dict[str, Any] = {}
+        self._bar: Any = None
+        self._shown: Any = None
+        self.dialogs: list[Any] = []
+
+    def after(
+        self, iface: Any, algorithm: str, given: Mapping[str, Any], results: Mapping[str, Any]
+    ) -> tuple[str, list[Button]]:
+        """Show in QGIS's message bar what can be done after a run; gives the text and the buttons that open dialogs."""
+        if algorithm not in _PATH:
+            return "", []
+        named = {name: _paths(given.get(name)) for name in ("DSM", "SCENE", "REFERENCE")}
+        self._reference = named["REFERENCE"] or self._reference
+        if algorithm in ("pipeline", "dsmfuse"):
+            self._fused = {name: given[name] for name in _fusion_inputs() if not is_empty(given.get(name))}
+        text, buttons, views = getattr(self, f"_after_{algorithm}")(named, results)
+        if text:  # one message at a time: the step before is done
+            self.forget()
+            self._bar, self._shown = iface.messageBar(), push_message(iface.messageBar(), text, [*views, *buttons])
+        return text, buttons
+
+    def _after_pipeline(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+        scene, dsm = results.get("SCENE"), results.get("OUTPUT")
+        return _tr("The DSM is made. Is it in the right place?"), self._measuring(scene, dsm), []
+
+    def _after_dsmfuse(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+        scene, dsm = next(iter(named["SCENE"]), None), results.get("OUTPUT")
+        text = _tr("The DSM is made. Is it in the right place?")
+        if _is_registered(scene):
+            text = _tr(
+                "The DSM of the registered scene is made. Compare it again, best with heights that were not used."
+            )
+        return text, self._measuring(scene, dsm), []
+
+    def _after_comparedsm(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+        scene = last_scene.of_surface(next(iter(named["DSM"]), ""))
+        if not scene or _is_registered(scene):
+            return "", [], []
+        text = _tr("If the DSM is off by more than you accept, register its scene to the reference, and make it again.")
+        return text, [(_tr("Register to this reference…"), lambda: self.register(scene))], []
+
+    def _after_register(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+        scene = results.get("OUTPUT_SCENE")
+        moved = math.sqrt(sum(float(results.get(name) or 0.0) ** 2 for name in ("EAST", "NORTH", "UP")))
+        text = _tr("The scene was moved by {distance} m. Make its DSM again.")
+        views = []
+        layer = _layer_of(results.get("DIFFERENCES"))
+        if layer is not None:
+            _bring_out(layer.id())
+            views = [
+                (_tr("Before"), lambda: _show_view(layer.id(), "differences_before")),
+                (_tr("After"), lambda: _show_view(layer.id(), "")),
+            ]
+        again = (_tr("Make the DSM again…"), lambda: self.fuse(str(scene)))
+        return text.format(distance=f"{moved:.2f}"), [again] if scene else [], views
+
+    def _measuring(self, scene: Optional[str], dsm: Optional[str]) -> list[Button]:
+        buttons: list[Button] = []
+        if dsm:
+            buttons.append((_tr("Compare with a reference…"), lambda: self.compare(str(dsm))))
+        if scene and not _is_registered(scene):
+            buttons.append((_tr("Register to a reference…"), lambda: self.register(str(scene))))
+        return buttons
+
+    # --- the dialogs ---
+
+    def compare(self, dsm: str) -> None:
+        layer = _layer_of(dsm)
+        given: dict[str, Any] = {"DSM": dsm if layer is None else layer.id()}
+        if self._reference:
+            given["REFERENCE"] = self._reference[0]
+        self._open("comparedsm", given)
+
+    def register(self, scene: str) -> None:
+        given: dict[str, Any] = {"SCENE": scene}
+        if self._reference:  # as layers that QGIS does not open: it drops what it cannot, such as clouds
+            given["REFERENCE"] = [QgsVectorLayer(path, "", "none") for path in self._reference]
+        if is_lasting(os.path.dirname(scene)):
+            given["OUTPUT_SCENE"] = _free(os.path.join(os.path.dirname(scene), "registered.json"))
+        self._open("register", given)
+
+    def fuse(self, scene: str) -> None:
+        """As the DSM was made before, of the registered scene."""
+        given = {**self._fused, "SCENE": scene}
+        if is_lasting(os.path.dirname(scene)):
+            given["OUTPUT"] = _free(os.path.join(os.path.dirname(scene), "dsm_registered.tif"))
+        self._open("dsmfuse", given)
+
+    def _open(self, algorithm: str, given: Mapping[str, Any]) -> None:
+        import processing
+
+        self.forget()
+        # Without a reference from here, Python forgets what a dialog is while it is still open.
+        dialog = processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given))
+        self.dialogs.append(dialog)
+        dialog.show()
+
+    def forget(self) -> None:
+        """Take the message away."""
+        if self._bar is not None and self._shown in self._bar.items():
+            self._bar.popWidget(self._shown)
+        self._shown = None
+
+
+STEPS = NextSteps()
+
+
+def push_message(bar: Any, text: str, buttons: list[Button]) -> Any:
+    """Put a message with buttons into a bar, where it stays."""
+    message = bar.createMessage("REPM", text)
+    for title, run in buttons:
+        button = QPushButton(title, message)
+        button.clicked.connect(lambda *_, run=run: run())
+        message.layout().addWidget(button)
+    return bar.pushWidget(message, Qgis.MessageLevel.Info, 0)
+
+
+def _fusion_inputs() -> list[str]:
+    """The parameters that say how a DSM is made, but for its scene and products."""
+    products = {each.option for each in products_of("dsmfuse")}
+    others = {"scene", "workers", "memory", *products}
+    return [name.upper() for name in DsmFuseOptions.names() if name not in others]
+
+
+def _paths(value: Any) -> list[str]:
+    context = QgsProcessingContext()
+    context.setProject(QgsProject.instance())
+    return [path for path in any_paths(value, context, only_named=True) if path]
+
+
+def _is_registered(scene: Optional[str]) -> bool:
+    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.scene import Scene
+
+    try:
+        return bool(scene) and Scene.load(str(scene)).registration is not None
+    except RepmError:
+        return False
+
+
+def _free(path: str) -> str:
+    """A name that no file has, with a number where the first is taken."""
+    stem, end = os.path.splitext(path)
+    number = 1
+    while os.path.lexists(path):
+        number += 1
+        path = f"{stem}_{number}{end}"
+    return path
+
+
+def _layer_of(path: Optional[str]) -> Any:
+    """The layer of a result, None where it is not on the map."""
+    if is_empty(path) or path == QgsProcessing.TEMPORARY_OUTPUT:
+        return None
+    place = os.path.realpath(str(path))
+    project = QgsProject.instance()
+    shades = hillshades(project)  # have the DSM's file as well
+    layers = (layer for layer in project.mapLayers().values() if layer not in shades)
+    return next((layer for layer in layers if os.path.realpath(layer_path(layer)) == place), None)
+
+
+def _show_view(layer_id: str, kind: str) -> None:
+    """Show a layer in one of its further styles; "" is its first one."""
+    layer = QgsProject.instance().mapLayer(layer_id)
+    if layer is None:
+        return
+    styles = layer.styleManager()
+    further = {said(style.title): style.kind for style in STYLES if style.view_of}
+    name = next((each for each in styles.styles() if further.get(each, "") == kind), styles.currentStyle())
+    styles.setCurrentStyle(name)
+    layer.triggerRepaint()
+    _bring_out(layer_id)
+
+
+def _bring_out(layer_id: str) -> None:
+    """Switch a layer on, and off the rasters of its group that would hide it, such as an earlier comparison."""
+    node = QgsProject.instance().layerTreeRoot().findLayer(layer_id)
+    if node is None:
+        return
+    node.setItemVisibilityCheckedParentRecursive(True)
+    for other in node.parent().children():
+        if other == node:
+            break
+        if other.nodeType() == QgsLayerTreeNode.NodeType.NodeLayer and isinstance(other.layer(), QgsRasterLayer):
+            other.setItemVisibilityChecked(False)
