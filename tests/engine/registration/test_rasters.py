@@ -7,8 +7,9 @@ import pyproj
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.arrays import Bounds, Window
 from repm_qgis.errors import ImageError, OverlapError
+from repm_qgis.registration import rasters
 from repm_qgis.registration.rasters import read_raster
 
 UTM = "EPSG:32631"
@@ -160,3 +161,59 @@ def test_what_cannot_be_used_is_a_sentence(raster, crs, west, holes, kind, words
     with pytest.raises(kind, match=words) as caught:
         read_raster(path, UTM, BOUNDS, 0.0)
     assert path in str(caught.value)
+
+
+def test_cells_are_as_wide_as_in_the_middle_of_what_is_read():
+    """Degrees of longitude are narrower to the north: a window of 20 degrees has the width of its middle."""
+    back = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:3395", always_xy=True)  # Mercator stretches by 1 / cos
+    place = (2.0, 0.01, 0.0, 70.0, 0.0, -0.01)
+    for window in (Window(100, 0, 50, 2000), Window(100, 500, 50, 1000)):
+        found = rasters._jacobian(place, back, window)
+        latitude = 70.0 - 0.01 * (window.row + window.height / 2)
+        x, y = back.transform([3.25, 3.26, 3.25], [latitude, latitude, latitude - 0.01])
+        assert found == pytest.approx(np.array([[x[1] - x[0], x[2] - x[0]], [y[1] - y[0], y[2] - y[0]]]))
+    turned = rasters._jacobian((0.0, 3.0, 4.0, 0.0, 4.0, -3.0), Same(), Window(0, 0, 10, 10))
+    assert turned == pytest.approx(np.array([[3.0, 4.0], [4.0, -3.0]]))
+
+
+class Same:
+    """A transformation that changes nothing."""
+
+    @staticmethod
+    def transform(x, y):
+        return x, y
+
+
+def test_two_cells_more_than_the_bounds_are_read():
+    dataset = gdal.GetDriverByName("MEM").Create("", 100, 80, 1)
+    place = (1000.0, 10.0, 0.0, 5000.0, 0.0, -10.0)
+
+    def window(*bounds):
+        return rasters._window(dataset, place, Same(), Bounds(*bounds))
+
+    assert window(1200.0, 4500.0, 1300.0, 4700.0) == Window(18, 28, 14, 24)
+    assert window(1205.0, 4495.0, 1305.0, 4705.0) == Window(18, 27, 15, 26)
+    assert window(900.0, 4000.0, 3000.0, 6000.0) == Window(0, 0, 100, 80)
+    assert window(990.0, 4990.0, 1010.0, 5010.0) == Window(0, 0, 3, 3)
+    assert window(3000.0, 4500.0, 3100.0, 4700.0) is None and window(1200.0, 5100.0, 1300.0, 5200.0) is None
+    turned = (1000.0, 0.0, 10.0, 5000.0, 10.0, 0.0)  # rows run to the east, columns to the north
+    assert rasters._window(dataset, turned, Same(), Bounds(1200.0, 5100.0, 1300.0, 5300.0)) == Window(8, 18, 24, 14)
+
+
+@pytest.mark.parametrize("strip", (7, 10_000))
+def test_means_are_those_of_the_blocks(monkeypatch, strip):
+    """However many rows are read at once; blocks at the end that are not whole are left out."""
+    monkeypatch.setattr(rasters, "_STRIP_CELLS", strip * 30)
+    rng = np.random.default_rng(0)
+    values = rng.normal(100, 5, (40, 34)).astype(np.float32)
+    values[10, 10] = np.nan
+    values[20:22, 5:7] = np.nan  # four of a block's nine cells
+    values[23:25, 5:7], values[25, 5] = np.nan, np.nan  # and five
+    dataset = gdal.GetDriverByName("MEM").Create("", 34, 40, 1, gdal.GDT_Float32)
+    dataset.GetRasterBand(1).WriteArray(values)
+    found = rasters._read_means(dataset, Window(2, 5, 31, 33), 3, lambda: None)
+    part = values[5 : 5 + 33, 2 : 2 + 30].reshape(11, 3, 10, 3)
+    wanted = np.nanmean(part, axis=(1, 3))
+    wanted[6, 1] = np.nan
+    assert found.shape == (11, 10) and np.isnan(found[6, 1]) and np.isnan(found).sum() == 1
+    assert found == pytest.approx(wanted, rel=1e-5, nan_ok=True)
