@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from repm_qgis.records import GroundShift
 from repm_qgis.registration.adjustment import Observation, contradictions, place_scenes
+from repm_qgis.registration.laying import prior_of
 from repm_qgis.registration.parameters import REGISTRATION
 from repm_qgis.registration.solve import Prior, Shift
+from repm_qgis.scene import Scene
+from repm_qgis.sfm.height_uncertainty import usual_height_deviation
+from repm_qgis.sfm.parameters import POINTING
+from repm_qgis.sfm.promises import promised
 
 PRIOR = Prior(8.0, 5.0, 60.0)
 
@@ -94,3 +101,16 @@ def test_only_what_both_tell_can_contradict():
     assert contradictions([Observation.of_shift("a", east, 0), Observation.of_shift("b", far, 0)]) == []
     (text,) = contradictions([Observation.of_shift("a", far, 0), Observation.of_shift("b", shift((0.0, 0.0, 0.0)), 0)])
     assert "to the north" in text and "40" in text
+
+
+def test_what_is_known_before_is_what_vendors_promise_and_what_is_usual(urban_run):
+    scene = Scene.load(urban_run.result["scene"])
+    horizontal, up = promised(scene.views)
+    usual = usual_height_deviation(scene.pairs, scene.pointing, scene.gsd_m)
+    assert usual < up and prior_of(scene).up_m == usual and prior_of(scene).horizontal_m == horizontal
+    controlled = replace(scene.pointing, height_uncertainty_m=None, control_information=np.eye(3))
+    assert prior_of(replace(scene, pointing=controlled)).up_m == up == prior_of(replace(scene, pointing=None)).up_m
+    reach = REGISTRATION.search * POINTING.promises.ce90 * horizontal
+    assert prior_of(scene).most_m == pytest.approx(max(reach, 40.0))
+    near = replace(REGISTRATION, least_search_m=1e4)
+    assert prior_of(scene, parameters=near).most_m == 1e4

@@ -227,3 +227,10 @@ def test_the_mode_is_the_middle_of_the_shortest_interval():
     assert solve.mode(values, 1.0) == pytest.approx(1.3) and solve.mode(values, 0.25) in (1.05, 1.15)
     assert solve.mode(np.array([4.0]), 0.5) == 4.0
     assert solve.mode(-values, 0.5) == pytest.approx(-1.15)
+
+
+def test_unknowns_are_the_free_directions_the_height_and_the_tilt():
+    assert (solve._basis(np.eye(2), True) == np.eye(5)).all()
+    assert (solve._basis(np.eye(2), False) == np.eye(5)[:, :3]).all()
+    assert solve._basis(np.array([[0.6, 0.8]]), False).T.tolist() == [[0.6, 0.8, 0, 0, 0], [0, 0, 1, 0, 0]]
+    assert solve._tukey(np.array([0.0, 0.5, 1.0, 2.0]) * 4.685, 4.685).tolist() == [1.0, 0.5625, 0.0, 0.0]
