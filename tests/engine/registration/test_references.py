@@ -10,6 +10,7 @@ from osgeo import gdal, ogr
 from repm_qgis.arrays import Bounds
 from repm_qgis.errors import ImageError, InputTableError
 from repm_qgis.registration import references
+from repm_qgis.registration.found import Within
 from repm_qgis.registration.references import read_reference
 from repm_qgis.vector import write_layer
 
@@ -71,3 +72,18 @@ def test_what_is_no_reference(tmp_path):
 def test_all_is_said_to_go_on_between_parts(tmp_path):
     path, checks = raster(tmp_path / "dem.tif"), []
     assert np.isfinite(read_reference(path, UTM, BOUNDS, 0.0, lambda: checks.append(1)).height).all() and checks
+
+
+def test_what_is_read_reaches_two_percent_beyond_the_bounds_on_each_side():
+    """In the file's own coordinates, east and north each by its own length; also with longitudes from 0 to 360."""
+    bounds = Bounds(500_000.0, 4_000_000.0, 510_000.0, 4_001_000.0)
+    within = Within(pyproj.CRS("EPSG:32631"), "EPSG:32631", bounds)
+    wanted = (499_800.0, 3_999_980.0, 510_200.0, 4_001_020.0)
+    assert tuple(within.source_bounds) == pytest.approx(wanted)
+    x, y = np.array([499_790.0, 499_810.0, 500_000.0, 500_000.0]), np.array([4e6, 4e6, 4_001_030.0, 3_999_990.0])
+    assert within.near(x, y).tolist() == [False, True, False, True]
+    (west, east), _ = pyproj.Transformer.from_crs(4326, 32601, always_xy=True).transform([-177.0, -176.9], [10.0, 10.1])
+    turned = Within(pyproj.CRS("EPSG:4326"), "EPSG:32601", Bounds(west, 1_105_000.0, east, 1_117_000.0))
+    places, inside = turned.places(np.array([183.05, -176.95, 176.95]), np.array([10.05, 10.05, 10.05]))
+    assert inside.tolist() == [True, True, False] and places[0] == pytest.approx(places[1])
+    assert turned.near(np.array([183.05, 3.05]), np.array([10.05, 10.05])).tolist() == [True, False]
