@@ -75,14 +75,11 @@ class PluginMenu:
             self._panel.close()
             self._panel.deleteLater()
             self._panel = None
-        if self._installer is not None:
-            self._installer.close_down()
-            self._installer.deleteLater()
-            self._installer = None
-        if self._grids is not None:
-            self._grids.close_down()
-            self._grids.deleteLater()
-            self._grids = None
+        for window in (self._installer, self._grids):
+            if window is not None:
+                window.close_down()
+                window.deleteLater()
+        self._installer = self._grids = None
         STEPS.forget()
         model_copy.unregister(self._toolbox_actions)
         self._hillshades.stop()

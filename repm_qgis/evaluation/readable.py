@@ -79,6 +79,7 @@ def _labelled(text: str, labels: Mapping[str, str]) -> str:
     names = "|".join(sorted(map(re.escape, labels), key=len, reverse=True))
     text = re.sub(rf"(?<![\w\"'])({names})\s?=\s?(?=\w)", lambda found: f"{label(found[1])} = ", text)
     text = re.sub(rf"\(({names})\)", lambda found: f"({label(found[1])})", text)
+    text = re.sub(r"(?i)\b(\w[^().<>]{3,60}?) \(‘\1’\)", r"‘\1’", text)  # whose label are the very words
     others = "|".join(name for name in names.split("|") if name not in _ALSO_WORDS and len(name) > 3)
     if not others:
         return text

@@ -42,6 +42,9 @@ def test_advice_is_in_the_dialogs_own_words():
         in text
     )
     assert "EXTENT.tif" in text and "GCPS_2" in text
+    with written_in("en", LABELS):
+        text = body(Report("x").paragraph("Give ground control points (GCPS) or a reference."))
+    assert "‘<abbr" in text and "(‘" not in text
     assert "(GCPS)" in body(Report("x").paragraph(said))  # a command line has no dialog
     with pytest.raises(OptionError, match="labels is"), written_in("en", ["GCPS"]):
         pass
