@@ -42,9 +42,6 @@ class RepmPlugin:
 
     def unload(self) -> None:
         if self.menu is not None:
-            from .desktop.next_steps import forget
-
-            forget()
             self.menu.remove()
             self.menu = None
         if self.provider is not None:

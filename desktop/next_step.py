@@ -1,6 +1,6 @@
 """What comes after a run: a message with a button for the next step, whose dialog is filled in.
 
-The path is *run, compare, register, run again, compare again*: from the first DSM to one in the right place.
+The path is *inspect, run, compare, register, run again, compare again*: from the first DSM to one in the right place.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..processing_provider.values import any_paths, is_empty, layer_path
 from ..repm_qgis.options import DsmFuseOptions
 from ..repm_qgis.products import STYLES, products_of
 
-_PATH = ("pipeline", "dsmfuse", "comparedsm", "register")
+_PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
 Button = tuple[str, Callable[[], Any]]
 
 
@@ -62,6 +62,12 @@ class NextSteps:
             self.forget()
             self._bar, self._shown = iface.messageBar(), push_message(iface.messageBar(), text, [*views, *buttons])
         return text, buttons
+
+    def _after_inspect(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+        titles = {"PAIR": _tr("DSM of the best pair…"), "TRIPLET": _tr("DSM of the best triplet…")}
+        best = {title: results[name] for name, title in titles.items() if results.get(name)}
+        buttons = [(title, lambda images=images: self.make(images)) for title, images in best.items()]
+        return _tr("The images are inspected.") if buttons else "", buttons, []
 
     def _after_pipeline(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
         scene, dsm = results.get("SCENE"), results.get("OUTPUT")
@@ -107,6 +113,9 @@ class NextSteps:
         return buttons
 
     # --- the dialogs ---
+
+    def make(self, images: list[str]) -> None:
+        self._open("pipeline", {"IMAGES": images})
 
     def compare(self, dsm: str) -> None:
         layer = _layer_of(dsm)

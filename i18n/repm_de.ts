@@ -781,18 +781,6 @@
         <source>Images of the best triplet</source>
         <translation>Bilder des besten Tripels</translation>
     </message>
-    <message>
-        <source>DSM of the best pair…</source>
-        <translation>DOM aus dem besten Paar…</translation>
-    </message>
-    <message>
-        <source>DSM of the best triplet…</source>
-        <translation>DOM aus dem besten Tripel…</translation>
-    </message>
-    <message>
-        <source>The images are inspected.</source>
-        <translation>Die Bilder sind geprüft.</translation>
-    </message>
 </context>
 <context>
     <name>Mosaic</name>
@@ -1229,6 +1217,18 @@
 </context>
 <context>
     <name>RepmNextStep</name>
+    <message>
+        <source>DSM of the best pair…</source>
+        <translation>DOM aus dem besten Paar…</translation>
+    </message>
+    <message>
+        <source>DSM of the best triplet…</source>
+        <translation>DOM aus dem besten Tripel…</translation>
+    </message>
+    <message>
+        <source>The images are inspected.</source>
+        <translation>Die Bilder sind geprüft.</translation>
+    </message>
     <message>
         <source>The DSM is made. Is it in the right place?</source>
         <translation>Das DOM ist fertig. Liegt es am richtigen Ort?</translation>

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
-
 from qgis.core import (
-    QgsProcessingContext,
-    QgsProcessingFeedback,
     QgsProcessingOutputMultipleLayers,
     QgsProcessingOutputNumber,
 )
@@ -44,24 +40,3 @@ class Inspect(RepmAlgorithm):
             QgsProcessingOutputMultipleLayers("PAIR", self.tr("Images of the best pair")),
             QgsProcessingOutputMultipleLayers("TRIPLET", self.tr("Images of the best triplet")),
         ]
-
-    def processAlgorithm(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
-        self._found = super().processAlgorithm(parameters, context, feedback)
-        return self._found
-
-    def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> dict[str, Any]:
-        """In the desktop, buttons make a DSM of the images that fit best."""
-        try:
-            from ..desktop.next_steps import offer
-        except ImportError:  # QGIS without its desktop
-            return super().postProcessAlgorithm(context, feedback)
-        words = {"PAIR": self.tr("DSM of the best pair…"), "TRIPLET": self.tr("DSM of the best triplet…")}
-        steps = [
-            (text, "repm:pipeline", {"IMAGES": self._found[name]})
-            for name, text in words.items()
-            if name in self._found
-        ]
-        offer(self.tr("The images are inspected."), steps, self.ID)
-        return super().postProcessAlgorithm(context, feedback)

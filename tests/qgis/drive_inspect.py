@@ -26,11 +26,14 @@ def inspect():
 
 
 @guarded
-def look(dialog):
+def look(dialog, tries=20):
+    buttons = [b for b in iface.messageBar().findChildren(QPushButton) if b.isVisible()]
+    if not buttons and tries:  # the layers are still being loaded
+        QTimer.singleShot(1000, lambda: look(dialog, tries - 1))
+        return
     dialog.close()
     iface.zoomFull()
     QApplication.processEvents()
-    buttons = [b for b in iface.messageBar().findChildren(QPushButton) if b.isVisible()]
     layer = next(each for each in QgsProject.instance().mapLayers().values() if "ootprint" in each.name())
     fill = layer.renderer().symbol().symbolLayer(0)
     FOUND["footprints are outlines"] = fill.brushStyle() == Qt.BrushStyle.NoBrush
