@@ -5,9 +5,11 @@ The widgets stay QGIS's: the graphical modeler and the batch dialog need them as
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, Callable, Mapping, Sequence
 
 from processing.gui.AlgorithmDialog import AlgorithmDialog
+from processing.gui.AlgorithmDialogBase import AlgorithmDialogBase
 from processing.gui.ParametersPanel import ParametersPanel
 from qgis.core import (
     QgsProcessing,
@@ -37,12 +39,20 @@ class Dialog(AlgorithmDialog):
     def getParametersPanel(self, alg: QgsProcessingAlgorithm, parent: Any) -> Panel:
         return Panel(parent, alg, self.in_place, self.active_layer)
 
+    _given: Mapping[str, Any] = {}  # of the last run
+
+    def runAlgorithm(self) -> None:
+        """Keeps what the run is given: the widgets may be changed before it ends."""
+        self._given = {}
+        with suppress(AlgorithmDialogBase.InvalidParameterValue):  # Processing says so itself
+            self._given = self.createProcessingParameters()
+        super().runAlgorithm()
+
     def finish(self, successful: bool, result: Any, *more: Any, **named: Any) -> None:
         """Offers the next step on the map, and here as well, where this dialog stays open."""
-        given = self.createProcessingParameters()
         super().finish(successful, result, *more, **named)
         if successful:
-            text, buttons = STEPS.after(iface, self.algorithm().name(), given, result)
+            text, buttons = STEPS.after(iface, self.algorithm().name(), self._given, result)
             if buttons and self.isVisible():
                 closing = [(title, lambda run=run: (self.close(), run())) for title, run in buttons]
                 push_message(self.messageBar(), text, closing)

@@ -217,6 +217,9 @@ class QgsProcessingModelAlgorithm(QgsProcessingAlgorithm):
     def fromFile(self, path):
         return False  # the models' own format is QGIS's matter
 
+    def loadVariant(self, model):
+        return False
+
 
 class Registry:
     def __init__(self):

@@ -26,7 +26,7 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
         "after": "After",
         "again": "Make the DSM again…",
     }
-    found = desktop_start("drive_next_step.py", plan, seconds=120)
+    found = desktop_start("drive_next_step.py", plan, seconds=300)
     first, compared, registered, fused = found["messages"]
     assert first[1] == first[2] == [plan["compare"], "Register to a reference…"] and found["closed"]
     assert compared[1] == compared[2] == [plan["register"]]

@@ -93,7 +93,7 @@ def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
         "line": [place(20.5, 140.5), place(120.5, 140.5)],
         "void": corners(155, 115, 180, 140),
     }
-    found = desktop_start("drive_surface_editing.py", plan, seconds=90)
+    found = desktop_start("drive_surface_editing.py", plan, seconds=200)
     assert found["chosen"] == ["DSM town", "Confidence town"] and found["first words"].startswith("Choose an edit")
     assert found["offered"] == [False, ["polygon", "brush"]] and found["line"] == ["line"]
     assert found["tool"] == [True, True] and found["none yet"] == 0 and found["automatic"] == "from the shore"
