@@ -214,7 +214,7 @@ class QgsProcessingProvider(QtCore.QObject):
 
 
 class QgsProcessingModelAlgorithm(QgsProcessingAlgorithm):
-    def fromFile(self, path):
+    def loadVariant(self, description):
         return False  # the models' own format is QGIS's matter
 
     def loadVariant(self, model):
