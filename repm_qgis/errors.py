@@ -25,7 +25,8 @@ class OptionError(RepmError, ValueError):
     """An option has a value it cannot have."""
 
     def __init__(self, name: str, value: object, reason: str) -> None:
-        super().__init__(f"{name} is {value!r}: it {reason}.")
+        shown = repr(value).replace("\\\\", "\\")  # one line, whatever is in it, and paths of Windows as they are
+        super().__init__(f"{name} is {shown}: it {reason}.")
         self.name = name
         self.value = value
         self.reason = reason

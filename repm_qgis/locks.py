@@ -128,6 +128,10 @@ def _lock(descriptor: int) -> bool:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         return False
+    except OSError as error:
+        if error.errno:
+            raise
+        return False  # Wine's C library does not say why
     return True
 
 

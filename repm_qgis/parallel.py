@@ -24,7 +24,7 @@ from .errors import OutOfMemoryError, RepmError, WorkerError
 from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 from .translation import reader, written_in
-from .windows import cancel_transfers
+from .windows import cancel_transfers, exit_code
 from .workspace import ensure_folder, remove_temporary, temporary_name
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
@@ -32,9 +32,11 @@ _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's mallopt (malloc.h)
 _POLL_S = 0.3
 _NO_MEMORY = 71  # the exit code of a worker that could not begin
+_TERMINATED = 0x10000  # the exit code of what multiprocessing ends on Windows
 _LEAST_STATUS = 0xC0000000  # from here on exit codes are errors of Windows (ntstatus.h)
 _STATUS_NO_MEMORY = {0xC0000017, 0xC000012D}  # STATUS_NO_MEMORY, STATUS_COMMITMENT_LIMIT
 _LONGEST_FOLDER = 70  # of characters; a socket's whole path may have 103 on macOS
+_NO_THREAD = f"This process could not start a thread because memory ran out: {MEMORY_REMEDY}."
 _FEW = 3
 """With so few tasks, starting processes costs more than it gains: the task's own threads use the cores instead."""
 
@@ -137,15 +139,18 @@ class _Pool:
                 progress.step(index / len(tasks), describe(task))
                 results[index] = function(task)
             return list(results.values())
+        pending: Dict["Future[Any]", int] = {}
         killed_before = memory_kills()
         try:
             executor = self._of(workers)
-            pending = {executor.submit(do_task, packed(function, task)): i for i, task in enumerate(tasks)}
+            for index, task in enumerate(tasks):
+                pending[executor.submit(do_task, packed(function, task))] = index
             progress.step(0.0, f"{len(tasks)} tasks on {workers} cores")
             for index, future in as_they_end(pending, progress, lambda: _require_manager(executor)):
                 results[index] = future.result()
                 progress.step(len(results) / len(tasks), f"{describe(tasks[index])} ({len(results)} of {len(tasks)})")
         except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
+            _require_thread(error, *(future.exception() for future in pending if future.done()))
             certain = killed_before is not None and (memory_kills() or 0) > killed_before
             raise _death(self._ends(), certain, len(results), len(tasks)) from error
         except BaseException:
@@ -166,7 +171,11 @@ class _Pool:
         """Close a broken pool; gives the exit codes of its workers, negative ones are signals."""
         processes = self._processes()
         self.close()
-        return [process.exitcode for process in processes]
+        if os.name != "nt":
+            return [process.exitcode for process in processes]
+        # The executor ends all of them: the system still knows which of them had ended before, and how.
+        codes = [exit_code(process.sentinel) for process in processes]
+        return [-signal.SIGTERM if code == _TERMINATED else code for code in codes]
 
     def _end(self) -> None:
         """End the workers amid their tasks."""
@@ -362,7 +371,14 @@ def _require_manager(executor: ProcessPoolExecutor) -> None:
     tasks would ever end."""
     manager = getattr(executor, "_executor_manager_thread", None)
     if manager is not None and not manager.is_alive():
-        raise OutOfMemoryError(f"This process could not start a thread because memory ran out: {MEMORY_REMEDY}.")
+        raise OutOfMemoryError(_NO_THREAD)
+
+
+def _require_thread(*errors: Optional[BaseException]) -> None:
+    """The same for Python from 3.12 on, whose executor says it before it ends."""
+    for error in errors:
+        if error is not None and "can't start new thread" in str(error.__cause__):
+            raise OutOfMemoryError(_NO_THREAD) from error
 
 
 def as_they_end(

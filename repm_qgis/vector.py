@@ -121,23 +121,26 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
     reference = osr.SpatialReference()
     reference.SetFromUserInput(crs)
     reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
-    layer = source.CreateLayer(_layer_name(target.stem), reference, geometry_type)
-    _see(layer is not None)
-    for field, kind in fields.items():
-        layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))
-    layer.StartTransaction()
-    count = 0
-    for geometry, values in features:
-        feature = ogr.Feature(layer.GetLayerDefn())
-        feature.SetGeometry(geometry)
-        for index, value in enumerate(values):
-            if value is not None:
-                feature.SetField(index, value)
-        _see(layer.CreateFeature(feature) == 0)
-        feature, count = None, count + 1
-    _see(layer.CommitTransaction() == 0)
-    gdal.ErrorReset()
-    layer = source = None
+    layer = feature = None
+    try:
+        layer = source.CreateLayer(_layer_name(target.stem), reference, geometry_type)
+        _see(layer is not None)
+        for field, kind in fields.items():
+            layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))
+        layer.StartTransaction()
+        count = 0
+        for geometry, values in features:
+            feature = ogr.Feature(layer.GetLayerDefn())
+            feature.SetGeometry(geometry)
+            for index, value in enumerate(values):
+                if value is not None:
+                    feature.SetField(index, value)
+            _see(layer.CreateFeature(feature) == 0)
+            feature, count = None, count + 1
+        _see(layer.CommitTransaction() == 0)
+        gdal.ErrorReset()
+    finally:  # an error keeps hold of what it passes, and Windows removes no open file
+        layer = feature = source = None
     _see(gdal.GetLastErrorType() < gdal.CE_Failure and _features(str(target)) == count)
 
 

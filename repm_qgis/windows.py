@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from typing import Optional
 
 _QUERY, _STILL_ACTIVE = 0x1000, 259
+_ATTRIBUTES, _SHARED, _EXISTING, _FOLDERS_TOO = 0x80, 7, 3, 0x02000000
 _KILL_ON_JOB_CLOSE, _EXTENDED_LIMITS = 0x2000, 9  # winnt.h
+
+
+class _Times(ctypes.Structure):
+    """FILE_BASIC_INFO (winbase.h)."""
+
+    _fields_ = [(name, ctypes.c_int64) for name in ("made", "read", "written", "changed", "attributes")]
 
 
 class _Limits(ctypes.Structure):
@@ -56,13 +64,40 @@ def process_exists(number: int) -> bool:
     handle = ctypes.c_void_p(kernel.OpenProcess(_QUERY, False, number))
     if not handle:
         return False
-    code = ctypes.c_ulong()
-    known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    code = exit_code(handle.value or 0)
     kernel.CloseHandle(handle)
-    return not known or code.value == _STILL_ACTIVE
+    return code is None or code == _STILL_ACTIVE
+
+
+def exit_code(handle: int) -> Optional[int]:
+    """The exit code of a process by its handle, 259 while it runs; None where it is not told, and on other systems."""
+    code = ctypes.c_ulong()
+    if sys.platform == "win32" and ctypes.WinDLL("kernel32").GetExitCodeProcess(
+        ctypes.c_void_p(handle), ctypes.byref(code)
+    ):
+        return code.value
+    return None
 
 
 def cancel_transfers(handle: int) -> None:
     """Have reads and writes that any thread of this process is waiting for on a handle fail now."""
     if sys.platform == "win32":
         ctypes.WinDLL("kernel32").CancelIoEx(ctypes.c_void_p(handle), None)
+
+
+def change_time(path: str) -> int:
+    """When a file or what is known of it was last changed, in units of 100 ns; 0 where that is not told.
+
+    Nobody can set it back, as one can the time of its last writing.
+    """
+    if sys.platform != "win32":
+        return 0
+    kernel = ctypes.WinDLL("kernel32")
+    kernel.CreateFileW.restype = ctypes.c_void_p
+    handle = ctypes.c_void_p(kernel.CreateFileW(path, _ATTRIBUTES, _SHARED, None, _EXISTING, _FOLDERS_TOO, None))
+    if handle.value in (None, ctypes.c_void_p(-1).value):
+        return 0
+    times = _Times()
+    known = kernel.GetFileInformationByHandleEx(handle, 0, ctypes.byref(times), ctypes.sizeof(times))
+    kernel.CloseHandle(handle)
+    return int(times.changed) if known else 0

@@ -227,6 +227,8 @@ _PATIENCE_S = 2.0  # for virus scanners and indexers, which open a new file for 
 
 def _replace(source: str | os.PathLike[str], target: Path) -> None:
     """``os.replace``; Windows refuses it while another program has either open, and then it is tried for a while."""
+    if os.name == "nt" and os.path.isdir(target) and not os.path.isdir(source):  # else it is said to be in use
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     end = time.monotonic() + _PATIENCE_S
     while True:
         try:
@@ -531,7 +533,8 @@ def file_identity(path: str) -> List[Any]:
         status = os.stat(path)
     except OSError:
         return [str(path)]
-    return [os.path.abspath(path), status.st_size, status.st_mtime_ns, status.st_ino, status.st_ctime_ns]
+    changed = windows.change_time(path) or status.st_ctime_ns  # which on Windows is when the file was made
+    return [os.path.abspath(path), status.st_size, status.st_mtime_ns, status.st_ino, changed]
 
 
 _SAMPLES, _SAMPLE_BYTES = 16, 1 << 16

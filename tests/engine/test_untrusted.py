@@ -27,6 +27,7 @@ VRT = (
     '<SourceFilename relativeToVRT="{relative}">{source}</SourceFilename><SourceBand>1</SourceBand></SimpleSource>'
     "</VRTRasterBand></VRTDataset>"
 )
+pipes = pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes with names in folders")
 
 
 def vrt(path, source, relative=1):
@@ -34,12 +35,14 @@ def vrt(path, source, relative=1):
     return str(path)
 
 
+@pipes
 def test_a_pipe_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.tif")
     with pytest.raises(ImageError, match="pipe.tif' is a pipe or a device"), opened(str(tmp_path / "pipe.tif")):
         pass
 
 
+@pipes
 @pytest.mark.parametrize(
     "beside", ("{0}.tif.aux.xml", "{0}.tif.ovr", "{0}.tif.msk", "{0}.IMD", "{0}_RPC.TXT", "DIM_a.XML")
 )
@@ -56,6 +59,7 @@ def test_a_pipe_beside_an_image_is_refused_at_once(tmp_path, write_image, beside
         pass
 
 
+@pipes
 def test_a_pipe_of_another_name_keeps_nobody_from_an_image(tmp_path, write_image):
     write_image(tmp_path / "IMG_a_R1C1.tif")
     os.mkfifo(tmp_path / "other")
@@ -63,6 +67,7 @@ def test_a_pipe_of_another_name_keeps_nobody_from_an_image(tmp_path, write_image
         assert dataset.RasterYSize > 0
 
 
+@pipes
 def test_a_pipe_as_the_source_of_a_vrt_or_as_a_scene_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(ImageError, match="leads to 'pipe', which is a pipe or a device"):
@@ -397,6 +402,10 @@ def test_tables_above_the_limit_are_not_read(tmp_path):
             InputTableError, match=f"{name}' has 2048 MiB, and a table or text of points has at most 64"
         ):
             read_gcps(str(tmp_path / name), None)
+
+
+@pipes
+def test_a_pipe_in_place_of_a_table_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     with pytest.raises(InputTableError, match="pipe or a device"):
         read_gcps(str(tmp_path / "pipe.csv"), None)

@@ -77,7 +77,7 @@ except MissingPackageError as error:
 url, folder = text.split("put ")[1].split(" into the folder ")
 folder = folder.split("'")[1]
 assert folder.startswith(os.environ["XDG_DATA_HOME"]) and url.startswith("https://cdn.proj.org/"), text
-os.makedirs(folder)
+os.makedirs(folder, exist_ok=True)
 path = os.path.join(folder, url.rsplit("/", 1)[1])
 grid = gdal.GetDriverByName("GTiff").Create(path, 37, 19, 1, gdal.GDT_Float32)
 world = osr.SpatialReference()
@@ -98,7 +98,14 @@ print(datum.undulation("EPSG:32631", place))
 
 def test_the_remedy_holds_and_needs_no_restart(tmp_path):
     """The file that the message names, in the folder that it names: found by the same process, at the next question."""
-    environment = {**os.environ, "XDG_DATA_HOME": str(tmp_path), "PYTHONPATH": str(ROOT), "PROJ_NETWORK": "OFF"}
+    environment = {
+        **os.environ,
+        "XDG_DATA_HOME": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
+        "PROJ_NETWORK": "OFF",
+    }
+    if os.name == "nt":  # where PROJ asks the system for the folder
+        environment["PROJ_USER_WRITABLE_DIRECTORY"] = str(tmp_path / "proj")
     done = subprocess.run([sys.executable, "-c", WITH_THE_GRID], env=environment, capture_output=True, text=True)
     if done.stderr.strip() == "installed":
         pytest.skip("PROJ's EGM2008 grid is installed here")

@@ -213,10 +213,11 @@ def test_the_name_appears_only_at_the_end(tmp_path):
 def test_places_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.tif").mkdir()
-    for path in (str(tmp_path / "file" / "a.tif"), "/proc/nowhere/a.tif", str(tmp_path / "folder.tif")):
+    places = [str(tmp_path / "file" / "a.tif"), str(tmp_path / "folder.tif")]
+    for path in places if os.name == "nt" else [*places, "/proc/nowhere/a.tif"]:
         with pytest.raises(WorkspaceError) as caught:
             write(path, [heights()], TRANSFORM, WKT)
-        assert path.rsplit("/", 1)[0] in str(caught.value)
+        assert os.path.dirname(path) in str(caught.value)
     assert sorted(os.listdir(tmp_path)) == ["file", "folder.tif"]
 
 

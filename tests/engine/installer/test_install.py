@@ -295,8 +295,9 @@ def pips(folder):
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-@pytest.mark.parametrize("number", (signal.SIGKILL, signal.SIGTERM), ids=lambda number: number.name)
-def test_what_a_killed_installation_left_is_made_anew(index, home, folder, number):
+@pytest.mark.parametrize("name", ("SIGKILL", "SIGTERM"))
+def test_what_a_killed_installation_left_is_made_anew(index, home, folder, name):
+    number = getattr(signal, name)
     index.hold = 30.0
     running = started(folder)
     for line in running.stdout:

@@ -28,6 +28,7 @@ def test_it_is_this_pythons_whatever_is_first_on_path(tmp_path, monkeypatch):
     assert not [path for path in candidates() if path.startswith(str(tmp_path))]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="starts shell scripts in place of interpreters")
 def test_a_python_that_does_not_run_or_has_another_gdal_is_passed_over(tmp_path, monkeypatch):
     broken, other = tmp_path / "broken", tmp_path / "other"
     broken.write_text("#!/bin/sh\nexit 3\n")
@@ -46,16 +47,18 @@ def test_a_python_that_does_not_run_or_has_another_gdal_is_passed_over(tmp_path,
 
 def test_osgeo4w_and_the_msi_have_it_beside_the_library(monkeypatch):
     """Their layout; the paths are joined as this system joins them."""
-    root = os.path.join("C:", "OSGeo4W", "apps", "Python312")
+    drive = "C:\\" if os.name == "nt" else "/C:"
+    root = os.path.join(drive, "OSGeo4W", "apps", "Python312")
     monkeypatch.setattr(interpreter, "WINDOWS", True)
-    monkeypatch.setattr(sys, "base_exec_prefix", os.path.join("C:", "elsewhere"))
-    monkeypatch.setattr(interpreter.os, "__file__", os.path.join(os.sep, root, "Lib", "os.py"))
-    found = candidates([os.path.join("C:", "OSGeo4W", "bin")])
-    assert found[0] == os.path.join("C:", "elsewhere", "python.exe")
-    assert os.path.join(os.sep, root, "python.exe") in found and os.path.join(os.sep, root, "python3.exe") in found
-    assert os.path.join("C:", "OSGeo4W", "bin", "python3.exe") in found
+    monkeypatch.setattr(sys, "base_exec_prefix", os.path.join(drive, "elsewhere"))
+    monkeypatch.setattr(interpreter.os, "__file__", os.path.join(root, "Lib", "os.py"))
+    found = candidates([os.path.join(drive, "OSGeo4W", "bin")])
+    assert found[0] == os.path.join(drive, "elsewhere", "python.exe")
+    assert os.path.join(root, "python.exe") in found and os.path.join(root, "python3.exe") in found
+    assert os.path.join(drive, "OSGeo4W", "bin", "python3.exe") in found
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not know the paths of macOS")
 def test_the_bundle_of_macos_has_it_in_contents(monkeypatch):
     contents = "/Applications/QGIS.app/Contents"
     monkeypatch.setattr(sys, "platform", "darwin")

@@ -163,6 +163,7 @@ def test_dsms_of_other_crs_and_cells_are_not_shifted(tmp_path, told):
     heights = read(result["output"])
     with raster.opened(result["output"]) as dataset:
         x0, cell, _, y0, _, _ = dataset.GetGeoTransform()
+    dataset = None  # else the file is in use, and Windows does not let it be replaced
     rows, columns = np.indices(heights.shape) + 0.5
     error = heights - plane(x0 + columns * cell, y0 - rows * cell)
     # In the outer half of its border cells a DSM has no slope.

@@ -259,6 +259,8 @@ def test_no_file_and_no_regular_file(tmp_path):
         read_rpc_file(str(tmp_path / "nothing.txt"))
     with pytest.raises(RpcMissingError, match="There is no RPC file"):
         read_rpc_file(str(tmp_path))
+    if os.name == "nt":  # which has no pipes with names in folders
+        return
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(RpcMissingError, match="There is no RPC file"):
         read_rpc_file(str(tmp_path / "pipe"))

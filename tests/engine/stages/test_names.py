@@ -126,9 +126,11 @@ def test_a_name_in_another_encoding_is_refused_in_a_sentence():
 
 
 def test_a_bar_belongs_to_a_file_that_has_it(tmp_path):
-    points = tmp_path / "a|layername=b.gpkg"
+    points = tmp_path / "a|layername=b.gpkg"  # Windows has no such names, and others that begin like this
     assert file_and_layer(f"{tmp_path}/p.gpkg|layername=b|geometrytype=Point") == (f"{tmp_path}/p.gpkg", "b")
-    assert file_and_layer(str(points)) == (f"{tmp_path}/a", "b.gpkg")
+    assert file_and_layer(str(points)) == (str(tmp_path / "a"), "b.gpkg")
+    if os.name == "nt":
+        return
     points.touch()
     assert file_and_layer(str(points)) == (str(points), "")
     assert file_and_layer(f"{points}|layername=c") == (str(points), "c")
