@@ -72,7 +72,7 @@ def ensure_folder(path: str) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        if error.errno in OF_THE_DISK:
+        if error.errno in OF_THE_DISK or _is_too_long(path, error):
             raise cannot_write(path, error) from error
         raise WorkspaceError(
             f"Cannot write into the folder '{path}' ({error.strerror or error}): choose another one, "
@@ -306,6 +306,14 @@ def _has_no_inodes(path: str) -> bool:
     return status.f_files > 0 and status.f_favail == 0  # Btrfs counts none and says 0
 
 
+_LONGEST_PATH = 210 if os.name == "nt" else None  # of 259, as temporary names in it are up to 49 longer
+
+
+def _is_too_long(path: str, error: OSError) -> bool:
+    """Whether a path is long, and Windows found nothing there, which is all that it says of paths above its limit."""
+    return _LONGEST_PATH is not None and error.errno == errno.ENOENT and len(os.path.abspath(path)) > _LONGEST_PATH
+
+
 def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
     """The sentence for a file or folder that cannot be written: what stood in the way, and what helps.
 
@@ -327,6 +335,11 @@ def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
         return WorkspaceError(
             f"Cannot write '{path}': another program has it open, QGIS perhaps as a layer: remove that layer, close "
             "that program, or choose another name."
+        )
+    if _is_too_long(path, error):
+        return WorkspaceError(
+            f"Cannot write '{path}': the path has {len(os.path.abspath(path))} characters, and Windows takes 259, "
+            "temporary names included: choose a shorter place, or have Windows allow long paths (LongPathsEnabled)."
         )
     if error.errno == errno.EROFS:
         return WorkspaceError(f"Cannot write '{path}': the disk is read-only: choose a place on another disk.")

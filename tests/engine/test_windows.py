@@ -1,6 +1,6 @@
 """The engine as Windows has it, as far as Linux can play that: ``spawn``, no POSIX calls, code page 1252, odd paths.
 
-What only Windows itself can show is in docs/compatibility.md.
+Under Windows these tests run as well; scripts/windows-trial does that under Wine.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from repm_qgis.imagery.raster import opened
 
@@ -90,6 +91,7 @@ def test_a_failure_is_a_sentence_with_names_that_the_code_page_lacks(tmp_path):
     assert missing in said[-1]["text"] and "Traceback" not in errors
 
 
+@pytest.mark.skipif(os.name == "nt", reason="test_parallel itself has spawned workers there")
 def test_tasks_pass_all_their_tests_with_spawned_workers(tmp_path):
     """Order, exceptions, deaths and Cancel; the tests about memory start engines of their own."""
     start = tmp_path / "start.py"

@@ -454,3 +454,19 @@ def test_a_link_that_came_with_a_workspace_is_replaced_and_not_followed(urban, t
     assert precious.read_text() == "years of work"
     assert (workspace_folder / name).is_file() and not (workspace_folder / name).is_symlink()
     assert (tmp_path / "dsm.tif").is_symlink() and (tmp_path / "disk.tif").stat().st_size > 1000  # which a user named
+
+
+def test_a_path_that_is_too_long_for_windows_is_said(tmp_path, monkeypatch):
+    """Windows says no more of it than that nothing is there."""
+    monkeypatch.setattr(workspace, "_LONGEST_PATH", 210)
+    deep = tmp_path / ("a" * 100) / ("b" * 100)
+
+    def refuse(self, *_, **__):
+        raise FileNotFoundError(errno.ENOENT, "The system cannot find the path specified")
+
+    monkeypatch.setattr(workspace.Path, "mkdir", refuse)
+    words = rf"the path has {len(str(deep))} characters, and Windows takes 259.*choose a shorter place"
+    with pytest.raises(WorkspaceError, match=words):
+        ensure_folder(str(deep))
+    with pytest.raises(WorkspaceError, match="Cannot write into the folder"):
+        ensure_folder("short")
