@@ -1235,15 +1235,15 @@
     </message>
     <message>
         <source>The DSM of the registered scene is made. Compare it again, best with heights that were not used.</source>
-        <translation>Das DOM der registrierten Szene ist fertig. Es noch einmal vergleichen, am besten mit Höhen, die nicht verwendet wurden.</translation>
+        <translation>Das DOM der eingepassten Szene ist fertig. Es noch einmal vergleichen, am besten mit Höhen, die nicht verwendet wurden.</translation>
     </message>
     <message>
         <source>If the DSM is off by more than you accept, register its scene to the reference, and make it again.</source>
-        <translation>Wenn das DOM weiter danebenliegt, als zulässig ist, seine Szene auf die Referenz registrieren und es neu erzeugen.</translation>
+        <translation>Wenn das DOM weiter danebenliegt, als zulässig ist, seine Szene auf die Referenz einpassen und es neu erzeugen.</translation>
     </message>
     <message>
         <source>Register to this reference…</source>
-        <translation>Auf diese Referenz registrieren…</translation>
+        <translation>Auf diese Referenz einpassen…</translation>
     </message>
     <message>
         <source>The scene was moved by {distance} m. Make its DSM again.</source>
@@ -1263,11 +1263,11 @@
     </message>
     <message>
         <source>Compare with a reference…</source>
-        <translation>Mit Referenz vergleichen…</translation>
+        <translation>Mit einer Referenz vergleichen…</translation>
     </message>
     <message>
         <source>Register to a reference…</source>
-        <translation>Auf Referenz registrieren…</translation>
+        <translation>Auf eine Referenz einpassen…</translation>
     </message>
 </context>
 <context>
