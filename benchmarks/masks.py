@@ -41,9 +41,11 @@ def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     matched = case.matched(NO_MASK)
     seen, geometry = sample_pair(case.task, case.frame, case.geometry), case.geometry
     start = time.process_time()
-    images = (seen.first, seen.second, seen.disparities)
-    wider = partial(wide_match, *images, geometry.height_sign, sgm.match, MATCHING)
-    kept = mask_unreliable(matched, *images, geometry.height_sign, geometry.metres_per_px, wider=wider)
+    images, sign, metres = (seen.first, seen.second, seen.disparities), geometry.height_sign, geometry.metres_per_px
+    residual = sgm.match(*images, sign, geometry.relief_displacement, MATCHING)
+    wider = partial(wide_match, seen.reduced(), sign, sgm.match, MATCHING)
+    kept = mask_unreliable(residual, *images, sign, metres, wider=wider, full_disparity=seen.full_disparity)
+    kept = kept.in_frame(seen.window, case.frame.size)
     seconds = time.process_time() - start
     dsms = [case.dsm_of(found) for found in (matched, kept)]
     alignment = align("cells" if case.align else "none", [(dsms[0], case.truth)], (1.0, 1.0))

@@ -17,6 +17,7 @@ from benchmarks.matching import MatchedPair
 from benchmarks.runner import few, pipeline, stage
 from benchmarks.scenes import Scene, default, simulated, zy3_fine
 from benchmarks.tables import Section, table
+from repm_qgis.arrays import Window
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching import sgm
@@ -81,18 +82,19 @@ class Case(MatchedPair):
         super().__init__(scene, views)
         geometry = self.geometry
         self.seen = sample_pair(self.task, self.frame, geometry)
-        images = self.seen.first, self.seen.resampled, self.seen.residuals
+        images = self.seen.first, self.seen.second, self.seen.disparities
         sides = geometry.height_sign, geometry.relief_displacement
         found = sgm.match(*images, *sides, replace(MATCHING, subpixel=NOTHING))
         self.start = np.where(found.filled, np.float32(np.nan), found.disparity)
         self.truth = true_disparities(geometry, self.frame.size, truth, place)
         matched = self.matched()
         self.truth += np.nanmedian((matched.disparity - self.truth)[~matched.filled])
+        self.truth = self.truth[self.seen.window.inside(Window(0, 0, *self.frame.size))]
         self.true_start = np.where(np.isfinite(self.start), self._residual(), np.nan).astype(np.float32)
 
     def full(self, residual: np.ndarray) -> np.ndarray:
         """Disparities of residuals around the prior on which the second image was sampled."""
-        return residual if self.seen.prior is None else self.seen.prior.full_disparity(residual)
+        return self.seen.full_disparity(residual)
 
     def _residual(self) -> np.ndarray:
         """The true disparities as residuals."""
@@ -105,10 +107,8 @@ class Case(MatchedPair):
 
     def errors(self, from_truth: bool, parameters: SubpixelParameters) -> List[float]:
         """Median and 90 % of absolute errors, and the standard deviation of their means in the steps' window, px."""
-        start, high = self.true_start if from_truth else self.start, self.seen.residuals[1]
-        error = (
-            self.full(subpixel_disparity(start, self.seen.first, self.seen.resampled, high, parameters)) - self.truth
-        )
+        start, high = self.true_start if from_truth else self.start, self.seen.disparities[1]
+        error = self.full(subpixel_disparity(start, self.seen.first, self.seen.second, high, parameters)) - self.truth
         known = np.isfinite(error) & np.isfinite(self.true_start)
         known[:_RIM] = known[-_RIM:] = known[:, :_RIM] = known[:, -_RIM:] = False
         # What is on another surface is not a matter of fractions.

@@ -17,8 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import spsolve
 
 from ..arrays import Bounds, FloatArray, Floats
 from ..geometry.cell_grid import CellGrid
@@ -69,6 +67,8 @@ class Lattice:
 
     def weights(self, x: FloatArray, y: FloatArray) -> Any:
         """The sparse (N, nodes) matrix that takes values on the nodes, row by row, to N places within the bounds."""
+        from scipy import sparse
+
         rows, columns = self.shape
         left, below, right, above = self.bounds
         across = np.clip((x - left) / (right - left), 0.0, 1.0) * (columns - 1)
@@ -84,6 +84,8 @@ class Lattice:
     def stiffness(self, parameters: MapOffsetParameters) -> Any:
         """The sparse (nodes, nodes) inverse covariance of an error of parallax, px, that is small and smooth: of its
         mean, and of its differences between neighbours."""
+        from scipy import sparse
+
         number = np.arange(self.shape[0] * self.shape[1]).reshape(self.shape)
         pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
         first, second = (np.concatenate([pair[k].ravel() for pair in pairs]) for k in (0, 1))
@@ -229,6 +231,9 @@ def solve_parallax(
     Least squares with Huber's weights, and a prior of small and smooth errors: it keeps what differences leave open,
     the mean of all maps, each with the weight of its geometry.
     """
+    from scipy import sparse
+    from scipy.sparse.linalg import spsolve
+
     differences = [each for each in differences if len(each.median)]
     keys = list(dict.fromkeys(key for each in differences for key in (each.first, each.second)))
     if not keys:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Callable, Iterator, Optional, Tuple
 
 import cv2
@@ -79,6 +80,52 @@ def warp(dataset: Image, band: int, to_source: PixelMap, size: Size, kernel: str
     for row, strip in warp_strips(dataset, band, to_source, size, kernel):
         result[row : row + len(strip)] = strip
     return result
+
+
+@dataclass(frozen=True)
+class SourcePixels:
+    """The part of an image that a map of pixels spans, read once for all that is sampled from it.
+
+    ``pixels`` (height, width) begin at the pixel ``origin`` (column, row) of the image; each stands for ``factor`` px.
+    """
+
+    pixels: FloatImage
+    origin: Tuple[int, int]
+    factor: int = 1
+
+    def sampled(self, to_source: PixelMap, size: Size, kernel: str) -> FloatImage:
+        """What :func:`warp` gives, of these pixels."""
+        width, height = size
+        nodes = (_nodes(to_source, width, 0, height) - self.origin + 0.5) / self.factor - 0.5
+        u, v = (
+            interpolate_steps(nodes[..., k].astype(np.float32), (height, width), WARPING.node_step_px) for k in (0, 1)
+        )
+        return _remapped(self.pixels, u, v, kernel)
+
+    def reduced(self, factor: int) -> SourcePixels:
+        """Means of ``factor`` x ``factor`` px; NaN where one of them is, and incomplete ones at the ends dropped."""
+        return SourcePixels(reduced(self.pixels, factor), self.origin, self.factor * factor)
+
+
+def reduced(image: FloatImage, factor: int) -> FloatImage:
+    """Means over ``factor`` x ``factor`` px; NaN where one of them is, and incomplete ones at the ends dropped."""
+    height, width = (n // factor for n in image.shape)
+    whole = image[: height * factor, : width * factor]
+    if not whole.size:
+        return np.full((1, 1), np.nan, dtype=np.float32)
+    small: FloatImage = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+    return small
+
+
+def source_pixels(
+    dataset: Image, band: int, to_source: PixelMap, size: Size, change: Callable[[FloatImage], FloatImage]
+) -> SourcePixels:
+    """The pixels of an image that all pixels of a result of ``size`` (width, height) are sampled from, after a
+    ``change`` of their values, such as a stretch."""
+    window = _window(dataset, _nodes(to_source, size[0], 0, size[1]), "lanczos")
+    if window is None:
+        return SourcePixels(np.full((1, 1), np.nan, dtype=np.float32), (0, 0))
+    return SourcePixels(change(read(dataset, window, band)), (window[0], window[1]))
 
 
 def warp_strips(

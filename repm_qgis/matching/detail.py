@@ -9,13 +9,13 @@ in clear images stays.
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import List, Optional, Sequence
 
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage
-from ..geometry.interpolation import interpolate_steps
+from ..arrays import FloatImage, Size
 from ..imagery.sampling import nmad
 from ..imagery.warping import gaussian_mean
 from .parameters import DetailParameters, SubpixelParameters
@@ -50,7 +50,7 @@ def without_noise(
         detail = np.where(known, narrow - wide, np.float32(0))
         power = gaussian_mean(known, parameters.power_window * coarse)(detail * detail)
         share = np.minimum(noise / np.maximum(power, np.float32(1e-9)), np.float32(1))
-        kept = kept + (1 - share ** np.float32(p.power)) * detail
+        kept = kept + (1 - reduce(np.multiply, [share] * p.power)) * detail
     return np.where(known, kept, np.float32(np.nan)).astype(np.float32)
 
 
@@ -77,16 +77,23 @@ def _means(disparity: FloatImage, scales_px: Sequence[float], parameters: Subpix
     height, width = disparity.shape
     small = means[-1][::_HALF, ::_HALF]
     known = np.isfinite(small)
+    weight = _doubled(known.astype(np.float32), (width, height))
+    found = weight > 0
+    share = np.where(found, weight, np.float32(1))
     for sigma in scales_px[len(full) :]:
         rest = np.sqrt(sigma**2 - (full[-1] ** 2 if full else 0.0)) / _HALF
         mean = bilateral_mean(small, rest, parameters.alike_detail_px)
-        value, weight = (
-            interpolate_steps(np.pad(part, (0, 1), mode="edge"), (height, width), _HALF)
-            for part in (np.where(known, mean, np.float32(0)), known.astype(np.float32))
-        )
-        found = weight > 0
-        means.append(np.where(found, value / np.where(found, weight, np.float32(1)), means[-1]))
+        value = _doubled(np.where(known, mean, np.float32(0)), (width, height))
+        means.append(np.where(found, value / share, means[-1]))
     return means
+
+
+def _doubled(small: FloatImage, size: Size) -> FloatImage:
+    """An image of ``size`` (width, height) whose every second pixel a small one has; linear between them."""
+    half = np.array([[1 / _HALF, 0, 0], [0, 1 / _HALF, 0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    image: FloatImage = cv2.warpAffine(small, half, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return image
 
 
 def bilateral_mean(disparity: FloatImage, sigma_px: float, alike_px: float, window_px: int = 0) -> FloatImage:

@@ -8,7 +8,7 @@ from typing import Protocol, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..arrays import FloatImage, Mask, Size, Window
 from ..imagery.correlation import window_statistics
 from ..imagery.warping import box_filter
 from .parameters import MATCHING, MatchingParameters
@@ -28,6 +28,14 @@ class DisparityMap:
     disparity: FloatImage
     score: FloatImage
     filled: Mask
+
+    def in_frame(self, window: Window, size: Size) -> DisparityMap:
+        """The map of a whole frame of ``size`` (width, height), of which this is a part; NaN beside it."""
+        part = window.inside(Window(0, 0, *size))
+        disparity, score = (np.full(size[::-1], np.nan, dtype=np.float32) for _ in range(2))
+        filled = np.zeros(size[::-1], dtype=bool)
+        disparity[part], score[part], filled[part] = self.disparity, self.score, self.filled
+        return DisparityMap(disparity, score, filled)
 
 
 class PairMatcher(Protocol):

@@ -9,16 +9,16 @@ vertical parallax that the pinhole model leaves.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import NamedTuple, Optional, Tuple
 
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Floats
+from ..arrays import Bounds, FloatArray, FloatImage, Floats, Window
 from ..geometry.interpolation import bilinear, interpolate_steps
 from ..imagery.parameters import WARPING
 from ..imagery.sampling import median_of_known, median_of_neighbours, nmad
-from ..imagery.warping import PixelMap
+from ..imagery.warping import PixelMap, reduced
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
 from .disparity_map import PairMatcher
@@ -31,13 +31,15 @@ STEP_PX = WARPING.node_step_px  # between the nodes of the resampled second imag
 class DisparityPrior:
     """A disparity of the ground on nodes, and the residual disparities to search around it.
 
-    ``nodes`` (m, n) lie ``STEP_PX`` apart in the frame of the resampled second image, whose column c stands for
-    the rectified column c - ``high``; bilinear between them. ``low`` and ``high`` are the least and greatest residual.
+    ``nodes`` (m, n) lie ``STEP_PX`` apart in the frame of the resampled second image; bilinear between them. Its column
+    c stands for the rectified column c - ``high``, both counted from the ``origin`` (column, row) of the part of the
+    rectified frame that is matched. ``low`` and ``high`` are the least and greatest residual.
     """
 
     nodes: FloatArray
     low: int
     high: int
+    origin: Tuple[int, int] = (0, 0)
 
     def second_original(self, pair: RectifiedPair, geometry: PairGeometry, remove_parallax: bool = True) -> FloatArray:
         """(m, n, 2) original pixels of the second image from which the nodes are sampled.
@@ -45,7 +47,8 @@ class DisparityPrior:
         ``remove_parallax`` removes the vertical parallax at the prior's altitude.
         """
         rows, columns = (STEP_PX * np.arange(n, dtype=np.float64) for n in self.nodes.shape)
-        columns -= self.high
+        columns += self.origin[0] - self.high
+        rows += self.origin[1]
         height = geometry.height.on_grid(columns, rows, self.nodes)
         parallax = geometry.vertical_parallax.on_grid(columns, rows, height)
         row = rows[:, None] + (parallax if remove_parallax else np.zeros_like(parallax))
@@ -65,46 +68,119 @@ class DisparityPrior:
         return full
 
 
-def find_prior(
-    first: FloatImage,
-    second: FloatImage,
-    disparities: Tuple[int, int],
-    geometry: PairGeometry,
+class ReducedPair(NamedTuple):
+    """A rectified pair at a reduced resolution, as a :class:`.disparity_map.PairMatcher` gets it; ``disparities`` are
+    reduced px too."""
+
+    first: FloatImage
+    second: FloatImage
+    disparities: Tuple[int, int]
+
+    def part(self, window: Window, factor: int) -> ReducedPair:
+        """The pair of a part of the frame, which begins at whole multiples of the reduction."""
+        left, top, width, height = (n // factor for n in window)
+        span = self.disparities[1] - self.disparities[0]
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        return ReducedPair(self.first[rows, columns], self.second[rows, left : left + width + span], self.disparities)
+
+
+def reduced_pair(
+    first: FloatImage, second: FloatImage, disparities: Tuple[int, int], parameters: PriorParameters = MATCHING.prior
+) -> ReducedPair:
+    """A pair reduced as the coarse level has it. ``disparities`` must be whole multiples of the reduction."""
+    (low, high), (a, b) = disparities, (reduced(image, parameters.factor) for image in (first, second))
+    return ReducedPair(a, b, (low // parameters.factor, high // parameters.factor))
+
+
+@dataclass(frozen=True)
+class CoarseLevel:
+    """What a reduced pair says of the ground in a frame.
+
+    ``disparity`` (h, w) of the reduced pixels, in px of the frame, NaN where nothing was matched; ``search`` are the
+    disparities among which it was searched, and ``shape`` (height, width) is that of the frame.
+    """
+
+    disparity: FloatImage
+    search: Tuple[int, int]
+    shape: Tuple[int, int]
+
+    def window(self, bounds: Bounds, geometry: PairGeometry, parameters: PriorParameters) -> Window:
+        """The part of the frame that may show a ground rectangle: what lies beside it need not be matched.
+
+        A cell of the frame shows ground between the lines of sight at its least and its greatest disparity and those
+        of its neighbours; where nothing was matched, those around it count.
+        """
+        step = parameters.factor * parameters.cell_px
+        rows, columns = (np.minimum(step * np.arange(-(-n // step) + 1.0), n - 1.0) for n in self.shape)
+        ground = []
+        for disparity, more in zip(self._ends(parameters), (-1.0, 1.0) * np.array(_more(geometry, parameters))):
+            at = np.clip(disparity + more, *self.search)
+            for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                place = columns[j : len(columns) - 1 + j], rows[i : len(rows) - 1 + i]
+                height = geometry.height.on_grid(*place, at)
+                ground.append([table.on_grid(*place, height) for table in (geometry.x, geometry.y)])
+        low, high = np.min(ground, axis=0), np.max(ground, axis=0)
+        near = np.all([(high[k] >= bounds[k]) & (low[k] <= bounds[k + 2]) for k in (0, 1)], axis=0)
+        across, down = np.flatnonzero(near.any(axis=0)), np.flatnonzero(near.any(axis=1))
+        if not across.size:
+            return Window(0, 0, self.shape[1], self.shape[0])
+        left, top = step * int(across[0]), step * int(down[0])
+        right, bottom = (min(step * int(of[-1] + 1), n) for of, n in zip((across, down), self.shape[::-1]))
+        return Window.spanning(left, top, right, bottom)
+
+    def _ends(self, parameters: PriorParameters) -> Tuple[FloatArray, FloatArray]:
+        """(rows, columns) least and greatest disparity of each cell and its neighbours, the last cells incomplete."""
+        step, cell = parameters.factor * parameters.cell_px, parameters.cell_px
+        height, width = (-(-n // step) for n in self.shape)
+        padded = np.full((height * cell, width * cell), np.nan, dtype=np.float32)
+        rows, columns = self.disparity.shape
+        padded[:rows, :columns] = self.disparity
+        blocks = padded.reshape(height, cell, width, cell)
+        window = np.ones((3, 3), np.uint8)
+        least, greatest = (
+            fill_gaps(np.where(np.isfinite(ends), ends, np.float32(np.nan)), parameters.gap_cells)
+            for ends in (np.fmin.reduce(blocks, axis=(1, 3)), np.fmax.reduce(blocks, axis=(1, 3)))
+        )
+        return cv2.erode(least, window).astype(np.float64), cv2.dilate(greatest, window).astype(np.float64)
+
+
+def coarse_level(
+    pair: ReducedPair,
+    shape: Tuple[int, int],
+    height_sign: float,
     match: PairMatcher,
     parameters: MatchingParameters = MATCHING,
-) -> Optional[DisparityPrior]:
-    """Match a pair at a reduced resolution; None where that does not narrow the search, and for a town on a plain: its
-    prior is smoother than its walls, and bends the roofs beside them.
+) -> CoarseLevel:
+    """Match a reduced pair of a frame of ``shape`` (height, width)."""
+    p = parameters.prior
+    found = match(pair.first, pair.second, pair.disparities, height_sign, parameters=parameters)
+    disparity = np.where(found.filled, np.float32(np.nan), found.disparity) * np.float32(p.factor)
+    return CoarseLevel(disparity, (pair.disparities[0] * p.factor, pair.disparities[1] * p.factor), shape)
 
-    ``first``, ``second`` and ``disparities`` are as of a :class:`repm_qgis.matching.disparity_map.PairMatcher`; the
-    disparities must be whole multiples of the reduction.
-    """
-    p, (low, high) = parameters.prior, disparities
-    step_px = p.factor * p.cell_px
-    if high - low < p.least_span_px or min(first.shape) < step_px * 4:
-        return None
-    a, b = (reduced(image, p.factor) for image in (first, second))
-    found = match(a, b, (low // p.factor, high // p.factor), geometry.height_sign, parameters=parameters)
-    coarse = np.where(found.filled, np.float32(np.nan), found.disparity) * np.float32(p.factor)
-    ground = _ground(coarse, p)
+
+def needs_coarse_level(disparities: Tuple[int, int], shape: Tuple[int, int], parameters: PriorParameters) -> bool:
+    """Whether a search of these disparities in a frame (height, width) is so wide that a coarse one pays."""
+    p = parameters
+    return disparities[1] - disparities[0] >= p.least_span_px and min(shape) >= p.factor * p.cell_px * 4
+
+
+def find_prior(
+    coarse: CoarseLevel, window: Window, geometry: PairGeometry, parameters: PriorParameters = MATCHING.prior
+) -> Optional[DisparityPrior]:
+    """The prior of a window of the frame; None where it does not narrow the search, and for a town on a plain: it is
+    smoother than a town's walls, and bends the roofs beside them."""
+    p, step_px = parameters, parameters.factor * parameters.cell_px
+    ground = _ground(coarse.disparity, p)
     if ground is None:
         return None
     ground = bounded_slope(ground, p.rise * step_px, p.fall * step_px)
-    residual = _residual(coarse, ground, p)
-    if _is_town(residual, coarse[np.isfinite(coarse)], p):
+    residual = _residual(coarse.disparity, ground, p)
+    if _is_town(residual, coarse.disparity[np.isfinite(coarse.disparity)], p):
         return None
     ends = _ends(residual, geometry, p)
-    if ends[1] - ends[0] > p.least_gain * (high - low):
+    if ends[1] - ends[0] > p.least_gain * (coarse.search[1] - coarse.search[0]):
         return None
-    return DisparityPrior(_nodes(ground, first.shape, ends, step_px), *ends)
-
-
-def reduced(image: FloatImage, factor: int) -> FloatImage:
-    """Means over ``factor`` x ``factor`` px; NaN where one of them is, and incomplete ones at the ends dropped."""
-    height, width = (n // factor for n in image.shape)
-    whole = image[: height * factor, : width * factor]
-    small: FloatImage = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
-    return small
+    return DisparityPrior(_nodes(ground, window, ends, step_px), *ends, (window[0], window[1]))
 
 
 def _ground(coarse: FloatImage, parameters: PriorParameters) -> Optional[FloatArray]:
@@ -124,7 +200,7 @@ def fill_gaps(cells: FloatImage, sigma: float) -> FloatImage:
     """Gaps filled from their surroundings: Gaussian means that become wider, the narrowest that knows something."""
     known = np.isfinite(cells)
     value, weight = np.where(known, cells, np.float32(0)), known.astype(np.float32)
-    result, missing = value.copy(), ~known
+    result, missing = value.copy(), ~known if known.any() else known
     while missing.any():
         share = cv2.GaussianBlur(weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         total = cv2.GaussianBlur(value, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
@@ -181,15 +257,21 @@ def _tails(values: Floats, parameters: PriorParameters) -> FloatArray:
 def _ends(residual: FloatArray, geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
     """Least and greatest residual to search."""
     low, high = _tails(residual, parameters)
-    margin, above = parameters.margin_px, parameters.margin_px + parameters.above_m / geometry.metres_per_px
-    more = (margin, above) if geometry.height_sign > 0 else (above, margin)
+    more = _more(geometry, parameters)
     return int(np.floor(low - more[0])), int(np.ceil(high + more[1]))
 
 
-def _nodes(ground: FloatArray, shape: Tuple[int, ...], ends: Tuple[int, int], step_px: int) -> FloatArray:
+def _more(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[float, float]:
+    """Px of disparity by which heights may lie below and above what the coarse level found."""
+    margin, above = parameters.margin_px, parameters.margin_px + parameters.above_m / geometry.metres_per_px
+    return (margin, above) if geometry.height_sign > 0 else (above, margin)
+
+
+def _nodes(ground: FloatArray, window: Window, ends: Tuple[int, int], step_px: int) -> FloatArray:
     """(m, n) ground on the nodes of the resampled second image, the last at or beyond its last pixel."""
-    rows = np.arange(0, shape[0] + STEP_PX, STEP_PX, dtype=np.float64)
-    columns = np.arange(0, shape[1] + ends[1] - ends[0] + 1 + STEP_PX, STEP_PX, dtype=np.float64) - ends[1]
+    left, top, width, height = window
+    rows = np.arange(0, height + STEP_PX, STEP_PX, dtype=np.float64) + top
+    columns = np.arange(0, width + ends[1] - ends[0] + 1 + STEP_PX, STEP_PX, dtype=np.float64) - ends[1] + left
     columns, rows = np.meshgrid(columns, rows)
     return _at(ground, columns, rows, step_px)
 

@@ -10,7 +10,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask
+from ..arrays import FloatArray, FloatImage, IntArray, Mask
 from .parameters import MATCHING, OcclusionParameters
 
 
@@ -38,57 +38,47 @@ def fill_occlusions(
         failure of the check, and each pixel takes the end that its unchecked disparity is nearer to. In a long gap it
         must be that surface's.
     """
-    sign = np.float32(height_sign)
-    known = np.isfinite(disparity)
-    left, right, length = _ends(sign * disparity, known)
-    up, down, rows = (part.T for part in _ends(sign * disparity.T, known.T))
+    sign, known = np.float32(height_sign), np.isfinite(disparity)
+    gaps = np.nonzero(~known)
+    left, right, before, after, length = _ends(sign * disparity, known, gaps, 1)
+    up, down, _, _, rows = _ends(sign * disparity, known, gaps, 0)
+    displacement = height_sign * relief_displacement
+    # Verticals lead from the foot of a wall to its upper end, at the left or at the right of the gap.
+    upper, lower, end = (right, left, after) if displacement > 0 else (left, right, before)
     with np.errstate(invalid="ignore"):
         rise = sign * (right - left)
         explained = length <= np.abs(rise) * parameters.factor + parameters.slack_px
         long = (rise < 0) & (length > parameters.slack_px) & (rows > parameters.narrow_px)
-        wall = _on_wall(known, left, right, height_sign * relief_displacement)
-    gap = ~known & (explained | (rows <= parameters.narrow_px)) & ~wall
-    ends = np.stack([end[gap] for end in (left, right, up, down)])
-    chosen = np.fmin(np.fmin(ends[0], ends[1]), np.sort(ends, axis=0)[1])
-    own = np.full_like(chosen, np.nan) if unchecked is None else sign * unchecked[gap]
-    upper = np.fmax(ends[0], ends[1])
+        wall = np.abs(gaps[1] - end) < abs(displacement) * (upper - lower)
+    lower_row, lower_column = np.fmin(left, right), np.fmin(up, down)
+    second = np.fmin(np.maximum(lower_row, lower_column), np.fmin(np.maximum(left, right), np.maximum(up, down)))
+    chosen = np.fmin(lower_row, second)
+    own = np.full_like(chosen, np.nan) if unchecked is None else sign * unchecked[gaps]
+    higher = np.fmax(left, right)
     with np.errstate(invalid="ignore"):
-        meet = (rise[gap] < -parameters.step_px) & (upper - own < own - chosen)
-        chosen = np.where(meet, upper, chosen)
-        chosen[long[gap] & ~(np.abs(own - chosen) <= parameters.step_px)] = np.nan
+        meet = (rise < -parameters.step_px) & (higher - own < own - chosen)
+        chosen = np.where(meet, higher, chosen)
+        chosen[long & ~(np.abs(own - chosen) <= parameters.step_px)] = np.nan
     filled = disparity.copy()
-    filled[gap] = sign * chosen
+    filled[gaps] = np.where((explained | (rows <= parameters.narrow_px)) & ~wall, sign * chosen, np.float32(np.nan))
     return filled
 
 
-def _on_wall(known: Mask, left: FloatImage, right: FloatImage, displacement: float) -> Mask:
-    """Pixels of gaps between the upper end of a step in their row and the foot of the vertical below it.
-
-    ``displacement`` is in columns for each px of height, as the ends ``left`` and ``right`` have it.
-    """
-    if not displacement:
-        return np.zeros(known.shape, dtype=bool)
-    columns = np.arange(known.shape[1], dtype=np.float32)[None, :]
-    # The foot lies in the gap only where verticals lead from there to the upper end.
-    upper, lower = (right, left) if displacement > 0 else (left, right)
-    places = np.where(known, columns, np.float32(np.nan))
-    if displacement > 0:
-        end = np.fmin.accumulate(places[:, ::-1], axis=1)[:, ::-1]
-    else:
-        end = np.fmax.accumulate(places, axis=1)
-    wall: Mask = np.abs(columns - end) < abs(displacement) * (upper - lower)
-    return wall
-
-
-def _ends(surface: FloatImage, known: Mask) -> Tuple[FloatImage, FloatImage, FloatArray]:
-    """The known values before and after each pixel of a row (NaN: none), and how many unknown ones lie between.
-
-    That number is infinite where the row's end comes first.
-    """
-    width = surface.shape[1]
-    columns, rows = np.arange(width)[None, :], np.arange(surface.shape[0])[:, None]
-    before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
-    after = np.minimum.accumulate(np.where(known, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    left = np.where(before >= 0, surface[rows, np.maximum(before, 0)], np.float32(np.nan))
-    right = np.where(after < width, surface[rows, np.minimum(after, width - 1)], np.float32(np.nan))
-    return left, right, np.where((before >= 0) & (after < width), after - before - 1, np.inf)
+def _ends(
+    surface: FloatImage, known: Mask, gaps: Tuple[IntArray, ...], axis: int
+) -> Tuple[FloatImage, FloatImage, FloatArray, FloatArray, FloatArray]:
+    """For (N,) unknown pixels, along an axis: the known values before and after each (NaN: none), their places (NaN),
+    and how many unknown ones lie between: infinite where the image's end comes first."""
+    size = known.shape[axis]
+    place = np.arange(size, dtype=np.int32)
+    place = place if axis else place[:, None]
+    backwards = (slice(None),) * axis + (slice(None, None, -1),)
+    before = np.maximum.accumulate(np.where(known, place, np.int32(-1)), axis=axis)[gaps]
+    after = np.minimum.accumulate(np.where(known, place, np.int32(size))[backwards], axis=axis)[backwards][gaps]
+    values = []
+    for end in (np.maximum(before, 0), np.minimum(after, size - 1)):
+        at = (gaps[0], end) if axis else (end, gaps[1])
+        values.append(surface[at])  # NaN where the end is none, because the pixel there is unknown
+    first, last = (np.where(ok, end, np.nan) for ok, end in ((before >= 0, before), (after < size, after)))
+    between = np.where((before >= 0) & (after < size), after - before - 1, np.inf)
+    return values[0], values[1], first, last, between

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache
 from itertools import product
-from typing import Any, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, Bounds, FloatImage, Size
+from ..arrays import Altitudes, Bounds, FloatImage, Mask, Size, Window
 from ..errors import EmptyResultError
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
-from ..imagery.warping import PixelMap, warp
+from ..imagery.warping import PixelMap, SourcePixels, source_pixels
 from ..memory import matching_mib, tile_work, workers_within
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
@@ -31,7 +31,14 @@ from ..stereo.triangulation import PairGeometry, pair_geometry
 from ..workspace import drop_temporaries, fingerprint
 from .backends import MatchingJob, MatchingResult
 from .disparity_map import DisparityMap, PairMatcher
-from .disparity_prior import DisparityPrior, find_prior, sampled_on
+from .disparity_prior import (
+    DisparityPrior,
+    ReducedPair,
+    coarse_level,
+    find_prior,
+    needs_coarse_level,
+    sampled_on,
+)
 from .parameters import MATCHING, MatchingParameters, PriorParameters
 from .reliability import mask_unreliable
 from .wide_windows import wide_match
@@ -152,48 +159,72 @@ def frame_size(task: PairTask) -> Size:
 
 
 class SampledPair(NamedTuple):
-    """A rectified pair as a matcher gets it: ``first``, ``second`` and the whole range of ``disparities``.
+    """A rectified pair as a matcher gets it: ``first``, ``second`` and the ``disparities`` to search.
 
-    ``resampled`` is the second image for the ``residuals``; without a prior they are the second image and all of the
-    range.
+    ``window`` is the part of the rectified frame that shows the tile. With a ``prior``, the second image is resampled
+    on it and the disparities are residual ones. ``reduced`` gives the pair as the coarse level has it.
     """
 
     first: FloatImage
     second: FloatImage
     disparities: Tuple[int, int]
-    resampled: FloatImage
-    residuals: Tuple[int, int]
+    window: Window
     prior: Optional[DisparityPrior]
+    reduced: Callable[[], ReducedPair]
+
+    def full_disparity(self, disparity: FloatImage) -> FloatImage:
+        """Disparities (H, W) of the rectified images from those of the matcher."""
+        return disparity if self.prior is None else self.prior.full_disparity(disparity)
 
 
 def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> SampledPair:
-    """The images of a task's pair, on the disparity prior where that narrows the search."""
-    low, high = search = _whole_range(geometry, task.parameters.prior)
+    """The images of a task's pair where they show the tile, on the disparity prior where that narrows the search."""
+    p = task.parameters.prior
+    low, high = search = _whole_range(geometry, p)
     width, height = pair.size
-    shifted = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
-    first = _intensity(task, 0, pair.first_original, pair.size)
-    second = _intensity(task, 1, shifted.second_original, (width + high - low, height))
-    prior = find_prior(first, second, search, geometry, task.backend.pair_matcher, task.parameters)
+    moved = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
+    sizes = (pair.size, (width + high - low, height))
+    maps = (moved.first_original, moved.second_original)
+    first, second = (_source(task, number, maps[number], sizes[number]) for number in (0, 1))
+
+    @cache
+    def whole() -> ReducedPair:
+        a, b = (_reduced(*part, p.factor) for part in zip((first, second), maps, sizes))
+        return ReducedPair(a, b, (low // p.factor, high // p.factor))
+
+    window, prior = Window(0, 0, width, height), None
+    if needs_coarse_level(search, (height, width), p):
+        match, sign = task.backend.pair_matcher, geometry.height_sign
+        coarse = coarse_level(whole(), (height, width), sign, match, task.parameters)
+        bounds = Bounds(*task.bounds).grown(task.parameters.stereo.tile_margin_px * task.scene.gsd_m)
+        window = coarse.window(bounds, geometry, p)
+        prior = find_prior(coarse, window, geometry, p)
+    left, top, width, height = window
+    a = first.sampled(lambda at: pair.first_original(at + (left, top)), (width, height), "cubic")
     if prior is None:
-        return SampledPair(first, second, search, second, search, None)
-    original = sampled_on(prior.second_original(pair, geometry, task.parameters.prior.remove_parallax))
-    resampled = _intensity(task, 1, original, (width + prior.high - prior.low, height))
-    return SampledPair(first, second, search, resampled, (prior.low, prior.high), prior)
+        b = second.sampled(lambda at: moved.second_original(at + (left, top)), (width + high - low, height), "cubic")
+    else:
+        low, high = prior.low, prior.high
+        original = sampled_on(prior.second_original(pair, geometry, p.remove_parallax))
+        b = second.sampled(original, (width + high - low, height), "cubic")
+    return SampledPair(a, b, (low, high), window, prior, lambda: whole().part(window, p.factor))
 
 
 def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
-    """Disparities of a task's rectified pair, coarse to fine, without water and clouds."""
+    """Disparities of a task's rectified pair, coarse to fine, without water and clouds; NaN beside the tile."""
     seen, sign = sample_pair(task, pair, geometry), geometry.height_sign
     subpixel = task.parameters.subpixel.of_pair(task.scene.gsd_m / geometry.metres_per_px)
-    parameters = replace(task.parameters, subpixel=subpixel)
-    images, displacement = (seen.first, seen.resampled), geometry.relief_displacement
-    matched = task.backend.pair_matcher(*images, seen.residuals, sign, displacement, parameters)
-    if seen.prior is not None:
-        matched = replace(matched, disparity=seen.prior.full_disparity(matched.disparity))
-    # On full disparities: a prior that lies on a cloud would hide how high the cloud is.
-    whole = seen.first, seen.second, seen.disparities, sign
-    wider = partial(wide_match, *whole, task.backend.pair_matcher, parameters)
-    return mask_unreliable(matched, *whole, geometry.metres_per_px, parameters.reliability, wider)
+    parameters, match = replace(task.parameters, subpixel=subpixel), task.backend.pair_matcher
+    images = seen.first, seen.second, seen.disparities, sign
+    matched = match(*images, geometry.relief_displacement, parameters)
+
+    def wider(missing: Mask) -> DisparityMap:
+        return wide_match(seen.reduced(), sign, match, parameters, missing)
+
+    # Clouds are told by full disparities: a prior that lies on a cloud would hide how high the cloud is.
+    metres, reliability = geometry.metres_per_px, parameters.reliability
+    kept = mask_unreliable(matched, *images, metres, reliability, wider, seen.full_disparity)
+    return kept.in_frame(seen.window, pair.size)
 
 
 def _whole_range(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
@@ -204,10 +235,17 @@ def _whole_range(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[i
     return low, high
 
 
-def _intensity(task: PairTask, number: int, to_original: PixelMap, size: Size) -> FloatImage:
+def _source(task: PairTask, number: int, to_original: PixelMap, size: Size) -> SourcePixels:
+    """The intensities of a view that a frame of ``size`` is sampled from."""
     view = task.scene.view(task.pair[number])
     with opened_masked(view.image, view.mask) as dataset:
-        return task.stretches[number].apply(warp(dataset, view.band, to_original, size, "cubic"))
+        return source_pixels(dataset, view.band, to_original, size, task.stretches[number].apply)
+
+
+def _reduced(source: SourcePixels, to_source: PixelMap, size: Size, factor: int) -> FloatImage:
+    """A frame of ``size`` in pixels that stand for ``factor`` x ``factor`` px each."""
+    small = (size[0] // factor, size[1] // factor)
+    return source.reduced(factor).sampled(lambda at: to_source(factor * at + (factor - 1) / 2), small, "bilinear")
 
 
 def rectified_over_tile(

@@ -69,7 +69,7 @@ class DetailParameters(Parameters):
 
     scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)  # of the means that detail is taken apart by; matching table
     noise_share: float = 0.5  # of the variance of the last step, which the filters before it leave; matching table
-    power: float = 1.0  # of the noise's share of the detail that is taken away; chosen: Wiener's gain
+    power: int = 1  # of the noise's share of the detail that is taken away; chosen: Wiener's gain
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class PlaneDetailParameters(DetailParameters):
 
     scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
     noise_share: float = 1.0
-    power: float = 4.0
+    power: int = 4
 
 
 @dataclass(frozen=True)
@@ -153,9 +153,8 @@ class ReliabilityParameters(Parameters):
 
 @dataclass(frozen=True)
 class WideWindowParameters(Parameters):
-    """Weak texture, matched at a reduced resolution; px are those of the reduced images."""
+    """Weak texture, matched at the coarse level, where the noise falls to a quarter; px are those of reduced images."""
 
-    factor: int = 4  # fine px for one reduced px, along each side: the noise falls to a quarter
     contrast_px: float = 4.0  # sigma of the window in which the contrast is made even
     contrast: float = 0.2  # standard deviation that intensities have then
     sigma_px: float = 2.0  # of the Gaussian window of the subpixel steps

@@ -14,6 +14,7 @@ questions are asked about each disparity:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Callable, Optional, Tuple
 
 import cv2
@@ -35,6 +36,7 @@ def mask_unreliable(
     metres_per_px: float,
     parameters: ReliabilityParameters = MATCHING.reliability,
     wider: Optional[Callable[[Mask], DisparityMap]] = None,
+    full_disparity: Optional[Callable[[FloatImage], FloatImage]] = None,
 ) -> DisparityMap:
     """The disparity map without what the images do not support, and without clouds: NaN there, and not filled either.
 
@@ -44,6 +46,8 @@ def mask_unreliable(
     metres_per_px : of height for a px of disparity.
     wider : gives the disparities that wide windows support within a mask (H, W): those of large components without
         support are taken from it.
+    full_disparity : gives the disparities of the rectified images from those of the map, where the second image was
+        resampled on a disparity prior; the result and those of ``wider`` have these.
     """
     disparity = np.where(matched.filled, np.float32(np.nan), matched.disparity)
     side, high = parameters.correlation_px, disparities[1]
@@ -51,20 +55,21 @@ def mask_unreliable(
     score = np.where(known, np.clip(score, -1, 1), np.float32(0))
     shown = _shown_twice(first, second, disparities)
     removed = _unsupported(matched, score, known, shown, parameters)
+    matches = np.isfinite(disparity)
+    if full_disparity is not None:
+        matched = replace(matched, disparity=full_disparity(matched.disparity))
     if wider is not None:
         missing = _large(shown & (removed | ~np.isfinite(matched.disparity)), parameters.least_px)
         if missing.any():
             wide = wider(missing)
             taken = missing & np.isfinite(wide.disparity)
             matched = _replaced(matched, wide, taken)
-            disparity = np.where(taken, wide.disparity, disparity)
-            removed, known = removed & ~taken, known | taken
+            removed, known, matches = removed & ~taken, known | taken, matches | taken
     height = matched.disparity * np.float32(height_sign * metres_per_px)
     step_m = parameters.cloud_step_px * metres_per_px
     removed |= _clouds(height, first, known & ~removed, step_m, parameters)
     if not removed.any():
         return matched
-    matches = np.isfinite(disparity)
     removed = np.where(matched.filled, _next_to_removed(matches, matches & removed), removed)
     disparity, score = (np.where(removed, np.float32(np.nan), part) for part in (matched.disparity, matched.score))
     return DisparityMap(disparity, score, matched.filled & ~removed)

@@ -16,49 +16,43 @@ import numpy as np
 
 from ..arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
-from ..imagery.warping import box_filter, gaussian_mean
+from ..imagery.warping import box_filter, gaussian_mean, reduced
 from .disparity_map import DisparityMap, PairMatcher, match_correlation
-from .disparity_prior import reduced
+from .disparity_prior import ReducedPair
 from .parameters import MatchingParameters, WideWindowParameters
 
 
 def wide_match(
-    first: FloatImage,
-    second: FloatImage,
-    disparities: Tuple[int, int],
-    height_sign: float,
-    match: PairMatcher,
-    parameters: MatchingParameters,
-    missing: Mask,
+    pair: ReducedPair, height_sign: float, match: PairMatcher, parameters: MatchingParameters, missing: Mask
 ) -> DisparityMap:
-    """Disparities of wide windows, NaN where the reduced images do not support them either; none is filled.
+    """Disparities of wide windows within a mask, NaN where the reduced images do not support them either; none is
+    filled.
 
-    Parameters are those of a :class:`.disparity_map.PairMatcher`; the disparities must be whole multiples of the
-    reduction. Scores are those at which the matcher's own disparities err as much.
+    ``pair`` is the whole images' pair, reduced by the prior's factor. Scores are those at which the matcher's own
+    disparities err as much.
     """
-    p, (low, high) = parameters.wide, disparities
-    low, high = low // p.factor, high // p.factor
-    small = [reduced(image, p.factor) for image in (first, second)]
+    p, factor, high = parameters.wide, parameters.prior.factor, pair.disparities[1]
+    small = (pair.first, pair.second)
     a, b = (even_contrast(image, p) for image in small)
     smooth = replace(parameters, subpixel=replace(parameters.subpixel, sigma_px=p.sigma_px))
-    found = match(a, b, (low, high), height_sign, parameters=smooth)
+    found = match(a, b, pair.disparities, height_sign, parameters=smooth)
     matched = np.isfinite(found.disparity) & ~found.filled
     # Free to vary from pixel to pixel, a disparity finds likeness in any noise; ground of weak texture is smooth.
     disparity = gaussian_mean(matched, p.smooth_px)(np.nan_to_num(found.disparity))
     disparity[~matched] = np.nan
     # Without the pixels around: the contrast of a bank, which both images show, would support the water beside it.
-    inside = _shrunk(reduced(missing.astype(np.float32), p.factor) > 0.5, p.rim_px)
+    inside = _shrunk(reduced(missing.astype(np.float32), factor) > 0.5, p.rim_px)
     own = np.where(inside, small[0], np.float32(np.nan))
     score, known = match_correlation(own, small[1], disparity, high, p.score_window_px, cv2.BORDER_REFLECT)
     support, _ = mean_of_known(score, known, box_filter(p.support_px), 1e-3)
     kept = _wide(known & (support > p.least_support), p.narrowest_px)
     loss = p.score_loss[0] + p.score_loss[1] * (1 - support)
-    places = _places(first.shape, kept.shape, p.factor)
+    places = _places(missing.shape, kept.shape, factor)
     disparity, score = (
         cv2.remap(np.where(kept, part, np.float32(np.nan)).astype(np.float32), *places, cv2.INTER_LINEAR)
-        for part in (disparity * p.factor, np.clip(1 - loss, 0, 1))
+        for part in (disparity * factor, np.clip(1 - loss, 0, 1))
     )
-    return DisparityMap(disparity, score, np.zeros(first.shape, dtype=bool))
+    return DisparityMap(disparity, score, np.zeros(missing.shape, dtype=bool))
 
 
 def even_contrast(image: FloatImage, parameters: WideWindowParameters) -> FloatImage:

@@ -17,7 +17,6 @@ from typing import Iterator, List, Sequence, Tuple
 
 import cv2
 import numpy as np
-from scipy import ndimage, optimize
 
 from ..arrays import FloatArray, FloatImage, Mask, Window
 from ..errors import OverlapError
@@ -70,6 +69,8 @@ def fitted(pair: Multispectral, height: float, parameters: PansharpeningParamete
     ``height`` is the ground's, m above the ellipsoid: the images see it from one direction, so that it need not be
     exact. Raises OverlapError where the images have no pixels in common.
     """
+    from scipy import optimize
+
     windows = list(_windows(pair, height, parameters))
     if not windows:
         raise OverlapError(
@@ -127,6 +128,8 @@ def _shift(
     total: FloatImage, pan: FloatImage, known: Mask, parameters: PansharpeningParameters
 ) -> Tuple[FloatArray, float]:
     """How far the multispectral window lies from the panchromatic one (column, row, px), and how sure that is."""
+    from scipy import ndimage
+
     parts = []
     for image in (pan, total):
         filled = np.where(known, image, np.mean(image[known]))

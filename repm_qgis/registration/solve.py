@@ -17,8 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Callable, Iterator, Optional, Tuple
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.stats import spearmanr
 
 from ..arrays import FloatArray, IntArray, Mask
 from ..errors import EmptyResultError
@@ -132,6 +130,8 @@ def _other_relief(own: FloatArray, reference: FloatArray, parameters: Registrati
 
     All heights count, not only those with a weight: these agree by choice.
     """
+    from scipy.stats import spearmanr
+
     relief = nmad(reference)
     if relief < parameters.relief_m:
         return None
@@ -431,6 +431,8 @@ class _Correlation:
     @classmethod
     def fitted(cls, lags: FloatArray, values: FloatArray, counts: FloatArray) -> "_Correlation":
         """To values at distances, by non-negative least squares over lengths from the least to the largest lag."""
+        from scipy.optimize import nnls
+
         if not len(lags):
             return cls(np.ones(1), np.zeros(1), np.zeros(1))
         lengths = np.geomspace(max(lags[0], 1e-6), max(lags[-1] / 2, 2 * lags[0], 1e-5), 12)

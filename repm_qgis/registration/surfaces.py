@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Optional, Tuple
 
 import numpy as np
-from scipy import ndimage
 
 from ..arrays import FloatArray, Floats
 from ..geometry.cell_grid import CellGrid
@@ -37,6 +36,8 @@ class SupportMeans:
 
         Means have a value where ``covered`` of the support's area is known; they are means of what is known.
         """
+        from scipy import ndimage
+
         self._grid, self.cell_m = grid, grid.cell
         self.resolution_m = max(grid.cell, *reference.width_m)
         known = np.isfinite(height)
@@ -68,6 +69,8 @@ class SupportMeans:
 
     def at(self, x: FloatArray, y: FloatArray) -> Tuple[FloatArray, FloatArray, FloatArray]:
         """(N,) means (NaN where unknown), and their slopes to the east and to the north (m per m)."""
+        from scipy import ndimage
+
         col, row = (x - self._grid.west) / self._grid.cell - 0.5, (self._grid.north - y) / self._grid.cell - 0.5
         rows, columns = self._unknown.shape
         inside = (col >= 0) & (col <= columns - 1) & (row >= 0) & (row <= rows - 1)
@@ -107,6 +110,8 @@ def _line(width: float) -> FloatArray:
 
 
 def _filtered(values: FloatArray, kernel: FloatArray) -> FloatArray:
+    from scipy import ndimage
+
     across, down = kernel.sum(axis=0), kernel.sum(axis=1)
     if np.allclose(kernel, np.outer(down, across)):
         once = ndimage.correlate1d(values, across, axis=1, mode="constant")

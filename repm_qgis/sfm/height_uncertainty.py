@@ -69,6 +69,8 @@ def _stated(square: float, freedom: int, error: Tuple[float, float], parameters:
     A least error that is not zero is a gross one: ground does not lie outside of its RPCs' heights where they are as
     promised.
     """
+    from scipy.special import erfc
+
     factors = np.geomspace(0.05, 20.0 * parameters.gross_most, 1200)
     chi = factors**-parameters.freedom * np.exp(-parameters.freedom / (2.0 * factors**2))
     gross = ((factors >= 1.0) & (factors <= parameters.gross_most)).astype(np.float64)
@@ -79,10 +81,15 @@ def _stated(square: float, freedom: int, error: Tuple[float, float], parameters:
     posterior = prior * np.exp(evidence - evidence[prior > 0].max())
     low, high = least, most = error[0], min(error[1], 10.0 * float(factors[-1]))
 
+    def beyond(end: float) -> FloatArray:
+        """How probable a greater error is with each factor: complements, because errors may be far out."""
+        probable: FloatArray = erfc(end / (math.sqrt(2.0) * factors))
+        return probable
+
+    beyond_least = beyond(least)
+
     def between(most: float) -> float:
-        """How probable an error from ``least`` to ``most`` is; complements, because both may be far out."""
-        beyond = np.array([[math.erfc(end / (math.sqrt(2.0) * each)) for each in factors] for end in (least, most)])
-        return float(posterior @ (beyond[0] - beyond[1]))
+        return float(posterior @ (beyond_least - beyond(most)))
 
     every = between(most)
     while high - low > 1e-6 * high:

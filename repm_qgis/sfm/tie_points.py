@@ -25,7 +25,6 @@ from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
 from ..scene import Scene, View
 from ..stereo.pairing import ground_points, rectify_over, refined_view
-from ..stereo.parameters import STEREO
 from ..stereo.rectification import RectifiedPair
 from .keypoints import CPU_DETECTOR, Detector
 from .overlap import foreign_rpc
@@ -176,7 +175,7 @@ def _match(task: _PatchTask, first: _Features, second: _Features) -> Optional[Pa
     near that value, and a third along its trend over the patch, have fewer candidates that compete.
     """
     scene, parameters = task.scene, task.parameters
-    pair = rectify_over(scene, (first.camera, second.camera), task.bounds, scene.altitudes, STEREO.ground_points)
+    pair = rectify_over(scene, (first.camera, second.camera), task.bounds, scene.altitudes)
     a = apply_homography(pair.h_first, first.points)
     b = apply_homography(pair.h_second, second.points)
     low, high = disparity_range(pair, first.view, second.view, ground_points(scene, task.bounds, scene.altitudes))

@@ -9,7 +9,6 @@ from typing import Any, Iterator, Tuple
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
-from scipy import ndimage
 
 from ..arrays import FloatArray, Window
 from ..imagery.raster import opened, read
@@ -29,6 +28,8 @@ class Paint:
 
     def cells(self, window: Window) -> Colours:
         """(H, W, 3) colours of the cells; those without one take the nearest one's in the window, black of none."""
+        from scipy import ndimage
+
         planes = [read(self.dataset, window, band) for band in self.bands]
         scaled = [
             np.clip((plane - low) * np.float32(65535.0 / (high - low)), 0, 65535)

@@ -26,16 +26,21 @@ def rectified_pair(
     """
     found = (refined_view(scene, view, bounds, altitudes) for view in (first, second))
     refined = [view for view in found if view is not None]
-    return rectify_over(scene, refined, bounds, altitudes, parameters.ground_points) if len(refined) == 2 else None
+    return rectify_over(scene, refined, bounds, altitudes, parameters) if len(refined) == 2 else None
 
 
 def rectify_over(
-    scene: Scene, pair: Sequence[RefinedPinhole], bounds: Bounds, altitudes: Altitudes, points: int
+    scene: Scene,
+    pair: Sequence[RefinedPinhole],
+    bounds: Bounds,
+    altitudes: Altitudes,
+    parameters: StereoParameters = STEREO,
 ) -> RectifiedPair:
     """Rectify two refined views so that the frame holds a ground rectangle at all altitudes of a range."""
+    points, (first, second) = parameters.ground_points, pair
     plane, tile = (ground_points(scene, bounds, levels, points) for levels in ((sum(altitudes) / 2,), altitudes))
-    first, second = pair
-    return rectify(first, second, scene.frame.from_geodetic(plane), scene.frame.from_geodetic(tile))
+    places = scene.frame.from_geodetic(plane), scene.frame.from_geodetic(tile)
+    return rectify(first, second, *places, parameters.most_shear)
 
 
 def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes) -> Optional[RefinedPinhole]:

@@ -17,6 +17,8 @@ from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography, translation
 
+_SHEARS = 61  # shears that are tried: steps of a hundredth
+
 
 @dataclass(frozen=True)
 class RectifiedPair:
@@ -67,7 +69,9 @@ def _aligning_rotation(first: PinholeCamera, second: PinholeCamera, target: Floa
     return np.array([x, np.cross(z, x), z])
 
 
-def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, tile: FloatArray) -> RectifiedPair:
+def rectify(
+    first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, tile: FloatArray, most_shear: float = 0.3
+) -> RectifiedPair:
     """Homographies that align the rows of two refined images.
 
     Parameters
@@ -81,7 +85,8 @@ def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, ti
     -----
     Turning both cameras onto their common baseline (Fusiello, Trucco and Verri, A compact algorithm for
     rectification of stereo pairs, 2000) aligns the rows. One affine change of rows for both images and of columns for
-    each is still free; it gives the first image the scale of its refined image, without shear.
+    each is still free; it gives the first image the scale of its refined image, and shears its columns along its rows,
+    by at most ``most_shear``, so that the tile fills the frame: what lies beside it is matched for nothing.
     """
     R = _aligning_rotation(first.camera, second.camera, plane.mean(axis=0))
     turn_first = _turn(first.camera, R)
@@ -95,6 +100,7 @@ def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, ti
         across = -across
     columns = across @ np.linalg.inv(J)
     A = np.array([[columns[0], columns[1], 0.0], [0.0, 1.0 / np.linalg.norm(J[1]), 0.0], [0.0, 0.0, 1.0]])
+    A = _upright(apply_homography(A @ turn_first, first.camera.project(tile)), most_shear) @ A
     h_first = A @ turn_first
     h_second = A @ turn_second
     h_second = _aligned_columns(h_first, h_second, ground, second.camera.project(plane)) @ h_second
@@ -102,6 +108,13 @@ def rectify(first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, ti
     move = translation(-low[0], -low[1])
     size = (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
     return RectifiedPair(first, second, move @ h_first, move @ h_second, size)
+
+
+def _upright(shown: FloatArray, most: float) -> FloatArray:
+    """(3, 3) shear of columns along rows, of at most so much, with which (N, 2) points fill the narrowest frame."""
+    shears = np.linspace(-most, most, _SHEARS)
+    columns = shown[:, 0] + shears[:, None] * shown[:, 1]
+    return np.array([[1.0, shears[np.argmin(np.ptp(columns, axis=1))], 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _frame(

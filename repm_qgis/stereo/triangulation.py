@@ -48,19 +48,26 @@ class NodeTable:
         t = np.moveaxis((third - offset) / scale, 0, -1)
         design = np.stack([np.ones_like(t), t, t * t], axis=-1)
         target = np.moveaxis(values, 0, -1)[..., None]
-        solution = np.linalg.pinv(design) @ target
+        turned = np.swapaxes(design, -1, -2)  # the normal equations are well conditioned: t is -1 to 1
+        solution = np.linalg.solve(turned @ design, turned @ target)
         left = float(np.abs(design @ solution - target).max())
         return cls(columns, rows, offset, scale, np.moveaxis(solution[..., 0], -1, 0)), left
 
     def on_grid(self, columns: FloatArray, rows: FloatArray, third: FloatArray) -> FloatArray:
-        """(H, W) values on the grid of (W,) columns and (H,) rows, with (H, W) values of the third variable."""
+        """(H, W) values on the grid of (W,) columns and (H,) rows, with (H, W) values of the third variable.
+
+        Differences from a middle value are interpolated in single precision, which leaves less than 0.001 m on a tile.
+        """
         u = (columns - self.columns[0]) / (self.columns[1] - self.columns[0])
         v = (rows - self.rows[0]) / (self.rows[1] - self.rows[0])
-        t = (third - self.offset) / self.scale
-        result = interpolate_grid(self.coefficients[2], v, u) * t
-        result += interpolate_grid(self.coefficients[1], v, u)
-        result *= t
-        result += interpolate_grid(self.coefficients[0], v, u)
+        t = ((third - self.offset) / self.scale).astype(np.float32)
+        middle = float(self.coefficients[0].mean())
+        constant, slope, bend = (self.coefficients - [[[middle]], [[0.0]], [[0.0]]]).astype(np.float32)
+        value = interpolate_grid(bend, v, u)
+        for coefficient in (slope, constant):
+            value *= t
+            value += interpolate_grid(coefficient, v, u)
+        result: FloatArray = value.astype(np.float64) + middle
         return result
 
 

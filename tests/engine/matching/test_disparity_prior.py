@@ -9,11 +9,21 @@ import cv2
 import numpy as np
 import pytest
 
+from repm_qgis.arrays import Window
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.interpolation import interpolate_steps
-from repm_qgis.imagery.warping import sample_array
+from repm_qgis.imagery.warping import reduced, sample_array
 from repm_qgis.matching import sgm
-from repm_qgis.matching.disparity_prior import STEP_PX, DisparityPrior, bounded_slope, fill_gaps, find_prior, reduced
+from repm_qgis.matching.disparity_prior import (
+    STEP_PX,
+    DisparityPrior,
+    bounded_slope,
+    coarse_level,
+    fill_gaps,
+    find_prior,
+    needs_coarse_level,
+    reduced_pair,
+)
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.stereo.pairing import rectified_pair
 from repm_qgis.stereo.triangulation import pair_geometry
@@ -50,9 +60,16 @@ class Known:
         return self.second_at(np.repeat(np.arange(WIDTH + high - low, dtype=np.float64)[None] - high, HEIGHT, axis=0))
 
 
+def prior_of(first, second, search=(LOW, HIGH), parameters=MATCHING):
+    if not needs_coarse_level(search, first.shape, parameters.prior):
+        return None
+    coarse = coarse_level(reduced_pair(first, second, search), first.shape, 1.0, sgm.match, parameters)
+    return find_prior(coarse, Window(0, 0, *first.shape[::-1]), LEVEL, parameters.prior)
+
+
 def test_a_prior_leaves_a_small_search_and_gives_the_whole_disparity():
     known = Known(tower=15.0)
-    prior = find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
+    prior = prior_of(known.first, known.second(HIGH, LOW))
     assert prior is not None and prior.high - prior.low < 0.5 * (HIGH - LOW)
     assert prior.low < -3 and prior.high > 18  # the tower has its room, though the coarse level loses it
     nodes = interpolate_steps(prior.nodes, (HEIGHT, WIDTH + prior.high - prior.low), STEP_PX)
@@ -85,20 +102,20 @@ def test_whole_disparities_count_the_prior_where_the_match_lies():
 
 def test_where_the_search_cannot_be_narrowed_there_is_no_prior():
     known = Known()
-    assert find_prior(known.first, known.second(24, -16), (-16, 24), LEVEL, sgm.match) is None
+    assert prior_of(known.first, known.second(24, -16), (-16, 24)) is None
     blank = np.full((HEIGHT, WIDTH), 0.5, np.float32)
     wide = np.full((HEIGHT, WIDTH + HIGH - LOW), 0.5, np.float32)
-    assert find_prior(blank, wide, (LOW, HIGH), LEVEL, sgm.match) is None
+    assert prior_of(blank, wide) is None
 
 
 def test_a_town_on_a_plain_has_no_prior_and_one_on_hills_has():
     """What a smooth prior leaves of a town is as rough as the town: it would only bend the roofs."""
     for relief, wanted in ((0.05, False), (1.0, True)):
         known = Known(tower=24.0, relief=relief, side=120)
-        prior = find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match)
+        prior = prior_of(known.first, known.second(HIGH, LOW))
         assert (prior is not None) == wanted
         allowed = replace(MATCHING, prior=replace(MATCHING.prior, most_rough=np.inf))
-        assert find_prior(known.first, known.second(HIGH, LOW), (LOW, HIGH), LEVEL, sgm.match, allowed) is not None
+        assert prior_of(known.first, known.second(HIGH, LOW), parameters=allowed) is not None
 
 
 def test_slopes_are_bounded_and_gentle_ones_kept():

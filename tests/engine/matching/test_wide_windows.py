@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from repm_qgis.matching.disparity_prior import reduced_pair
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.matching.sgm import match
@@ -46,7 +47,7 @@ def bank():
 
 def kept(pair, wide=True):
     found = match(*pair, (LOW, HIGH), 1.0)
-    wider = partial(wide_match, *pair, (LOW, HIGH), 1.0, match, MATCHING) if wide else None
+    wider = partial(wide_match, reduced_pair(*pair, (LOW, HIGH)), 1.0, match, MATCHING) if wide else None
     return mask_unreliable(found, *pair, (LOW, HIGH), 1.0, 1.0, wider=wider)
 
 

@@ -69,7 +69,7 @@ def test_ranges_and_scale(case, geometry):
     assert table.metres_per_px == pytest.approx(np.ptp(case.altitudes) / span, rel=0.1)
 
 
-def test_parabolas_are_exact_and_gaps_stay():
+def test_parabolas_are_single_precision_and_gaps_stay():
     columns, rows = np.linspace(0, 200, 8), np.linspace(0, 90, 4)
     third = np.broadcast_to(np.linspace(-20, 30, 5)[:, None, None], (5, 4, 8))
 
@@ -82,7 +82,8 @@ def test_parabolas_are_exact_and_gaps_stay():
     x, y = np.arange(0, 200.0, 7), np.arange(3, 90.0, 5)
     t = np.random.default_rng(0).uniform(-20, 30, (len(y), len(x)))
     c, r = np.meshgrid(x, y)
-    np.testing.assert_allclose(table.on_grid(x, y, t), height(c, r, t), atol=1e-9)
+    # Single precision of the differences from the middle, which are up to 400 here.
+    np.testing.assert_allclose(table.on_grid(x, y, t), height(c, r, t), rtol=0, atol=400 * 2.0**-23)
     t[1, 2] = np.nan
     assert np.argwhere(np.isnan(table.on_grid(x, y, t))).tolist() == [[1, 2]]
 
