@@ -87,7 +87,7 @@ def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
 def test_products_lie_on_each_other(urban_run):
     result = urban_run.result
     (height,), transform = bands(result["output"])
-    (count, spread, score, filled, error), other = bands(result["confidence"])
+    (count, spread, score, filled, error, le90), other = bands(result["confidence"])
     (ortho,), third = bands(result["ortho"])
     assert transform == other == third and height.shape == count.shape == ortho.shape
     known = np.isfinite(height)
@@ -98,6 +98,7 @@ def test_products_lie_on_each_other(urban_run):
     assert np.isfinite(spread[known & (count > 1)]).all() and np.isnan(spread[count == 1]).all()
     assert np.nanmin(score) >= 0 and np.nanmax(score) <= 1
     assert (error[known] > 0.05).all() and np.isnan(error[~known]).all()
+    assert (le90[known] > error[known]).all() and np.isnan(le90[~known]).all()
     assert np.isfinite(ortho[known]).mean() > 0.95 and np.isnan(ortho[~known]).all()
     assert result["valid"] == known.sum()
     assert not [name for name in os.listdir(os.path.dirname(result["output"])) if ".part" in name]

@@ -40,7 +40,7 @@ def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_
     plain, before, without = fused(urban_run, tmp_path / "plain", told(), "", begun, fill=fill)
     dsm, confidence, facts = fused(urban_run, tmp_path / "timed", told(), AFTERNOON, begun, fill=fill)
     assert dsm.shape == plain.shape and not (before[3] == Provenance.SHADOW).any()
-    count, spread, score, source, error = confidence
+    count, spread, score, source, error, _ = confidence
     changed = ~np.isclose(dsm, plain, rtol=0, atol=0, equal_nan=True)
     taken = source == Provenance.SHADOW
     assert 20 < taken.sum() < 0.05 * dsm.size
