@@ -12,9 +12,6 @@ import math
 
 import cv2
 import numpy as np
-from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..arrays import FloatImage, IntArray, Mask
 from .parameters import FUSION, NeedleParameters
@@ -48,6 +45,8 @@ def needles(
     result = np.zeros(height.shape, bool)
     if not high.any():
         return result
+    from scipy import ndimage
+
     labels = _components(steps.astype(np.int64), small, most)
     places = ndimage.find_objects(labels)
     for label in np.unique(labels[high]):
@@ -75,6 +74,9 @@ def _stands_out(own: Mask, height: FloatImage, cell: float, parameters: NeedlePa
 
 def _components(steps: IntArray, cells: Mask, most: int) -> IntArray:
     """(H, W) the numbers of the connected components of some cells, from 1 on; 0 elsewhere."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     number = np.full(steps.shape, -1, np.int64)
     count = int(cells.sum())
     number[cells] = np.arange(count)
