@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.imagery.raster import opened
-from repm_qgis.imagery.warping import sample_array, source_positions, warp
+from repm_qgis.imagery.warping import sample_array, source_pixels, source_positions, warp
 
 ANGLE = np.radians(7.0)
 
@@ -148,3 +148,24 @@ def test_images_end_at_the_centres_of_their_outermost_pixels(kernel):
     assert np.isnan(found).all()
     just_within = sample_array(source, np.array([[[0.25, 0.25], [38.75, 28.75]]]), kernel)[0]
     np.testing.assert_allclose(just_within, (10.5, 77.5), atol=0.2)
+
+
+@pytest.mark.parametrize("name", ["smooth", "gap"])
+def test_pixels_that_are_read_once_give_what_reading_for_each_result_gives(images, name):
+    """Also for a part of what they were read for, at the image's resolution and reduced."""
+    with opened(images[name]) as dataset:
+        source = source_pixels(dataset, 1, turned, (400, 380), lambda pixels: pixels)
+        part = source.sampled(lambda at: turned(at + (32, 64)), (300, 200), "cubic")
+        np.testing.assert_allclose(part, warp(dataset, 1, turned, (400, 380), "cubic")[64:264, 32:332], atol=0.1)
+        assert np.isnan(part).any() == (name == "gap")
+        small = source.reduced(4).sampled(lambda at: turned(4 * at + 1.5), (100, 95), "bilinear")
+    expected = resampled(images[name], "cubic").reshape(95, 4, 100, 4).mean(axis=(1, 3))
+    both = np.isfinite(small) & np.isfinite(expected)
+    assert np.abs(small - expected)[both].max() < 4.0 and both.mean() > 0.9
+
+
+def test_a_frame_beside_the_image_has_no_pixels(images):
+    with opened(images["plane"]) as dataset:
+        source = source_pixels(dataset, 1, lambda at: at + 9000.0, (40, 30), lambda pixels: pixels)
+    assert np.isnan(source.sampled(lambda at: at + 9000.0, (40, 30), "cubic")).all()
+    assert np.isnan(source.reduced(4).sampled(lambda at: 4 * at + 9000.0, (10, 7), "bilinear")).all()

@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
+from repm_qgis.arrays import Bounds, Window
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.interpolation import interpolate_steps
 from repm_qgis.imagery.warping import reduced, sample_array
 from repm_qgis.matching import sgm
 from repm_qgis.matching.disparity_prior import (
     STEP_PX,
+    CoarseLevel,
     DisparityPrior,
     bounded_slope,
     coarse_level,
@@ -26,7 +27,7 @@ from repm_qgis.matching.disparity_prior import (
 )
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.stereo.pairing import rectified_pair
-from repm_qgis.stereo.triangulation import pair_geometry
+from repm_qgis.stereo.triangulation import NodeTable, pair_geometry
 
 HEIGHT, WIDTH = 384, 512
 LOW, HIGH = -80, 80
@@ -175,3 +176,46 @@ def test_rows_are_those_that_the_rpcs_say(case, gdal_pixels):
     )
     assert np.abs(gdal_pixels(case.views[0].rpc, ground) - pair.first_original(pixels).reshape(-1, 2)).max() < 0.02
     assert np.abs(gdal_pixels(case.views[1].rpc, ground) - sampled.reshape(-1, 2)).max() < 0.02
+
+
+def table(value):
+    """A table whose value is a function of column, row and a third variable, linear in the last."""
+    columns, rows = np.linspace(0, 640, 21), np.linspace(0, 480, 16)
+    c, r = np.meshgrid(columns, rows)
+    third = np.broadcast_to(np.linspace(-100, 100, 5)[:, None, None], (5, *c.shape))
+    return NodeTable.fit(columns, rows, third, value(c, r, third) + np.zeros(third.shape))[0]
+
+
+def test_what_shows_the_tile_is_matched_and_little_beside_it():
+    """Lines of sight that lean by half a px a px of disparity, over a hill: each pixel that shows the tile stays."""
+    geometry = SimpleNamespace(
+        height_sign=1.0,
+        metres_per_px=10.0,
+        height=table(lambda c, r, d: 10.0 * d),
+        x=table(lambda c, r, z: 1000.0 + c + 0.05 * z),
+        y=table(lambda c, r, z: 5000.0 - r),
+    )
+    shape, (height, width) = (480, 640), (120, 160)
+    rows, columns = np.indices(shape)
+    hill = 70.0 * np.exp(-(((columns - 300) / 150.0) ** 2) - ((rows - 200) / 120.0) ** 2)
+    coarse = hill.reshape(height, 4, width, 4).mean(axis=(1, 3)).astype(np.float32)
+    coarse[40:44, 60:70] = np.nan
+    bounds = Bounds(1200.0, 4700.0, 1400.0, 4900.0)
+    window = CoarseLevel(coarse, (-100, 100), shape).window(bounds, geometry, MATCHING.prior)
+    x, y = 1000.0 + columns + 0.5 * hill, 5000.0 - rows
+    shown = (x >= bounds.xmin) & (x <= bounds.xmax) & (y >= bounds.ymin) & (y <= bounds.ymax)
+    assert shown[window.inside(Window(0, 0, 640, 480))].sum() == shown.sum() > 0
+    assert window.width * window.height < 0.4 * shown.size < 480 * 640
+    assert all(edge % 16 == 0 for edge in (window.col, window.row))
+
+
+def test_a_frame_of_which_nothing_is_known_is_matched_as_a_whole():
+    geometry = SimpleNamespace(
+        height_sign=1.0,
+        metres_per_px=10.0,
+        height=table(lambda c, r, d: 10.0 * d),
+        x=table(lambda c, r, z: c + 9000.0),
+        y=table(lambda c, r, z: -r),
+    )
+    nothing = CoarseLevel(np.full((120, 160), np.nan, np.float32), (-100, 100), (480, 640))
+    assert nothing.window(Bounds(0.0, 0.0, 10.0, 10.0), geometry, MATCHING.prior) == Window(0, 0, 640, 480)

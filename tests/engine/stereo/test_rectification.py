@@ -8,6 +8,7 @@ import pytest
 from repm_qgis.errors import RpcInvalidError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.stereo.pairing import ground_points, rectified_pair
+from repm_qgis.stereo.parameters import StereoParameters
 
 
 def rectified(case, points, gdal_pixels):
@@ -104,3 +105,15 @@ def test_a_tile_that_one_view_does_not_see_has_no_pair(case):
 def test_ground_points_are_a_grid_of_the_rectangle(case):
     points = ground_points(case.scene, case.bounds, case.altitudes, 3)
     assert points.shape == (18, 3) and set(points[:, 2]) == set(case.altitudes)
+
+
+def test_a_shear_leaves_less_beside_the_tile_and_all_disparities(case, gdal_pixels):
+    points = case.points()
+    _, a, b = rectified(case, points, gdal_pixels)
+    upright = rectified_pair(case.scene, *case.views, case.bounds, case.altitudes, StereoParameters(most_shear=0.0))
+    sheared = rectified_pair(case.scene, *case.views, case.bounds, case.altitudes)
+    assert np.prod(sheared.size) <= np.prod(upright.size)
+    ground = np.column_stack([geodetic_from_projected(case.crs, points[:, :2]), points[:, 2]])
+    first, second = (gdal_pixels(view.rpc, ground) for view in case.views)
+    disparity = upright.first_rectified(first)[:, 0] - upright.second_rectified(second)[:, 0]
+    np.testing.assert_allclose(a[:, 0] - b[:, 0], disparity, atol=0.01)
