@@ -217,9 +217,6 @@ class QgsProcessingModelAlgorithm(QgsProcessingAlgorithm):
     def loadVariant(self, description):
         return False  # the models' own format is QGIS's matter
 
-    def loadVariant(self, model):
-        return False
-
 
 class Registry:
     def __init__(self):
