@@ -179,7 +179,7 @@ def images(least: int = 2) -> QgsProcessingParameterDefinition:
         tr(
             "Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or "
             "ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path "
-            "of a folder or a ZIP file, as it was delivered, for the images in it."
+            "of a folder, a ZIP file or a STAC item, as it was delivered, for the images in it."
         ),
     )
 

@@ -188,9 +188,14 @@ def is_archive(path: str) -> bool:
     return path.lower().endswith(".zip") and not path.startswith("/vsi")
 
 
+def is_catalogue(path: str) -> bool:
+    """Whether a path is that of a STAC item or catalogue, by its name."""
+    return path.lower().endswith((".json", ".geojson"))
+
+
 def is_delivery(path: str) -> bool:
-    """Whether a path in IMAGES stands for all images of a folder or an archive."""
-    return is_archive(path) or os.path.isdir(path)
+    """Whether a path in IMAGES stands for all images of a folder, an archive or a STAC item."""
+    return is_archive(path) or is_catalogue(path) or os.path.isdir(path)
 
 
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
@@ -230,7 +235,8 @@ class InspectOptions(Options):
 class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
 
-    ``images`` are files; any tile of a product stands for the whole image, a folder or an archive for all images in it.
+    ``images`` are files; any tile of a product stands for the whole image; a folder, an archive or
+    a STAC item for all its images.
     ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is in the image or in a sidecar file;
     empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels that are
     neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.

@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import Callable, Iterator, List, Optional
+from typing import Callable, Iterator, List, Optional, Tuple
 
 from osgeo import gdal
 
@@ -28,8 +28,10 @@ from ..errors import RpcError
 from ..rpc.formats import sidecar_text, xml_texts
 from ..rpc.readers import beside, files_in_folder, product_of
 from .sensors import sensor_in
+from .stac import facts_of
 
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+_MOST_ITEMS = 16  # files that may be STAC items, beside an image
 _FIRST_YEAR, _LAST_YEAR = 1972, 2100
 _GDALS_OWN = "20021216151629"
 _ISO = re.compile(
@@ -81,6 +83,7 @@ def sensor_of(dataset: gdal.Dataset, path: str) -> str:
 
     def texts() -> Iterator[str]:
         yield from _in_sidecars(path, _sensors_in_file)
+        yield from (platform.replace("-", " ") for _, platform in _in_items(path))
         yield from (dataset.GetMetadataItem(key, domain) or "" for key, domain in _SENSOR_METADATA)
         yield Path(path).name
 
@@ -154,6 +157,7 @@ def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
         text = dataset.GetMetadataItem(key) or ""
         if text != _GDALS_OWN:
             yield text
+    yield from (when for when, _ in _in_items(path))
     yield time_of_name(path)
     for domain in ("", "IMAGERY"):
         tags = {
@@ -161,6 +165,13 @@ def _candidates(dataset: gdal.Dataset, path: str) -> Iterator[str]:
         }
         for day, time in _TAGS:
             yield f"{tags.get(day, '').strip()}T{tags[time].strip()}" if time in tags else tags.get(day, "")
+
+
+def _in_items(path: str) -> Iterator[Tuple[str, str]]:
+    """(time, platform) of an image by the STAC items that lie beside it and name it."""
+    there = files_in_folder(Path(path))
+    files = [beside(Path(path), name) for key in sorted(there) if key.endswith(".json") for name in there[key]]
+    yield from facts_of(path, files[:_MOST_ITEMS])
 
 
 def _in_sidecars(path: str, texts_of: Callable[[str, str], List[str]]) -> Iterator[str]:

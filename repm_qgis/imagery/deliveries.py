@@ -3,8 +3,9 @@
 A product that its vendor cut into tiles is one image with one RPC. Its index names the tiles: Maxar's ``NAME.TIL``,
 Airbus's ``DIM_NAME.XML``; GDAL opens the index as the whole image. Naming any of the tiles means the whole.
 
-A folder, or an archive, stands for all images in it that have an RPC: the panchromatic ones where there are such, and
-the multispectral ones, whose colours may be wanted, beside them. Quick looks, masks and orthoimages have none.
+A folder, an archive, or a STAC item or catalogue stands for all images in it that have an RPC: the panchromatic ones
+where there are such, and the multispectral ones, whose colours may be wanted, beside them. Quick looks, masks and
+orthoimages have none.
 """
 
 from __future__ import annotations
@@ -13,17 +14,18 @@ import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple, TypeVar
+from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
 from osgeo import gdal
 
 from ..errors import ImageError, OptionError, RepmError, RpcError
-from ..options import EpmFitOptions, InspectOptions, is_archive, is_delivery
+from ..options import EpmFitOptions, InspectOptions, is_archive, is_catalogue, is_delivery
 from ..progress import Progress, counted, listed
 from ..rpc.formats import sidecar_text, xml_attributes
 from ..rpc.readers import files_in_folder, product_of, rpc_of
 from .bands import intensity_bands
 from .raster import opened
+from .stac import items_of
 
 T = TypeVar("T", EpmFitOptions, InspectOptions)
 
@@ -37,28 +39,34 @@ _DEEPEST = 8
 
 @dataclass(frozen=True)
 class Delivery:
-    """The images to match, and the multispectral ones that came with them in a folder or an archive."""
+    """The images to match, their RPC files as STAC items name them ("" where they do not), and the multispectral images
+    that came with them."""
 
     images: Tuple[str, ...]
+    rpcs: Tuple[str, ...]
     xs: Tuple[str, ...] = ()
 
 
 def delivered(named: Sequence[str]) -> Delivery:
-    """The images that paths stand for, each once, in the paths' order: a tile for its whole, a folder or an archive for
-    all images in it.
+    """The images that paths stand for, each once, in the paths' order: a tile for its whole, a folder, an archive or a
+    STAC item for all its images.
 
-    Raises ImageError for a folder or an archive without any image that has an RPC.
+    Raises ImageError for one of these without any image that has an RPC.
     """
     images: List[str] = []
     xs: List[str] = []
+    rpcs: Dict[str, str] = {}
     for path in named:
         if not is_delivery(path):
             images.append(whole_of(path))
             continue
-        greys, colours = _inside(path)
+        own = _rpcs_of_items(path) if is_catalogue(path) else None
+        rpcs.update(own or {})
+        greys, colours = _inside(path) if own is None else _usable(path, list(own), own)
         images += greys or colours
         xs += colours if greys else []
-    return Delivery(tuple(dict.fromkeys(images)), tuple(dict.fromkeys(xs)))
+    each = tuple(dict.fromkeys(images))
+    return Delivery(each, tuple(rpcs.get(image, "") for image in each), tuple(dict.fromkeys(xs)))
 
 
 def with_images(options: T, progress: Progress) -> T:
@@ -73,14 +81,16 @@ def with_images(options: T, progress: Progress) -> T:
     for name in ("rpcs", "masks"):
         files = getattr(options, name, ())
         if files:
-            reason = "must be empty where a folder, an archive or a tile stands for images: name these in IMAGES"
+            reason = (
+                "must be empty where a folder, an archive, an item or a tile stands for images: name these in IMAGES"
+            )
             raise OptionError(name.upper(), list(files), reason)
     names = [os.path.basename(path) for path in found.images]
     progress.info(f"IMAGES stands for {counted(len(names), 'image')}: {listed(names)}.")
     if found.xs:
         colours = listed([f"'{path}'" for path in found.xs])
         progress.info(f"Multispectral images came with them; give them as XS for their colours: {colours}.")
-    return replace(options, images=found.images)
+    return replace(options, images=found.images, rpcs=found.rpcs if any(found.rpcs) else ())
 
 
 def whole_of(path: str) -> str:
@@ -131,13 +141,29 @@ def _inside(path: str) -> Tuple[List[str], List[str]]:
     if is_archive(path) and any(file.lower().endswith(".til") or _is_part(file, files) for file in files):
         raise ImageError(f"'{path}' holds an image in tiles: unpack the archive, and choose the folder.")
     whole = dict.fromkeys(whole_of(file) for file in files if not file.lower().endswith((".til", ".xml")))
+    return _usable(path, list(whole), {})
+
+
+def _rpcs_of_items(path: str) -> Dict[str, str]:
+    """The images of a STAC item or catalogue, with their RPC files, "" where it names none."""
+    found: Dict[str, str] = {}
+    for item in items_of(path):
+        for image in item.images:
+            alike = [rpc for rpc in item.rpcs if Path(image).stem.lower() in Path(rpc).stem.lower()]
+            several = item.rpcs[0] if len(item.rpcs) == 1 else ""
+            found[image] = alike[0] if alike else several
+    return found
+
+
+def _usable(path: str, files: Sequence[str], rpcs: Mapping[str, str]) -> Tuple[List[str], List[str]]:
+    """The panchromatic and the other images among files that have an RPC; raises ImageError where there is none."""
     greys: List[str] = []
     colours: List[str] = []
     reasons: List[str] = []
-    for image in whole:
+    for image in files:
         try:
             with opened(image) as dataset:
-                rpc_of(dataset, image)
+                rpc_of(dataset, image, rpcs.get(image) or None)
                 (greys if len(intensity_bands(dataset)) == 1 else colours).append(image)
         except RepmError as error:
             reasons.append(str(error))

@@ -82,8 +82,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_fifteen_tasks():
-    assert sorted(TASKS) == list(range(1, 16))
+def test_the_book_has_sixteen_tasks():
+    assert sorted(TASKS) == list(range(1, 17))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -219,6 +219,15 @@ def test_15_edits_of_the_surface(cook):
     assert len(np.unique(after[127:137, 43:57])) == 1 and np.isnan(after[0:5, 26:33]).all()
     edited = source == 6
     assert edited.sum() > 700 and (after[~edited & np.isfinite(after)] == before[~edited & np.isfinite(after)]).all()
+
+
+def test_16_a_folder_in_and_an_item_out(cook):
+    folder, said = cook(16)
+    assert "IMAGES stands for 2 images: img_01.tif, img_02.tif." in said
+    item = json.loads((folder / "order.json").read_text(encoding="utf-8"))
+    assert item["assets"]["output"]["href"] == "./order.tif" and np.isfinite(heights(folder / "order.tif")).mean() > 0.4
+    times = [item["properties"][name] for name in ("start_datetime", "end_datetime")]
+    assert times == ["2024-05-01T10:20:01.000Z", "2024-05-01T10:20:02.000Z"]
 
 
 def test_the_whole_book_is_quick():

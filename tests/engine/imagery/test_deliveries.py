@@ -54,13 +54,18 @@ def maxar(view, folder, names=NAMES, index=INDEX):
     return str(folder / index)
 
 
-def single(view, path):
-    """An image with its RPC in a vendor's file beside it."""
+def without_rpc(view, path):
+    """An image without any RPC."""
     path.parent.mkdir(parents=True, exist_ok=True)
     gdal.Translate(str(path), view.image)
     image = gdal.Open(str(path), gdal.GA_Update)
     image.SetMetadata(None, "RPC")
     image = None  # noqa: F841
+
+
+def single(view, path):
+    """An image with its RPC in a vendor's file beside it."""
+    without_rpc(view, path)
     path.with_suffix(".RPB").write_text(rpb_text(view.rpc))
     return str(path)
 
