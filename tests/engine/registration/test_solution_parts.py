@@ -234,3 +234,27 @@ def test_unknowns_are_the_free_directions_the_height_and_the_tilt():
     assert (solve._basis(np.eye(2), False) == np.eye(5)[:, :3]).all()
     assert solve._basis(np.array([[0.6, 0.8]]), False).T.tolist() == [[0.6, 0.8, 0, 0, 0], [0, 0, 1, 0, 0]]
     assert solve._tukey(np.array([0.0, 0.5, 1.0, 2.0]) * 4.685, 4.685).tolist() == [1.0, 0.5625, 0.0, 0.0]
+
+
+def test_parts_ask_for_the_weighted_mean_of_their_own_differences():
+    """Of a surface that may only move up: sixteen parts, each with at least fifty heights, by its own weights."""
+    rng = np.random.default_rng(8)
+    found, place = solution(rng, 4000)
+    noise, weight = rng.uniform(0.2, 3.0, 4000), rng.uniform(0.1, 1.0, 4000)
+    column, row = np.floor((place - (300.0, 600.0)) / 100.0).astype(int).T
+    few = np.flatnonzero((column == 3) & (row == 2))[49:]
+    weight[few] = 0.0
+    unknowns = np.array([1.0, -2.0, 4.0, 1e-3, -2e-3])
+    found = replace(found, noise=noise, weight=weight, unknowns=unknowns, residual=found.residual * 0.3 + column)
+    none = _Correlation(np.ones(1), np.zeros(1), np.zeros(1))
+    offsets = list(problem(place).local_offsets(found, np.empty((0, 2)), none))
+    assert len(offsets) == 15
+    for offset in offsets:
+        part = np.floor((np.array([offset.x, offset.y]) - (300.0, 600.0)) / 100.0).astype(int)
+        use = (column == part[0]) & (row == part[1]) & (weight > 0)
+        assert offset.count == use.sum() and [offset.x, offset.y] == pytest.approx(place[use].mean(axis=0))
+        own = (weight / noise**2)[use]
+        wanted = (own * found.residual[use]).sum() / own.sum()
+        tilt = unknowns[3:] @ ((offset.x, offset.y) - np.array([500.0, 800.0]))
+        assert offset.moved == pytest.approx((1.0, -2.0, 4.0 + wanted + tilt))
+        assert offset.deviation[:2] == (0.0, 0.0) and 0 < offset.deviation[2] < 0.5
