@@ -21,16 +21,28 @@ from qgis.core import (
 from qgis.gui import QgsMapLayerComboBox
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QPoint
-from qgis.PyQt.QtWidgets import QComboBox, QLineEdit, QMenu, QStyle, QVBoxLayout, QWidget
+from qgis.PyQt.QtWidgets import (
+    QAbstractSpinBox,
+    QComboBox,
+    QGroupBox,
+    QLabel,
+    QLineEdit,
+    QMenu,
+    QStyle,
+    QVBoxLayout,
+    QWidget,
+)
 from qgis.utils import iface
 
+from ..processing_provider import settings, words
 from ..processing_provider.last_scene import last_scene
 from ..processing_provider.styles import hillshades
 from ..processing_provider.values import is_empty
 from ..repm_qgis.options import PRESETS
 from .next_step import STEPS, push_message
 
-_OF_COLMAP = ("GEOMETRIC", "COLMAP_FUSION", "WINDOW_RADIUS", "GPU_MEMORY")
+_OF_SETTINGS = (*settings.COLMAP, "CLUSTER")  # the options page has these, for all runs
+_LEAST_GROUPS = 3  # headings that are worth their place
 
 
 class Dialog(AlgorithmDialog):
@@ -65,12 +77,18 @@ class Panel(ParametersPanel):
         super().initWidgets()
         for name in ("VERTICAL_DATUM", "GCP_DATUM"):
             self._offer(name, _datums)
+        self._offer("REFERENCE_DATUM", _reference_datums)
         self._offer("VIEW", lambda: self._named("views", "name"))
         self._offer("TILE", lambda: self._named("tiles", "id"))
         self._take_up_last_scene()
-        if "BACKEND" in self.wrappers:
-            colmap = self._together(_OF_COLMAP)
-            self._follow("BACKEND", lambda: colmap.setVisible(self._value("BACKEND") == "colmap"))
+        self._narrow()
+        self._in_words()
+        self._hint()
+        self._left = {name: self._together((name,)) for name in _OF_SETTINGS if name in self.wrappers}
+        for name in self._left:
+            self._set(name, "" if name == "CLUSTER" else settings.of_parameter(name))
+            self._follow(name, self._show_what_differs)
+        self._head()
         self._leave_out_hillshades(QgsProject.instance())
         self._preset = "none"
         self._follow("PRESET", self._fill_in)
@@ -91,6 +109,67 @@ class Panel(ParametersPanel):
 
         files = value if isinstance(value, (list, tuple)) else [value]
         return [QgsVectorLayer(file, "", "none") if is_dropped(file) else file for file in files]
+
+    def _narrow(self) -> None:
+        """See that no text makes the panel wider than QGIS opens it: its buttons would lie outside."""
+        for wrapper in self.wrappers.values():
+            label = getattr(wrapper, "wrappedLabel", lambda: None)()
+            if isinstance(label, QLabel):
+                label.setWordWrap(True)
+        for box in self.findChildren(QComboBox):
+            box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            box.setMinimumContentsLength(8)
+
+    def _in_words(self) -> None:
+        """Show choices in words; their values stay those of commands."""
+        for definition in self.algorithm().parameterDefinitions():
+            if definition.type() == "enum" and definition.usesStaticStrings() and definition.name() in self.wrappers:
+                box = self.wrappers[definition.name()].wrappedWidget()
+                for index in range(box.count() if isinstance(box, QComboBox) else 0):
+                    value = box.itemData(index)
+                    if isinstance(value, str):
+                        box.setItemText(index, words.shown(definition.name(), value))
+
+    def _hint(self) -> None:
+        """Say in the place of an empty line or a zero what it means."""
+        for name, text in words.hints().items():
+            widget = self.wrappers[name].wrappedWidget() if name in self.wrappers else None
+            if isinstance(widget, QLineEdit):
+                widget.setPlaceholderText(text)
+            elif isinstance(widget, QWidget):
+                for box in (each for each in (widget, *widget.findChildren(QAbstractSpinBox))):
+                    if isinstance(box, QAbstractSpinBox) and not box.specialValueText():
+                        box.setSpecialValueText(text)
+
+    def _show_what_differs(self) -> None:
+        """Parameters that the options page has are shown where this run's value is another one, as from the history."""
+        for name, inner in self._left.items():
+            usual = "" if name == "CLUSTER" else settings.of_parameter(name)
+            value = self._value(name)
+            inner.setVisible((value or "") != usual if name == "CLUSTER" else value != usual)
+        advanced = QgsProcessingParameterDefinition.Flag.FlagAdvanced
+        for group in self.findChildren(QGroupBox):  # of the advanced parameters, where there are others in it
+            names = {each.name() for each in self.algorithm().parameterDefinitions() if each.flags() & advanced}
+            group.setVisible(bool(names - set(self._left)) or any(not each.isHidden() for each in self._left.values()))
+
+    def _head(self) -> None:
+        """Show advanced parameters under headings, where they are many."""
+        advanced = QgsProcessingParameterDefinition.Flag.FlagAdvanced
+        found = []
+        for title, names in words.groups():
+            first = next((name for name in self.algorithm().parameterDefinitions() if name.name() in names), None)
+            if first is not None and first.flags() & advanced and first.name() in self.wrappers:
+                found.append((title, first.name()))
+        self._headings = []  # without a reference from here, Python removes them
+        for title, name in found if len(found) >= _LEAST_GROUPS else ():
+            wrapper = self.wrappers[name]
+            row = wrapper.wrappedLabel() or wrapper.wrappedWidget()
+            layout = row.parentWidget().layout()
+            heading = QLabel(f"<b>{title}</b>")
+            heading.setObjectName("heading")
+            heading.setContentsMargins(0, 10, 0, 0)
+            layout.insertWidget(layout.indexOf(row), heading)
+            self._headings.append(heading)
 
     def _value(self, name: str) -> Any:
         return self.wrappers[name].parameterValue()
@@ -187,10 +266,16 @@ class Panel(ParametersPanel):
         return QCoreApplication.translate("Panel", text)
 
 
+def _reference_datums() -> list[tuple[str, str]]:
+    """What references may say for themselves, or else these datums."""
+    (_, ellipsoid), *others = _datums()
+    return [("auto", words.automatic_datum()), ("ellipsoid", ellipsoid), *others]
+
+
 def _datums() -> list[tuple[str, str]]:
     """The vertical datums that are offered, with PROJ's names."""
     from ..repm_qgis.geometry.vertical import LISTED, HeightDatum
 
-    return [("", QCoreApplication.translate("Panel", "WGS 84 ellipsoid"))] + [
+    return [("", words.hints()["VERTICAL_DATUM"])] + [
         (word, f"{word}  ({HeightDatum.of(word).name})") for word in LISTED
     ]

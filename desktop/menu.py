@@ -28,6 +28,7 @@ class PluginMenu:
 
     def __init__(self, iface: Any) -> None:
         self._iface, self._actions = iface, []
+        self._dialogs: list[Any] = []
         self._panel: Optional[FirstSteps] = None
         self._installer: Optional[InstallDialog] = None
         self._grids: Optional[GeoidGridsDialog] = None
@@ -37,6 +38,8 @@ class PluginMenu:
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
         self.add(self.tr("First steps"), "repm", self.first_steps)
+        self.add(self.tr("Inspect images…"), "inspect", lambda: self.open("repm:inspect"))
+        self.add(self.tr("Make a DSM…"), "pipeline", lambda: self.open("repm:pipeline"))
         self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
         self.add(self.tr("Edit a DSM…"), "editdsm", self.edit_dsm)
         self.add(self.tr("Install the engine's packages…"), "environment", self.install)
@@ -100,6 +103,14 @@ class PluginMenu:
             self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._editor)
         self._editor.setUserVisible(True)
         return self._editor
+
+    def open(self, algorithm: str) -> None:
+        """Show an algorithm's dialog."""
+        import processing
+
+        dialog = processing.createAlgorithmDialog(algorithm)
+        self._dialogs.append(dialog)  # without a reference from here, Python forgets what a dialog is while it is open
+        dialog.show()
 
     def first_steps(self) -> None:
         if self._panel is None:

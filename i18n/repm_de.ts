@@ -555,20 +555,20 @@
         <translation>Der Fehler des Lochkameramodells in einer Ansicht, als Raster am Boden.</translation>
     </message>
     <message>
-        <source>View (empty: the first)</source>
-        <translation>Ansicht (leer: die erste)</translation>
+        <source>View</source>
+        <translation>Ansicht</translation>
     </message>
     <message>
         <source>A view's name as in the scene's report: its image file's name without extension.</source>
         <translation>Name einer Ansicht wie im Bericht der Szene: der Name ihrer Bilddatei ohne Endung.</translation>
     </message>
     <message>
-        <source>Altitude (m, empty: the middle of the scene's range)</source>
-        <translation>Höhe (m, leer: Mitte des Bereichs der Szene)</translation>
+        <source>Altitude (m)</source>
+        <translation>Höhe (m)</translation>
     </message>
     <message>
-        <source>Metres above the WGS 84 ellipsoid.</source>
-        <translation>Meter über dem Ellipsoid WGS 84.</translation>
+        <source>Metres above the WGS 84 ellipsoid. Empty: the middle of the scene's range.</source>
+        <translation>Meter über dem Ellipsoid WGS 84. Leer: die Mitte des Bereichs der Szene.</translation>
     </message>
     <message>
         <source>Equivalent error, RMSE (px)</source>
@@ -602,8 +602,8 @@
         <translation>colmap: PINHOLE-Kameras, binär und als Text; mvsnet: cam.txt und pair.txt; whutlc: das Lochkameraformat von WHU-TLC für SatMVS, mit quadratischen Pixeln; nerfstudio: transforms.json.</translation>
     </message>
     <message>
-        <source>Tile (empty: all)</source>
-        <translation>Kachel (leer: alle)</translation>
+        <source>Tile</source>
+        <translation>Kachel</translation>
     </message>
     <message>
         <source>A tile's name as in the TILES layer; each tile is a model of its own.</source>
@@ -817,28 +817,28 @@
         <translation>Ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Szenen, die eingepasst wurden oder Passpunkte haben, gehören von selbst dazu. Wo es keine gibt, ist das Mittel aller Versätze null.</translation>
     </message>
     <message>
-        <source>Resolution (m, 0: the first DSM's)</source>
-        <translation>Auflösung (m, 0: die des ersten DOM)</translation>
+        <source>Resolution (m)</source>
+        <translation>Auflösung (m)</translation>
     </message>
     <message>
-        <source>Cell size in units of the CRS.</source>
-        <translation>Zellgröße in Einheiten des KBS.</translation>
+        <source>Cell size in units of the CRS. 0: the first DSM's.</source>
+        <translation>Zellgröße in Einheiten des KBS. 0: die des ersten DOM.</translation>
     </message>
     <message>
-        <source>CRS (empty: the first DSM's)</source>
-        <translation>KBS (leer: das des ersten DOM)</translation>
+        <source>CRS of the mosaic</source>
+        <translation>KBS des Mosaiks</translation>
     </message>
     <message>
-        <source>A projected CRS.</source>
-        <translation>Ein projiziertes KBS.</translation>
+        <source>A projected CRS. Empty: the first DSM's.</source>
+        <translation>Ein projiziertes KBS. Leer: das des ersten DOM.</translation>
     </message>
     <message>
-        <source>Confidence rasters (empty: equal weights)</source>
-        <translation>Konfidenzraster (leer: gleiche Gewichte)</translation>
+        <source>Confidence rasters</source>
+        <translation>Konfidenzraster</translation>
     </message>
     <message>
-        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres. The better of two heights counts for more.</source>
-        <translation>Ein Raster für jedes DOM, in der Reihenfolge der DOM: das Konfidenzraster dieser Erweiterung oder ein Kanal mit dem erwarteten Fehler in Metern. Die bessere von zwei Höhen zählt mehr.</translation>
+        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres. The better of two heights counts for more. Empty: all heights count equally.</source>
+        <translation>Ein Raster für jedes DOM, in der Reihenfolge der DOM: das Konfidenzraster dieser Erweiterung oder ein Kanal mit dem erwarteten Fehler in Metern. Die bessere von zwei Höhen zählt mehr. Leer: Alle Höhen zählen gleich.</translation>
     </message>
     <message>
         <source>Cells with a height (%)</source>
@@ -888,6 +888,14 @@
     <message>
         <source>First steps</source>
         <translation>Erste Schritte</translation>
+    </message>
+    <message>
+        <source>Inspect images…</source>
+        <translation>Bilder prüfen…</translation>
+    </message>
+    <message>
+        <source>Make a DSM…</source>
+        <translation>DOM erzeugen…</translation>
     </message>
     <message>
         <source>Measure control points…</source>
@@ -1045,16 +1053,24 @@
         <translation>Bilder zu DOM</translation>
     </message>
     <message>
+        <source>Evaluation</source>
+        <translation>Bewertung</translation>
+    </message>
+    <message>
+        <source>Edits and terrain</source>
+        <translation>Korrekturen und Gelände</translation>
+    </message>
+    <message>
+        <source>Mosaic</source>
+        <translation>Mosaik</translation>
+    </message>
+    <message>
         <source>Stage by stage: pinhole cameras</source>
         <translation>Stufe für Stufe: Lochkameras</translation>
     </message>
     <message>
         <source>Stage by stage: surface</source>
         <translation>Stufe für Stufe: Oberfläche</translation>
-    </message>
-    <message>
-        <source>Evaluation</source>
-        <translation>Bewertung</translation>
     </message>
     <message>
         <source>The layer '{layer}' of {name} comes from '{provider}': choose raster files, only they have RPCs.</source>
@@ -1281,16 +1297,16 @@
         <translation>Zwei oder mehr Bilder desselben Bodens in Sensorgeometrie (Stufe Basic, Sensor oder Primary) oder „ortho-ready“, jedes mit seinem RPC in der Datei oder daneben. Eine Kachel steht für ihr ganzes Bild, und der Pfad eines Ordners, einer ZIP-Datei oder eines STAC-Eintrags, wie geliefert, für die Bilder darin.</translation>
     </message>
     <message>
-        <source>RPC files (empty: in the images or beside them)</source>
-        <translation>RPC-Dateien (leer: in den Bildern oder daneben)</translation>
+        <source>RPC files</source>
+        <translation>RPC-Dateien</translation>
     </message>
     <message>
-        <source>Only needed where the RPCs are in another place: one file for each image, in the order of the images.</source>
-        <translation>Nur nötig, wo die RPC anderswo liegen: eine Datei je Bild, in der Reihenfolge der Bilder.</translation>
+        <source>Only needed where the RPCs are neither in the images nor beside them: one file for each image, in the order of the images.</source>
+        <translation>Nur nötig, wo die RPC weder in den Bildern noch daneben liegen: eine Datei je Bild, in der Reihenfolge der Bilder.</translation>
     </message>
     <message>
-        <source>Masks of pixels that must not be used (empty: none)</source>
-        <translation>Masken von Pixeln, die nicht verwendet werden dürfen (leer: keine)</translation>
+        <source>Masks of pixels that must not be used</source>
+        <translation>Masken unbrauchbarer Pixel</translation>
     </message>
     <message>
         <source>One raster for each image, in the order of the images and of the same size in columns and rows: pixels that are neither zero nor nodata (clouds, water) are not used at all, not even for tie points. The image's own mask or alpha band is always used.</source>
@@ -1329,24 +1345,24 @@
         <translation>Polygone oder ein Raster, das auf solchem Gelände nicht null ist: Nur Höhen dort zählen. Leer: Alle Höhen zählen.</translation>
     </message>
     <message>
-        <source>Dask cluster (empty: this machine)</source>
-        <translation>Dask-Cluster (leer: dieser Rechner)</translation>
+        <source>Dask cluster</source>
+        <translation>Dask-Cluster</translation>
     </message>
     <message>
         <source>The address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its scheduler file: the work is done by the cluster's workers. They must see the images, the workspace and the products under the same paths. Empty: the cluster of the settings, or this machine where there is none.</source>
         <translation>Die Adresse eines Dask-Schedulers wie tcp://10.0.0.1:8786 oder seine Scheduler-Datei: Die Arbeit tun die Prozesse des Clusters. Sie müssen die Bilder, den Arbeitsordner und die Produkte unter denselben Pfaden sehen. Leer: der Cluster der Einstellungen, oder dieser Rechner, wenn dort keiner steht.</translation>
     </message>
     <message>
-        <source>Heights of the control points refer to (empty: the WGS 84 ellipsoid)</source>
-        <translation>Höhenbezug der Passpunkte (leer: das WGS-84-Ellipsoid)</translation>
+        <source>Heights of the control points refer to</source>
+        <translation>Höhenbezug der Passpunkte</translation>
     </message>
     <message>
         <source>EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773. Its grid must be installed: the Environment report names what is missing.</source>
         <translation>EGM96, EGM2008 oder jedes Höhen-KBS, das PROJ kennt, etwa EPSG:5773. Sein Gitter muss installiert sein: Der Umgebungsbericht nennt, was fehlt.</translation>
     </message>
     <message>
-        <source>Heights refer to (empty: the WGS 84 ellipsoid)</source>
-        <translation>Höhen beziehen sich auf (leer: das Ellipsoid WGS 84)</translation>
+        <source>Heights refer to</source>
+        <translation>Höhen beziehen sich auf</translation>
     </message>
     <message>
         <source>EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773; it is written into the DSM's CRS. Its grid must be installed: without it the run stops, and names the grid.</source>
@@ -1393,12 +1409,12 @@
         <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
     </message>
     <message>
-        <source>Area (empty: all that two images see)</source>
-        <translation>Gebiet (leer: alles, was zwei Bilder sehen)</translation>
+        <source>Area</source>
+        <translation>Gebiet</translation>
     </message>
     <message>
-        <source>Only this area is computed.</source>
-        <translation>Nur dieses Gebiet wird berechnet.</translation>
+        <source>Only this area is computed. Empty: all that two images see.</source>
+        <translation>Nur dieses Gebiet wird berechnet. Leer: alles, was zwei Bilder sehen.</translation>
     </message>
     <message>
         <source>Coarse elevation model</source>
@@ -1409,36 +1425,32 @@
         <translation>Ein beliebiges DEM, das das Gebiet abdeckt: es engt den Höhenbereich ein und ist die Oberfläche des Modells terrain. Höhen über dem Ellipsoid oder, wo sein KBS das sagt, über dem Geoid.</translation>
     </message>
     <message>
-        <source>Coarse elevation model (terrain model only)</source>
-        <translation>Grobes Höhenmodell (nur für das Modell terrain)</translation>
-    </message>
-    <message>
-        <source>The surface on which the terrain model refines; a DEM with cells of 30 m is fine enough. Empty: the heights that the scene already has from 'Reconstruct heights'.</source>
-        <translation>Die Oberfläche, auf der das Geländemodell verfeinert; ein DGM mit 30-m-Zellen ist fein genug. Leer: die Höhen, die die Szene aus „Höhen rekonstruieren“ schon hat.</translation>
+        <source>Only for the terrain model, which refines on this surface; a DEM with cells of 30 m is fine enough. Empty: the heights that the scene already has from 'Reconstruct heights'.</source>
+        <translation>Nur für das Geländemodell, das auf dieser Oberfläche verfeinert; ein DGM mit 30-m-Zellen ist fein genug. Leer: die Höhen, die die Szene aus „Höhen rekonstruieren“ schon hat.</translation>
     </message>
     <message>
         <source>Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.</source>
         <translation>Meter über dem Ellipsoid WGS 84. Leer: aus dem DEM, sonst aus den Bildern oder den RPC.</translation>
     </message>
     <message>
-        <source>Lowest altitude (m, empty: automatic)</source>
-        <translation>Niedrigste Höhe (m, leer: automatisch)</translation>
+        <source>Lowest altitude (m)</source>
+        <translation>Niedrigste Höhe (m)</translation>
     </message>
     <message>
-        <source>Highest altitude (m, empty: automatic)</source>
-        <translation>Größte Höhe (m, leer: automatisch)</translation>
+        <source>Highest altitude (m)</source>
+        <translation>Größte Höhe (m)</translation>
     </message>
     <message>
-        <source>Height of ortho-ready images (m, empty: from their metadata)</source>
-        <translation>Höhe der Bilder „ortho-ready“ (m, leer: aus ihren Metadaten)</translation>
+        <source>Height of ortho-ready images (m)</source>
+        <translation>Höhe der Bilder „ortho-ready“ (m)</translation>
     </message>
     <message>
         <source>The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it.</source>
         <translation>Die Höhe über dem Ellipsoid WGS 84, auf die Bilder „ortho-ready“ projiziert wurden (Maxar OR2A, Airbus projected, GF und ZY 2A), wenn ihre Metadaten sie nicht nennen. Leer: Ein DGM ergibt sie, sonst wird die Mitte der Höhen des RPC angenommen, und das Protokoll sagt es. Bilder in Sensorgeometrie brauchen sie nicht.</translation>
     </message>
     <message>
-        <source>Tile size (px, 0: automatic)</source>
-        <translation>Kachelgröße (px, 0: automatisch)</translation>
+        <source>Tile size (px)</source>
+        <translation>Kachelgröße (px)</translation>
     </message>
     <message>
         <source>0 means the largest tile whose error stays within the budget and which fits into memory.</source>
@@ -1509,28 +1521,28 @@
         <translation>Kleiner: schärfere Kanten, mehr Rauschen; größer: glatter, füllt schwache Textur. Die Zeit wächst mit dem Quadrat.</translation>
     </message>
     <message>
-        <source>COLMAP: memory of a GPU (GiB, 0: what is free)</source>
-        <translation>COLMAP: Speicher einer GPU (GiB, 0: was frei ist)</translation>
+        <source>COLMAP: memory of a GPU (GiB)</source>
+        <translation>COLMAP: Speicher einer GPU (GiB)</translation>
     </message>
     <message>
-        <source>A tile that needs more is matched in parts.</source>
-        <translation>Eine Kachel, die mehr braucht, wird in Teilen zugeordnet.</translation>
+        <source>A tile that needs more is matched in parts. 0: what is free.</source>
+        <translation>Eine Kachel, die mehr braucht, wird in Teilen zugeordnet. 0: was frei ist.</translation>
     </message>
     <message>
-        <source>DSM resolution (m, 0: twice the ground sampling distance)</source>
-        <translation>Auflösung des DOM (m, 0: doppelte Bodenauflösung)</translation>
+        <source>DSM resolution (m)</source>
+        <translation>Auflösung des DOM (m)</translation>
     </message>
     <message>
-        <source>Cell size in units of the CRS.</source>
-        <translation>Zellgröße in Einheiten des KBS.</translation>
+        <source>Cell size in units of the CRS. 0: twice the ground sampling distance of the images.</source>
+        <translation>Zellgröße in Einheiten des KBS. 0: die doppelte Bodenauflösung der Bilder.</translation>
     </message>
     <message>
-        <source>CRS of the results (empty: the scene's UTM zone)</source>
-        <translation>KBS der Ergebnisse (leer: UTM-Zone der Szene)</translation>
+        <source>CRS of the results</source>
+        <translation>KBS der Ergebnisse</translation>
     </message>
     <message>
-        <source>A projected CRS.</source>
-        <translation>Ein projiziertes KBS.</translation>
+        <source>A projected CRS. Empty: the scene's UTM zone.</source>
+        <translation>Ein projiziertes KBS. Leer: die UTM-Zone der Szene.</translation>
     </message>
     <message>
         <source>Fusion of the pairs' heights</source>
@@ -1549,20 +1561,20 @@
         <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter, und Zellen, die ein Schatten ohne Textur lässt, die des Bodens, auf dem er endet; all: übrige Lücken werden zudem interpoliert; beides ist im Konfidenzraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
-        <source>Outlier radius (m, 0: off)</source>
-        <translation>Ausreißerradius (m, 0: aus)</translation>
+        <source>Outlier radius (m)</source>
+        <translation>Ausreißerradius (m)</translation>
     </message>
     <message>
-        <source>Points with too few neighbours within this distance are removed.</source>
-        <translation>Punkte mit zu wenigen Nachbarn innerhalb dieser Entfernung werden entfernt.</translation>
+        <source>Points with too few neighbours within this distance are removed. 0: none.</source>
+        <translation>Punkte mit zu wenigen Nachbarn innerhalb dieser Entfernung werden entfernt. 0: keine.</translation>
     </message>
     <message>
-        <source>Most vertices of the mesh (0: one for each cell)</source>
-        <translation>Höchstens so viele Netzknoten (0: einer je Zelle)</translation>
+        <source>Most vertices of the mesh</source>
+        <translation>Höchstens so viele Netzknoten</translation>
     </message>
     <message>
-        <source>Where the DSM has more cells, the mesh has fewer vertices on level ground and roofs than at their edges. It has about two triangles for each vertex: 500000 make a million.</source>
-        <translation>Hat das DOM mehr Zellen, hat das Netz auf ebenem Boden und auf Dächern weniger Knoten als an deren Kanten. Es hat etwa zwei Dreiecke je Knoten: 500000 ergeben eine Million.</translation>
+        <source>Where the DSM has more cells, the mesh has fewer vertices on level ground and roofs than at their edges. It has about two triangles for each vertex: 500000 make a million. 0: one for each cell.</source>
+        <translation>Hat das DOM mehr Zellen, hat das Netz auf ebenem Boden und auf Dächern weniger Knoten als an deren Kanten. Es hat etwa zwei Dreiecke je Knoten: 500000 ergeben eine Million. 0: einer je Zelle.</translation>
     </message>
     <message>
         <source>Colours of orthophoto, point cloud and mesh</source>
@@ -1653,12 +1665,12 @@
         <translation>Punkte am Boden, die zwei oder mehr Bilder zeigen, mit ihren Residuen in px.</translation>
     </message>
     <message>
-        <source>Height maps (skipped: beside the scene)</source>
-        <translation>Höhenkarten (weggelassen: neben der Szene)</translation>
+        <source>Height maps</source>
+        <translation>Höhenkarten</translation>
     </message>
     <message>
-        <source>A folder for one height map of each pair and tile, from which the DSM is made.</source>
-        <translation>Ein Ordner für eine Höhenkarte je Paar und Kachel, aus denen das DOM entsteht.</translation>
+        <source>A folder for one height map of each pair and tile, from which the DSM is made. Skipped: beside the scene.</source>
+        <translation>Ein Ordner für eine Höhenkarte je Paar und Kachel, aus denen das DOM entsteht. Weggelassen: neben der Szene.</translation>
     </message>
     <message>
         <source>Differences from the reference</source>
@@ -1958,12 +1970,223 @@
         <source>Dask cluster: address of the scheduler, or its scheduler file (empty: this machine)</source>
         <translation>Dask-Cluster: Adresse des Schedulers oder seine Scheduler-Datei (leer: dieser Rechner)</translation>
     </message>
+    <message>
+        <source>COLMAP: geometric consistency</source>
+        <translation>COLMAP: geometrische Konsistenz</translation>
+    </message>
+    <message>
+        <source>COLMAP: only heights that its fusion keeps</source>
+        <translation>COLMAP: nur Höhen, die seine Fusion behält</translation>
+    </message>
+    <message>
+        <source>COLMAP: radius of the window (px)</source>
+        <translation>COLMAP: Radius des Fensters (px)</translation>
+    </message>
+    <message>
+        <source>COLMAP: memory of a GPU (GiB, 0: what is free)</source>
+        <translation>COLMAP: Speicher einer GPU (GiB, 0: was frei ist)</translation>
+    </message>
 </context>
 <context>
     <name>RepmStyles</name>
     <message>
         <source>Hillshade</source>
         <translation>Schummerung</translation>
+    </message>
+</context>
+<context>
+    <name>RepmWords</name>
+    <message>
+        <source>Automatic</source>
+        <translation>Automatisch</translation>
+    </message>
+    <message>
+        <source>None</source>
+        <translation>Keine</translation>
+    </message>
+    <message>
+        <source>All</source>
+        <translation>Alle</translation>
+    </message>
+    <message>
+        <source>Fast</source>
+        <translation>Schnell</translation>
+    </message>
+    <message>
+        <source>Default</source>
+        <translation>Standard</translation>
+    </message>
+    <message>
+        <source>Best</source>
+        <translation>Beste</translation>
+    </message>
+    <message>
+        <source>Fewest</source>
+        <translation>Wenigste</translation>
+    </message>
+    <message>
+        <source>City</source>
+        <translation>Stadt</translation>
+    </message>
+    <message>
+        <source>Mountains</source>
+        <translation>Gebirge</translation>
+    </message>
+    <message>
+        <source>Town</source>
+        <translation>Ortschaft</translation>
+    </message>
+    <message>
+        <source>Shift</source>
+        <translation>Verschiebung</translation>
+    </message>
+    <message>
+        <source>Affine</source>
+        <translation>Affin</translation>
+    </message>
+    <message>
+        <source>Shift and tilt</source>
+        <translation>Verschiebung und Neigung</translation>
+    </message>
+    <message>
+        <source>Vertical offset</source>
+        <translation>Höhenversatz</translation>
+    </message>
+    <message>
+        <source>3-D shift</source>
+        <translation>3-D-Verschiebung</translation>
+    </message>
+    <message>
+        <source>3-D shift by nearest points</source>
+        <translation>3-D-Verschiebung über nächste Punkte</translation>
+    </message>
+    <message>
+        <source>Mean</source>
+        <translation>Mittel</translation>
+    </message>
+    <message>
+        <source>Median</source>
+        <translation>Median</translation>
+    </message>
+    <message>
+        <source>Occlusions</source>
+        <translation>Verdeckungen</translation>
+    </message>
+    <message>
+        <source>Inside</source>
+        <translation>Innen</translation>
+    </message>
+    <message>
+        <source>Greys</source>
+        <translation>Grautöne</translation>
+    </message>
+    <message>
+        <source>Homography</source>
+        <translation>Homographie</translation>
+    </message>
+    <message>
+        <source>Polynomial</source>
+        <translation>Polynom</translation>
+    </message>
+    <message>
+        <source>Terrain</source>
+        <translation>Gelände</translation>
+    </message>
+    <message>
+        <source>Bilinear</source>
+        <translation>Bilinear</translation>
+    </message>
+    <message>
+        <source>Cubic</source>
+        <translation>Kubisch</translation>
+    </message>
+    <message>
+        <source>Lanczos</source>
+        <translation>Lanczos</translation>
+    </message>
+    <message>
+        <source>Semi-global matching</source>
+        <translation>Semi-Global Matching</translation>
+    </message>
+    <message>
+        <source>COLMAP on a GPU</source>
+        <translation>COLMAP auf einer GPU</translation>
+    </message>
+    <message>
+        <source>With the RPCs</source>
+        <translation>Mit den RPC</translation>
+    </message>
+    <message>
+        <source>With COLMAP</source>
+        <translation>Mit COLMAP</translation>
+    </message>
+    <message>
+        <source>All holes</source>
+        <translation>Alle Löcher</translation>
+    </message>
+    <message>
+        <source>All bands</source>
+        <translation>Alle Kanäle</translation>
+    </message>
+    <message>
+        <source>Images</source>
+        <translation>Bilder</translation>
+    </message>
+    <message>
+        <source>Area and heights</source>
+        <translation>Gebiet und Höhen</translation>
+    </message>
+    <message>
+        <source>Control and references</source>
+        <translation>Passpunkte und Referenzen</translation>
+    </message>
+    <message>
+        <source>Cameras</source>
+        <translation>Kameras</translation>
+    </message>
+    <message>
+        <source>Matching</source>
+        <translation>Zuordnung</translation>
+    </message>
+    <message>
+        <source>Surface</source>
+        <translation>Oberfläche</translation>
+    </message>
+    <message>
+        <source>Colours, point cloud and mesh</source>
+        <translation>Farben, Punktwolke und Netz</translation>
+    </message>
+    <message>
+        <source>WGS 84 ellipsoid</source>
+        <translation>Ellipsoid WGS 84</translation>
+    </message>
+    <message>
+        <source>automatic</source>
+        <translation>automatisch</translation>
+    </message>
+    <message>
+        <source>the first</source>
+        <translation>die erste</translation>
+    </message>
+    <message>
+        <source>all</source>
+        <translation>alle</translation>
+    </message>
+    <message>
+        <source>off</source>
+        <translation>aus</translation>
+    </message>
+    <message>
+        <source>one for each cell</source>
+        <translation>einer je Zelle</translation>
+    </message>
+    <message>
+        <source>what is free</source>
+        <translation>was frei ist</translation>
+    </message>
+    <message>
+        <source>Automatic: what each file says, or else what fits</source>
+        <translation>Automatisch: was jede Datei sagt, sonst was passt</translation>
     </message>
 </context>
 <context>

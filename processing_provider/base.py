@@ -37,9 +37,11 @@ PLUGIN_FOLDER = engine.PLUGIN_FOLDER
 GROUPS = {
     "tools": "Preparation",
     "whole": "Images to DSM",
+    "evaluation": "Evaluation",
+    "derived": "Edits and terrain",
+    "mosaic": "Mosaic",
     "cameras": "Stage by stage: pinhole cameras",
     "surface": "Stage by stage: surface",
-    "evaluation": "Evaluation",
 }
 """The groups of the toolbox by their ids, in the order of the work."""
 

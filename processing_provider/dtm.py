@@ -16,8 +16,8 @@ class Dtm(RepmAlgorithm):
     """Finds the terrain below the houses and trees of a DSM."""
 
     ID = "dtm"
-    GROUP = "surface"
-    STEP = 5
+    GROUP = "derived"
+    STEP = 2
     TAGS = "DTM,nDSM,bare earth,terrain model,ground filter,building heights,normalised surface model"
     USES_WORKERS = True
 

@@ -12,8 +12,8 @@ class EditDsm(RepmAlgorithm):
     """Applies edits to a DSM."""
 
     ID = "editdsm"
-    GROUP = "surface"
-    STEP = 6
+    GROUP = "derived"
+    STEP = 1
     TAGS = "edit,manual editing,remove,fill,void,interpolate,flatten,water,lake,breakline,hydro-flattening"
     HEAVY = False
 

@@ -28,14 +28,14 @@ class ErrorMap(RepmAlgorithm):
         return [
             parameters.scene(),
             parameters.helped(
-                QgsProcessingParameterString("VIEW", self.tr("View (empty: the first)"), "", optional=True),
+                QgsProcessingParameterString("VIEW", self.tr("View"), "", optional=True),
                 self.tr("A view's name as in the scene's report: its image file's name without extension."),
             ),
             parameters.number(
                 ErrorMapOptions,
                 "altitude",
-                self.tr("Altitude (m, empty: the middle of the scene's range)"),
-                self.tr("Metres above the WGS 84 ellipsoid."),
+                self.tr("Altitude (m)"),
+                self.tr("Metres above the WGS 84 ellipsoid. Empty: the middle of the scene's range."),
             ),
             *(parameters.product(self.ID, name) for name in ("output", "report")),
         ]

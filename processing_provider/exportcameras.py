@@ -39,7 +39,7 @@ class ExportCameras(RepmAlgorithm):
                 ),
             ),
             parameters.helped(
-                QgsProcessingParameterString("TILE", self.tr("Tile (empty: all)"), "", optional=True),
+                QgsProcessingParameterString("TILE", self.tr("Tile"), "", optional=True),
                 self.tr("A tile's name as in the TILES layer; each tile is a model of its own."),
             ),
             parameters.advanced(

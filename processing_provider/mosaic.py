@@ -20,8 +20,8 @@ class Mosaic(RepmAlgorithm):
     """Puts many DSMs together to one."""
 
     ID = "mosaic"
-    GROUP = "surface"
-    STEP = 4
+    GROUP = "mosaic"
+    STEP = 1
     TAGS = "mosaic,merge,seam,blend,offset,block adjustment,surface model"
     USES_WORKERS = True
 
@@ -61,24 +61,25 @@ class Mosaic(RepmAlgorithm):
             parameters.number(
                 MosaicOptions,
                 "resolution",
-                self.tr("Resolution (m, 0: the first DSM's)"),
-                self.tr("Cell size in units of the CRS."),
+                self.tr("Resolution (m)"),
+                self.tr("Cell size in units of the CRS. 0: the first DSM's."),
             ),
             parameters.helped(
-                QgsProcessingParameterCrs("CRS", self.tr("CRS (empty: the first DSM's)"), optional=True),
-                self.tr("A projected CRS."),
+                QgsProcessingParameterCrs("CRS", self.tr("CRS of the mosaic"), optional=True),
+                self.tr("A projected CRS. Empty: the first DSM's."),
             ),
             parameters.advanced(
                 parameters.helped(
                     QgsProcessingParameterMultipleLayers(
                         "CONFIDENCES",
-                        self.tr("Confidence rasters (empty: equal weights)"),
+                        self.tr("Confidence rasters"),
                         QgsProcessing.SourceType.TypeFile,
                         optional=True,
                     ),
                     self.tr(
                         "One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one "
-                        "band with the expected error in metres. The better of two heights counts for more."
+                        "band with the expected error in metres. The better of two heights counts for more. "
+                        "Empty: all heights count equally."
                     ),
                 )
             ),

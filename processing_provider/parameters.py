@@ -59,6 +59,12 @@ def advanced(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParame
     return parameter
 
 
+def basic(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParameterDefinition:
+    """The parameter, shown in the dialog's first part."""
+    parameter.setFlags(parameter.flags() & ~QgsProcessingParameterDefinition.Flag.FlagAdvanced)
+    return parameter
+
+
 def number(
     stage: type[Options], name: str, label: str, text: str = "", optional: bool = False
 ) -> QgsProcessingParameterDefinition:
@@ -189,11 +195,14 @@ def rpcs() -> QgsProcessingParameterDefinition:
         helped(
             QgsProcessingParameterMultipleLayers(
                 "RPCS",
-                tr("RPC files (empty: in the images or beside them)"),
+                tr("RPC files"),
                 QgsProcessing.SourceType.TypeFile,
                 optional=True,
             ),
-            tr("Only needed where the RPCs are in another place: one file for each image, in the order of the images."),
+            tr(
+                "Only needed where the RPCs are neither in the images nor beside them: one file for each image, in the "
+                "order of the images."
+            ),
         )
     )
 
@@ -203,7 +212,7 @@ def masks() -> QgsProcessingParameterDefinition:
         helped(
             QgsProcessingParameterMultipleLayers(
                 "MASKS",
-                tr("Masks of pixels that must not be used (empty: none)"),
+                tr("Masks of pixels that must not be used"),
                 QgsProcessing.SourceType.TypeFile,
                 optional=True,
             ),
@@ -266,7 +275,7 @@ def stable() -> QgsProcessingParameterDefinition:
 def cluster() -> QgsProcessingParameterDefinition:
     return advanced(
         helped(
-            QgsProcessingParameterString("CLUSTER", tr("Dask cluster (empty: this machine)"), "", optional=True),
+            QgsProcessingParameterString("CLUSTER", tr("Dask cluster"), "", optional=True),
             tr(
                 "The address of a Dask scheduler, such as tcp://10.0.0.1:8786, or its scheduler file: the work is done "
                 "by the cluster's workers. They must see the images, the workspace and the products under the same "
@@ -281,7 +290,7 @@ def gcp_datum() -> QgsProcessingParameterDefinition:
         helped(
             QgsProcessingParameterString(
                 "GCP_DATUM",
-                tr("Heights of the control points refer to (empty: the WGS 84 ellipsoid)"),
+                tr("Heights of the control points refer to"),
                 "",
                 optional=True,
             ),
@@ -295,9 +304,7 @@ def gcp_datum() -> QgsProcessingParameterDefinition:
 
 def vertical_datum() -> QgsProcessingParameterDefinition:
     return helped(
-        QgsProcessingParameterString(
-            "VERTICAL_DATUM", tr("Heights refer to (empty: the WGS 84 ellipsoid)"), "", optional=True
-        ),
+        QgsProcessingParameterString("VERTICAL_DATUM", tr("Heights refer to"), "", optional=True),
         tr(
             "EGM96, EGM2008, or any vertical CRS that PROJ knows, such as EPSG:5773; it is written into the DSM's CRS. "
             "Its grid must be installed: without it the run stops, and names the grid."
@@ -379,8 +386,8 @@ def preset() -> QgsProcessingParameterDefinition:
 
 def extent() -> QgsProcessingParameterDefinition:
     return helped(
-        QgsProcessingParameterExtent("EXTENT", tr("Area (empty: all that two images see)"), optional=True),
-        tr("Only this area is computed."),
+        QgsProcessingParameterExtent("EXTENT", tr("Area"), optional=True),
+        tr("Only this area is computed. Empty: all that two images see."),
     )
 
 
@@ -396,10 +403,10 @@ def dem() -> QgsProcessingParameterDefinition:
 
 def surface() -> QgsProcessingParameterDefinition:
     return helped(
-        Raster("DEM", tr("Coarse elevation model (terrain model only)"), optional=True),
+        Raster("DEM", tr("Coarse elevation model"), optional=True),
         tr(
-            "The surface on which the terrain model refines; a DEM with cells of 30 m is fine enough. Empty: "
-            "the heights that the scene already has from 'Reconstruct heights'."
+            "Only for the terrain model, which refines on this surface; a DEM with cells of 30 m is fine enough. "
+            "Empty: the heights that the scene already has from 'Reconstruct heights'."
         ),
     )
 
@@ -407,8 +414,8 @@ def surface() -> QgsProcessingParameterDefinition:
 def altitudes() -> list[QgsProcessingParameterDefinition]:
     text = tr("Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.")
     return [
-        advanced(number(EpmFitOptions, "altitude_min", tr("Lowest altitude (m, empty: automatic)"), text)),
-        advanced(number(EpmFitOptions, "altitude_max", tr("Highest altitude (m, empty: automatic)"), text)),
+        advanced(number(EpmFitOptions, "altitude_min", tr("Lowest altitude (m)"), text)),
+        advanced(number(EpmFitOptions, "altitude_max", tr("Highest altitude (m)"), text)),
     ]
 
 
@@ -417,7 +424,7 @@ def ortho_ready_height() -> QgsProcessingParameterDefinition:
         number(
             EpmFitOptions,
             "ortho_ready_height",
-            tr("Height of ortho-ready images (m, empty: from their metadata)"),
+            tr("Height of ortho-ready images (m)"),
             tr(
                 "The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus "
                 "projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the "
@@ -433,7 +440,7 @@ def tiles_and_budget() -> list[QgsProcessingParameterDefinition]:
             number(
                 EpmFitOptions,
                 "tile_size",
-                tr("Tile size (px, 0: automatic)"),
+                tr("Tile size (px)"),
                 tr("0 means the largest tile whose error stays within the budget and which fits into memory."),
             )
         ),
@@ -537,8 +544,8 @@ def patch_match() -> list[QgsProcessingParameterDefinition]:
             number(
                 ReconstructOptions,
                 "gpu_memory",
-                tr("COLMAP: memory of a GPU (GiB, 0: what is free)"),
-                tr("A tile that needs more is matched in parts."),
+                tr("COLMAP: memory of a GPU (GiB)"),
+                tr("A tile that needs more is matched in parts. 0: what is free."),
             )
         ),
     ]
@@ -548,15 +555,15 @@ def resolution() -> QgsProcessingParameterDefinition:
     return number(
         DsmFuseOptions,
         "resolution",
-        tr("DSM resolution (m, 0: twice the ground sampling distance)"),
-        tr("Cell size in units of the CRS."),
+        tr("DSM resolution (m)"),
+        tr("Cell size in units of the CRS. 0: twice the ground sampling distance of the images."),
     )
 
 
 def crs() -> QgsProcessingParameterDefinition:
     return helped(
-        QgsProcessingParameterCrs("CRS", tr("CRS of the results (empty: the scene's UTM zone)"), optional=True),
-        tr("A projected CRS."),
+        QgsProcessingParameterCrs("CRS", tr("CRS of the results"), optional=True),
+        tr("A projected CRS. Empty: the scene's UTM zone."),
     )
 
 
@@ -586,8 +593,8 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
             number(
                 DsmFuseOptions,
                 "outlier_radius",
-                tr("Outlier radius (m, 0: off)"),
-                tr("Points with too few neighbours within this distance are removed."),
+                tr("Outlier radius (m)"),
+                tr("Points with too few neighbours within this distance are removed. 0: none."),
                 optional=True,  # models that were saved when there was no default leave it empty
             )
         ),
@@ -595,10 +602,10 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
             number(
                 DsmFuseOptions,
                 "mesh_vertices",
-                tr("Most vertices of the mesh (0: one for each cell)"),
+                tr("Most vertices of the mesh"),
                 tr(
                     "Where the DSM has more cells, the mesh has fewer vertices on level ground and roofs than at their "
-                    "edges. It has about two triangles for each vertex: 500000 make a million."
+                    "edges. It has about two triangles for each vertex: 500000 make a million. 0: one for each cell."
                 ),
             )
         ),

@@ -72,6 +72,9 @@ class ShippedModel(QgsProcessingModelAlgorithm):
         # Read once: of a model that is read twice QGIS says in its log that each output is there already.
         return bool(self.loadVariant(_in_language(QgsXmlUtils.readVariant(document.firstChildElement()))))
 
+    def createCustomParametersWidget(self, parent: Any = None) -> Any:
+        return RepmAlgorithm.createCustomParametersWidget(self, parent)
+
     def createInstance(self) -> ShippedModel:
         model = ShippedModel()
         model.read()

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 from qgis.PyQt.QtCore import QCoreApplication
 from qgis.PyQt.QtGui import QIcon
+
+from ..repm_qgis.options import ReconstructOptions
 
 GROUP = "REPM"
 ENGINE_PYTHON = "REPM_ENGINE_PYTHON"
 WORKERS = "REPM_WORKERS"
 MEMORY = "REPM_MEMORY"
 CLUSTER = "REPM_CLUSTER"
+COLMAP = {name: f"REPM_COLMAP_{name}" for name in ("GEOMETRIC", "COLMAP_FUSION", "WINDOW_RADIUS", "GPU_MEMORY")}
+"""The settings of the backend colmap by the parameters whose place they take in the dialogs."""
 
 
 def _tr(text: str) -> str:
@@ -56,7 +61,20 @@ def register(icon_path: str) -> None:
             valuetype=Setting.STRING,
         )
     )
+    kinds = {bool: None, int: Setting.INT, float: Setting.FLOAT}
+    for (name, setting), label in zip(COLMAP.items(), _colmap_labels()):
+        default = ReconstructOptions.option(name.lower()).default
+        ProcessingConfig.addSetting(Setting(GROUP, setting, label, default, valuetype=kinds[type(default)]))
     ProcessingConfig.readSettings()
+
+
+def _colmap_labels() -> tuple[str, ...]:
+    return (
+        _tr("COLMAP: geometric consistency"),
+        _tr("COLMAP: only heights that its fusion keeps"),
+        _tr("COLMAP: radius of the window (px)"),
+        _tr("COLMAP: memory of a GPU (GiB, 0: what is free)"),
+    )
 
 
 def unregister() -> None:
@@ -66,7 +84,7 @@ def unregister() -> None:
     except ImportError:
         return
 
-    for name in (ENGINE_PYTHON, WORKERS, MEMORY, CLUSTER):
+    for name in (ENGINE_PYTHON, WORKERS, MEMORY, CLUSTER, *COLMAP.values()):
         if name in ProcessingConfig.settings:  # where QGIS ends, Processing may have taken all of them out before
             ProcessingConfig.removeSetting(name)
     ProcessingConfig.settingIcons.pop(GROUP, None)
@@ -98,6 +116,18 @@ def memory() -> int:
 def cluster() -> str:
     """The address or the scheduler file of a Dask cluster; "" for this machine."""
     return str(_value(CLUSTER) or "").strip()
+
+
+def of_parameter(name: str) -> Any:
+    """What the settings say of a parameter that dialogs leave to them; the option's default where they say nothing."""
+    if name == "CLUSTER":
+        return cluster()
+    default = ReconstructOptions.option(name.lower()).default
+    try:
+        value = _value(COLMAP[name])
+        return default if value in (None, "") else type(default)(value)
+    except (TypeError, ValueError):
+        return default
 
 
 def _whole(name: str) -> int:

@@ -145,7 +145,7 @@ _FOOTPRINTS = "The outline of each image on the ground, with its time, its direc
 _OVERLAPS = "The ground that each two images share, and whether it is worth matching the two."
 _TILES = "The outlines of the tiles, with the equivalent error of each image's camera in px."
 _TIES = "Points on the ground that two or more images show, with their residuals in px."
-_HEIGHTS = "A folder for one height map of each pair and tile, from which the DSM is made."
+_HEIGHTS = "A folder for one height map of each pair and tile, from which the DSM is made. Skipped: beside the scene."
 _DSM = "Heights in metres as a GeoTIFF; where nothing was matched, there is no height."
 _CONFIDENCE = "For each height: its expected error and LE90 in metres, how many pairs agree, and how it was found."
 _ORTHO = "The images in map geometry, on the cells of the DSM, in colour where the images have colours."
@@ -205,7 +205,7 @@ PRODUCTS = (
         for stage in ("refine", "reconstruct", "register")
     ),
     Product("reconstruct", "tie_points", "Tie points", POINTS, UNLESS_SKIPPED, "tie_points", help=_TIES),
-    Product("reconstruct", "heights", "Height maps (skipped: beside the scene)", FOLDER, help=_HEIGHTS),
+    Product("reconstruct", "heights", "Height maps", FOLDER, help=_HEIGHTS),
     Product(
         "register",
         "differences",

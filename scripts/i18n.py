@@ -28,6 +28,7 @@ MODULES = {
     "settings.py": "RepmSettings",
     "styles.py": "RepmStyles",
     "model_copy.py": "RepmModelCopy",
+    "words.py": "RepmWords",
     "install.py": "RepmInstall",
     "next_step.py": "RepmNextStep",
 }

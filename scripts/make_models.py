@@ -103,6 +103,7 @@ def stages_model() -> QgsProcessingModelAlgorithm:
         "reconstruct.OUTPUT_SCENE",
         {"OUTPUT": ("DSM", "DSM")},
     )
+    model.setParameterOrder([parameter.name() for parameter in _inputs()])
     model.setHelpContent(
         {
             "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart. To change a stage, "

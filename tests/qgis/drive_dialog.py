@@ -3,8 +3,18 @@
 import os
 import sys
 
-from qgis.core import QgsApplication, QgsProject, QgsRasterLayer
-from qgis.PyQt.QtWidgets import QApplication, QComboBox, QGroupBox, QLineEdit, QMenu
+from processing.core.ProcessingConfig import ProcessingConfig
+from qgis.core import QgsApplication, QgsProcessingParameterDefinition, QgsProject, QgsRasterLayer
+from qgis.PyQt.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QGroupBox,
+    QLabel,
+    QLineEdit,
+    QMenu,
+    QScrollArea,
+)
 from qgis.utils import iface
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
@@ -50,22 +60,43 @@ def look():
     dialog = opened("reconstruct")
     panel = dialog.mainWidget()
     FOUND["scene"] = panel.wrappers["SCENE"].parameterValue()
-    FOUND["closed"] = shown(panel)
     (group,) = panel.findChildren(QGroupBox)
     group.setProperty("collapsed", False)
-    FOUND["auto"] = shown(panel)
+    FOUND["usual"] = shown(panel)
     panel.setParameters({"BACKEND": "colmap", "WINDOW_RADIUS": 7})
-    FOUND["colmap"] = shown(panel)
-    picture(dialog, "colmap.png")
     group.setProperty("collapsed", True)
     group.setProperty("collapsed", False)
+    FOUND["differs"] = shown(panel)
     FOUND["given"] = dialog.mainWidget().createProcessingParameters()["WINDOW_RADIUS"]
-    panel.setParameters({"BACKEND": "sgm"})
-    FOUND["sgm"] = shown(panel)
     dialog.close()
+    ProcessingConfig.setSettingValue("REPM_COLMAP_WINDOW_RADIUS", 9)
+    panel = opened("reconstruct").mainWidget()
+    FOUND["set"] = [panel.createProcessingParameters()["WINDOW_RADIUS"], shown(panel)]
+    ProcessingConfig.setSettingValue("REPM_COLMAP_WINDOW_RADIUS", 5)
+
+    FOUND["narrow"] = {}
+    for name in PLAN["dialogs"]:
+        dialog = opened(name)
+        for box in dialog.mainWidget().findChildren(QGroupBox):
+            box.setProperty("collapsed", False)
+        dialog.resize(688, 523)  # as QGIS 3.22 opens it
+        QApplication.processEvents()
+        QApplication.processEvents()
+        areas = [area for area in dialog.mainWidget().findChildren(QScrollArea) if area.widget() is not None]
+        FOUND["narrow"][name] = [area.horizontalScrollBar().maximum() for area in areas]
+        dialog.close()
 
     dialog = opened("pipeline")
     panel = dialog.mainWidget()
+    advanced = QgsProcessingParameterDefinition.Flag.FlagAdvanced
+    definitions = dialog.algorithm().parameterDefinitions()
+    FOUND["basic"] = [each.name() for each in definitions if not (each.flags() & advanced or each.isDestination())]
+    FOUND["headings"] = [label.text() for label in panel.findChildren(QLabel, "heading")]
+    box = panel.wrappers["FILL"].wrappedWidget()
+    FOUND["words"] = {box.itemData(index): box.itemText(index) for index in range(box.count())}
+    FOUND["zero"] = panel.wrappers["RESOLUTION"].wrappedWidget().findChildren(QAbstractSpinBox)
+    FOUND["zero"] = [each.text() for each in FOUND["zero"] or [panel.wrappers["RESOLUTION"].wrappedWidget()]]
+    FOUND["references"], FOUND["reference datum"] = offered(panel, "REFERENCE_DATUM")
     FOUND["datums"], FOUND["datum"] = offered(panel, "VERTICAL_DATUM")
     FOUND["line"] = isinstance(panel.wrappers["VERTICAL_DATUM"].wrappedWidget(), QLineEdit)
     values = {}

@@ -31,6 +31,14 @@ BROWSER = Browser()
 def look_at_the_panel():
     menus = {action.text(): action.menu() for action in iface.pluginMenu().actions() if action.menu()}
     FOUND["menu"] = [action.text() for action in menus["REPM"].actions()]
+    for title in ("Inspect images…", "Make a DSM…"):  # each opens its dialog
+        for action in menus["REPM"].actions():
+            if action.text() == title:
+                action.trigger()
+    opened = [each for each in QApplication.topLevelWidgets() if hasattr(each, "runButton") and each.isVisible()]
+    FOUND["opened"] = sorted(each.algorithm().name() for each in opened)
+    for each in opened:
+        each.close()
     panel = window("FirstSteps")
     FOUND["shown"] = panel is not None
     if panel is None:

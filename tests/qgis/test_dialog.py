@@ -1,4 +1,4 @@
-"""What our dialogs add to Processing's: lists, the last scene, presets, and COLMAP's options where they matter."""
+"""What our dialogs add to Processing's: lists, the last scene, presets, and no more than matters."""
 
 from __future__ import annotations
 
@@ -20,14 +20,24 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(tmp_path / "work")}, Silent())
     names = sorted({name for preset in PRESETS.values() for name in preset})
     plan = {"presets": [*PRESETS, "none"], "names": [name.upper() for name in names]}
+    plan["dialogs"] = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm"]
     missing = [str(tmp_path / name) for name in ("a.rpb", "b.xml")]
     plan["lists"] = {"RPCS": missing, "SCENES": [fitted["scene"]], "FIXED": [fitted["scene"], sample["truth"]]}
     settings = f"[repm]\nfirst_steps_shown=true\nlast_scenes={fitted['scene']}\n"
     found = desktop_start("drive_dialog.py", plan, seconds=60, settings=settings)
     assert found["scene"] == fitted["scene"]
-    colmap = ["GEOMETRIC", "COLMAP_FUSION", "WINDOW_RADIUS", "GPU_MEMORY"]
-    assert (found["closed"], found["auto"], found["colmap"], found["sgm"]) == ([], [], colmap, [])
-    assert found["given"] == 7
+    # COLMAP's options are on the options page, and come to the dialog where a run's value is another one.
+    assert (found["usual"], found["differs"], found["given"]) == ([], ["WINDOW_RADIUS"], 7)
+    assert found["set"] == [9, []]
+    assert all(max(widths) == 0 for widths in found["narrow"].values()), found["narrow"]  # all buttons are in sight
+    assert found["basic"] == [
+        *("IMAGES", "EXTENT", "GCPS", "REFERENCE", "RESOLUTION", "VERTICAL_DATUM", "PRESET", "QUALITY"),
+    ]
+    assert [text[3:-4] for text in found["headings"]][:2] == ["Images", "Area and heights"]
+    assert found["words"] == {"none": "None", "occlusions": "Occlusions", "all": "All holes (all)"}
+    assert found["zero"] == ["automatic"]
+    assert found["references"][:2] == ["Automatic: what each file says, or else what fits", "WGS 84 ellipsoid"]
+    assert found["reference datum"] == "ellipsoid"
     assert found["line"] and found["datums"][:2] == ["WGS 84 ellipsoid", "EGM2008  (EGM2008 height)"]
     assert found["datum"] == "EGM2008"
     for preset, values in found["presets"].items():
@@ -42,3 +52,12 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     assert found["surfaces"] == ["surface"]  # a DSM is named once, without its hillshade
     assert not found["not refined"]  # what this stage could not begin with is not taken up
     assert len(found["tiles"]) >= 1 and found["tiles"] != found["no views"]
+
+
+def test_german_dialogs_fit_too(desktop_start, tmp_path):
+    """Labels are longer: at QGIS's own size every "..." button is in sight, with the advanced part open."""
+    names = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm", "dtm"]
+    found = desktop_start("drive_narrow.py", {"dialogs": names}, seconds=60, locale="de")
+    assert all(max(widths) == 0 for widths in found["narrow"].values()), found["narrow"]
+    assert found["words"]["fast"] == "Schnell (fast)" and found["values"] == ["fast", "default", "best"]
+    assert found["model"][0] == "IMAGES"

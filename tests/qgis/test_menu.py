@@ -13,8 +13,8 @@ pytestmark = pytest.mark.skipif(
 
 def test_three_steps_lead_a_new_user_to_a_dsm_and_the_tutorial(desktop_start):
     found = desktop_start("drive_menu.py", {}, settings="")
-    assert {"First steps", "Tutorial", "Help"} <= set(found["menu"])
-    assert found["shown"] and found["kept"]
+    assert {"First steps", "Inspect images…", "Make a DSM…", "Tutorial", "Help"} <= set(found["menu"])
+    assert found["shown"] and found["kept"] and found["opened"] == ["inspect", "pipeline"]
     assert found["folder"].endswith("sample images")
     assert not found["second step"] and found["second step after the first"]
     assert found["success"]
