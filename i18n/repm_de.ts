@@ -813,8 +813,8 @@
         <translation>DOM oder Szenen, deren Höhen richtig sind</translation>
     </message>
     <message>
-        <source>Their heights stay, and all others are brought to them. Scenes that were registered, or have ground control points, are among them by themselves. Where there is none, the mean of all offsets is zero.</source>
-        <translation>Ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Szenen, die eingepasst wurden oder Passpunkte haben, gehören von selbst dazu. Wo es keine gibt, ist das Mittel aller Versätze null.</translation>
+        <source>Their heights stay, and all others are brought to them. Scenes that were registered, or have ground control points, and DSMs of such scenes are among them by themselves. Where there is none, the mean of all offsets is zero.</source>
+        <translation>Ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Szenen, die eingepasst wurden oder Passpunkte haben, und DOM solcher Szenen gehören von selbst dazu. Ohne solche ist das Mittel aller Versätze null.</translation>
     </message>
     <message>
         <source>Resolution (m)</source>

@@ -54,8 +54,8 @@ class Mosaic(RepmAlgorithm):
                 parameters.Rasters("FIXED", self.tr("DSMs or scenes whose heights are right"), rasters, optional=True),
                 self.tr(
                     "Their heights stay, and all others are brought to them. Scenes that were registered, or have "
-                    "ground control points, are among them by themselves. Where there is none, the mean of all offsets "
-                    "is zero."
+                    "ground control points, and DSMs of such scenes are among them by themselves. Where there is none, "
+                    "the mean of all offsets is zero."
                 ),
             ),
             parameters.number(

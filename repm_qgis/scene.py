@@ -29,6 +29,7 @@ from .geometry.map_plane import MapPlane
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain
 from .geometry.tiles import enclosing
+from .geometry.vertical import PLACED
 from .imagery.acquisition import acquired, moment, sensor_of
 from .imagery.enhancement import Stretch, view_stretch
 from .imagery.ortho_ready import OrthoReady, plane_of
@@ -337,6 +338,13 @@ class Scene(Record):
     def gsd_m(self) -> float:
         """The finest view's ground sampling distance."""
         return min(view.gsd_m for view in self.views)
+
+    @property
+    def placed(self) -> str:
+        """What has given the scene its absolute position, one of ``PLACED``; "" where only the RPCs have."""
+        if self.registration is not None:
+            return PLACED[0]
+        return PLACED[1] if self.pointing is not None and self.pointing.controlled else ""
 
     @property
     def fingerprint(self) -> str:

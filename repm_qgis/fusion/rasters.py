@@ -18,7 +18,7 @@ from ..geometry.footprints import footprint, seen_twice
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
-from ..geometry.vertical import DEVIATION_TAG, TAG
+from ..geometry.vertical import DEVIATION_TAG, PLACED_TAG, TAG
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, Provenance
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import RasterWriter, created
@@ -64,6 +64,8 @@ class _Products:
         metadata.update({"REPM_FILL": options.fill, TAG: datum.name})
         if deviation_m is not None:
             metadata[DEVIATION_TAG] = f"{deviation_m:.3f}"
+        if scene.placed:
+            metadata[PLACED_TAG] = scene.placed
         taken = {view.time.date().isoformat() for view in scene.views if view.time is not None}
         if taken:
             metadata[DAYS] = " ".join(sorted(taken))

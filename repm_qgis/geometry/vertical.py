@@ -23,6 +23,11 @@ LISTED = ("EGM2008", "EGM96", "EPSG:5621", "EPSG:7837", "EPSG:5720", "EPSG:5701"
 ELLIPSOID = "WGS 84 ellipsoid"
 TAG = "VERTICAL_DATUM"
 """The metadata item of a raster with the name of its heights' datum."""
+PLACED_TAG = "REPM_PLACED"
+"""The item of a DSM's metadata that says what has given it its absolute position: one of :data:`PLACED`."""
+
+PLACED = ("registered to a reference", "ground control points")
+
 DEVIATION_TAG = "REPM_HEIGHT_DEVIATION"
 """The metadata item with the standard deviation of a DSM's absolute height, m, where the scene states one."""
 

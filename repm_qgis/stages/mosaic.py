@@ -13,9 +13,11 @@ import numpy as np
 import pyproj
 
 from ..arrays import IntArray
+from ..checks import as_text
 from ..disk_space import mosaic_needs, require_space
 from ..errors import EmptyResultError, ImageError, OverlapError
-from ..imagery.raster import raster_identity
+from ..geometry.vertical import PLACED, PLACED_TAG
+from ..imagery.raster import opened, raster_identity
 from ..memory import Work, workers_within
 from ..mosaic.blocks import (
     STEP_BINS,
@@ -138,7 +140,7 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
         return "named in FIXED" if os.path.realpath(path) in named else ""
 
     confidences = options.confidences or ("",) * len(options.dsms)
-    found = [Surface(path, path, error, fixed(path)) for path, error in zip(options.dsms, confidences)]
+    found = [Surface(path, path, error, fixed(path) or _stated(path)) for path, error in zip(options.dsms, confidences)]
     placed = [_placed(path, progress) for path in options.scenes]  # what cannot be fused is said at once
     layout = layout_of(options, found, Silent()) if found and options.scenes else None
     for number, path in enumerate(options.scenes):
@@ -165,10 +167,17 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
 def _placed(path: str, progress: Progress) -> str:
     """What has given a scene its absolute position; raises SceneError for one that cannot be fused."""
     progress.check_cancelled()
-    scene = dsmfuse.reconstructed(path)
-    if scene.registration is not None:
-        return "registered to a reference"
-    return "ground control points" if scene.pointing is not None and scene.pointing.controlled else ""
+    return dsmfuse.reconstructed(path).placed
+
+
+def _stated(path: str) -> str:
+    """What a DSM of this plugin says has given it its absolute position; "" for other files."""
+    try:
+        with opened(path) as dataset:
+            tag = as_text(dataset.GetMetadataItem(PLACED_TAG) or "")
+    except ImageError:  # said where the layout is made
+        return ""
+    return tag if tag in PLACED else ""
 
 
 def _crs_text(layout: Layout) -> str:

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import pyproj
 import pytest
+from osgeo import gdal
 from scipy import ndimage
 
 from repm_qgis.errors import Cancelled, ImageError, OptionError, OverlapError, RepmError, SceneError, WorkspaceError
-from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG
+from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, PLACED, PLACED_TAG, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
@@ -138,6 +139,18 @@ def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
     assert found[1]["added"] == 0 and found[1]["deviation"] == 0
     assert [each["added"] for each in found] == pytest.approx(np.array(ADDED) - ADDED[1], abs=0.01)
     assert any("its heights are fixed" in text for text in said.notes)
+
+
+def test_dsms_that_were_registered_are_fixed_by_themselves(four, tmp_path, told):
+    """Where the file says it, in the plugin's own words; nothing else that stands there counts."""
+    for text, first in ((PLACED[0], 0.0), ("somebody says so", ADDED[1])):
+        placed = str(tmp_path / "placed.tif")
+        shutil.copyfile(four[1], placed)
+        dataset = gdal.Open(placed, gdal.GA_Update)
+        dataset.SetMetadataItem(PLACED_TAG, text)
+        dataset = None
+        found = mosaic(told, tmp_path, [four[0], placed, *four[2:]])["offsets"]
+        assert found[1]["added"] == pytest.approx(first, abs=0.01)
 
 
 def test_neither_blocks_nor_workers_change_the_result(four, made, tmp_path, told):
