@@ -31,7 +31,7 @@ from .engine import PLUGIN_FOLDER
 from .language import language, said
 
 _FROM_TOP = [style.kind for style in STYLES]
-_OFF = [style.kind for style in STYLES if style.off]
+_OFF = {style.kind: style.beside for style in STYLES if style.off}
 _ORDER, _SCENE, _NUMBER = "repm/order", "repm/scene", "repm/number"
 SHADED = "repm/shaded"
 """The property of a hillshade's node in the tree of layers that names the DSM's layer, which it follows."""
@@ -187,16 +187,15 @@ def _place(node: QgsLayerTreeLayer, kind: str, run: Run) -> QgsLayerTreeLayer:
     order = _FROM_TOP.index(kind)
     copy = node.clone()
     copy.setCustomProperty(_ORDER, order)
-    covering = kind in _OFF and "dsm" in _kinds(group)
+    covering = _OFF.get(kind, "") in _kinds(group)
     copy.setItemVisibilityChecked(not covering)
     copy.setExpanded(node.isExpanded() and not covering)
     group.insertChildNode(_index(group, node, order), copy)
     parent.removeChildNode(node)
-    if kind == "dsm":
-        for other in group.children():
-            if _kind(other) in _OFF:
-                other.setItemVisibilityChecked(False)
-                other.setExpanded(False)
+    for other in group.children():
+        if _OFF.get(_kind(other)) == kind:
+            other.setItemVisibilityChecked(False)
+            other.setExpanded(False)
     return copy
 
 

@@ -24,7 +24,8 @@ class Style:
     ``ramp`` are the colours that are spread over the values of a ``band``, with their ``unit`` in the legend;
     ``classes`` are the names of values 0, 1, ... of a discrete one. ``template`` is the file's name where that is not
     the kind's. ``off``: the layer hides others, or is there
-    to check the run, so it is not switched on where there is a DSM to look at. ``plain``: it
+    to check the run, so it is not switched on where there is a DSM to look at, or
+    a layer of the kind ``beside``. ``plain``: it
     has no template, and looks as QGIS shows such a file. ``coloured`` is the template of files that have red, green and
     blue. ``view_of``: not a layer of its own but one more style of the
     layers of that kind, with its ``title``.
@@ -33,6 +34,7 @@ class Style:
     kind: str
     ramp: str = ""
     off: bool = False
+    beside: str = "dsm"
     plain: bool = False
     template: str = ""
     coloured: str = ""
@@ -71,7 +73,7 @@ STYLES = (
         view_of="significant",
         title="Level of detection",
     ),
-    Style("change", "diverging", template="ramp", unit=" m"),
+    Style("change", "diverging", off=True, beside="significant", template="ramp", unit=" m"),
     Style("offsets"),
     Style("differences", "diverging", template="ramp", unit=" m", band=2, title="After the registration"),
     Style(

@@ -214,6 +214,12 @@ def test_each_run_has_its_group_and_stages_of_one_scene_share_theirs(plugin, fee
         ("town", True),
         [],
     ]
+    arrive("pit", "change")
+    assert tree(root.findGroup("pit")) == [("change pit", True)]
+    arrive("pit", "volumes", "significant")  # the change that counts is seen, the raw difference is off
+    shown = [("volumes pit", True), ("significant pit", True), ("change pit", False)]
+    assert tree(root.findGroup("pit")) == shown
+    root.removeChildNode(root.findGroup("pit"))
     # QGIS may put a layer beside the one that is selected, into a group of ours: groups are not nested.
     layer = QgsRasterLayer("", "error", "gdal")
     project.addMapLayer(layer, False)
