@@ -79,7 +79,7 @@ def _dsms(
         added = fixed(float(offsets.added[number]), sign="+") + fixed(float(offsets.deviation[number]))
         share = f"{100.0 * cells.get(number, 0) / known:.1f}"
         rows.append([number + 1, dsm.name, *added, dsm.fixed, count, group_of[number], share])
-    page.section("DSMs").facts([("Moved in height", _moves(layout, offsets))]).table(
+    page.section("DSMs").facts([("Moved in height", move) for move in _moves(layout, offsets)]).table(
         "number | DSM or scene | added, m | standard deviation, m | fixed | overlaps | group | cells from it, %",
         rows,
         "Offsets are solved together by least squares over all overlaps. DSMs of different groups do not "
@@ -87,13 +87,13 @@ def _dsms(
     )
 
 
-def _moves(layout: Layout, offsets: Offsets) -> str:
+def _moves(layout: Layout, offsets: Offsets) -> List[str]:
     """Which DSMs were moved and by how much, the farthest first."""
     moved = [number for number, dsm in enumerate(layout.dsms) if not dsm.fixed and abs(offsets.added[number]) >= 0.005]
     moved.sort(key=lambda number: -abs(float(offsets.added[number])))
     named = [f"'{os.path.basename(layout.dsms[i].name)}' by {offsets.added[i]:+.2f} m" for i in moved[:_MOST_MOVES]]
     more = [f"{len(moved) - _MOST_MOVES} more below"] if len(moved) > _MOST_MOVES else []
-    return "; ".join([*named, *more]) or "none"
+    return [*named, *more] or ["none"]
 
 
 def _overlaps(page: Report, layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets) -> None:
