@@ -61,7 +61,7 @@ def write(path, bands, cell=CELL, crs="EPSG:32631", names=(), place=PLACE, unit=
 
 def confidence(path, error=0.1, source=None, count=None):
     shape = (SIDE, SIDE)
-    full = [np.full(shape, value, float) for value in (3, 0.1, 0.9, 0, error)]
+    full = [np.full(shape, value, float) for value in (3, 0.1, 0.9, 0, error, 1.645 * error)]
     if source is not None:
         full[3] = source
     if count is not None:
