@@ -13,7 +13,7 @@ import pytest
 from repm_qgis.arrays import Bounds
 from repm_qgis.errors import Cancelled, ImageError, MissingPackageError, OverlapError
 from repm_qgis.registration import clouds
-from repm_qgis.registration.clouds import read_cloud
+from repm_qgis.registration.clouds import opened_cloud, read_cloud
 from repm_qgis.registration.parameters import REGISTRATION
 
 laspy = pytest.importorskip("laspy", reason="the package laspy is not installed")
@@ -34,7 +34,7 @@ def points(count=40_000, seed=1, margin=5.0):
     return x, y, plane(x, y)
 
 
-def write(path, x, y, z, kind=2, crs=UTM, withheld=None, place_unit=1.0, height_unit=1.0):
+def write(path, x, y, z, kind=2, crs=UTM, withheld=None, place_unit=1.0, height_unit=1.0, returns=None):
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = np.full(3, 0.0001), np.floor([x[0], y[0], 0.0])
     if crs:
@@ -44,8 +44,20 @@ def write(path, x, y, z, kind=2, crs=UTM, withheld=None, place_unit=1.0, height_
     cloud.classification = np.broadcast_to(np.asarray(kind, dtype=np.uint8), len(x))
     if withheld is not None:
         cloud.withheld = withheld
+    if returns is not None:
+        cloud.return_number = returns
     cloud.write(str(path))
     return str(path)
+
+
+def test_what_a_pulse_meets_first_is_its_first_return(tmp_path):
+    x, y, z = points(400, margin=0.0)
+    returns = np.arange(400) % 4  # 0: a file that does not count them
+    path = write(tmp_path / "cloud.las", x, y, z, returns=returns)
+    with opened_cloud(path) as cloud:
+        (part,) = cloud.parts(UTM, BOUNDS)
+    assert len(part.xyz) == 400
+    np.testing.assert_array_equal(part.first, returns <= 1)
 
 
 @pytest.mark.parametrize("name", ("cloud.las", "cloud.laz"))

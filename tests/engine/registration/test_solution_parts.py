@@ -258,3 +258,14 @@ def test_parts_ask_for_the_weighted_mean_of_their_own_differences():
         tilt = unknowns[3:] @ ((offset.x, offset.y) - np.array([500.0, 800.0]))
         assert offset.moved == pytest.approx((1.0, -2.0, 4.0 + wanted + tilt))
         assert offset.deviation[:2] == (0.0, 0.0) and 0 < offset.deviation[2] < 0.5
+
+
+def test_a_solution_ends_as_soon_as_it_stays():
+    rng = np.random.default_rng(3)
+    place = np.column_stack([rng.uniform(320, 680, 800), rng.uniform(620, 980, 800)])
+    heights = Slope().at(*place.T)[0] + 2.0 + rng.normal(0.0, 0.1, 800)  # two metres too low
+    steps = []
+    found = problem(place, heights=heights).solve(np.zeros(3), np.zeros((0, 2)), False, lambda: steps.append(1))
+    assert found.unknowns[2] == pytest.approx(2.0, abs=0.02) and not found.unknowns[:2].any()
+    # Three steps with the middle of the differences taken away, and then until it is found: no more than some.
+    assert 4 <= len(steps) < REGISTRATION.iterations
