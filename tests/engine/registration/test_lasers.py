@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -168,3 +169,13 @@ def test_without_a_reader_the_remedy_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(MissingPackageError, match=r"give its heights as a CSV file \(SlideRule and EarthExplorer"):
         read_lasers(write_hdf5(tmp_path / "a.h5", {"gt1l/a": np.arange(3.0)}), UTM, BOUNDS)
+
+
+@pytest.mark.parametrize("reason", (KeyError("bad symbol table"), OSError("truncated"), RuntimeError("no filter")))
+def test_what_h5py_cannot_open_in_a_file_is_a_sentence(reason):
+    def get(name):
+        raise reason
+
+    h5py = SimpleNamespace(File=lambda path, mode: SimpleNamespace(get=get))
+    with pytest.raises(ImageError, match=r"Cannot read the HDF5 file 'x\.h5'.*: get it again"):
+        lasers._H5pyStore("x.h5", h5py).shape("gt1l/heights/h_ph")

@@ -146,6 +146,23 @@ def test_the_vertical_parallax_is_what_no_height_takes_up(urban):
     assert half == pytest.approx(found, rel=0.05)
 
 
+def test_the_parallax_of_images_on_their_side_is_the_same(urban):
+    """Rows and columns exchanged: it runs along the other axis of the pixels, as long and to the same side."""
+    views = urban.views[:2]
+    _, ground = tracks_on(views, 30)
+    pixels = [view.project(ground) + shift for view, shift in zip(views, ((1.0, 2.0), (-0.5, 0.25)))]
+    found, azimuth = vertical_parallax(tuple(views), tuple(pixels), ground)
+    turned = []
+    for view in views:
+        names = [f"{{}}_{part}" for part in ("off", "scale", "num", "den")]
+        changes = {name.format("row"): getattr(view.rpc, name.format("col")) for name in names}
+        changes.update({name.format("col"): getattr(view.rpc, name.format("row")) for name in names})
+        turned.append(replace(view, rpc=replace(view.rpc, **changes), width=view.height, height=view.width))
+    other, direction = vertical_parallax(tuple(turned), tuple(pixel[:, ::-1] for pixel in pixels), ground)
+    assert other == pytest.approx(found, abs=1e-6) and direction == pytest.approx(azimuth, abs=1e-3)
+    assert np.abs(found).min() > 0.5
+
+
 def test_only_tracks_that_both_views_see_have_one(urban):
     views = urban.views[:3]
     tracks, ground = tracks_on(views, 12)
