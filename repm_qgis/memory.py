@@ -195,7 +195,7 @@ def colouring_mib(cells: int, views: int, bands: int) -> float:
     looked for before that, up to 512 cells away, and takes less.
     """
     alone, together = 90.0 + 20.0 * bands, 4.0 * views * (4.0 * bands + 5.0 + 0.56 * views)
-    return 137.0 + max(alone, together) * cells / _MIB
+    return 115.0 + max(alone, together) * cells / _MIB
 
 
 def largest_tile(tile_px: int, each_mib: float, budget_mib: float) -> int:
