@@ -38,7 +38,8 @@ sys.path.insert(0, str(ROOT))
 
 PRODUCTS = {"output": "dsm.tif", "confidence": "confidence.tif", "cloud": "cloud.laz", "ept": "ept", "mesh": "mesh.ply"}
 ORPHANS_S = 5.0
-HANG_S = 180.0
+HANG_S = 180.0  # or as long as ten undisturbed runs, whichever is longer: a busy machine is no hang
+UNDISTURBED_S = 1800.0
 MARK = "REPM_FAULTS_TRIAL"  # in the environment of every process of a trial, which is how orphans are found
 
 
@@ -89,11 +90,13 @@ class Bench:
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder, self.random, self._count = folder, random.Random(seed), 0  # noqa: S311 - a reproducible campaign
+        self.hang_s = UNDISTURBED_S
         made = self._whole(self.start("sampledata", {"folder": str(folder / "town"), "size": 420}))
         self.images = made.last["result"]["images"]
         start = time.monotonic()
         ended = self._whole(self.start("pipeline", self.job(folder / "reference")))
         self.seconds = time.monotonic() - start
+        self.hang_s = max(HANG_S, 10.0 * self.seconds)
         self.reference = digest(folder / "reference")
         sys.stderr.write(f"faults: an undisturbed run takes {self.seconds:.1f} s, {len(self.reference)} products\n")
         if ended.code or len(self.reference) < len(PRODUCTS):
@@ -114,21 +117,22 @@ class Bench:
         self._count += 1
         path = self.folder / f"job{self._count}.json"
         path.write_text(json.dumps(job))
-        return Running([sys.executable, "-m", "repm_qgis", stage, str(path)], **keywords)
+        return Running([sys.executable, "-m", "repm_qgis", stage, str(path)], hang_s=self.hang_s, **keywords)
 
     @staticmethod
     def _whole(running: "Running") -> Ended:
         ended = running.end()
         if ended.code:
-            raise SystemExit(f"faults: {ended.last or ended.errors}")
+            hung = f"it was still at work after {UNDISTURBED_S:.0f} s" if ended.code == -999 else ""
+            raise SystemExit(f"faults: an undisturbed run failed: {hung or ended.last or ended.errors}")
         return ended
 
 
 class Running:
     """A process in a session of its own, whose output goes to files: a pipe would hide that orphans hold it open."""
 
-    def __init__(self, command: List[str], **keywords: Any) -> None:
-        self.mark = os.urandom(8).hex()
+    def __init__(self, command: List[str], hang_s: float = HANG_S, **keywords: Any) -> None:
+        self.mark, self._hang_s = os.urandom(8).hex(), hang_s
         self._streams = [tempfile.TemporaryFile() for _ in range(2)]
         self._start = time.monotonic()
         environment = {**os.environ, MARK: self.mark, **keywords.pop("environment", {})}
@@ -157,10 +161,10 @@ class Running:
                 found.append((int(name), words))
         return found
 
-    def end(self, timeout: float = HANG_S) -> Ended:
+    def end(self) -> Ended:
         """Wait for the end; a run that hangs is killed and has the code -999."""
         try:
-            code = self.process.wait(timeout)
+            code = self.process.wait(self._hang_s)
         except subprocess.TimeoutExpired:
             code = -999
             self.kill_all()
@@ -505,7 +509,7 @@ def received(bench: Bench, count: int, score: Score) -> None:
         precious.write_text("years of work")
         planted = place / "w" / name
         os.mkfifo(planted) if pipe else planted.symlink_to(precious)
-        ended = bench.start("pipeline", bench.job(place)).end(HANG_S)
+        ended = bench.start("pipeline", bench.job(place)).end()
         problems = ended.problems()
         if precious.read_text() != "years of work":
             problems.append("a file that nobody named was lost")
