@@ -18,7 +18,7 @@ from ..arrays import Bounds, FloatArray, FloatImage, Floats, Window
 from ..geometry.interpolation import bilinear, interpolate_steps
 from ..imagery.parameters import WARPING
 from ..imagery.sampling import median_of_known, median_of_neighbours, nmad
-from ..imagery.warping import PixelMap, reduced
+from ..imagery.warping import PixelMap
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
 from .disparity_map import PairMatcher
@@ -82,14 +82,6 @@ class ReducedPair(NamedTuple):
         span = self.disparities[1] - self.disparities[0]
         rows, columns = slice(top, top + height), slice(left, left + width)
         return ReducedPair(self.first[rows, columns], self.second[rows, left : left + width + span], self.disparities)
-
-
-def reduced_pair(
-    first: FloatImage, second: FloatImage, disparities: Tuple[int, int], parameters: PriorParameters = MATCHING.prior
-) -> ReducedPair:
-    """A pair reduced as the coarse level has it. ``disparities`` must be whole multiples of the reduction."""
-    (low, high), (a, b) = disparities, (reduced(image, parameters.factor) for image in (first, second))
-    return ReducedPair(a, b, (low // parameters.factor, high // parameters.factor))
 
 
 @dataclass(frozen=True)

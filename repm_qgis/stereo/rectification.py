@@ -70,7 +70,7 @@ def _aligning_rotation(first: PinholeCamera, second: PinholeCamera, target: Floa
 
 
 def rectify(
-    first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, tile: FloatArray, most_shear: float = 0.3
+    first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, tile: FloatArray, most_shear: float
 ) -> RectifiedPair:
     """Homographies that align the rows of two refined images.
 

@@ -23,11 +23,11 @@ from repm_qgis.matching.disparity_prior import (
     fill_gaps,
     find_prior,
     needs_coarse_level,
-    reduced_pair,
 )
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.stereo.pairing import rectified_pair
 from repm_qgis.stereo.triangulation import NodeTable, pair_geometry
+from tests.engine.matching.pairs import reduced_pair
 
 HEIGHT, WIDTH = 384, 512
 LOW, HIGH = -80, 80

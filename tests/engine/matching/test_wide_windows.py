@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.matching.disparity_prior import reduced_pair
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.matching.sgm import match
 from repm_qgis.matching.wide_windows import even_contrast, wide_match
+from tests.engine.matching.pairs import reduced_pair
 
 SHAPE = (360, 440)
 LOW, HIGH = -20, 20
