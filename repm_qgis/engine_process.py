@@ -79,7 +79,9 @@ class _Cancelling:
     """
 
     def __init__(self, lines: JsonLines) -> None:
+        """Made in the main thread, which is the one that signals interrupt."""
         self._lines, self._engine, self._asked, self._listening = lines, os.getpid(), False, False
+        self._main = threading.get_ident()
 
     def listen(self) -> None:
         self._listening = True
@@ -110,7 +112,8 @@ class _Cancelling:
         if os.name == "nt":
             signal.raise_signal(signal.SIGINT)
         else:
-            os.kill(self._engine, signal.SIGINT)
+            # To the main thread itself: os.kill() may choose another one, and the main thread would sleep on.
+            signal.pthread_kill(self._main, signal.SIGINT)
         threading.Thread(target=self._end_unheard, name="end-unheard", daemon=True).start()
 
     def _end_unheard(self) -> None:
