@@ -2,9 +2,8 @@
 
 Each trial runs stages of a checkout as the dialogs do, in a process of its own, and says in a few words how they
 ended. A trial that ends with a DSM says how far that lies from the truth. This module has the trials on images and
-RPCs, and those of input_heights.py, input_terrain.py and
-input_dsms.py with them; those of a second campaign are in input_second.py. The earlier revision is that of
-REPM_BENCH_BEFORE, by default the last one before these cases were looked at.
+RPCs, and those of input_heights.py and input_terrain.py with them; those of a second campaign are in input_second.py.
+The earlier revision is that of REPM_BENCH_BEFORE, by default the last one before these cases were looked at.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks import input_dsms, input_heights, input_second, input_terrain
+from benchmarks import input_heights, input_second, input_terrain
 from benchmarks.input_case import Ended, Job, Trial, off, pipeline, pixels_of, say_of, town, true_views, write_plain
 from benchmarks.runner import ROOT, earlier, few, say
 from benchmarks.tables import Section, table
@@ -191,7 +190,7 @@ TRIALS: List[Trial] = [
 def second_campaign() -> List[str]:
     return [
         f"What an independent campaign broke: how each case ended then (revision {SECOND}), and how it ends now. Its "
-        "other classes are in `make bench-own_rpcs` (1 to 3) and `make bench-faults` (7, 10, 12, 14, 16).",
+        "other classes are in `make bench-faults` (7, 10, 12, 14, 16).",
         table("class | input | before | now", _tried(input_second.TRIALS, SECOND)),
     ]
 
@@ -209,7 +208,7 @@ def _tried(trials: Sequence[Trial], revision: str) -> List[List[str]]:
 
 
 def never_silently_wrong() -> List[str]:
-    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS, *input_dsms.TRIALS]
+    every = [*TRIALS, *input_heights.TRIALS, *input_terrain.TRIALS]
     rows = _tried(sorted(every, key=lambda trial: int(trial.point)), BEFORE)
     return [
         "Each row is a case of bad input: how the run ended before these cases were looked at "

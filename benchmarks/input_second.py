@@ -1,7 +1,7 @@
 """Bad input, the second campaign: what an independent campaign broke, beside revision 913e92d, which it broke.
 
-benchmarks/input.py runs the trials; benchmarks/own_rpcs.py has those with wrong RPCs, benchmarks/faults.py those that
-interrupt a run or meddle with its folders.
+benchmarks/input.py runs the trials; benchmarks/own_rpcs.py shows what sound scenes say of their RPCs,
+benchmarks/faults.py has the trials that interrupt a run or meddle with its folders.
 """
 
 from __future__ import annotations
@@ -21,8 +21,20 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from benchmarks.input_case import Ended, Job, Trial, pipeline, pixels_of, run_in, say_of, town, true_views, write_plain
-from benchmarks.input_dsms import relief, surface
+from benchmarks.input_case import (
+    Ended,
+    Job,
+    Trial,
+    off,
+    pipeline,
+    pixels_of,
+    run_in,
+    say_of,
+    town,
+    true_views,
+    write_plain,
+)
+from benchmarks.input_dsms import WRONG, relief, surface
 from benchmarks.own_rpcs import sound_scenes
 from benchmarks.runner import ROOT, few, say
 from benchmarks.tables import table
@@ -38,6 +50,34 @@ _PLACE, _CRS = (500000.0, 1.0, 0.0, 4800000.0, 0.0, -1.0), pyproj.CRS("EPSG:3263
 _LOCAL = 'LOCAL_CS["site of works",UNIT["metre",1]]'
 _ELLIPSOID = {TAG: ELLIPSOID}
 _WORK = "years of work"
+
+
+# --- 1, 2: RPCs that are not the images' own, or broken -------------------------------------------------------------
+
+
+def with_rpcs(owners: Sequence[int], with_dem: bool, folder: Path) -> List[Job]:
+    """Images of the town, each with the RPC of the one named; a DEM of the true ground where one is asked for."""
+    views = true_views(len(owners))
+    images = [
+        write_plain(folder / f"{view.name}.tif", pixels_of(view.image), views[owner].rpc)
+        for view, owner in zip(views, owners)
+    ]
+    dem = {"dem": str(shutil.copy(town().reference, folder / "dem.tif"))} if with_dem else {}
+    return [pipeline(folder, images, report=str(folder / "r.html"), **dem)]
+
+
+def with_trend(folder: Path) -> List[Job]:
+    """The second RPC's rows run away, by 14 px between the middle and the last one."""
+    images = []
+    for number, view in enumerate(true_views(2)):
+        rpc = replace(view.rpc, row_scale=1.028 * view.rpc.row_scale) if number else view.rpc
+        images.append(write_plain(folder / f"{view.name}.tif", pixels_of(view.image), rpc))
+    return [pipeline(folder, images, report=str(folder / "r.html"))]
+
+
+def verdict(ended: Ended) -> str:
+    """The report's verdict, with how far the DSM is from the true surface."""
+    return f"{off(ended, town().reference)}; {reported(ended)[len('exit 0: ') :]}"
 
 
 # --- 4: mosaics -----------------------------------------------------------------------------------------------------
@@ -101,7 +141,15 @@ def other_units(stage: str, folder: Path) -> List[Job]:
 
 
 def spread(ended: Ended) -> str:
-    return f"NMAD {ended.result['nmad']:.2f} m, MedAE {ended.result['medae']:.2f} m; {reported(ended)}"
+    return f"NMAD {ended.result['nmad']:.2f} m; {reported(ended)}"
+
+
+# --- 6: comparisons -------------------------------------------------------------------------------------------------
+
+
+def compared(wrong: str, folder: Path) -> List[Job]:
+    reference, dsm = surface(folder, "reference"), surface(folder, "dsm", wrong)
+    return [("comparedsm", {"dsm": dsm, "reference": reference, "align": "vertical", "report": str(folder / "r.html")})]
 
 
 # --- 8, 9: copies and replaced images -------------------------------------------------------------------------------
@@ -169,7 +217,19 @@ def filled(ended: Ended) -> str:
     return f"exit 0: VALID_PERCENT {ended.result['valid_percent']:.1f}"
 
 
-# --- 13, 14: what lies there already --------------------------------------------------------------------------------
+# --- 12 to 14: what lies there already --------------------------------------------------------------------------------
+
+
+def linked_lock(folder: Path) -> List[Job]:
+    """A link under the name of a product's lock leads to a file of the user."""
+    (folder / "precious").write_text(_WORK)
+    (folder / ".run.tif.lock").symlink_to(folder / "precious")
+    return [pipeline(folder, town().images[:2])]
+
+
+def precious(ended: Ended) -> str:
+    same = (ended.folder / "precious").read_text() == _WORK
+    return f"exit 0: what the link leads to is {'as it was' if same else 'lost'}"
 
 
 def private(folder: Path) -> List[Job]:
@@ -294,13 +354,25 @@ _MOSAICS: Sequence[str] = (
 )
 
 _TRIALS = [
+    *(
+        Trial("1", what, partial(with_rpcs, owners, with_dem), verdict)
+        for what, owners, with_dem in (
+            ("a pair with exchanged RPCs", (1, 0), False),
+            ("a pair with exchanged RPCs and a correct DEM", (1, 0), True),
+            ("three images, two with exchanged RPCs", (1, 0, 2), False),
+            ("a pair with one RPC on both images", (0, 0), False),
+        )
+    ),
+    Trial("2", "an RPC whose LINE_SCALE is 2.8 % too large", with_trend, verdict),
     *(Trial("4", f"a mosaic with a DSM that is {wrong}", partial(put_together, wrong), reported) for wrong in _MOSAICS),
     Trial("5", "a DSM in feet compared with one in scaled centimetres", partial(other_units, "comparedsm"), spread),
     Trial("5", "a mosaic of the two", partial(other_units, "mosaic"), reported),
+    *(Trial("6", f"a DSM that is {wrong}, compared", partial(compared, wrong), spread) for wrong in WRONG),
     Trial("8", "a pair and a copy of one of its images", partial(with_copy, False), as_the_pair),
     Trial("8", "a pair and a copy whose RPC was rounded", partial(with_copy, True), as_the_pair),
     Trial("9", "an image that is replaced before the fusion", replaced, filled),
     Trial("11", "an RPC with a negative LINE_SCALE", mirrored_rows, filled),
+    Trial("12", "a link under the name of a product's lock", linked_lock, precious),
     Trial("13", "an earlier product of mode 0600", private, permissions),
     Trial("14", "pictures and materials of the user beside an OBJ", beside_a_mesh, kept),
     Trial("15", "a pair across 180 degrees", across_180_degrees, filled),
