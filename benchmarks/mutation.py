@@ -72,7 +72,7 @@ EQUALITY = "equivalent: which side of a limit its very value, a float, belongs t
 ROUNDING = "equivalent: clamps against rounding, and the start of a maximum"
 _LIMITS = re.compile(r"_?(MAX_\w+|STEPS|\w+_STEPS|\w*TOLERANCE\w*)")
 _SPEED = re.compile(r"_CHUNK|_POLL_S|_FEW|\w+_THRESHOLD|keep_freed_memory|lru_cache")
-_FLOAT = re.compile(r"\b\d+\.\d|\de-|\bnp\.(abs|median|linalg)|_(px|m|PX|weight|score)\b")
+_FLOAT = re.compile(r"\b\d+\.\d|\de-|\bnp\.(abs|median|linalg)|_(px|m|PX|weight|score)\b|\bbox(es)?\b|\.bounds\b")
 _OTHER_SYSTEM = re.compile(r"(sys\.platform|os\.name) [!=]= '(win32|darwin|nt)'|'forkserver' not in")
 
 Span = Tuple[Tuple[int, int], Tuple[int, int], str]

@@ -12,8 +12,9 @@ import pytest
 
 from repm_qgis.arrays import Bounds
 from repm_qgis.errors import Cancelled, ImageError, MissingPackageError, OverlapError
+from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.registration import clouds
-from repm_qgis.registration.clouds import opened_cloud, read_cloud
+from repm_qgis.registration.clouds import CellSums, opened_cloud, read_cloud
 from repm_qgis.registration.parameters import REGISTRATION
 
 laspy = pytest.importorskip("laspy", reason="the package laspy is not installed")
@@ -69,6 +70,27 @@ def test_means_lie_on_the_ground_with_its_slopes(tmp_path, name):
     known = np.isfinite(found.slopes).all(axis=1)
     assert known.sum() == 48 * 28
     np.testing.assert_allclose(found.slopes[known].mean(axis=0), [0.3, -0.1], atol=0.01)
+
+
+def test_points_on_the_far_edges_belong_to_the_last_cells():
+    """Of a grid of two rows and five columns, whose corner is in the north-west."""
+    sums = CellSums(CellGrid(100.0, 50.0, 2.0, (2, 5)))
+    sums.add(np.array([[110.0, 46.0, 7.0], [100.0, 46.0, 3.0], [110.0, 50.0, 5.0], [104.5, 48.5, 1.0]]))
+    wanted = np.full((2, 5), np.nan)
+    wanted[1, 4], wanted[1, 0], wanted[0, 4], wanted[0, 2] = 7.0, 3.0, 5.0, 1.0
+    np.testing.assert_array_equal(sums.means(), wanted)
+    assert np.isnan(sums.means(2)).all()
+
+
+def test_what_a_cloud_and_bounds_share_ends_a_margin_around_the_cloud(tmp_path):
+    x, y, z = points(margin=0.0)
+    path = write(tmp_path / "cloud.las", x, y, z)
+    wide = Bounds(BOUNDS.xmin - 500.0, BOUNDS.ymin - 500.0, BOUNDS.xmax + 500.0, BOUNDS.ymax + 500.0)
+    with opened_cloud(path) as cloud:
+        common = cloud.common(UTM, wide)
+        assert cloud.common(UTM, BOUNDS) == pytest.approx(tuple(BOUNDS))
+    margin = clouds._MARGIN_M
+    assert common == pytest.approx((x.min() - margin, y.min() - margin, x.max() + margin, y.max() + margin), abs=1e-3)
 
 
 def test_ground_only_where_there_is_some(tmp_path):

@@ -179,3 +179,30 @@ def test_what_h5py_cannot_open_in_a_file_is_a_sentence(reason):
     h5py = SimpleNamespace(File=lambda path, mode: SimpleNamespace(get=get))
     with pytest.raises(ImageError, match=r"Cannot read the HDF5 file 'x\.h5'.*: get it again"):
         lasers._H5pyStore("x.h5", h5py).shape("gt1l/heights/h_ph")
+
+
+class Damaged:
+    """An HDF5 file that opens, and whose parts cannot be read."""
+
+    def __init__(self, reason):
+        self._reason = reason
+
+    def __iter__(self):
+        raise self._reason
+
+    def __getitem__(self, name):
+        raise self._reason
+
+
+@pytest.mark.parametrize("reason", (OSError("truncated"), RuntimeError("no filter")))
+def test_names_that_h5py_cannot_list_are_a_sentence(reason):
+    h5py = SimpleNamespace(File=lambda path, mode: Damaged(reason))
+    with pytest.raises(ImageError, match=r"Cannot read the HDF5 file 'x\.h5'.*: get it again"):
+        lasers._H5pyStore("x.h5", h5py).groups()
+
+
+@pytest.mark.parametrize("reason", (OSError("a"), RuntimeError("b"), ValueError("c"), TypeError("d"), KeyError("e")))
+def test_values_that_h5py_cannot_read_are_a_sentence(reason):
+    h5py = SimpleNamespace(File=lambda path, mode: Damaged(reason))
+    with pytest.raises(ImageError, match=r"Cannot read the HDF5 file 'x\.h5'.*: get it again"):
+        lasers._H5pyStore("x.h5", h5py).read("gt1l/heights/h_ph", 0, 10)

@@ -53,6 +53,12 @@ def test_what_nobody_tells_stays_with_the_promised_uncertainty():
     )
     (alone,) = placed(Observation.of_control(np.diag([0.0, 0.0, 4.0]), 0))
     assert alone.deviations == pytest.approx([8.0, 8.0, 0.5]) and len(alone.determined) == 0
+    assert not alone.covariance[3:].any(), "a scene that nobody tilts lies level"
+
+
+def test_what_rounding_leaves_of_an_information_tells_nothing():
+    control = Observation.of_control(np.diag([1e-12, 1e-11, 4.0]), 0)
+    assert np.abs(control.basis).tolist() == [[0.0], [0.0], [1.0], [0.0], [0.0]] and control.covariance == 0.25
 
 
 def test_an_overlap_hands_a_reference_on():
