@@ -276,16 +276,18 @@ def kills(bench: Bench, count: int, score: Score) -> None:
         shutil.rmtree(place, ignore_errors=True)
 
 
-def kills_at_view_heights(bench: Bench, count: int, score: Score) -> None:
-    """kill -9 of a worker while the rasters of all height maps are written: no empty folder, and no exit code 0."""
-    for _ in range(count):
+def deaths_at_view_heights(bench: Bench, count: int, score: Score) -> None:
+    """A worker dies (SIGKILL, or SIGSEGV as of a crash) while the rasters of all height maps are written: no empty
+    folder, and no exit code 0."""
+    for number in range(count):
+        death = (signal.SIGKILL, signal.SIGSEGV)[number % 2]
         place = bench.place()
         views = place / "views"
         running = bench.start("pipeline", bench.job(place, view_heights=str(views)))
         while running.process.poll() is None and not list(place.glob("*views*/*.tif")):
             time.sleep(0.005)
         time.sleep(bench.random.uniform(0.0, 0.3))
-        hit = _kill(running, "worker", bench.random)
+        hit = _kill(running, "worker", bench.random, death)
         ended = running.end()
         problems = ended.problems(not hit) + running.orphans() + state_of(place, bench.reference)
         written = len(list(views.glob("*.tif")))
@@ -297,7 +299,7 @@ def kills_at_view_heights(bench: Bench, count: int, score: Score) -> None:
             problems.append("run again: no rasters of the height maps")
         if ended.code == 0 and written < whole:
             problems.append(f"exit code 0 with {written} of {whole} rasters of the height maps")
-        score.add(problems, f"kill -9 of a worker at the height maps, {'hit' if hit else 'missed'}")
+        score.add(problems, f"{death.name} of a worker at the height maps, {'hit' if hit else 'missed'}")
         shutil.rmtree(place, ignore_errors=True)
 
 
@@ -370,8 +372,8 @@ def kills_of_qgis(bench: Bench, count: int, score: Score) -> None:
         shutil.rmtree(place, ignore_errors=True)
 
 
-def _kill(running: Running, victim: str, chance: random.Random) -> bool:
-    """Send SIGKILL to the victim; False where it is not there at this moment."""
+def _kill(running: Running, victim: str, chance: random.Random, number: int = signal.SIGKILL) -> bool:
+    """Send a signal to the victim; False where it is not there at this moment."""
     family = running.family()
     engine = running.process.pid
     others = [pid for pid, words in family if pid != engine and "resource_tracker" not in words]
@@ -383,9 +385,9 @@ def _kill(running: Running, victim: str, chance: random.Random) -> bool:
         return False
     try:
         if victim == "group":
-            os.killpg(engine, signal.SIGKILL)
+            os.killpg(engine, number)
         else:
-            os.kill(chance.choice(sorted(chosen)), signal.SIGKILL)
+            os.kill(chance.choice(sorted(chosen)), number)
     except ProcessLookupError:
         return False
     return True
@@ -532,7 +534,7 @@ def mutations(bench: Bench, count: int, score: Score) -> None:
 KINDS: Dict[str, Tuple[Callable[[Bench, int, Score], None], int]] = {
     "kill -9": (kills, 100),
     "kill -9 of QGIS": (kills_of_qgis, 20),
-    "kill -9 of a worker at the height maps": (kills_at_view_heights, 12),
+    "death of a worker at the height maps": (deaths_at_view_heights, 12),
     "zeros in a fused tile": (zeroed_tiles, 12),
     "workspace renamed": (renamed, 12),
     "cancel": (cancels, 40),
