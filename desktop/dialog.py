@@ -15,11 +15,8 @@ from qgis.core import (
     QgsProcessing,
     QgsProcessingAlgorithm,
     QgsProcessingParameterDefinition,
-    QgsProject,
     QgsVectorLayer,
 )
-from qgis.gui import QgsMapLayerComboBox
-from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QPoint
 from qgis.PyQt.QtWidgets import (
     QAbstractSpinBox,
@@ -36,7 +33,6 @@ from qgis.utils import iface
 
 from ..processing_provider import settings, words
 from ..processing_provider.last_scene import last_scene
-from ..processing_provider.styles import hillshades
 from ..processing_provider.values import is_empty
 from ..repm_qgis.options import PRESETS
 from .next_step import STEPS, push_message
@@ -89,7 +85,6 @@ class Panel(ParametersPanel):
             self._set(name, "" if name == "CLUSTER" else settings.of_parameter(name))
             self._follow(name, self._show_what_differs)
         self._head()
-        self._leave_out_hillshades(QgsProject.instance())
         self._preset = "none"
         self._follow("PRESET", self._fill_in)
 
@@ -213,16 +208,6 @@ class Panel(ParametersPanel):
         except RepmError:
             return []
         return [(getattr(each, name), getattr(each, name)) for each in found]
-
-    def _leave_out_hillshades(self, project: QgsProject) -> None:
-        """A list of layers names each DSM once: its hillshade has the same source, and QGIS offers it first."""
-        shades = hillshades(project)
-        if not shades:
-            return
-        for box in self.findChildren(QComboBox):
-            if box.metaObject().className() == "QgsMapLayerComboBox":
-                box = sip.cast(box, QgsMapLayerComboBox)  # Python takes it for what it knows
-                box.setExceptedLayerList([*box.exceptedLayerList(), *shades])
 
     def _take_up_last_scene(self) -> None:
         optional = QgsProcessingParameterDefinition.Flag.FlagOptional

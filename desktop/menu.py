@@ -15,7 +15,7 @@ from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
 from .geoid_grids import GeoidGridsDialog
-from .hillshades import HillshadesFollow
+from .hillshades import Hillshades
 from .install import InstallDialog, offer_once
 from .next_step import STEPS
 from .surface_editing import SurfaceEditingDock
@@ -34,7 +34,7 @@ class PluginMenu:
         self._grids: Optional[GeoidGridsDialog] = None
         self._offer: Any = None
         self._toolbox_actions = model_copy.register()
-        self._hillshades = HillshadesFollow()
+        self._hillshades = Hillshades(iface=iface)
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
         self.add(self.tr("First steps"), "repm", self.first_steps)

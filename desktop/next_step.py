@@ -24,7 +24,6 @@ from qgis.PyQt.QtWidgets import QPushButton
 from ..processing_provider import last_scene
 from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
-from ..processing_provider.styles import hillshades
 from ..processing_provider.values import any_paths, is_empty, layer_path
 from ..repm_qgis.options import DsmFuseOptions
 from ..repm_qgis.products import STYLES, products_of
@@ -206,9 +205,7 @@ def _layer_of(path: Optional[str]) -> Any:
     if is_empty(path) or path == QgsProcessing.TEMPORARY_OUTPUT:
         return None
     place = os.path.realpath(str(path))
-    project = QgsProject.instance()
-    shades = hillshades(project)  # have the DSM's file as well
-    layers = (layer for layer in project.mapLayers().values() if layer not in shades)
+    layers = QgsProject.instance().mapLayers().values()
     return next((layer for layer in layers if os.path.realpath(layer_path(layer)) == place), None)
 
 

@@ -45,7 +45,6 @@ from qgis.PyQt.QtWidgets import (
 
 from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
-from ..processing_provider.styles import SHADED, hillshades, shade
 from ..processing_provider.values import layer_path
 from .drawing_tool import BRUSH, LINE, POLYGON, DrawingTool
 
@@ -170,15 +169,7 @@ class SurfaceEditingDock(QgsDockWidget):
 
     def _follow_layer(self, layer: Any) -> None:
         """The active layer is the one to edit, where it is a raster."""
-        shades = hillshades(QgsProject.instance())
-        for box in (self.layers, self.confidence):
-            if box.exceptedLayerList() != shades:  # which loses the choice
-                chosen = box.currentLayer()
-                box.blockSignals(True)
-                box.setExceptedLayerList(shades)
-                box.setLayer(chosen)
-                box.blockSignals(False)
-        if isinstance(layer, QgsRasterLayer) and layer.bandCount() == 1 and layer not in shades:
+        if isinstance(layer, QgsRasterLayer) and layer.bandCount() == 1:
             self.layers.setLayer(layer)
 
     def _open_layer(self, layer: Any) -> None:
@@ -408,10 +399,6 @@ class SurfaceEditingDock(QgsDockWidget):
         shown = parent.insertLayer(place, layer)
         shown.setExpanded(False)
         shown.setItemVisibilityChecked(is_dsm)
-        if is_dsm:
-            for shaded in hillshades(project):
-                if project.layerTreeRoot().findLayer(shaded.id()).customProperty(SHADED) == source.id():
-                    shade(layer, shown, project, self.tr("{name} (edited)").format(name=shaded.name()))
         if node is not None and is_dsm:
             for key in node.customProperties():
                 shown.setCustomProperty(key, node.customProperty(key))

@@ -756,6 +756,17 @@
     </message>
 </context>
 <context>
+    <name>Hillshades</name>
+    <message>
+        <source>Hillshade</source>
+        <translation>Schummerung</translation>
+    </message>
+    <message>
+        <source>Hillshade of {name}</source>
+        <translation>Schummerung von {name}</translation>
+    </message>
+</context>
+<context>
     <name>Inspect</name>
     <message>
         <source>Inspect images</source>
@@ -1985,13 +1996,6 @@
     <message>
         <source>COLMAP: memory of a GPU (GiB, 0: what is free)</source>
         <translation>COLMAP: Speicher einer GPU (GiB, 0: was frei ist)</translation>
-    </message>
-</context>
-<context>
-    <name>RepmStyles</name>
-    <message>
-        <source>Hillshade</source>
-        <translation>Schummerung</translation>
     </message>
 </context>
 <context>

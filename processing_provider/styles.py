@@ -27,14 +27,13 @@ from ..repm_qgis.names import titled
 from ..repm_qgis.options import is_textured
 from ..repm_qgis.products import STYLES
 from ..repm_qgis.translation import written_in
-from .engine import PLUGIN_FOLDER
 from .language import language, said
 
 _FROM_TOP = [style.kind for style in STYLES]
 _OFF = {style.kind: style.beside for style in STYLES if style.off}
 _ORDER, _SCENE, _NUMBER = "repm/order", "repm/scene", "repm/number"
-SHADED = "repm/shaded"
-"""The property of a hillshade's node in the tree of layers that names the DSM's layer, which it follows."""
+HILLSHADE = "repm/hillshade"
+"""The property of a node in the tree of layers: 1 where the layer has a hillshade, 0 where the user switched it off."""
 
 
 def _tr(text: str) -> str:
@@ -131,7 +130,7 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
         if self._title and layer.name() == self._given:  # else QGIS names results after their files, as the user chose
             layer.setName(self._run.name(self._title, self._more))
         if self._kind == "dsm" and isinstance(layer, QgsRasterLayer):
-            shade(layer, placed, project, self._run.name(_tr("Hillshade")))
+            shade(placed)
             _as_terrain(layer, project)
 
 
@@ -144,24 +143,9 @@ def _without_collar(layer: QgsRasterLayer) -> None:
     layer.triggerRepaint()
 
 
-def hillshades(project: Optional[QgsProject]) -> list[QgsMapLayer]:
-    """The hillshades of our DSMs: nobody chooses these as a surface."""
-    nodes = project.layerTreeRoot().findLayers() if project is not None else []
-    return [node.layer() for node in nodes if node.customProperty(SHADED) and node.layer() is not None]
-
-
-def shade(layer: QgsRasterLayer, node: QgsLayerTreeLayer, project: QgsProject, name: str) -> None:
-    """Lay the DSM's own hillshade over its colours: one raster layer can have only one of the two."""
-    hillshade = QgsRasterLayer(layer.source(), name, layer.providerType())
-    if not hillshade.isValid():
-        return
-    hillshade.loadNamedStyle(os.path.join(PLUGIN_FOLDER, "resources", "styles", "hillshade.qml"))
-    hillshade.setCrs(layer.crs())
-    project.addMapLayer(hillshade, False)
-    above = node.parent().insertLayer(node.parent().children().index(node), hillshade)
-    above.setCustomProperty(_ORDER, _FROM_TOP.index("hillshade"))
-    above.setCustomProperty(SHADED, layer.id())
-    above.setExpanded(False)
+def shade(node: QgsLayerTreeLayer) -> None:
+    """Have the desktop lay a hillshade over a layer's colours (``desktop/hillshades.py``)."""
+    node.setCustomProperty(HILLSHADE, 1)
 
 
 def _as_terrain(layer: QgsRasterLayer, project: QgsProject) -> None:

@@ -4,11 +4,10 @@ import os
 import sys
 
 from processing.core.ProcessingConfig import ProcessingConfig
-from qgis.core import QgsApplication, QgsProcessingParameterDefinition, QgsProject, QgsRasterLayer
+from qgis.core import QgsApplication, QgsProcessingParameterDefinition
 from qgis.PyQt.QtWidgets import (
     QAbstractSpinBox,
     QApplication,
-    QComboBox,
     QGroupBox,
     QLabel,
     QLineEdit,
@@ -127,13 +126,6 @@ def look():
     FOUND["not refined"] = taken if isinstance(taken, str) else ""  # QGIS has a NULL of its own
     panel.setParameters({"SCENE": FOUND["scene"]})
     FOUND["tiles"], _ = offered(panel, "TILE")
-
-    surface, shade = (QgsRasterLayer(PLAN["lists"]["FIXED"][1], name) for name in ("surface", "its hillshade"))
-    QgsProject.instance().addMapLayers([surface, shade])
-    node = QgsProject.instance().layerTreeRoot().findLayer(shade.id())
-    node.setCustomProperty("repm/shaded", surface.id())
-    boxes = opened("change").mainWidget().wrappers["BEFORE"].wrappedWidget().findChildren(QComboBox)
-    FOUND["surfaces"] = [boxes[0].itemText(index).split(" [")[0] for index in range(boxes[0].count())]
     finish()
 
 

@@ -72,7 +72,7 @@ def open_dock():
         QgsProject.instance().addMapLayer(layer)
     from repm.processing_provider.styles import shade
 
-    shade(top, QgsProject.instance().layerTreeRoot().findLayer(top.id()), QgsProject.instance(), "Hillshade town")
+    shade(QgsProject.instance().layerTreeRoot().findLayer(top.id()))
     QgsProject.instance().layerTreeRoot().findLayers()[0].setItemVisibilityChecked(False)
     QgsProject.instance().setCrs(top.crs())
     iface.mapCanvas().setDestinationCrs(top.crs())

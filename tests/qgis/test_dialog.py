@@ -49,7 +49,6 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     assert found["no views"] == ["Choose a scene first"]
     # What QGIS cannot open as a layer stays in its list, as where a run is taken up from the history.
     assert found["lists"] == plan["lists"]
-    assert found["surfaces"] == ["surface"]  # a DSM is named once, without its hillshade
     assert not found["not refined"]  # what this stage could not begin with is not taken up
     assert len(found["tiles"]) >= 1 and found["tiles"] != found["no views"]
 

@@ -142,7 +142,6 @@ def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedbac
             ("Orthophoto old town", False),
             ("Confidence old town", False),
             ("Mesh old town", False),
-            ("Hillshade old town", True),
             (f"DSM old town {datum}", True),
         ],
     ]
@@ -290,24 +289,6 @@ def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
     assert isinstance(layer.renderer(), QgsSingleBandPseudoColorRenderer)
     assert layer.renderer().classificationMin() == -layer.renderer().classificationMax()
     assert (tmp_path / "e.qml").exists()
-
-
-def test_a_hillshade_is_shown_hidden_and_removed_with_its_dsm(load, sample, tmp_path, feedback):
-    from repm.desktop.hillshades import HillshadesFollow
-    from repm.processing_provider.styles import hillshades
-
-    _, layers = load("dtm", {"DSM": sample["truth"], "REPORT": ""}, {"OUTPUT": tmp_path / "bare.tif"})
-    project, dsm = load.project, layers["OUTPUT"]
-    (shade,) = hillshades(project)
-    assert shade.source() == dsm.source()
-    follow = HillshadesFollow(project)
-    root = project.layerTreeRoot()
-    for shown in (False, True):
-        root.findLayer(dsm.id()).setItemVisibilityChecked(shown)
-        assert root.findLayer(shade.id()).itemVisibilityChecked() == shown
-    project.removeMapLayer(dsm.id())
-    assert not project.mapLayers()
-    follow.stop()
 
 
 def test_corners_of_sample_images_are_transparent(plugin, context, feedback, tmp_path):

@@ -59,7 +59,7 @@ def test_images_and_products_of_the_worst_names(load, town, tmp_path):
         },
     )
     loaded = load.project.mapLayers().values()
-    assert len(loaded) == len(layers) + 3  # the hillshade, the cloud and the mesh
+    assert len(loaded) == len(layers) + 2  # the cloud and the mesh
     assert all(layer.isValid() and WORST in layer.name() for layer in loaded)
     assert all(
         isinstance(layers[key], QgsVectorLayer) and layers[key].featureCount() for key in ("TILES", "TIE_POINTS")

@@ -110,7 +110,8 @@ def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
     assert found["enabled"] == [True, False, True, True] and found["left edits"] == ["fill", "set", "flatten"]
     renderers = found["renderers"]
     assert renderers["DSM town (edited)"] == "singlebandpseudocolor"
-    assert renderers["Hillshade town (edited)"] == "hillshade" and names["Hillshade town (edited)"]
+    assert names["Hillshade of DSM town (edited)"] and not names["Hillshade of DSM town"]
+    assert "Hillshade of DSM town (edited)" not in renderers  # no layer of the project
     assert found["of the edited layer"] == [True, 3]
     assert found["left"] == 0
     assert sorted(name for name in os.listdir(os.path.dirname(dsm)) if not name.endswith(".qml")) == [
