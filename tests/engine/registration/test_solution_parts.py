@@ -221,6 +221,17 @@ def test_too_few_heights_are_counted():
         solve._search(Slope(), xyz, Prior(8.0, 5.0, 60.0), lambda: None, REGISTRATION)
 
 
+def test_a_reference_is_fine_with_slopes_of_its_own_and_cells_like_the_surfaces():
+    xyz, slopes = np.zeros((60, 3)), np.zeros((60, 2))
+    wide = REGISTRATION.fine_cells * Slope.cell_m
+
+    def is_fine(width_m, slopes):
+        return _Problem(Slope(), Reference("dem", xyz, (width_m, width_m), slopes=slopes), REGISTRATION).is_fine
+
+    assert is_fine(0.9 * wide, slopes)
+    assert not is_fine(1.1 * wide, slopes) and not is_fine(0.9 * wide, None)
+
+
 def test_the_mode_is_the_middle_of_the_shortest_interval():
     values = np.array([0.0, 1.0, 1.1, 1.2, 1.4, 9.0, 20.0, 40.0])
     assert solve.mode(values, 0.5) == pytest.approx(1.15)

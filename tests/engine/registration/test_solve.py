@@ -102,6 +102,7 @@ def test_a_known_shift_is_found_with_an_honest_deviation(kind, metres, town, bar
     assert np.hypot(*error[:2]) < bars[0] and error[2] < bars[1]
     assert (error < 4 * solved.deviations).all() and len(solved.determined) == 2
     before = solved.before_m[np.isfinite(solved.before_m)]
+    assert np.median(before) == pytest.approx(shift[2], abs=5.0)
     assert (solved.deviations[:2] < bars[0]).all() and nmad(solved.after_m) < nmad(before)
 
 

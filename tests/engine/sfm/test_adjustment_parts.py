@@ -141,6 +141,8 @@ def test_the_vertical_parallax_is_what_no_height_takes_up(urban):
     found, _ = vertical_parallax(tuple(views), (exact[0] + step, exact[1]), ground)
     assert found == pytest.approx(np.full(30, np.linalg.norm(step)), rel=0.05)
     assert azimuth == pytest.approx(np.full(30, azimuth[0]), abs=2.0)
+    right, _ = vertical_parallax(tuple(views), (exact[0] + np.array([2.0, 0.0]), exact[1]), ground)
+    assert (right > 1.0).all(), "right in the first image is positive where heights move it along rows"
     # With both images moved apart by half each, one px still counts as one.
     half, _ = vertical_parallax(tuple(views), (exact[0] + step / 2, exact[1] - step / 2), ground)
     assert half == pytest.approx(found, rel=0.05)

@@ -156,6 +156,12 @@ def test_a_layers_place_is_its_geometry_in_whatever_crs(urban, tmp_path):
     np.testing.assert_array_equal(gcp.pixels["img_02"], [5.0, 6.0])
 
 
+def test_a_layer_with_half_a_place_in_its_fields_has_that_of_its_geometry(urban, tmp_path):
+    path = layer(tmp_path / "half.gpkg", "EPSG:4326", [(1.44, 43.6, "A", 190.0, 99.0)], fields=("id", "height", "lon"))
+    (gcp,) = read_gcps(path, urban.views)
+    assert (gcp.lon, gcp.lat) == pytest.approx((1.44, 43.6), abs=1e-9)
+
+
 def test_one_layer_of_several_goes_by_its_name_as_qgis_writes_it(urban, tmp_path):
     path = layer(tmp_path / "two.gpkg", "EPSG:4326", [(1.0, 43.0, "other", 1.0, "", 0.0, 0.0)])
     layer(path, "EPSG:4326", [(1.44, 43.6, "A", 190.0, "", 0.0, 0.0)], name="gcps", append=True)
