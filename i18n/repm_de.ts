@@ -1384,8 +1384,8 @@
         <translation>Korrektur der Ausrichtung</translation>
     </message>
     <message>
-        <source>What is corrected in each image. shift: one shift; affine: also scale, shear and rotation; auto: affine where the tie points show a trend and span the images well enough.</source>
-        <translation>Was in jedem Bild korrigiert wird. shift: eine Verschiebung; affine: auch Maßstab, Scherung und Drehung; auto: affin, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder weit genug überdecken.</translation>
+        <source>What is corrected in each image. shift: one shift; affine: also scale, shear and rotation; jitter: also waves of its lines, because the satellite shook; auto: affine where the tie points show a trend and span the images well enough, and jitter where they show waves.</source>
+        <translation>Was in jedem Bild korrigiert wird. shift: eine Verschiebung; affine: auch Maßstab, Scherung und Drehung; jitter: auch Wellen seiner Zeilen, weil der Satellit gezittert hat; auto: affine, wo die Verknüpfungspunkte einen Trend zeigen und die Bilder gut genug abdecken, und jitter, wo sie Wellen zeigen.</translation>
     </message>
     <message>
         <source>Quality of the matching</source>
@@ -2047,6 +2047,10 @@
     <message>
         <source>Affine</source>
         <translation>Affin</translation>
+    </message>
+    <message>
+        <source>Affine and jitter</source>
+        <translation>Affin und Zittern</translation>
     </message>
     <message>
         <source>Shift and tilt</source>

@@ -319,9 +319,9 @@ def pointing() -> QgsProcessingParameterDefinition:
             "pointing",
             tr("Pointing correction"),
             tr(
-                "What is corrected in each image. shift: one shift; affine: also scale, shear and rotation; auto: "
-                "affine where the "
-                "tie points show a trend and span the images well enough."
+                "What is corrected in each image. shift: one shift; affine: also scale, shear and rotation; jitter: "
+                "also waves of its lines, because the satellite shook; auto: affine where the tie points show a trend "
+                "and span the images well enough, and jitter where they show waves."
             ),
         )
     )

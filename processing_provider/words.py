@@ -30,6 +30,7 @@ def _words() -> dict[str, str]:
         "urban": _tr("Town"),
         "shift": _tr("Shift"),
         "affine": _tr("Affine"),
+        "jitter": _tr("Affine and jitter"),
         "tilt": _tr("Shift and tilt"),
         "vertical": _tr("Vertical offset"),
         "3d": _tr("3-D shift"),

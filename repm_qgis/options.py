@@ -19,7 +19,7 @@ from .las import is_cloud
 MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
 BACKENDS = ("auto", "sgm", "colmap")
-POINTINGS = ("auto", "shift", "affine")
+POINTINGS = ("auto", "shift", "affine", "jitter")
 PAIRS = ("best", "fewest")
 QUALITIES = ("fast", "default", "best")
 ADJUSTMENTS = ("rpc", "colmap")
@@ -350,8 +350,9 @@ class ReconstructOptions(Options):
 
     ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them next to the scene.
     ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical CRS; ""
-    is the ellipsoid). ``pointing`` is each view's correction. ``adjustment`` is against the original RPCs, or COLMAP's
-    of principal points (shifts only, and without ground control). ``workers`` 0 means one for each core. ``memory`` in
+    is the ellipsoid). ``pointing`` is each view's correction (``jitter``: with waves of its lines). ``adjustment`` is
+    against the original RPCs, or COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0
+    means one for each core. ``memory`` in
     MiB bounds what the workers take together, 0 means three quarters of what is free. ``cluster`` is the address or the
     scheduler file of a Dask cluster whose workers do the work; "" is this machine.
     ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
@@ -384,9 +385,9 @@ class ReconstructOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.adjustment == "colmap" and self.pointing == "affine":
+        if self.adjustment == "colmap" and self.pointing in ("affine", "jitter"):
             reason = "must be auto or shift where ADJUSTMENT is colmap, which moves principal points only"
-            raise OptionError("POINTING", self.pointing, f"{reason}; choose rpc for affine corrections")
+            raise OptionError("POINTING", self.pointing, f"{reason}; choose rpc for affine corrections and jitter")
         if self.adjustment == "colmap" and self.gcps:
             reason = "must be rpc where there are GCPS: COLMAP's adjustment is relative"
             raise OptionError("ADJUSTMENT", self.adjustment, reason)

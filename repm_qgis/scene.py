@@ -25,6 +25,7 @@ from .errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneV
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.footprints import bounds_of_wkt
 from .geometry.frames import EnuFrame, projected_crs
+from .geometry.jitter import Jitter
 from .geometry.map_plane import MapPlane
 from .geometry.pinhole import PinholeCamera
 from .geometry.refinement import SensorModel, Terrain
@@ -96,7 +97,8 @@ class View(Record):
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
     ``content`` tells the image from another one that takes its name, "" where that cannot be told. ``plane`` is the map
     that an ortho-ready image was projected to, None for an image in its sensor's geometry: then ``rpc`` gives lines of
-    sight only, and ``model`` the pixels.
+    sight only, and ``model`` the pixels. ``jitter`` are waves of the attitude, which come on top of the pointing; None
+    where none are known.
     """
 
     name: Name
@@ -113,6 +115,7 @@ class View(Record):
     part: Optional[Window] = None
     content: str = ""
     plane: Optional[MapPlane] = None
+    jitter: Optional[Jitter] = None
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
@@ -153,11 +156,12 @@ class View(Record):
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row, pointing included."""
         pixels: FloatArray = self.model.project(lon_lat_h) @ self.pointing[:, :2].T + self.pointing[:, 2]
-        return pixels
+        return pixels if self.jitter is None else self.jitter.added(pixels)
 
     def localise(self, col_row: FloatArray, height: FloatArray | float) -> FloatArray:
         """(..., 2) column, row and heights to (..., 3) longitude, latitude, height, pointing included."""
-        offset: FloatArray = np.asarray(col_row) - self.pointing[:, 2]
+        steady = np.asarray(col_row) if self.jitter is None else self.jitter.removed(np.asarray(col_row))
+        offset: FloatArray = steady - self.pointing[:, 2]
         raw: FloatArray = offset @ np.linalg.inv(self.pointing[:, :2]).T
         return self.model.localise(raw, height)
 
@@ -165,8 +169,14 @@ class View(Record):
         """The stretch of the view's intensities, the same in all stages. Raises ImageError where it shows nothing."""
         return view_stretch(self.image, self.band, self.mask, parameters, self.part)
 
-    def with_pointing(self, pointing: FloatArray) -> "View":
-        return replace(self, pointing=np.asarray(pointing, dtype=np.float64))
+    @property
+    def steady(self) -> "View":
+        """The view without jitter."""
+        return self if self.jitter is None else replace(self, jitter=None)
+
+    def with_pointing(self, pointing: FloatArray, jitter: Optional[Jitter] = None) -> "View":
+        """The view with another correction in the place of its own."""
+        return replace(self, pointing=np.asarray(pointing, dtype=np.float64), jitter=jitter)
 
 
 @dataclass(frozen=True)
@@ -361,7 +371,7 @@ class Scene(Record):
         if self.registration is None:
             return self
         matched = self.registration.matched
-        return replace(self, views=tuple(view.with_pointing(matched[view.name]) for view in self.views))
+        return replace(self, views=tuple(view.with_pointing(matched[view.name], view.jitter) for view in self.views))
 
     def with_tiles(self, change: Callable[[Tile], Tile]) -> "Scene":
         """The scene with each tile changed."""

@@ -108,7 +108,7 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
         shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
         found.residuals["compensated"] = [residuals(gcp, views) for gcp, views in zip(found.gcps, shifted)]
         found.errors["compensated"] = _located(found.gcps, shifted)
-    if any(np.abs(view.pointing - np.eye(2, 3)).max() > 1e-9 for view in views):
+    if any(np.abs(view.pointing - np.eye(2, 3)).max() > 1e-9 or view.jitter is not None for view in views):
         found.residuals["scene"] = [residuals(gcp, views) for gcp in found.gcps]
         found.errors["scene"] = _located(found.gcps, [views] * len(found.gcps))
 

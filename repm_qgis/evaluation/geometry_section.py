@@ -25,6 +25,7 @@ from .report import Report, fixed
 
 _MOST_TIES = 200000
 _MOST_TILES = 60
+_WAVE_POINTS = 400  # of a drawing
 
 
 def add_geometry(report: Report, scene: Scene) -> None:
@@ -33,6 +34,7 @@ def add_geometry(report: Report, scene: Scene) -> None:
     if scene.pointing is not None:
         _ties(report, scene, scene.pointing)
         _pointing(report, scene.pointing)
+        _jitter(report, scene)
         _absolute(report, scene, scene.pointing)
 
 
@@ -138,6 +140,29 @@ def _pointing(report: Report, ties: PointingFigures) -> None:
         [[name, *fixed(*shift, decimals=2, sign="+")] for name, shift in ties.shifts_px.items()],
         "Corrections of the vendors' RPCs at the images' centres.",
     )
+
+
+def _jitter(report: Report, scene: Scene) -> None:
+    """The waves of each view that has some: how large they are, and how they look."""
+    shaken = [(view, view.jitter) for view in scene.views if view.jitter is not None]
+    if not shaken:
+        return
+    rows, drawings = [], []
+    for view, jitter in shaken:
+        lines = np.linspace(jitter.first, jitter.last, _WAVE_POINTS)
+        waves = jitter.at(lines)
+        sizes = *np.sqrt(np.mean(waves**2, axis=0)), *np.abs(waves).max(axis=0)
+        rows.append([view.name, *fixed(*sizes, decimals=2)])
+        series = {"in columns": (lines, waves[:, 0]), "in rows": (lines, waves[:, 1])}
+        drawings.append(charts.curves(series, "line of the image", "aside of the RPC (px)", view.name))
+    report.section("Jitter").table(
+        "view | columns, RMS, px | rows, RMS, px | columns, most, px | rows, most, px",
+        rows,
+        "The satellite shook while it took the images: what is seen in a line lies so far aside of where the corrected "
+        "RPC puts it. The heights and all products of this scene are free of these waves.",
+    )
+    for drawing in drawings:
+        report.svg(drawing, "The waves of an image over its lines.")
 
 
 def _absolute(report: Report, scene: Scene, ties: PointingFigures) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..imagery.sampling import nmad
 from ..records import FusionFacts, RegistrationFigures
-from ..rpc.correction import DELIVERED, CorrectedRpc
+from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
 from ..scene import Scene
 from .gcp_accuracy import GcpAccuracy
 from .metrics import HeightMetrics
@@ -261,10 +261,17 @@ def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VE
             "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct heights' "
             "first, and export the scene that it writes."
         ]
+    shaken = {name: each for name, each in exported.items() if each.method == JITTERED}
     return [
+        f"An RPC cannot hold the jitter of {name}: the exported one differs from the pointed model by up to "
+        f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Software that uses it sees the waves that this "
+        "scene's own products are free of."
+        for name, each in shaken.items()
+        if each.max_px > bounds.most_rpc_px
+    ] + [
         f"The exported RPC of {name} differs from the pointed model by up to {each.max_px:.3f} px (usual: at most "
         f"{bounds.most_rpc_px:g} px), as the correction is too large for the form of an RPC: check the tie points, or "
         "set POINTING to shift."
         for name, each in exported.items()
-        if each.max_px > bounds.most_rpc_px
+        if each.max_px > bounds.most_rpc_px and name not in shaken
     ]

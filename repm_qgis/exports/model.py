@@ -135,9 +135,10 @@ def _export_view(scene: Scene, tile: Tile, name: str, refined: RefinedPinhole, i
     nodes = image_nodes(refined.size)
     original = to_original.original_from_refined(nodes)
     shift = np.zeros(2)
-    if not np.array_equal(view.pointing, np.eye(2, 3)):
+    if view.jitter is not None or not np.array_equal(view.pointing, np.eye(2, 3)):
         # The mean shift from where the vendor's RPC puts the ground to where it is really seen.
         pointed = original @ view.pointing[:, :2].T + view.pointing[:, 2]
+        pointed = pointed if view.jitter is None else view.jitter.added(pointed)
         shift = np.nanmean(to_original.refined_from_original(pointed) - nodes, axis=0)
     camera = refined.camera.moved(*-shift)
     places = np.concatenate([view.localise(original, altitude) for altitude in tile.altitudes])

@@ -5,7 +5,7 @@ Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMS
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
@@ -16,9 +16,10 @@ from ..errors import OptionError, RpcInvalidError
 from ..records import Count, Pixels, Record
 from .footprints import ring
 from .frames import EnuFrame
+from .jitter import Jitter
 from .parameters import VIRTUAL_GRID, VirtualGridParameters
 from .pinhole import PinholeCamera, factorise, fit_projection
-from .refinement import RefinementMap, Terrain, TerrainMap, fit_map, map_from_mapping
+from .refinement import JitteredMap, RefinementMap, Terrain, TerrainMap, fit_map, map_from_mapping
 
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
 Shape = Tuple[int, int, int]
@@ -123,6 +124,12 @@ class RefinedPinhole(Record):
         """From JSON; ``terrain`` gives what a terrain-aware refinement needs. Raises Misfit."""
         camera = typed(PinholeCamera, values.get("camera"))
         return cls.from_mapping({**values, "to_original": map_from_mapping(values.get("to_original"), camera, terrain)})
+
+    def shaken(self, jitter: Optional[Jitter]) -> RefinedPinhole:
+        """The same refined image, of an original that has jitter."""
+        if jitter is None or isinstance(self.to_original, JitteredMap):
+            return self
+        return replace(self, to_original=JitteredMap(self.to_original, jitter))
 
 
 def surface_grid(terrain: Terrain, window: Sequence[float], parameters: VirtualGridParameters) -> VirtualGrid:

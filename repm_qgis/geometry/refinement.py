@@ -12,10 +12,11 @@ from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Protocol, 
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import Array, Misfit, Number, shown
+from ..checks import Array, Misfit, Number, shown, typed, within
 from ..errors import OptionError
 from ..records import Record
 from .frames import EnuFrame
+from .jitter import Jitter
 from .pinhole import PinholeCamera, linear_transform
 from .surface import Surface
 
@@ -164,7 +165,30 @@ class TerrainMap:
         return {"kind": "terrain"}
 
 
-RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap]
+@dataclass(frozen=True)
+class JitteredMap:
+    """M of an image whose attitude jitters: that of the steady image, and then the waves of its lines.
+
+    The refined image is free of them, so that cameras, tables and matching need not know of jitter.
+    """
+
+    steady: Union[HomographyMap, PolynomialMap, TerrainMap]
+    jitter: Jitter
+
+    def original_from_refined(self, points: FloatArray) -> FloatArray:
+        return self.jitter.added(self.steady.original_from_refined(points))
+
+    def refined_from_original(self, points: FloatArray) -> FloatArray:
+        return self.steady.refined_from_original(self.jitter.removed(np.asarray(points, dtype=np.float64)))
+
+    def moved(self, col: float, row: float) -> "JitteredMap":
+        return JitteredMap(self.steady.moved(col, row), self.jitter)
+
+    def to_mapping(self) -> dict[str, Any]:
+        return {"kind": "jittered", "steady": self.steady.to_mapping(), "jitter": self.jitter.to_mapping()}
+
+
+RefinementMap = Union[HomographyMap, PolynomialMap, TerrainMap, JitteredMap]
 """M; both directions take and give (..., 2) pixels. ``moved`` is M of the refined image that starts at (col, row)."""
 
 
@@ -174,6 +198,13 @@ def map_from_mapping(values: Any, camera: PinholeCamera, terrain: Callable[[], O
     A terrain map is made again from its camera and from ``terrain()``, which is called only then.
     """
     kind = values.get("kind") if isinstance(values, Mapping) else None
+    if kind == "jittered":
+        with within("to_original"):
+            steady = map_from_mapping(values.get("steady"), camera, terrain)
+            jitter = typed(Jitter, values.get("jitter"))
+            if isinstance(steady, JitteredMap):
+                raise Misfit("has jitter twice")
+        return JitteredMap(steady, jitter)
     surroundings = terrain() if kind == "terrain" else None
     if surroundings is not None:
         return TerrainMap(camera, surroundings)

@@ -67,13 +67,14 @@ def moved_view(view: View, crs: str, bounds: Bounds, altitudes: Altitudes, shift
     ends = (bounds.xmin, bounds.xmax), (bounds.ymin, bounds.ymax), altitudes
     lattice = np.meshgrid(*(np.linspace(*pair, count) for pair, count in zip(ends, _NODES)))
     ground = np.column_stack([axis.ravel() for axis in lattice])
-    seen = view.project(_geodetic(crs, ground))
+    seen = view.steady.project(_geodetic(crs, ground))
     raw = view.model.project(_geodetic(crs, shift.applied(ground)))
     middle = raw.mean(axis=0)  # small numbers, or the solution loses digits
     design = np.column_stack([raw - middle, np.ones(len(raw))])
     solution = np.linalg.lstsq(design, seen, rcond=None)[0].T
     error = float(np.abs(design @ solution.T - seen).max())
-    return view.with_pointing(np.column_stack([solution[:, :2], solution[:, 2] - solution[:, :2] @ middle])), error
+    pointing = np.column_stack([solution[:, :2], solution[:, 2] - solution[:, :2] @ middle])
+    return view.with_pointing(pointing, view.jitter), error
 
 
 def _geodetic(crs: str, xyz: FloatArray) -> FloatArray:

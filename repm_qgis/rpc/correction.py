@@ -13,7 +13,7 @@ Engineering & Remote Sensing 69 (1), 2003; Tao and Hu, 67 (12), 2001, for the vi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Dict
+from typing import Any, Callable, Dict, Optional
 
 import numpy as np
 
@@ -28,8 +28,10 @@ DELIVERED = "as delivered"
 SHIFTED = "shift, in the offsets"
 EXACT = "affine, in the numerators"
 FITTED = "affine, numerators fitted"
+JITTERED = "jitter as far as an RPC holds it, numerators fitted"
 PROJECTED = "fitted to the map's pixels"
 _TERMS = 20
+Waves = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,18 @@ class CorrectedRpc:
 
 
 def corrected(
-    rpc: Rpc, pointing: FloatArray, size: Size, altitudes: Altitudes, parameters: CorrectionParameters = CORRECTION
+    rpc: Rpc,
+    pointing: FloatArray,
+    size: Size,
+    altitudes: Altitudes,
+    waves: Optional[Waves] = None,
+    parameters: CorrectionParameters = CORRECTION,
 ) -> CorrectedRpc:
     """The RPC whose pixels are ``pointing``, a (2, 3) affine map, of the pixels of ``rpc``.
 
-    ``size`` is the image's in px. The heights are the RPC's own and ``altitudes``, m above the ellipsoid.
+    ``waves`` take pixels of a steady image to those of one with jitter: what cubic polynomials can follow of them goes
+    into the numerators, and the rest is in the distance from the pointed model. ``size`` is the image's in px. The
+    heights are the RPC's own and ``altitudes``, m above the ellipsoid.
 
     Raises RpcInvalidError where the RPC does not see the image's pixels on the ground.
     """
@@ -60,12 +69,15 @@ def corrected(
     if len(ground) < _TERMS:
         raise RpcInvalidError("it sees almost none of the image's pixels on the ground.")
     linear, shift = pointing[:, :2], pointing[:, 2]
-    if np.array_equal(linear, np.eye(2)):
+    if waves is not None:
+        lines = replace(parameters, nodes=(parameters.nodes[0], parameters.wave_lines, parameters.nodes[2]))
+        made, method = _with_numerators(rpc, pointing, _fit_ground(rpc, size, heights, lines), waves), JITTERED
+    elif np.array_equal(linear, np.eye(2)):
         made, method = rpc.shifted(*-shift), SHIFTED if shift.any() else DELIVERED
     else:
         made = _with_numerators(rpc, pointing, _fit_ground(rpc, size, heights, parameters))
         method = EXACT if rpc.row_den == rpc.col_den else FITTED
-    error = np.linalg.norm(made.project(ground) - _pointed(rpc, pointing, ground), axis=1)
+    error = np.linalg.norm(made.project(ground) - _pointed(rpc, pointing, ground, waves), axis=1)
     return CorrectedRpc(made, method, float(error.max()), float(np.sqrt(np.mean(error**2))))
 
 
@@ -81,9 +93,9 @@ def of_projected(localise: Localise, rpc: Rpc, size: Size, altitudes: Altitudes)
     return CorrectedRpc(replace(fit.rpc, accuracy_m=rpc.accuracy_m), PROJECTED, fit.max_px, fit.rms_px)
 
 
-def _pointed(rpc: Rpc, pointing: FloatArray, ground: FloatArray) -> FloatArray:
+def _pointed(rpc: Rpc, pointing: FloatArray, ground: FloatArray, waves: Optional[Waves]) -> FloatArray:
     pixels: FloatArray = rpc.project(ground) @ pointing[:, :2].T + pointing[:, 2]
-    return pixels
+    return pixels if waves is None else waves(pixels)
 
 
 def _fit_ground(rpc: Rpc, size: Size, heights: Altitudes, parameters: CorrectionParameters) -> FloatArray:
@@ -107,9 +119,9 @@ def _seen(rpc: Rpc, pixels: FloatArray, heights: FloatArray) -> FloatArray:
     return known
 
 
-def _with_numerators(rpc: Rpc, pointing: FloatArray, ground: FloatArray) -> Rpc:
+def _with_numerators(rpc: Rpc, pointing: FloatArray, ground: FloatArray, waves: Optional[Waves] = None) -> Rpc:
     """The RPC with numerators that give the pointed pixels of ground points (N, 3), least squares in the image."""
-    target = _pointed(rpc, pointing, ground)
+    target = _pointed(rpc, pointing, ground, waves)
     terms = monomials(*rpc.normalised(ground), np.empty((_TERMS, len(ground))))
     numerators: Dict[str, Any] = {}
     for axis, name in enumerate(("col", "row")):

@@ -9,6 +9,7 @@ absolute.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
@@ -18,17 +19,20 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..errors import OptionError
 from ..geometry.frames import EnuFrame, mean_place
+from ..geometry.jitter import Jitter
 from ..imagery.sampling import nmad
 from ..scene import View
 from .control_noise import ControlEquations, contradicts, first_noise, robust_weight, suspects, variance_component
 from .graph import components
 from .ground_control import Gcp
-from .parameters import POINTING, AdjustmentParameters, PointingParameters
+from .jitter import Waves, can_jitter, ladder, waves_over
+from .parameters import POINTING, AdjustmentParameters, JitterParameters, PointingParameters
 from .tie_points import PairMatches
 
 Weights = Callable[[FloatArray, float, AdjustmentParameters], FloatArray]
 
-MODELS = ("auto", "shift", "affine")
+MODELS = ("auto", "shift", "affine", "jitter")
+_BLOCK = 512  # tracks
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,8 @@ class Adjustment:
     ``reason`` says why. ``ground`` (N, 3) longitude, latitude, height; ``residual_px`` and ``before_px`` (N,) root
     mean square distance between measured and projected pixels of a track, after and before the correction (each with
     its best ground point). ``rejected`` names control points that contradict all others, and ``control_noise_px`` is
-    the standard deviation of a coordinate of the others (None: there are none).
+    the standard deviation of a coordinate of the others (None: there are none). ``jitter`` are the waves of each view,
+    which come on top of its pointing; empty where there are none.
     """
 
     pointing: Dict[str, FloatArray]
@@ -76,6 +81,11 @@ class Adjustment:
     rejected: Tuple[str, ...] = ()
     control_noise_px: Optional[float] = None
     sizes: Dict[str, Tuple[int, int]] = field(default_factory=dict)
+    jitter: Dict[str, Jitter] = field(default_factory=dict)
+
+    def applied(self, views: Sequence[View]) -> List[View]:
+        """The views with their corrections."""
+        return [view.with_pointing(self.pointing[view.name], self.jitter.get(view.name)) for view in views]
 
     @property
     def shifts(self) -> Dict[str, FloatArray]:
@@ -130,7 +140,8 @@ def adjust(
     tracks : at least one.
     altitude : where ground points start from, metres above the ellipsoid.
     model : ``shift`` or ``affine``, or ``auto``: affine where Schwarz's information criterion (1978) prefers it, the
-        residuals fall by a tenth, and the ties cover enough of the images.
+        residuals fall by a tenth, and the ties cover enough of the images; with waves where it prefers these, too.
+        ``jitter`` is the same, with waves in any case.
     gcps : those with the role ``control`` make the result absolute. Their weight follows from their own residuals, and
         wrong ones are found and left out.
 
@@ -142,11 +153,13 @@ def adjust(
     """
     if model not in MODELS:
         raise OptionError("POINTING", model, f"must be one of {', '.join(MODELS)}")
-    names = ("shift", "affine") if model == "auto" else (model,)
+    names = (model,) if model in ("shift", "affine") else ("shift", "affine")
     solved = [_Solution(views, tracks, altitude, name, gcps, parameters).solved() for name in names]
-    if model != "auto":
+    if len(names) == 1:
         return solved[0].adjustment("asked for")
     better, reason = _compared(solved[0], solved[1], parameters.adjustment)
+    if can_jitter(views) and (model == "jitter" or _may_jitter(better, parameters.jitter)):
+        better, reason = _with_jitter(better, reason, model == "jitter", parameters.jitter)
     return better.adjustment(reason)
 
 
@@ -178,6 +191,37 @@ def _compared(shift: "_Solution", affine: "_Solution", parameters: AdjustmentPar
     return shift, f"an affine correction does not improve the fit: {figures} affine {stated}"
 
 
+def _may_jitter(steady: "_Solution", parameters: JitterParameters) -> bool:
+    """Whether the ties' residuals look as if there were waves: at the cost of one step of the solution."""
+    waves = waves_over(steady.rows, parameters.asked_lines, parameters)
+    if waves is None:
+        return False
+    limit = parameters.limit * steady.typical_px
+    asked = steady.with_waves(waves).looked_at()
+    without = steady.waves_criterion(limit)
+    return asked.waves_criterion(limit) < without and asked.typical_px < parameters.gain * steady.typical_px
+
+
+def _with_jitter(
+    steady: "_Solution", reason: str, wanted: bool, parameters: JitterParameters
+) -> Tuple["_Solution", str]:
+    """The solution with the waves that Schwarz's criterion prefers, and why; without any where they are not ``wanted``
+    and do not improve the fit, or where there are too few ties for them."""
+    limit = parameters.limit * steady.typical_px
+    found = [steady.with_waves(waves).solved() for waves in ladder(steady.rows, parameters)]
+    if not found:
+        return steady, f"{reason}; the images have too few lines or ties for waves" if wanted else reason
+    best = min(found, key=lambda each: each.waves_criterion(limit))
+    criterion = best.waves_criterion(limit) - steady.waves_criterion(limit)
+    sizes = [max(jitter.rms_px) for jitter in best.jitter.values()]
+    clear = criterion < 0 and best.typical_px < parameters.gain * steady.typical_px and max(sizes) > parameters.least_px
+    if not (wanted or clear):
+        return steady, reason
+    count = best.waves.count if best.waves else 0
+    figures = f"{steady.typical_px:.3f} px without waves, {best.typical_px:.3f} px with {count} splines for each image"
+    return best, f"{reason}; residuals show jitter: {figures} (information criterion {criterion:+.0f})"
+
+
 class _Solution:
     """The adjusted corrections of one model: (views, p), px over normalised pixels."""
 
@@ -190,13 +234,14 @@ class _Solution:
         gcps: Sequence[Gcp],
         parameters: PointingParameters,
     ) -> None:
-        self._parameters, self._noise = parameters.adjustment, parameters.control
+        self._parameters, self._noise, self._jitter = parameters.adjustment, parameters.control, parameters.jitter
+        self.waves: Optional[Waves] = None
         self.views = [view.with_pointing(np.eye(2, 3)) for view in views]
         self.tracks, self.model = tracks, model
         self.control = [gcp for gcp in gcps if gcp.role == "control" and gcp.pixels]
         self.rejected: Tuple[str, ...] = ()
         self.control_noise_px = self._parameters.control_known_px
-        self._redundancy = 0.0
+        self._redundancy = self._determined = 0.0
         self.corrections = np.zeros((len(views), 2 if model == "shift" else 6))
         self.groups = _groups(self.views, tracks, altitude)
         self._intersect()
@@ -207,6 +252,46 @@ class _Solution:
             self._solve(weights, robust=True)
         self._set_wrong_control_aside()
         return self
+
+    def with_waves(self, waves: Waves) -> "_Solution":
+        """The same corrections and, as unknowns that are zero now, splines of the images' lines."""
+        found = copy(self)
+        found.waves, found.groups = waves, [copy(group) for group in self.groups]
+        own = self.corrections.reshape(len(self.views), 2, -1)
+        splines = np.zeros((*own.shape[:2], waves.count))
+        found.corrections = np.concatenate([own, splines], axis=2).reshape(len(self.views), -1)
+        return found
+
+    def looked_at(self) -> "_Solution":
+        """One step towards the solution: enough to see whether there are waves."""
+        self.corrections = self.corrections + self._step(_huber, False)
+        self._intersect(passes=1)
+        return self
+
+    @property
+    def rows(self) -> List[FloatArray]:
+        """The lines of each view's ties."""
+        parts: List[List[FloatArray]] = [[np.empty(0)] for _ in self.views]
+        for group in self.groups:
+            for k, i in enumerate(group.views):
+                parts[i].append(group.pixels[:, k, 1])
+        return [np.concatenate(each) for each in parts]
+
+    def waves_criterion(self, limit_px: float) -> float:
+        """Schwarz's information criterion of the ties, each with all its degrees of freedom; smaller is better."""
+        freedom = np.array([2.0 * len(track.pixels) - 3.0 for track in self.tracks])
+        views = np.array([float(len(track.pixels)) for track in self.tracks])
+        square = np.minimum(self._residuals() ** 2 * views / freedom, limit_px**2)
+        total = float(freedom.sum())
+        return total * _log_mean(np.sum(freedom * square) / total) + self._determined * math.log(total)
+
+    @property
+    def jitter(self) -> Dict[str, Jitter]:
+        """Each view's waves."""
+        if self.waves is None:
+            return {}
+        own = self.corrections.reshape(len(self.views), 2, -1)[..., -self.waves.count :]
+        return {view.name: self.waves.jitter(i, own[i]) for i, view in enumerate(self.views)}
 
     def with_shifts(self, shifts: Dict[str, FloatArray]) -> "_Solution":
         """The corrections of another adjustment, and the ground points that fit them."""
@@ -247,24 +332,28 @@ class _Solution:
             if view.name in gcp.pixels:
                 base = view.project(gcp.lon_lat_h)
                 rows = np.zeros((2, count * p))
-                rows[:, i * p : (i + 1) * p] = self._basis(view, base)
+                measured = gcp.pixels[view.name]
+                rows[:, i * p : (i + 1) * p] = self._basis(i, base, measured)
                 design.append(rows)
-                misclosure.append(gcp.pixels[view.name] - base - self._correction(i, base))
+                misclosure.append(measured - base - self._correction(i, base, measured))
         return ControlEquations(np.concatenate(misclosure), np.concatenate(design))
 
-    def _basis(self, view: View, pixels: FloatArray) -> FloatArray:
-        """(..., 2, p) derivative of the corrected pixel with respect to a view's parameters."""
+    def _basis(self, i: int, pixels: FloatArray, measured: FloatArray) -> FloatArray:
+        """(..., 2, p) derivative of the corrected pixel with respect to a view's parameters; the pixels (..., 2) of its
+        RPC, and the ``measured`` ones, whose line the jitter depends on."""
         one = np.ones(pixels.shape[:-1] + (1,))
         if self.model == "affine":
-            centre = (np.array(view.size) - 1) / 2
+            centre = (np.array(self.views[i].size) - 1) / 2
             one = np.concatenate([one, (pixels - centre) / np.maximum(centre, 1)], axis=-1)
+        if self.waves is not None:
+            one = np.concatenate([one, self.waves.values(i, measured[..., 1])], axis=-1)
         result = np.zeros(one.shape[:-1] + (2, 2 * one.shape[-1]))
         result[..., 0, : one.shape[-1]] = one
         result[..., 1, one.shape[-1] :] = one
         return result
 
-    def _correction(self, i: int, pixels: FloatArray) -> FloatArray:
-        return np.asarray(self._basis(self.views[i], pixels) @ self.corrections[i])
+    def _correction(self, i: int, pixels: FloatArray, measured: FloatArray) -> FloatArray:
+        return np.asarray(self._basis(i, pixels, measured) @ self.corrections[i])
 
     def _projected(self, ground: FloatArray) -> List[FloatArray]:
         """For each group, (..., n, v, 2) RPC pixels of all groups' ground points (..., N, 3), one after the other.
@@ -290,7 +379,7 @@ class _Solution:
         moved = np.stack([ground, *(frame.to_geodetic(enu + delta) for delta in np.eye(3))])
         for group, pixels in zip(self.groups, self._projected(moved)):
             base, (n, v) = pixels[0], group.pixels.shape[:2]
-            bases = [self._basis(self.views[i], base[:, k]) for k, i in enumerate(group.views)]
+            bases = [self._basis(i, base[:, k], group.pixels[:, k]) for k, i in enumerate(group.views)]
             corrections = [basis @ self.corrections[i] for basis, i in zip(bases, group.views)]
             residual = group.pixels - base - np.stack(corrections, axis=1)
             jacobian = np.moveaxis(pixels[1:] - base, 0, -1)
@@ -318,38 +407,62 @@ class _Solution:
             weight = part * (sigma / self.control_noise_px) ** 2
             normal += weight * point.design.T @ point.design
             right += weight * point.design.T @ point.misclosure
+        # The whole corrections are solved for, not only the step: they must be the smallest that fit.
+        whole = right + normal @ self.corrections.ravel()
+        if self.waves is not None:
+            normal = normal + self._prior(self.waves, sigma)
         values, vectors = np.linalg.eigh(normal)
         # Before the first corrections residuals are not noise, and say nothing about what is determined.
         limit = self._parameters.control_known_px if control else self._parameters.known_px
+        limit = limit if self.waves is None else max(limit, self._jitter.known_px)
         noise = 0.0 if weights is _huber else sigma / limit
         enough = values > max(self._parameters.rank * values[-1], noise**2)
         known = vectors[:, enough]
-        # The whole corrections are solved for, not only the step: they must be the smallest that fit.
-        whole = right + normal @ self.corrections.ravel()
         step = known @ ((known.T @ whole) / values[enough]) - self.corrections.ravel()
         self._covariance = sigma**2 * (known / values[enough]) @ known.T
+        self._determined = float(np.count_nonzero(enough))
+        if self.waves is not None:  # what the prior alone gives is no parameter of the fit
+            self._determined -= float(np.sum(self._covariance * self._prior(self.waves, 1.0)))
         if control:
             self._estimate_noise(control, share, step, robust)
         return np.asarray(step.reshape(count, p))
+
+    def _prior(self, waves: Waves, sigma: float) -> FloatArray:
+        """(n, n) what is known of all corrections beforehand, as normal equations of ties with such a noise: how large
+        waves are, and how affine corrections are where waves could take their place."""
+        n = self.corrections.shape[1] // 2
+        one: FloatArray = np.zeros((n, n))
+        one[-waves.count :, -waves.count :] = waves.prior(self._jitter)
+        affine = np.arange(1, n - waves.count)
+        one[affine, affine] = self._parameters.known_px**-2
+        return np.kron(np.eye(2 * len(self.views)), one) * sigma**2
 
     def _tie_normals(self, weights: Weights) -> Tuple[FloatArray, FloatArray, float]:
         """The ties' (n, n) normal matrix and (n,) right side, each tie with weight one at most, and their noise, px."""
         count, p = self.corrections.shape
         normal, right = np.zeros((count * p, count * p)), np.zeros(count * p)
         linear = self._linearised(self._frame()) if self.groups else ()
-        parts = [_reduced(residual, jacobian, bases) for _, residual, jacobian, bases in linear]
+        parts = [(*_reduced(residual, jacobian), bases) for _, residual, jacobian, bases in linear]
         # Degrees of freedom of a track: two for each view, less the three of its ground point.
-        sizes = [np.linalg.norm(reduced, axis=1) / math.sqrt(max(reduced.shape[1] - 3, 1)) for reduced, _ in parts]
+        sizes = [np.linalg.norm(part[0], axis=1) / math.sqrt(max(part[0].shape[1] - 3, 1)) for part in parts]
         sigma = self._parameters.least_sigma_px
         if sizes:
             sigma = max(nmad(np.concatenate(sizes), 0.0), sigma)
-        for group, (reduced, design), size in zip(self.groups, parts, sizes):
-            weighted = design * weights(size, sigma, self._parameters)[:, None, None]
+        for group, (reduced, projector, bases), size in zip(self.groups, parts, sizes):
             columns = np.concatenate([np.arange(i * p, (i + 1) * p) for i in group.views])
-            flat = design.reshape(-1, design.shape[2])
-            normal[np.ix_(columns, columns)] += weighted.reshape(flat.shape).T @ flat
-            right[columns] += weighted.reshape(flat.shape).T @ reduced.ravel()
+            share = weights(size, sigma, self._parameters)[:, None, None]
+            for part in self._blocks(len(reduced)):
+                design = _design(projector[part], [basis[part] for basis in bases])
+                weighted = design * share[part]
+                flat = design.reshape(-1, design.shape[2])
+                normal[np.ix_(columns, columns)] += weighted.reshape(flat.shape).T @ flat
+                right[columns] += weighted.reshape(flat.shape).T @ reduced[part].ravel()
         return normal, right, sigma
+
+    def _blocks(self, tracks: int) -> List[slice]:
+        """Tracks that are worked on together: with splines there are so many unknowns that memory counts."""
+        step = tracks if self.waves is None else _BLOCK
+        return [slice(start, start + step) for start in range(0, tracks, max(step, 1))]
 
     def _estimate_noise(
         self, control: Sequence[ControlEquations], share: Sequence[float], step: FloatArray, robust: bool
@@ -370,7 +483,7 @@ class _Solution:
             return result
         everywhere = self._projected(np.concatenate([group.ground for group in self.groups]))
         for group, base in zip(self.groups, everywhere):
-            corrections = [self._correction(i, base[:, k]) for k, i in enumerate(group.views)]
+            corrections = [self._correction(i, base[:, k], group.pixels[:, k]) for k, i in enumerate(group.views)]
             square = ((group.pixels - base - np.stack(corrections, axis=1)) ** 2).sum(axis=2)
             result[group.members] = np.sqrt(square.mean(axis=1))
         return result
@@ -416,12 +529,16 @@ class _Solution:
             ground[group.members] = group.ground
         pointing = {view.name: self._pointing(i) for i, view in enumerate(self.views)}
         sizes = {view.name: view.size for view in self.views}
+        jitter = self.jitter
         noise, residuals = self.control_noise_px if self.control else None, self._residuals()
-        return Adjustment(pointing, self.model, reason, ground, residuals, self.before, self.rejected, noise, sizes)
+        facts = ground, residuals, self.before, self.rejected, noise, sizes, jitter
+        return Adjustment(pointing, self.model, reason, *facts)
 
     def _pointing(self, i: int) -> FloatArray:
         """(2, 3) affine map from the pixel of the vendor's RPC to the real one."""
         view, theta = self.views[i], self.corrections[i].reshape(2, -1)
+        if self.waves is not None:
+            theta = theta[:, : -self.waves.count]
         if self.model == "shift":
             return np.column_stack([np.eye(2), theta[:, 0]])
         centre = (np.array(view.size) - 1) / 2
@@ -441,13 +558,16 @@ def _groups(views: Sequence[View], tracks: Sequence[Track], altitude: float) -> 
     return groups
 
 
-def _reduced(residual: FloatArray, jacobian: FloatArray, bases: Sequence[FloatArray]) -> Tuple[FloatArray, FloatArray]:
-    """(n, 2v) residuals and (n, 2v, v p) their derivative by the corrections, moves of the ground removed."""
+def _reduced(residual: FloatArray, jacobian: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    """(n, 2v) residuals, moves of the ground removed, and the (n, 2v, 2v) projector that does it."""
     # The space that no move of the ground point reaches: I - J J^+.
     projector = np.eye(residual.shape[1]) - jacobian @ _pseudo_inverse(jacobian)
-    reduced = np.einsum("nij,nj->ni", projector, residual)
-    design = np.concatenate([projector[:, :, 2 * k : 2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
-    return reduced, design
+    return np.einsum("nij,nj->ni", projector, residual), projector
+
+
+def _design(projector: FloatArray, bases: Sequence[FloatArray]) -> FloatArray:
+    """(n, 2v, v p) derivative of the reduced residuals by the corrections."""
+    return np.concatenate([projector[:, :, 2 * k : 2 * k + 2] @ basis for k, basis in enumerate(bases)], axis=2)
 
 
 def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:

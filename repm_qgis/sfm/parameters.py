@@ -189,6 +189,27 @@ class AdjustmentParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class JitterParameters(Parameters):
+    """Waves of the attitude (sfm/jitter.py). Values without a source are chosen, on simulated scenes
+    (`make bench-jitter`)."""
+
+    knots_lines: Tuple[float, ...] = (300.0, 200.0, 130.0, 90.0)  # between two knots of the splines: a wave needs four
+    asked_lines: float = 130.0  # of which it is asked whether there are waves at all
+    least_intervals: int = 4  # between knots: shorter parts of images show no waves
+    most_intervals: int = 160  # bounds memory and time
+    ties_per_spline: float = 4.0  # of each view, at least
+    gain: float = 0.75  # waves must reduce the residuals below this share
+    least_px: float = 0.08  # root mean square of a view's wave, at least of one: what is smaller does no harm
+    usual_px: float = 0.7  # standard deviation of a spline's coefficient beforehand (Tong et al. 2015: up to 1.5 px),
+    trend_px: float = 0.01  # and of its mean and trend, which are the pointing's
+    known_px: float = 2.0  # what ties determine less well is not applied
+    limit: float = 3.0  # median residuals without waves at which residuals are cut for the information criterion
+    patch_cells: Tuple[int, int] = (1, 12)  # cells of a scene with waves that are searched for more ties, a side
+    patch_features: int = 1500  # of each of their patches
+    features_per_mpx: int = 8000
+
+
+@dataclass(frozen=True)
 class ControlParameters(Parameters):
     """Noise and gross errors of ground control points."""
 
@@ -289,6 +310,7 @@ class PointingParameters(Parameters):
     ties: TieParameters = TieParameters()
     alignment: AlignmentParameters = AlignmentParameters()
     adjustment: AdjustmentParameters = AdjustmentParameters()
+    jitter: JitterParameters = JitterParameters()
     control: ControlParameters = ControlParameters()
     promises: PromiseParameters = PromiseParameters()
     rpc_heights: RpcHeightParameters = RpcHeightParameters()
@@ -302,6 +324,14 @@ class PointingParameters(Parameters):
     good_px: float = 1.5  # a tie with a larger residual is a wrong match, and gives no altitude; chosen
     around: float = 0.25  # of a tile's side: ties so far around it also give its altitudes; chosen
     tail_percent: float = 0.5  # of these altitudes, at either end, that may be wrong; chosen
+
+    def with_many_ties(self) -> "PointingParameters":
+        """For a scene with jitter: more ties, of all lines."""
+        least, most = self.jitter.patch_cells
+        patches = replace(self.patches, whole_px=0, cell_patches=1, least_cells=least, most_cells=most)
+        features = self.jitter.patch_features
+        ties = replace(self.ties, least_patch_features=features, features_per_mpx=self.jitter.features_per_mpx)
+        return replace(self, patches=patches, ties=ties)
 
 
 POINTING = PointingParameters()

@@ -89,11 +89,15 @@ def point_views(
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0), parameters, altitudes)
     else:
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
+    if adjusted.jitter or model == "jitter":
+        more = parameters.with_many_ties()
+        matches, tracks = _more_ties(scene, adjusted, names, stretches, detector, progress, workers, more)
+        adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
     controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
     require_own_rpcs(scene.views, tracks, sum(scene.altitudes) / 2, progress.warn, parameters, info=progress.info)
     if not controlled:
         _require_small_trends(adjusted, parameters)
-    views = [view.with_pointing(adjusted.pointing[view.name]) for view in scene.views]
+    views = adjusted.applied(scene.views)
     before, after = (_parallax(seen, names, tracks, adjusted.ground) for seen in (scene.views, views))
     xy = projected_from_geodetic(scene.crs, adjusted.ground)
     figures = PointingFigures(
@@ -119,6 +123,25 @@ def point_views(
         figures = replace(figures, height_uncertainty_m=uncertain_m)
     _log(scene.views, figures, parameters, progress)
     return Pointing(views, tracks, adjusted, xy, figures)
+
+
+def _more_ties(
+    scene: Scene,
+    adjusted: Adjustment,
+    names: Sequence[Tuple[str, str]],
+    stretches: Dict[str, Stretch],
+    detector: Detector,
+    progress: Progress,
+    workers: int,
+    parameters: PointingParameters,
+) -> Tuple[List[PairMatches], List[Track]]:
+    """Ties of all lines, found where a first adjustment with jitter expects them: waves need many, and everywhere."""
+    pointed = replace(scene, views=tuple(adjusted.applied(scene.views)))
+    part = Part(progress, 0.95, 0.98)
+    matches = find_ties(pointed, names, stretches, part, workers, detector, parameters)
+    part = Part(progress, 0.98, 1.0)
+    aligned = align_ties(pointed, tracks_from(matches), names, stretches, part, workers, parameters.alignment)
+    return matches, aligned
 
 
 def _require_small_trends(adjusted: Adjustment, parameters: PointingParameters) -> None:

@@ -39,6 +39,7 @@ class RenderParameters(Parameters):
     strip_rows: int = 256  # rows that are finished together, with noise of their own: the height of a file's tiles
     chunk_cols: int = 256  # columns of which the rays are cast together
     node_px: int = 64  # spacing of exact rays; cubic splines between them are within 1e-4 px
+    nodes_per_wave: int = 24  # the same along the lines of a view with jitter, for its shortest period
     halo_px: int = 3  # reach of the point spread
     coarse_cells: int = 8  # side of a cell of the coarse maxima, and sub-pixels between coarse rays
     wall_hit_m: float = 0.3  # a hit so far below the surface there is on a wall
@@ -52,6 +53,16 @@ class VendorParameters(Parameters):
     common_pointing_px: float = 2.0  # pointing errors of one pass are mostly common to its views,
     view_pointing_px: float = 1.0  # and differ by less
     height_margin_m: float = 20.0  # beyond the surface's lowest and highest point, then rounded outwards to 10 m
+
+
+@dataclass(frozen=True)
+class JitterParameters(Parameters):
+    """Waves of the attitude: those of ZY-3 have 0.2 to 1.5 px (Tong et al. 2015, IEEE TGRS 53)."""
+
+    sines: int = 3  # of each view, in each direction
+    periods: Tuple[float, float] = (360.0, 1700.0)  # lines; one sine in each of as many equal parts, logarithmically
+    growth: float = 0.5  # power of the period with which the largest amplitude grows: slow waves are the larger ones
+    least_share: float = 0.3  # of the largest amplitude that a sine has at least
 
 
 @dataclass(frozen=True)
@@ -177,6 +188,7 @@ class SimulationParameters(Parameters):
     rpc_fit: RpcFitParameters = RpcFitParameters()
     vendor: VendorParameters = VendorParameters()
     control: SimulatedGcpParameters = SimulatedGcpParameters()
+    jitter: JitterParameters = JitterParameters()
     town: TownParameters = TownParameters()
     district: DistrictParameters = DistrictParameters()
     effects: EffectParameters = EffectParameters()

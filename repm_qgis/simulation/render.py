@@ -38,7 +38,9 @@ class RayCaster:
         self._ceiling = _quad_maxima(surface.height)
         self._coarse = _coarse_maxima(self._ceiling, parameters.coarse_cells)
         heights = (self._low, 0.5 * (self._low + self._high), self._high)
-        self._place = _ray_splines(surface, view, heights, parameters.node_px)
+        along = [int(sine.period_lines / parameters.nodes_per_wave) for sine in view.jitter]
+        node_px = max(1, min([parameters.node_px, *along]))
+        self._place = _ray_splines(surface, view, heights, parameters.node_px, node_px)
 
     def rays(self, cols: FloatArray, rows: FloatArray) -> Rays:
         """The rays of a grid of image columns (C,) and rows (R,), both increasing."""
@@ -213,14 +215,15 @@ def _coarse_maxima(ceiling: FloatImage, side: int) -> FloatImage:
 
 
 def _ray_splines(
-    surface: SimulatedSurface, view: PushbroomView, heights: Sequence[float], node_px: int
+    surface: SimulatedSurface, view: PushbroomView, heights: Sequence[float], across_px: int, along_px: int
 ) -> List[Tuple[Any, ...]]:
-    """For each height, splines f(rows, cols) of the grid column and row where a view's pixels see that height."""
+    """For each height, splines f(rows, cols) of the grid column and row where a view's pixels see that height, with
+    nodes so many px apart."""
 
-    def nodes(count: int) -> FloatArray:
+    def nodes(count: int, node_px: int) -> FloatArray:
         return np.linspace(-8.0, count + 7.0, max(int(math.ceil(count / node_px)) + 1, 6))
 
-    cols, rows = nodes(view.size[0]), nodes(view.size[1])
+    cols, rows = nodes(view.size[0], across_px), nodes(view.size[1], along_px)
     pixels = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
     splines = []
     for height in heights:

@@ -11,7 +11,7 @@ import dataclasses
 import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
@@ -30,9 +30,9 @@ from ..sfm.ground_control import Gcp, write_gcps
 from ..workspace import ensure_folder, write_text
 from .gcps import choose_gcps, common_square
 from .mountains import build_mountains
-from .parameters import SIMULATION, SimulationParameters, VendorParameters
+from .parameters import SIMULATION, JitterParameters, SimulationParameters, VendorParameters
 from .render import render_view
-from .sensor import PLEIADES, PushbroomView, Sensor, aim
+from .sensor import PLEIADES, JitterSine, PushbroomView, Sensor, aim
 from .surface import Ground, SimulatedSurface, Sun
 from .town import Town
 
@@ -55,6 +55,7 @@ class SceneSpec:
     lat: float = 43.60
     heading_deg: float = 191.0  # of the flight
     sun: Sun = Sun()
+    jitter_px: float = 0.0  # largest amplitude of a wave of the attitude that the RPCs do not know
 
     @classmethod
     def default(cls, kind: str, size: int, seed: int) -> SceneSpec:
@@ -82,15 +83,34 @@ class SceneSpec:
         return self.base_m - 30.0, self.base_m + 90.0
 
 
-def make_views(spec: SceneSpec) -> List[PushbroomView]:
-    """The spec's sensor, aimed at the spec's middle by each of the sensor's looks."""
+def make_views(spec: SceneSpec, parameters: JitterParameters = SIMULATION.jitter) -> List[PushbroomView]:
+    """The spec's sensor, aimed at the spec's middle by each of the sensor's looks, with jitter where it has some."""
     low, high = spec.height_bounds
     middle = (spec.lon, spec.lat, 0.5 * (low + high) if spec.kind == "mountains" else spec.base_m)
     size = (spec.size, spec.size)
-    return [
+    views = [
         aim(spec.sensor, look, middle, size, spec.heading_deg, spec.seed + 101 * number, f"img_{number:02d}")
         for number, look in enumerate(spec.sensor.looks, start=1)
     ]
+    if spec.jitter_px == 0:
+        return views
+    return [replace(view, jitter=jitter_sines(spec, number, parameters)) for number, view in enumerate(views, start=1)]
+
+
+def jitter_sines(
+    spec: SceneSpec, number: int, parameters: JitterParameters = SIMULATION.jitter
+) -> Tuple[JitterSine, ...]:
+    """The waves of the attitude of one of the spec's views."""
+    rng, sines = np.random.default_rng([spec.seed, 5, number]), []
+    shortest, longest = np.log(parameters.periods)
+    for band in range(parameters.sines):
+        share = (band + rng.uniform()) / parameters.sines
+        period = float(np.exp(shortest + share * (longest - shortest)))
+        most = spec.jitter_px * (period / parameters.periods[1]) ** parameters.growth
+        columns, rows = (float(v) for v in most * rng.uniform(parameters.least_share, 1.0, 2))
+        first, second = (float(v) for v in rng.uniform(0.0, 2.0 * math.pi, 2))
+        sines.append(JitterSine(period, (columns, rows), (first, second)))
+    return tuple(sines)
 
 
 def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
@@ -167,11 +187,11 @@ def _drop_sidecar(path: str) -> None:
 def fit_view_rpcs(
     views: Sequence[PushbroomView], heights: Altitudes, parameters: SimulationParameters = SIMULATION
 ) -> List[RpcFit]:
-    """RPCs true to the sensor, for heights rounded outwards with a margin."""
+    """RPCs true to the sensor, but for its jitter, for heights rounded outwards with a margin."""
     margin = parameters.vendor.height_margin_m
     low = math.floor((heights[0] - margin) / 10) * 10.0
     high = math.ceil((heights[1] + margin) / 10) * 10.0
-    return [fit_rpc(view.localise, view.size, (low, high), parameters.rpc_fit) for view in views]
+    return [fit_rpc(view.steady.localise, view.size, (low, high), parameters.rpc_fit) for view in views]
 
 
 def pointing_errors(count: int, seed: int, parameters: VendorParameters = SIMULATION.vendor) -> FloatArray:
@@ -208,6 +228,7 @@ def _record(
                 "pitch_deg": view.look.pitch_deg,
                 "roll_deg": view.look.roll_deg,
                 "gsd_m": view.look.gsd_m,
+                "jitter": [dataclasses.asdict(sine) for sine in view.jitter],
                 "rpc_bias_px": {"col": float(bias[0]), "row": float(bias[1])},
                 "rpc_fit_max_px": fit.max_px,
                 "rpc_fit_rms_px": fit.rms_px,
@@ -229,7 +250,7 @@ def make_scene(
     Raises WorkspaceError if the folder cannot be written, and Cancelled if the user stopped it; no half file is left.
     """
     folder = str(ensure_folder(os.path.abspath(folder)))
-    views = make_views(spec)
+    views = make_views(spec, parameters.jitter)
     surface = make_surface(spec, surface_bounds(spec, views), Part(progress, 0.0, 0.35), parameters)
     progress.check_cancelled()
     progress.step(0.35, "RPCs and control points")

@@ -24,6 +24,28 @@ _TOLERANCE_PX = 1e-9
 
 
 @dataclass(frozen=True)
+class JitterSine:
+    """One sine of an attitude that shakes: px of the detector by which lines look aside, over the lines of the image.
+
+    ``amplitudes_px`` are those in the direction of columns and of rows, ``phases_rad`` those at the first line. Along
+    the lines the camera looks back and forth: what is seen in a line lies so much farther back in the image.
+    """
+
+    period_lines: float
+    amplitudes_px: Tuple[float, float]
+    phases_rad: Tuple[float, float]
+
+
+def jitter_px(sines: Sequence[JitterSine], rows: FloatArray) -> FloatArray:
+    """(N, 2) px in columns and rows by which jitter moves what is seen in lines (N,)."""
+    moved = np.zeros((np.size(rows), 2))
+    for sine in sines:
+        angle = 2 * np.pi * np.ravel(rows)[:, None] / sine.period_lines + np.array(sine.phases_rad)
+        moved += np.array(sine.amplitudes_px) * np.sin(angle)
+    return moved
+
+
+@dataclass(frozen=True)
 class Look:
     """How one view is taken: pitch (forward is positive) and roll in degrees at the satellite, GSD on the ground."""
 
@@ -64,7 +86,8 @@ class PushbroomView:
     """One image's rigorous sensor model. Build it with :func:`aim`.
 
     ``along, across, up`` are the orbit's axes in ECEF when the middle line is exposed; ``orbital_from_body`` (3, 3)
-    turns the camera's axes (forward, right, boresight) into the orbital ones (forward, right, down).
+    turns the camera's axes (forward, right, boresight) into the orbital ones (forward, right, down). ``jitter`` are
+    waves of the attitude that an RPC cannot describe: ``steady`` is the view without them.
     """
 
     name: str
@@ -79,6 +102,12 @@ class PushbroomView:
     ifov_rad: float
     line_period_s: float
     phases: Tuple[Tuple[float, ...], ...]
+    jitter: Tuple[JitterSine, ...] = ()
+
+    @property
+    def steady(self) -> PushbroomView:
+        """The view without jitter: what the vendor's RPC is fitted to."""
+        return replace(self, jitter=())
 
     def _time(self, row: FloatArray) -> FloatArray:
         return (np.asarray(row, dtype=np.float64) - (self.size[1] - 1) / 2) * self.line_period_s
@@ -98,18 +127,23 @@ class PushbroomView:
                 rotation[:, axis] += np.sin(2 * np.pi * time / period + phase)
         return rotation * (self.sensor.wobble_rad / max(len(periods), 1))
 
-    def _detector(self, col: FloatArray) -> Tuple[FloatArray, FloatArray]:
-        """Tangents of the look angles of columns in the camera: forward and right."""
-        offset = np.asarray(col, dtype=np.float64) - (self.size[0] - 1) / 2
+    def _detector(self, pixels: FloatArray) -> Tuple[FloatArray, FloatArray]:
+        """Tangents of the look angles of pixels (N, 2) in the camera: forward and right."""
+        offset = pixels[:, 0] - (self.size[0] - 1) / 2
         place = offset / (self.sensor.detectors / 2)
         bend = self.sensor.distortion_px * self.ifov_rad
-        return 0.5 * bend * place**2, -(offset * self.ifov_rad + bend * place**3)
+        forward, right = 0.5 * bend * place**2, -(offset * self.ifov_rad + bend * place**3)
+        if self.jitter:
+            # Columns grow to the left and rows against the flight: what is seen moves by + jitter px in the image.
+            moved = jitter_px(self.jitter, pixels[:, 1]) * self.ifov_rad
+            forward, right = forward - moved[:, 1], right + moved[:, 0]
+        return forward, right
 
     def rays(self, col_row: FloatArray) -> Tuple[FloatArray, FloatArray]:
         """Where the satellite is and where each pixel looks: (N, 3) ECEF positions and unit directions."""
         pixels = np.asarray(col_row, dtype=np.float64)
         time = self._time(pixels[:, 1])
-        forward, right = self._detector(pixels[:, 0])
+        forward, right = self._detector(pixels)
         body = np.stack([forward, right, np.ones_like(right)], axis=1)
         body += np.cross(self._wobble(time), body)
         orbital = body @ np.array(self.orbital_from_body).T
@@ -163,7 +197,7 @@ class PushbroomView:
         orbital = np.stack([ahead, sight @ np.array(self.across), below], axis=1)
         body = orbital @ np.array(self.orbital_from_body)
         body = body - np.cross(self._wobble(time), body)
-        forward, right = self._detector(pixels[:, 0])
+        forward, right = self._detector(pixels)
         seen = body[:, :2] / body[:, 2:]
         miss: FloatArray = np.stack([right - seen[:, 1], seen[:, 0] - forward], axis=1) / self.ifov_rad
         return miss

@@ -53,6 +53,12 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     rmse = float(np.sqrt(np.mean([view.error.rmse**2 for model in models for view in model.views])))
     errors = f"the cameras hold to RMSE {rmse:.3f} px, max {error:.3f} px"
     progress.info(f"{count} images with cameras in '{folder}', for {options.format}; {errors}.")
+    for view in scene.views:
+        if view.jitter is not None:
+            progress.warn(
+                f"A camera cannot hold the jitter of {view.name}, waves of up to {view.jitter.most_px:.2f} px over its "
+                "lines: only their mean is in it, and software that uses the cameras sees the rest."
+            )
     progress.step(1.0, "cameras exported")
     return {"folder": str(folder), "models": [str(place) for place in places], "images": count}
 

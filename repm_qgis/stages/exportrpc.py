@@ -57,7 +57,8 @@ def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
 def _exported(scene: Scene, view: View) -> ExportedRpc:
     try:
         if view.plane is None:
-            made = corrected(view.rpc, view.pointing, view.size, scene.altitudes)
+            waves = None if view.jitter is None else view.jitter.added
+            made = corrected(view.rpc, view.pointing, view.size, scene.altitudes, waves)
         else:
             made = of_projected(view.localise, view.rpc, view.size, scene.altitudes)
     except RpcInvalidError as error:

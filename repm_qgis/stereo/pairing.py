@@ -48,9 +48,11 @@ def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes)
     window = pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size)
     if window is None:
         return None
-    grid = virtual_grid(view.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
+    steady = view.steady
+    grid = virtual_grid(steady.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
     model, camera = scene.refinement or "polynomial", fit_pinhole(grid).camera
-    return refine_pinhole(model, camera, grid, window, scene.order, scene.terrain(view))
+    refined = refine_pinhole(model, camera, grid, window, scene.order, scene.terrain(steady))
+    return refined.shaken(view.jitter)
 
 
 def ground_points(

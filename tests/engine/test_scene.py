@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.errors import ImageError, RpcInvalidError, SceneError, SceneVersionError, WorkspaceError
+from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.progress import Silent
 from repm_qgis.scene import SCHEMA, Scene, ground_of, load_views, reusable
 from repm_qgis.stages import run_stage
@@ -97,6 +98,20 @@ def test_pointing_moves_pixels_and_localise_undoes_it(fitted):
     expected = pixels @ np.array([[1.0, -2e-4], [1e-4, 1.0]]) + [2.5, -1.5]
     np.testing.assert_allclose(moved.project(ground), expected, atol=1e-9)
     np.testing.assert_allclose(moved.localise(moved.project(ground), 200.0), ground, atol=1e-11)
+
+
+def test_jitter_comes_on_top_of_the_pointing_and_stays_with_the_scene(fitted, tmp_path):
+    scene = Scene.load(fitted)
+    view = scene.views[0]
+    waves = Jitter(0.0, view.height - 1.0, np.random.default_rng(0).normal(0, 0.3, (8, 2)))
+    shaken = view.with_pointing(np.array([[1.0, 1e-4, 2.5], [-2e-4, 1.0, -1.5]]), waves)
+    ground = view.rpc.localise(np.array([[10.0, 20.0], [300.0, 200.0]]), 200.0)
+    pixels = shaken.project(ground)
+    np.testing.assert_allclose(pixels - waves.at(pixels[:, 1]), shaken.steady.project(ground), atol=1e-9)
+    np.testing.assert_allclose(shaken.localise(pixels, 200.0), ground, atol=1e-11)
+    path = replace(scene, views=(shaken, *scene.views[1:])).save(str(tmp_path / "shaken.json"))
+    np.testing.assert_array_equal(Scene.load(path).views[0].project(ground), pixels)
+    assert shaken.with_pointing(view.pointing).jitter is None and scene.views[1].jitter is None
 
 
 @pytest.mark.parametrize(

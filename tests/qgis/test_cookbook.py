@@ -82,8 +82,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_sixteen_tasks():
-    assert sorted(TASKS) == list(range(1, 17))
+def test_the_book_has_seventeen_tasks():
+    assert sorted(TASKS) == list(range(1, 18))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -228,6 +228,14 @@ def test_16_a_folder_in_and_an_item_out(cook):
     assert item["assets"]["output"]["href"] == "./order.tif" and np.isfinite(heights(folder / "order.tif")).mean() > 0.4
     times = [item["properties"][name] for name in ("start_datetime", "end_datetime")]
     assert times == ["2024-05-01T10:20:01.000Z", "2024-05-01T10:20:02.000Z"]
+
+
+def test_17_a_satellite_that_shook(cook):
+    folder, _ = cook(17)
+    scene = json.loads((folder / "work_jitter" / "reconstructed.json").read_text(encoding="utf-8"))
+    assert "too few lines or ties for waves" in scene["pointing"]["reason"]
+    assert [view["jitter"] for view in scene["views"]] == [None] * 3
+    assert np.isfinite(heights(folder / "dsm_jitter.tif")).mean() > 0.4
 
 
 def test_the_whole_book_is_quick():

@@ -7,6 +7,7 @@ import pytest
 
 from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
+from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.records import GroundShift
 from repm_qgis.registration.moved_scene import moved_view
 
@@ -29,7 +30,8 @@ def test_points_are_seen_where_the_shift_has_moved_them(urban, ground, moved, ti
     shift = GroundShift(moved, tilt, tuple(points[:, :2].mean(axis=0)))
     there = shift.applied(points)
     for view in urban.views:
-        turned = view.with_pointing(np.array([[1.0001, 0.0, 1.5], [0.0, 0.9999, -2.0]]))
+        waves = Jitter(0.0, view.height - 1.0, np.random.default_rng(0).normal(0, 0.2, (6, 2)))
+        turned = view.with_pointing(np.array([[1.0001, 0.0, 1.5], [0.0, 0.9999, -2.0]]), waves)
         changed, error = moved_view(turned, urban.crs, bounds, urban.height_range, shift)
         before = turned.project(np.column_stack([geodetic_from_projected(urban.crs, points[:, :2]), points[:, 2]]))
         after = changed.project(np.column_stack([geodetic_from_projected(urban.crs, there[:, :2]), there[:, 2]]))

@@ -12,7 +12,7 @@ from osgeo import gdal
 
 from repm_qgis.errors import RpcInvalidError
 from repm_qgis.imagery.vrt import image_vrt_text
-from repm_qgis.rpc.correction import DELIVERED, EXACT, FITTED, SHIFTED, corrected
+from repm_qgis.rpc.correction import DELIVERED, EXACT, FITTED, JITTERED, SHIFTED, corrected
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of
 from repm_qgis.rpc.writers import rpb_text, rpc_tags, rpc_txt
 
@@ -118,6 +118,25 @@ def test_what_it_says_of_its_errors_is_true_and_the_denominators_stay(synthetic_
         assert 0.3 * made.max_px < error < 1.5 * made.max_px and made.rms_px < made.max_px
         assert (made.rpc.row_den, made.rpc.col_den) == (rpc.row_den, rpc.col_den)
         assert made.method == FITTED and made.max_px < 2e-4 * factor
+
+
+def test_an_rpc_holds_slow_waves_and_says_what_it_cannot(synthetic_rpc):
+    rpc, size = synthetic_rpc(), (41500, 38000)
+
+    def waves(period):
+        def shaken(pixels):
+            angle = 2 * np.pi * pixels[..., 1] / period
+            return pixels + np.stack([0.8 * np.sin(angle), 0.5 * np.cos(angle)], axis=-1)
+
+        return shaken
+
+    slow, fast = (corrected(rpc, SHIFT, size, rpc.height_range, waves(period)) for period in (150000.0, 6000.0))
+    assert slow.method == fast.method == JITTERED
+    assert slow.rms_px < 0.1 and 0.4 < fast.rms_px < 0.7 and fast.max_px < 1.5  # they are 0.67 px
+    ground = seen(rpc, size)
+    for made, period in ((slow, 150000.0), (fast, 6000.0)):
+        wanted = waves(period)(pointed(rpc, SHIFT, ground))
+        assert np.linalg.norm(made.rpc.project(ground) - wanted, axis=1).max() < 1.3 * made.max_px
 
 
 def test_a_crop_keeps_a_model_of_the_whole_product(shared_data):

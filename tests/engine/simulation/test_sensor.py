@@ -1,13 +1,14 @@
 """The simulated sensor against plain geometry and pyproj."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pyproj
 import pytest
 
 from repm_qgis.errors import OptionError
-from repm_qgis.simulation.sensor import GF7, PLEIADES, PRESETS, ZY3, Look, aim
+from repm_qgis.simulation.sensor import GF7, PLEIADES, PRESETS, ZY3, JitterSine, Look, aim, jitter_px
 
 TARGET = (1.44, 43.60, 200.0)
 
@@ -108,3 +109,15 @@ def test_roll_looks_to_the_right_of_the_flight():
 def test_a_look_beyond_the_horizon_is_refused():
     with pytest.raises(OptionError, match="horizon"):
         aim(PLEIADES, Look(70.0, 0.5), TARGET, (100, 100), 191.0, 1, "v")
+
+
+def test_jitter_moves_lines_as_its_sines_say():
+    sines = (JitterSine(400.0, (0.7, 0.0), (0.3, 0.0)), JitterSine(900.0, (0.2, 0.6), (1.0, 2.0)))
+    view = replace(_views(ZY3, 2000)[1], jitter=sines)
+    pixels = np.random.default_rng(5).uniform(0, 1999, (400, 2))
+    ground = view.localise(pixels, 800.0)
+    np.testing.assert_allclose(view.project(ground), pixels, atol=1e-5)
+    moved = pixels - view.steady.project(ground)
+    # A line is as long on the ground as a detector only where the camera looks straight down on flat ground.
+    np.testing.assert_allclose(moved, jitter_px(sines, pixels[:, 1]), atol=0.1 * 0.8)
+    assert np.abs(moved).max() > 0.6 and view.steady.jitter == ()

@@ -14,9 +14,11 @@ from osgeo import gdal
 
 from repm_qgis.errors import Cancelled, OptionError, SceneError, WorkspaceError
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
+from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.records import GroundShift
 from repm_qgis.registration.moved_scene import moved_scene
+from repm_qgis.rpc.correction import JITTERED
 from repm_qgis.scene import Scene, load_views
 from repm_qgis.stages import run_stage
 from tests.engine.pages import plain
@@ -41,6 +43,21 @@ def turned(pointed, tmp_path):
     scene = Scene.load(str(pointed))
     views = tuple(view.with_pointing(AFFINE) for view in scene.views)
     return replace(scene, views=views).save(str(tmp_path / "turned.json"))
+
+
+def test_jitter_is_exported_as_far_as_an_rpc_holds_it(pointed, tmp_path, told):
+    scene = Scene.load(str(pointed))
+    waves = Jitter(0.0, scene.views[0].height - 1.0, np.random.default_rng(2).normal(0, 0.4, (30, 2)))
+    first = scene.views[0].with_pointing(scene.views[0].pointing, waves)
+    path = replace(scene, views=(first, *scene.views[1:])).save(str(tmp_path / "shaken.json"))
+    said = told()
+    result = export(path, tmp_path / "rpcs", told, said=said)
+    record = json.loads((tmp_path / "rpcs" / "rpcs.json").read_text())["images"][0]
+    assert record["method"] == JITTERED and 0.2 < record["max_px"] < 2.0 and result["max_error"] == record["max_px"]
+    ground = ground_of(first, scene.altitudes)
+    error = np.linalg.norm(by_gdal(result["images"][0], ground) - first.project(ground), axis=1)
+    assert 0.5 * record["max_px"] < error.max() < 1.3 * record["max_px"]
+    assert any("cannot hold the jitter of img_01" in text for text in said.warnings)
 
 
 def ground_of(view, altitudes, count=300):
