@@ -5,7 +5,9 @@ Longitude and latitude are in degrees, heights in metres above the WGS 84 ellips
 
 from __future__ import annotations
 
+import os
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, List, Optional, Sequence, Tuple, Type
@@ -167,6 +169,18 @@ def vertical_operations(
     ``bounds`` are west, south, east, north in degrees. "Ballpark" operations, which do not change heights, are not
     included.
     """
+    found = _operations(source, target, bounds)
+    folder = pyproj.datadir.get_user_data_dir()  # type: ignore[attr-defined,unused-ignore]
+    if any(os.path.exists(os.path.join(folder, grid)) for grid in found[1]):
+        # Installed since PROJ was asked first: a context (PROJ 9.5) remembers what it missed. Each thread has its own.
+        with ThreadPoolExecutor(1) as thread:
+            found = thread.submit(_operations, source, target, bounds).result()
+    return found
+
+
+def _operations(
+    source: pyproj.CRS, target: pyproj.CRS, bounds: Tuple[float, float, float, float]
+) -> Tuple[TransformerGroup, List[str]]:
     west, south, east, north = bounds
     area: Any = AreaOfInterest(west, south, east, north) if east > west and north > south else None
     with warnings.catch_warnings():
