@@ -5,8 +5,8 @@
 ('scripts/qgis-matrix --first-hour').
 
 Takes the demo's results ('make demo' makes them first), the report as Chromium shows it, screenshots of the desktop
-tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair and the report of a real
-triplet. Pictures that cannot be made here are named and stay as they are.
+tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair, the report of a real
+triplet, and the heights of a town at two dates. Pictures that cannot be made here are named and stay as they are.
 """
 
 from __future__ import annotations
@@ -78,6 +78,42 @@ def shaded(dsm: str, name: str, size: int, folder: str) -> None:
     with open(path, "wb") as stream:
         stream.write(pictures.png_bytes(relief[..., :3]))
     keep(path, name)
+
+
+def two_dates(folder: str) -> None:
+    """A town before and after an earthquake, shaded, and what changed: gained red, lost blue. Heights only."""
+    import numpy as np
+
+    from benchmarks.earthquake import dates
+    from repm_qgis.evaluation import pictures
+
+    if not os.path.isdir(os.path.join(SHARED, "pleiades_two_dates")):
+        say("  the picture of two dates is left as it is: no pleiades_two_dates")
+        return
+    made = dates()
+    surfaces = [
+        pictures.preview(str(path), 440) for path in (made.before / "dsm.tif", made.after / "registered_dsm.tif")
+    ]
+    both = np.concatenate([heights.ravel() for heights, _ in surfaces])
+    low, high = pictures.percentile_range(both)
+    panels = [pictures.shaded_relief(heights, cell, low, high) for heights, cell in surfaces]
+    change, _ = pictures.preview(str(made.change / "significant_none.tif"), 440)
+    light = panels[0][..., :3].mean(axis=-1, keepdims=True) * 0.4 + 153.0
+    drawn = np.concatenate([np.repeat(light, 3, axis=-1).astype(np.uint8), panels[0][..., 3:]], axis=-1)
+    rows, columns = (min(drawn.shape[axis], change.shape[axis]) for axis in (0, 1))
+    coloured = pictures.colour_map(change[:rows, :columns], -20.0, 20.0, "diverging")
+    seen = np.isfinite(change[:rows, :columns])[..., None]
+    drawn[:rows, :columns] = np.where(seen, coloured, drawn[:rows, :columns])
+    height = min(panel.shape[0] for panel in (*panels, drawn))
+    white = np.full((height, 8, 3), 255, np.uint8)
+    parts = []
+    for panel in (*panels, drawn):
+        panel = np.where(panel[:height, :, 3:] == 0, np.uint8(255), panel[:height, :, :3])
+        parts += [panel, white]
+    path = os.path.join(folder, "earthquake.png")
+    with open(path, "wb") as stream:
+        stream.write(pictures.png_bytes(np.hstack(parts[:-1])))
+    keep(path, "earthquake.png")
 
 
 def real(data: str, folder: str) -> str:
@@ -196,6 +232,7 @@ def main() -> int:
         pair = real("pleiades_pair", folder)
         if pair:
             shaded(os.path.join(pair, "dsm.tif"), "pleiades_dsm.png", 640, folder)
+        two_dates(folder)
         triplet = real("pleiades_triplet", folder)
         if triplet:
             report(triplet, "report_triplet.png", 1900, folder)

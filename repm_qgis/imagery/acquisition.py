@@ -85,6 +85,8 @@ def sensor_of(dataset: gdal.Dataset, path: str) -> str:
         yield from _in_sidecars(path, _sensors_in_file)
         yield from (platform.replace("-", " ") for _, platform in _in_items(path))
         yield from (dataset.GetMetadataItem(key, domain) or "" for key, domain in _SENSOR_METADATA)
+        # Crops that were cut from Airbus's products keep the two fields of their DIM file as tags.
+        yield " ".join(dataset.GetMetadataItem(key) or "" for key in ("MISSION", "MISSION_INDEX"))
         yield Path(path).name
 
     return next(filter(None, map(sensor_in, texts())), "")

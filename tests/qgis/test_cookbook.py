@@ -12,7 +12,8 @@ import sys
 
 import numpy as np
 import pytest
-from osgeo import gdal, osr
+from osgeo import gdal, ogr, osr
+from pyproj import Transformer
 
 from repm_qgis.evaluation.scoring import score_files
 
@@ -82,8 +83,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_seventeen_tasks():
-    assert sorted(TASKS) == list(range(1, 18))
+def test_the_book_has_eighteen_tasks():
+    assert sorted(TASKS) == list(range(1, 19))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -236,6 +237,19 @@ def test_17_a_satellite_that_shook(cook):
     assert "too few lines or ties for waves" in scene["pointing"]["reason"]
     assert [view["jitter"] for view in scene["views"]] == [None] * 3
     assert np.isfinite(heights(folder / "dsm_jitter.tif")).mean() > 0.4
+
+
+def test_18_damage_after_an_earthquake(cook):
+    folder, said = cook(18)
+    assert "registered" in json.dumps(json.loads((folder / "work_after" / "registered.json").read_text())).lower()
+    source = ogr.Open(str(folder / "collapsed.gpkg"))
+    lost = [{**each.items(), "box": each.GetGeometryRef().GetEnvelope()} for each in source.GetLayer(0)]
+    source = None
+    assert len(lost) == 1 and 300 < lost[0]["area_m2"] < 700 and -14 < lost[0]["mean_m"] < -10, lost
+    west, east, south, north = lost[0]["box"]
+    place = Transformer.from_crs(32631, 4326, always_xy=True).transform((west + east) / 2, (south + north) / 2)
+    ring = np.array(json.loads((folder / "house.geojson").read_text())["coordinates"][0])
+    assert (ring.min(axis=0) < place).all() and (place < ring.max(axis=0)).all()
 
 
 def test_the_whole_book_is_quick():

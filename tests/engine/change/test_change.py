@@ -129,6 +129,18 @@ def test_nothing_changed_between_two_dsms_of_one_date(tmp_path, told):
     assert "Nothing changed significantly" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
+def test_what_changed_has_no_part_in_what_the_alignment_gained(tmp_path, told):
+    """A third of the ground was dug up, and nothing lies elsewhere: the NMAD of stable ground was as good before."""
+    after = ground() + noise(2)
+    after[:, 200:] += 4 * np.sin(np.mgrid[:SIDE, 200:SIDE][0] / 9)
+    paths = [write(tmp_path / "a.tif", [ground() + noise(1)]), write(tmp_path / "b.tif", [after])]
+    progress = told()
+    run_stage("change", {"before": paths[0], "after": paths[1], "output": str(tmp_path / "d.tif")}, progress)
+    said = next(text for text in progress.notes if "stable ground agrees" in text)
+    before, now = map(float, re.findall(r"NMAD ([\d.]+) m before, ([\d.]+) m after", said)[0])
+    assert now <= before < now + 0.02 < 0.25, said
+
+
 def test_walls_that_matching_moved_are_no_change(tmp_path, told):
     """The tall house is a metre wider on one date, and the strip that it hides is bridged."""
     wide = ground()

@@ -106,6 +106,8 @@ def test_metadata():
     )
     assert of("a.tif", plain={"gml.root-instance": "<x id='DS_PHR1B_201306290637144_FR1_PX'/>"}) == "Pleiades 1B"
     assert of("a.tif", plain={"TIFFTAG_SOFTWARE": "for WV03"}) == ""
+    assert of("a.tif", plain={"MISSION": "PHR", "MISSION_INDEX": "1B"}) == "Pleiades 1B"
+    assert of("a.tif", plain={"MISSION": "PHR"}) == of("a.tif", plain={"MISSION_INDEX": "1B"}) == ""
 
 
 def test_real_files(shared_data, tmp_path, write_image):
@@ -118,6 +120,8 @@ def test_real_files(shared_data, tmp_path, write_image):
         str(shared_data / "jax_068" / "JAX_068_001_RGB.tif"): "WorldView-3",
         str(shared_data / "pleiades_pair" / "img_01.tif"): "Pleiades 1B",
         str(shared_data / "pleiades_triplet" / "img_03.tif"): "Pleiades 1A",
+        str(shared_data / "pleiades_two_dates" / "post_event_img2.tif"): "Pleiades 1B",
+        str(shared_data / "pleiades_two_dates" / "pre_event_img1.tif"): "",
         str(shared_data / "truth_urban" / "img_01.tif"): "",
         str(other / "wv3_20.NTF"): "",
     }
