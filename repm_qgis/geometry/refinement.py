@@ -65,7 +65,13 @@ class PolynomialMap(Record):
         terms = polynomial_terms(np.zeros(2), self.order).size
         if len(self.coefficients) != terms:
             return f"has {len(self.coefficients)} coefficients: order {self.order} has {terms}"
-        return "" if abs(np.linalg.det(self._linear)) > _LEAST_DETERMINANT else "has coefficients without an inverse"
+        with np.errstate(all="ignore"):  # coefficients of a damaged file may be of any size
+            invertible = abs(np.linalg.det(self._linear)) > _LEAST_DETERMINANT
+            if invertible:
+                around = self.offset + self.scale * np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
+                back = self.refined_from_original(self.original_from_refined(around))
+                invertible = bool(np.isfinite(back).all())
+        return "" if invertible else "has coefficients without an inverse"
 
     @property
     def _linear(self) -> FloatArray:

@@ -118,6 +118,16 @@ def test_an_inverse_that_is_not_found_is_nan_and_not_the_last_guess(target, foun
         assert np.isnan(asked).all()
 
 
+@pytest.mark.parametrize("wrong", (5.0, 1e4, 1e10))
+def test_a_stored_map_without_an_inverse_is_refused(wrong):
+    """A damaged scene was read, and an export of its cameras ended in "cannot convert float NaN to integer"."""
+    stored = PolynomialMap(2, np.array([50.0, 40.0]), 50.0, np.zeros((6, 2))).to_mapping()
+    assert isinstance(map_from_mapping(stored, None, None), PolynomialMap)
+    stored["coefficients"] = [[0, 0], [0, 0], [0, 0], [0, 0], [wrong * 50.0, 0], [0, wrong]]
+    with pytest.raises(Misfit, match="coefficients without an inverse"):
+        map_from_mapping(stored, None, None)
+
+
 def test_unknown_models_and_kinds():
     with pytest.raises(OptionError, match="MODEL is 'cubic'"):
         fit_map("cubic", pixels(10), pixels(10), np.eye(3))
