@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import subprocess  # nosec B404 # see its uses
 import time
 from contextlib import suppress
@@ -172,12 +174,26 @@ def _begin(plan: Plan, progress: Progress) -> None:
         env=variables(plan.program),
         check=False,
     )
+    if WINDOWS and not done.returncode and not os.path.exists(program_in(plan.folder)):
+        _copy_program(plan.program, os.path.dirname(program_in(plan.folder)))
     if done.returncode or not os.path.exists(program_in(plan.folder)):
         said = " ".join(done.stdout.decode("utf-8", "replace").split())[-300:] or f"exit code {done.returncode}"
         raise MissingPackageError(
             f"'{plan.program}' cannot make a virtual environment ({said}): on Debian and Ubuntu, run 'sudo apt install "
             "python3-venv'; elsewhere, install QGIS's Python with its module venv."
         )
+
+
+def _copy_program(program: str, scripts: str) -> None:
+    """The interpreter itself with its libraries, where its build lacks the launcher that venv copies on Windows.
+
+    ``pyvenv.cfg`` leads it to its own modules, as it does the launcher.
+    """
+    own = os.path.dirname(program)
+    libraries = [name for name in os.listdir(own) if re.fullmatch(r"(python3|vcruntime)\w*\.dll", name.lower())]
+    shutil.copy2(program, os.path.join(scripts, "python.exe"))
+    for name in libraries:
+        shutil.copy2(os.path.join(own, name), scripts)
 
 
 def _link_proj(folder: str, python: Interpreter) -> None:

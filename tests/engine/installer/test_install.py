@@ -398,3 +398,19 @@ def test_an_environment_of_version_0_1_0_is_used(plugin, home):
     assert environments.usable([str(home)], [PYTHON], plugin) == folder
     os.unlink(program_in(folder))
     assert environments.usable([str(home)], [PYTHON], plugin) == ""
+
+
+def test_a_python_without_venvs_launcher_lends_itself(tmp_path):
+    """As some builds for Windows are; what lies beside the program and is none of its libraries stays there."""
+    own, scripts = tmp_path / "py", tmp_path / "env" / "Scripts"
+    own.mkdir()
+    scripts.mkdir(parents=True)
+    for name in ("python.exe", "python3.dll", "python312.dll", "vcruntime140.dll", "qgis_core.dll", "notes.txt"):
+        (own / name).write_text(name)
+    installation._copy_program(str(own / "python.exe"), str(scripts))
+    assert sorted(path.name for path in scripts.iterdir()) == [
+        "python.exe",
+        "python3.dll",
+        "python312.dll",
+        "vcruntime140.dll",
+    ]
