@@ -8,6 +8,7 @@ import pytest
 from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
 from repm_qgis.records import ReferenceFigures
+from repm_qgis.registration import photons
 from repm_qgis.registration.lasers import read_lasers
 from repm_qgis.registration.photons import dense
 from repm_qgis.registration.references import read_reference
@@ -35,6 +36,16 @@ def test_signal_lies_among_many_and_noise_does_not():
     assert not dense(lon[:0], lat[:0], height[:0], real[:0]).any()
     shuffled = np.random.default_rng(2).permutation(len(lon))
     np.testing.assert_array_equal(dense(*(each[shuffled] for each in (lon, lat, height, ~real))), found[shuffled])
+
+
+def test_blocks_hide_no_photon(monkeypatch):
+    """The track is looked at in parts of eight cells, each with what lies around it."""
+    lon, lat, height, real, ground = track()
+    whole = dense(lon, lat, height, ~real)
+    monkeypatch.setattr(photons, "_BLOCK", 8)
+    parts = dense(lon, lat, height, ~real)
+    assert parts[real].mean() > whole[real].mean() - 0.02
+    assert (parts & (np.abs(height - ground) > 4)).sum() < 10
 
 
 def test_few_photons_are_no_surface():

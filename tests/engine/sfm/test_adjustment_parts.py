@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.sfm import adjustment
-from repm_qgis.sfm.adjustment import Track, _huber, _log_mean, _pseudo_inverse, _reduced, _Solution, _tukey
+from repm_qgis.sfm.adjustment import Track, _design, _huber, _log_mean, _pseudo_inverse, _reduced, _Solution, _tukey
 from repm_qgis.sfm.ground_control import Gcp
 from repm_qgis.sfm.parameters import POINTING
+from repm_qgis.sfm.pointing import Pointing
 from repm_qgis.sfm.vertical_parallax import tracks_of_pair, vertical_parallax
 
 ADJUSTMENT = POINTING.adjustment
@@ -44,14 +46,15 @@ def test_what_the_ground_takes_up_is_taken_away():
     rng = np.random.default_rng(1)
     jacobian, residual = rng.normal(size=(4, 6, 3)), rng.normal(size=(4, 6))
     bases = [rng.normal(size=(4, 2, 2)) for _ in range(3)]
-    reduced, design = _reduced(residual, jacobian, bases)
+    reduced, projector = _reduced(residual, jacobian)
+    design = _design(projector, bases)
     for k in range(4):
-        projector = np.eye(6) - jacobian[k] @ np.linalg.pinv(jacobian[k])
+        known = np.eye(6) - jacobian[k] @ np.linalg.pinv(jacobian[k])
         whole = np.zeros((6, 6))
         for view in range(3):
             whole[2 * view : 2 * view + 2, 2 * view : 2 * view + 2] = bases[view][k]
-        assert reduced[k] == pytest.approx(projector @ residual[k], abs=1e-8)
-        assert design[k] == pytest.approx(projector @ whole, abs=1e-8)
+        assert reduced[k] == pytest.approx(known @ residual[k], abs=1e-8)
+        assert design[k] == pytest.approx(known @ whole, abs=1e-8)
 
 
 def test_weights_fall_as_their_authors_say():
@@ -173,3 +176,21 @@ def test_only_tracks_that_both_views_see_have_one(urban):
     numbers, parallax, _ = tracks_of_pair((views[0], views[1]), tracks, ground)
     assert numbers.tolist() == [1, 2, 3, 4, 6, 7, 8, 9, 10, 11] and len(parallax) == 10
     assert len(tracks_of_pair((views[0], views[1]), [tracks[0]], ground)[0]) == 0
+
+
+def test_altitudes_are_those_of_good_ties_in_and_around_a_rectangle():
+    """The eastern and northern fifth is higher; ties far away and wrong matches count nothing."""
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(0.0, 100.0, (2000, 2))
+    height = np.where((xy > 80.0).any(axis=1), 200.0, 100.0)
+    far, wrong = rng.uniform(200.0, 300.0, (500, 2)), rng.uniform(0.0, 100.0, (500, 2))
+    ground = np.zeros((3000, 3))
+    ground[:, 2] = [*height, *np.full(500, 900.0), *np.full(500, -900.0)]
+    residual = np.repeat([0.3, 0.3, POINTING.good_px + 1.0], [2000, 500, 500])
+    adjusted = adjustment.Adjustment({}, "shift", "", ground, residual, residual)
+    pointing = Pointing([], [], adjusted, np.vstack([xy, far, wrong]), None)
+    assert pointing.altitudes(Bounds(0.0, 0.0, 100.0, 100.0)) == (100.0, 200.0)
+    assert POINTING.around * 40.0 <= 20.0 and pointing.altitudes(Bounds(20.0, 20.0, 60.0, 60.0)) == (100.0, 100.0)
+    assert pointing.altitudes(Bounds(40.0, 40.0, 79.0, 79.0)) == (100.0, 200.0), "around it"
+    assert pointing.altitudes(Bounds(-90.0, -90.0, -50.0, -50.0)) is None
+    assert pointing.altitudes(Bounds(1.0, 1.0, 1.5, 1.5)) is None

@@ -251,3 +251,5 @@ def test_the_height_is_said_to_be_uncertain_with_its_source(scene):
     published = absolute_height(disagreeing(scene, 1.0, 1.0, "IKONOS")[0].views, figures)[1]
     assert "LE90 22.0 m" in published and "in common" not in published
     assert absolute_height(seen.views, replace(figures, height_uncertainty_m=None)) == []
+    apart = absolute_height(seen.views, replace(figures, pairs=()))[2]
+    assert "by 0.00 px across the parallax" in apart, "without a pair nothing disagrees"

@@ -51,6 +51,13 @@ def test_pairs_are_those_that_the_pipeline_takes(urban_run, place):
         assert found[names].ground.GetArea() == pytest.approx(found[names].percent / 100 * smaller, rel=0.05)
 
 
+def test_the_pixels_that_a_pair_sees_are_its_ground_in_those_of_the_finest_image(place):
+    pair = next(facts for facts in place.pairs if facts.chosen)
+    finest = min(image.view.gsd_m for image in place.images if image.view.name in pair.pair.names)
+    assert place.seen_px(pair.pair.names) == [pytest.approx(pair.ground.GetArea() / finest**2)]
+    assert finest < 0.9, "else squares tell nothing"
+
+
 def test_a_first_area_lies_in_the_best_pairs_overlap(place):
     from repm_qgis.geometry.footprints import box
 
