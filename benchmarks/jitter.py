@@ -22,7 +22,7 @@ from repm_qgis.sfm.vertical_parallax import vertical_parallax
 from repm_qgis.simulation.scene import make_views
 
 SIZE, RELIEF_M = 2048, 900.0
-JITTER_PX = 0.8  # of the slowest sine at most; three of them make up to 1.2 px
+JITTER_PX = 1.0  # of the slowest sine at most; three of them make up to 1.5 px
 _DEM_M, _DEM_NOISE_M = 30.0, 1.5
 
 
@@ -111,7 +111,7 @@ def simulations() -> List[str]:
     return [
         f"A simulated tri-stereo of a camera like ZY-3's (2.1 to 2.5 m, 22 degrees forward and backward, {SIZE} px a "
         f"side) over {RELIEF_M:.0f} m of relief, with three sines in each direction of each view: periods from 360 to "
-        "1700 lines, together up to 1.2 px. The RPCs do not know of them. DSMs of 5 m against the true surface, after "
+        "1700 lines, together up to 1.5 px. The RPCs do not know of them. DSMs of 5 m against the true surface, after "
         "the best whole-cell shift and the median height difference are taken out; with a REFERENCE as they are. The "
         f"DEM has cells of {_DEM_M:.0f} m and {_DEM_NOISE_M} m of correlated noise. Vertical parallax: root mean "
         "square of the outermost views' at places of the true surface. *Without waves* is POINTING `shift`, all others "

@@ -56,6 +56,8 @@ Ground = Annotated[Bounds, Rectangle()]
 Offset = Annotated[float, Number(-1e5, 1e5, "m")]
 Pointing = Annotated[FloatArray, Array((2, 3), most=1e7)]
 """An affine map of pixels, (2, 3)."""
+PackedWaves = Annotated[FloatArray, Array((-1, 2), most=1e9)]
+"""Jitter as one array: its first and last line, and below them its coefficients."""
 
 
 class Record:
@@ -369,6 +371,9 @@ class RegistrationFigures(Record):
     east, north and up; ``determined`` are the horizontal directions that it could tell. ``control``: ground control
     points had a weight, too. ``promised_m`` is what was to be expected (CE90, LE90). ``pointing_px`` is the largest
     error of the shift as pointing. ``differences`` is a raster of the references minus the surface, before and after.
+    ``waves_m`` is the NMAD of a reference's differences from the maps, without and with the waves along the parallax
+    that it has shown, None where it has shown none; ``waves_px`` is the largest of these. ``matched_waves`` are then
+    those that the maps were matched with, of views that had some.
     """
 
     shift: GroundShift
@@ -383,6 +388,9 @@ class RegistrationFigures(Record):
     offsets: Tuple[LocalOffset, ...] = ()
     differences: OwnFilePath = ""
     neighbours: Tuple[str, ...] = ()
+    matched_waves: Dict[Name, PackedWaves] = dataclasses.field(default_factory=dict)
+    waves_m: Optional[Tuple[Metres, Metres]] = None
+    waves_px: Pixels = 0.0
 
     def unexpected(self) -> List[Tuple[str, float, float]]:
         """The parts of the shift that are larger than was to be expected, beyond two deviations: in which direction,

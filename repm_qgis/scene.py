@@ -284,6 +284,14 @@ class Scene(Record):
                 return f"has a pair {pair[0]}, {pair[1]}, which are not two of its views"
         if self.registration and set(self.registration.matched) != set(views):
             return "has a registration of other views"
+        waves = self.registration.matched_waves if self.registration else {}
+        for name, values in waves.items():
+            if (
+                name not in views
+                or len(values) < 2
+                or Jitter(float(values[0, 0]), float(values[0, 1]), values[1:]).contradiction()
+            ):
+                return f"has a registration with waves of '{name}' that are none"
         if self.refinement == "terrain" and not self.surface:
             return "has the refinement 'terrain', and no surface"
         return ""
@@ -370,8 +378,19 @@ class Scene(Record):
         """The scene with the pointing that its height maps were matched with."""
         if self.registration is None:
             return self
-        matched = self.registration.matched
-        return replace(self, views=tuple(view.with_pointing(matched[view.name], view.jitter) for view in self.views))
+        matched, waves = self.registration.matched, self.registration.matched_waves
+        views = tuple(
+            view.with_pointing(
+                matched[view.name], Jitter.unpacked(waves.get(view.name)) if self.waves_changed else view.jitter
+            )
+            for view in self.views
+        )
+        return replace(self, views=views)
+
+    @property
+    def waves_changed(self) -> bool:
+        """Whether the views have other waves than their height maps were matched with."""
+        return self.registration is not None and self.registration.waves_m is not None
 
     def with_tiles(self, change: Callable[[Tile], Tile]) -> "Scene":
         """The scene with each tile changed."""

@@ -34,7 +34,7 @@ def add_geometry(report: Report, scene: Scene) -> None:
     if scene.pointing is not None:
         _ties(report, scene, scene.pointing)
         _pointing(report, scene.pointing)
-        _jitter(report, scene)
+        add_jitter(report, scene)
         _absolute(report, scene, scene.pointing)
 
 
@@ -142,7 +142,7 @@ def _pointing(report: Report, ties: PointingFigures) -> None:
     )
 
 
-def _jitter(report: Report, scene: Scene) -> None:
+def add_jitter(report: Report, scene: Scene) -> None:
     """The waves of each view that has some: how large they are, and how they look."""
     shaken = [(view, view.jitter) for view in scene.views if view.jitter is not None]
     if not shaken:

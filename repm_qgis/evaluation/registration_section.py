@@ -13,6 +13,7 @@ from ..imagery.sampling import nmad
 from ..records import ReferenceFigures, RegistrationFigures
 from ..scene import Scene
 from . import charts, pictures, verdict
+from .geometry_section import add_jitter
 from .report import Report, fixed
 
 _BINS = 61
@@ -32,6 +33,8 @@ def registration_page(scene: Scene, figures: RegistrationFigures) -> Report:
     for text in record.warnings if record else ():
         page.warning(text)
     add_registration(page, figures)
+    if figures.waves_m is not None:
+        add_jitter(page, scene)
     if record:
         inputs = [(name, str(record.options.get(name) or "")) for name in ("scene", "model", "stable")]
         page.section("Inputs").facts([(name, value) for name, value in inputs if value])
@@ -73,6 +76,13 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
             page.facts([(f"Datum of '{os.path.basename(each.file)}'", f"{each.datum}: {each.datum_from}")])
             if each.about:
                 page.facts([(f"Heights of '{os.path.basename(each.file)}'", each.about)])
+    if figures.waves_m is not None:
+        without, taken = (f"{each:.2f}" for each in figures.waves_m)
+        page.paragraph(
+            f"The reference shows jitter along the parallax, of up to {figures.waves_px:.2f} px. It is taken out of "
+            f"heights and pointing: the NMAD of the differences from single height maps falls from {without} to "
+            f"{taken} m."
+        )
     if figures.neighbours:
         page.facts([("Placed together with", ", ".join(figures.neighbours))])
     _offsets(page, figures)

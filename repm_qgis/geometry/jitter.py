@@ -9,7 +9,7 @@ the image to the ground it is taken away directly, and from the ground to the im
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Tuple
+from typing import Annotated, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,15 @@ class Jitter(Record):
         if steps.max() * (len(self.coefficients) - ORDER + 1) > _STEEPEST * (self.last - self.first):
             return "has waves that are too steep for jitter"
         return ""
+
+    def packed(self) -> FloatArray:
+        """(n + 1, 2) the first and the last line, and below them the coefficients."""
+        return np.vstack([[self.first, self.last], self.coefficients])
+
+    @classmethod
+    def unpacked(cls, values: Optional[FloatArray]) -> Optional[Jitter]:
+        """The jitter of :meth:`packed` values; None of None."""
+        return None if values is None else cls(float(values[0, 0]), float(values[0, 1]), values[1:])
 
     def at(self, rows: FloatArray) -> FloatArray:
         """(..., 2) px, column and row, in lines (...) of the image; NaN in gives NaN out."""

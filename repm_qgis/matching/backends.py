@@ -25,6 +25,7 @@ from ..progress import Part, Progress
 from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
+from ..stereo.wave_change import WaveChange, WaveGeometry
 from .parameters import MATCHING, MatchingParameters
 
 if TYPE_CHECKING:
@@ -89,6 +90,11 @@ class Backend(Protocol):
         The geometry is made again from the scene: it is exact, and nothing stored can contradict it. Raises SceneError
         where the height map is of another scene; what is read from it raises it where the file is missing or damaged.
         """
+
+    def wave_geometry(
+        self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
+    ) -> Optional[WaveGeometry]:
+        """How waves of the attitude act on a height map; None where the backend's maps are not of pairs."""
 
 
 def backend_of(name: str) -> Backend:
@@ -161,7 +167,23 @@ def height_source(
     source = backend.height_source(scene.as_matched, matched, record, crs, parameters)
     if record.offsets:
         source = replace(source, offsets=np.array(record.offsets))
+    if scene.waves_changed:
+        geometry = backend.wave_geometry(scene.as_matched, matched, record, crs, parameters)
+        if geometry is not None:
+            now, before = (
+                (seen.view(record.pair[0]).jitter, seen.view(record.pair[1]).jitter)
+                for seen in (scene, scene.as_matched)
+            )
+            source = replace(source, waves=WaveChange(geometry, now, before))
     if scene.registration is None:
         return source
     middle = 0.5 * (bounds[0] + bounds[2]), 0.5 * (bounds[1] + bounds[3])
     return replace(source, shift=shift_in(scene.registration.shift, scene.crs, crs, middle))
+
+
+def wave_geometry(
+    scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters = MATCHING
+) -> Optional[WaveGeometry]:
+    """How waves act on a height map of a tile with these bounds, see :meth:`Backend.wave_geometry`."""
+    matched = record.ground or bounds
+    return backend_of(record.backend).wave_geometry(scene.as_matched, matched, record, crs, parameters)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..arrays import Bounds
 from ..colmap.runner import PatchMatchOptions, Runner, run_patch_match
@@ -14,6 +14,7 @@ from ..progress import Progress
 from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
+from ..stereo.wave_change import WaveGeometry
 from ..workspace import fingerprint
 from .backends import MatchingJob, MatchingResult
 from .parameters import MatchingParameters
@@ -58,6 +59,11 @@ class ColmapBackend:
         self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
     ) -> HeightSource:
         return tile_height_source(scene, bounds, record, crs, parameters.colmap, parameters.stereo)
+
+    def wave_geometry(
+        self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
+    ) -> Optional[WaveGeometry]:
+        return None  # each map is of several views at once
 
 
 BACKEND = ColmapBackend()

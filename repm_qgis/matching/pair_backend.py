@@ -28,6 +28,7 @@ from ..stereo.pairing import rectified_pair
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
+from ..stereo.wave_change import WaveGeometry, wave_geometry
 from ..workspace import drop_temporaries, fingerprint
 from .backends import MatchingJob, MatchingResult
 from .disparity_map import DisparityMap, PairMatcher
@@ -87,6 +88,16 @@ class PairBackend:
         first, second = (scene.view(name) for name in record.pair)
         geometry = pair_geometry(pair, first, second, record.altitudes, crs, parameters.stereo)
         return HeightSource(record.file, geometry.x, geometry.y, record.size, record.altitudes)
+
+    def wave_geometry(
+        self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
+    ) -> Optional[WaveGeometry]:
+        pair = rectified_over_tile(scene, record.pair, bounds, record.altitudes, parameters.stereo)
+        if pair is None or pair.size != record.size:
+            raise foreign_height_map(record, scene)
+        first, second = (scene.view(name) for name in record.pair)
+        geometry = pair_geometry(pair, first, second, record.altitudes, crs, parameters.stereo)
+        return wave_geometry(pair, geometry, first, second, record.altitudes, parameters.stereo)
 
 
 @dataclass(frozen=True)

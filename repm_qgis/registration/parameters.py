@@ -9,6 +9,24 @@ from ..parameters import Parameters
 
 
 @dataclass(frozen=True)
+class WaveParameters(Parameters):
+    """Waves along the parallax from the differences of a reference. All values are chosen (`make bench-jitter`)."""
+
+    per_spline: float = 20.0  # differences for each spline of a view, at least
+    across: int = 3  # pixels of a height map that are read along a side of a support, at least
+    covered: float = 0.3  # of the pixels that a support should have, which a mean of them needs
+    most_supports: int = 200_000  # of a reference: more of them tell no more, and take time
+    steepest: float = 1.0  # slope of the ground: on steeper one, errors of place are larger than waves
+    iterations: int = 6
+    tukey: float = 4.685  # as above
+    least_noise_m: float = 0.01
+    limit: float = 3.0  # NMADs at which differences are cut for the information criterion
+    block_widths: float = 8.0  # side of the blocks in which errors may be alike, in widths of a support
+    least_blocks: int = 20
+    first_spread: float = 10.0  # differences that tell as much as one, before the first look
+
+
+@dataclass(frozen=True)
 class RegistrationParameters(Parameters):
     """How a surface is laid onto a reference; lengths in metres where nothing else is said. Chosen, unless a source is
     given."""
@@ -65,6 +83,7 @@ class RegistrationParameters(Parameters):
     trusted_widths: float = 0.05  # of a support's width: a position less certain than that is not taken from coarse ...
     trusted_m: float = 1.0  # ... references, whose systematic errors are as large; from fine ones up to this
     undetermined: float = 0.3  # of the promised standard deviation: a direction less certain than that stays as it was
+    waves: WaveParameters = WaveParameters()
 
 
 REGISTRATION = RegistrationParameters()

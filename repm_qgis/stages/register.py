@@ -17,6 +17,7 @@ from ..errors import EmptyResultError, OverlapError, SceneError
 from ..evaluation.registration_section import registration_page
 from ..evaluation.styles import write_style
 from ..fusion.own_surface import own_surface
+from ..fusion.reference_waves import with_reference_waves
 from ..geometry.cell_grid import CellGrid
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum
@@ -165,7 +166,7 @@ def _registered(
     centres = [work.surface.grid.middle for work in works]
     placed = place_scenes(centres, [work.prior for work in works], observations)
     return [
-        _moved(work, one, _neighbours(works, between, number), progress, parameters)
+        _moved(work, one, _neighbours(works, between, number), options, progress, parameters)
         for number, (work, one) in enumerate(zip(works, placed))
     ]
 
@@ -250,7 +251,12 @@ def _neighbours(works: Sequence[_Work], between: Sequence[Tuple[int, int, Shift]
 
 
 def _moved(
-    work: _Work, placed: Placed, neighbours: Sequence[str], progress: Progress, parameters: EngineParameters
+    work: _Work,
+    placed: Placed,
+    neighbours: Sequence[str],
+    options: RegisterOptions,
+    progress: Progress,
+    parameters: EngineParameters,
 ) -> Scene:
     """The registered scene, with the layer and the raster that lie beside it."""
     scene, before = work.scene, work.scene.registration
@@ -274,9 +280,18 @@ def _moved(
         offsets=work.laid[0].shift.offsets if work.laid else (),
         differences=differences,
         neighbours=tuple(neighbours),
+        matched_waves=before.matched_waves if before else {},
+        waves_m=before.waves_m if before else None,
+        waves_px=before.waves_px if before else 0.0,
     )
     _say(figures, progress)
-    return replace(changed, registration=figures, tie_points=ties)
+    done = replace(changed, registration=figures, tie_points=ties)
+    made = scene.record_of("reconstruct")
+    asked = made is not None and made.options.get("pointing") == "jitter"
+    if not (asked or any(view.jitter is not None for view in done.views)):
+        return done  # where ties show none, errors of a reference would be taken for waves
+    references, how = [laid.reference for laid in work.laid], (options.workers, options.memory)
+    return with_reference_waves(done, references, *how, Part(progress, 0.95, 1.0), parameters.registration.waves)
 
 
 def _say(figures: RegistrationFigures, progress: Progress) -> None:

@@ -19,6 +19,7 @@ from ..imagery.raster import opened, read, write
 from ..records import GroundShift, HeightMapRecord
 from ..scene import Scene
 from .triangulation import NodeTable, verticals
+from .wave_change import WaveChange
 
 _STRIP = 256  # rows, those of a block
 _KEY = "REPM_FINGERPRINT"
@@ -52,7 +53,7 @@ class HeightSource:
     of the part of it that the map was made for, where tiles were matched in parts: heights on the rest of the tile are
     left out, because its other parts have maps of their own. ``offsets`` (m) on nodes over all pixels, if any, are
     added to the heights before these are placed: an error of parallax moves points along their lines of sight.
-    ``shift`` is what was added to the ground since matching.
+    ``shift`` is what was added to the ground since matching, ``waves`` are those of the views that were found since.
     """
 
     path: str
@@ -63,6 +64,7 @@ class HeightSource:
     part: Optional[Tuple[Bounds, Bounds]] = None
     offsets: Optional[FloatArray] = None
     shift: Optional[GroundShift] = None
+    waves: Optional[WaveChange] = None
 
     def within(self, bounds: Optional[Bounds] = None, step: int = 1) -> HeightMap:
         """The rectangle of pixels that contains all points in ``bounds``; None takes all. Of them each ``step``-th in
@@ -85,7 +87,13 @@ class HeightSource:
         if self.offsets is not None:
             places = zip(self.offsets.shape, (rows, columns), self.size[::-1])
             height += interpolate_grid(self.offsets, *(at * (n - 1) / max(px - 1, 1) for n, at, px in places))
+        change = None
+        if self.waves is not None:
+            up, change = self.waves.of(columns, rows, height)
+            height += up
         x, y = (table.on_grid(columns, rows, height) for table in (self.x, self.y))
+        if change is not None:
+            x, y = x + change[..., 0], y + change[..., 1]
         if self.part is not None:
             tile, own = self.part
             height = np.where(_inside(tile, x, y) & ~_inside(own, x, y), np.nan, height)
