@@ -37,6 +37,7 @@ class PluginMenu:
         self._hillshades = Hillshades(iface=iface)
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
+        STEPS.edit_dsm = self.edit_dsm
         self.add(self.tr("First steps"), "repm", self.first_steps)
         self.add(self.tr("Inspect images…"), "inspect", lambda: self.open("repm:inspect"))
         self.add(self.tr("Make a DSM…"), "pipeline", lambda: self.open("repm:pipeline"))
@@ -84,6 +85,7 @@ class PluginMenu:
                 window.deleteLater()
         self._installer = self._grids = None
         STEPS.forget()
+        STEPS.edit_dsm = None
         model_copy.unregister(self._toolbox_actions)
         self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []

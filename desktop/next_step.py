@@ -1,6 +1,7 @@
 """What comes after a run: a message with a button for the next step, whose dialog is filled in.
 
-The path is *inspect, run, compare, register, run again, compare again*: from the first DSM to one in the right place.
+The path is *inspect, run, compare, register, run again, compare again, edit*: from the first DSM to one in the right
+place, without what is wrong in it.
 """
 
 from __future__ import annotations
@@ -42,9 +43,12 @@ class NextSteps:
     def __init__(self) -> None:
         self._reference: list[str] = []
         self._fused: dict[str, Any] = {}
+        self._iface: Any = None
         self._bar: Any = None
         self._shown: Any = None
         self.dialogs: list[Any] = []
+        self.edit_dsm: Optional[Callable[[], Any]] = None
+        """Shows the panel that edits the active layer; the menu, which has it, puts it here."""
 
     def after(
         self, iface: Any, algorithm: str, given: Mapping[str, Any], results: Mapping[str, Any]
@@ -56,6 +60,7 @@ class NextSteps:
         self._reference = named["REFERENCE"] or self._reference
         if algorithm in ("pipeline", "dsmfuse"):
             self._fused = {name: given[name] for name in _fusion_inputs() if not is_empty(given.get(name))}
+        self._iface = iface
         text, buttons, views = getattr(self, f"_after_{algorithm}")(named, results)
         if text:  # one message at a time: the step before is done
             self.forget()
@@ -82,9 +87,11 @@ class NextSteps:
         return text, self._measuring(scene, dsm), []
 
     def _after_comparedsm(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
-        scene = last_scene.of_surface(next(iter(named["DSM"]), ""))
+        dsm = next(iter(named["DSM"]), "")
+        scene = last_scene.of_surface(dsm)
         if not scene or _is_registered(scene):
-            return "", [], []
+            edit = self._editing(dsm) if scene else []
+            return _tr("The registered DSM is compared. Edit it where it is wrong.") if edit else "", edit, []
         text = _tr("If the DSM is off by more than you accept, register its scene to the reference, and make it again.")
         return text, [(_tr("Register to this reference…"), lambda: self.register(scene))], []
 
@@ -109,7 +116,14 @@ class NextSteps:
             buttons.append((_tr("Compare with a reference…"), lambda: self.compare(str(dsm))))
         if scene and not _is_registered(scene):
             buttons.append((_tr("Register to a reference…"), lambda: self.register(str(scene))))
+        elif dsm and scene:
+            buttons += self._editing(dsm)
         return buttons
+
+    def _editing(self, dsm: str) -> list[Button]:
+        """The last step; none where the DSM is not on the map."""
+        layer = _layer_of(dsm)
+        return [(_tr("Edit the DSM…"), lambda: self.edit(layer.id()))] if layer is not None and self.edit_dsm else []
 
     # --- the dialogs ---
 
@@ -137,6 +151,14 @@ class NextSteps:
         if is_lasting(os.path.dirname(scene)):
             given["OUTPUT"] = _free(os.path.join(os.path.dirname(scene), "dsm_registered.tif"))
         self._open("dsmfuse", given)
+
+    def edit(self, layer_id: str) -> None:
+        layer = QgsProject.instance().mapLayer(layer_id)
+        if layer is not None and self.edit_dsm is not None:
+            self.forget()
+            self._iface.setActiveLayer(layer)
+            _bring_out(layer_id)
+            self.edit_dsm()
 
     def _open(self, algorithm: str, given: Mapping[str, Any]) -> None:
         import processing

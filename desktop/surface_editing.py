@@ -227,12 +227,11 @@ class SurfaceEditingDock(QgsDockWidget):
             self._tool.choose(BRUSH, self._brush_px())
 
     def _brush_px(self) -> int:
-        """The width of the brush in pixels of the screen, at the middle of the map."""
-        if self.records is None:
+        """The width of the brush in pixels of the screen, in the middle of the DSM: the map may show another place."""
+        layer = QgsProject.instance().mapLayer(self._layer_id)
+        if self.records is None or layer is None:
             return 1
-        middle = QgsGeometry.fromPointXY(self._canvas.extent().center())
-        self._to_records(middle)
-        place = middle.asPoint()
+        place = layer.extent().center()
         line = QgsGeometry.fromPolylineXY([place, place.__class__(place.x() + self.width_m.value(), place.y())])
         self._to_records(line, back=True)
         return max(1, round(line.length() / self._canvas.mapUnitsPerPixel()))

@@ -1265,6 +1265,10 @@
         <translation>Das DOM der eingepassten Szene ist fertig. Es noch einmal vergleichen, am besten mit Höhen, die nicht verwendet wurden.</translation>
     </message>
     <message>
+        <source>The registered DSM is compared. Edit it where it is wrong.</source>
+        <translation>Das eingepasste DOM ist verglichen. Wo es falsch ist, kann es bearbeitet werden.</translation>
+    </message>
+    <message>
         <source>If the DSM is off by more than you accept, register its scene to the reference, and make it again.</source>
         <translation>Wenn das DOM weiter danebenliegt, als zulässig ist, seine Szene auf die Referenz einpassen und es neu erzeugen.</translation>
     </message>
@@ -1295,6 +1299,10 @@
     <message>
         <source>Register to a reference…</source>
         <translation>Auf eine Referenz einpassen…</translation>
+    </message>
+    <message>
+        <source>Edit the DSM…</source>
+        <translation>DOM bearbeiten…</translation>
     </message>
 </context>
 <context>

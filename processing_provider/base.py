@@ -186,7 +186,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if definition.name().lower() not in self.left_to_engine(parameters)
         }
         try:
-            require_sensible(STAGES[self.ID].from_json(self.complete(given)))
+            options = self.complete(given)
+            engine.in_python_thread(lambda: require_sensible(STAGES[self.ID].from_json(options)))
         except RepmError as error:
             return False, said(str(error))
         return super().checkParameterValues(parameters, context)
@@ -325,7 +326,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             for output in self.outputDefinitions()
             if made.get(output.name().lower()) is not None
         }
-        run = styles.Run(self._scene_name(options), self._days(options, result))
+        run = engine.in_python_thread(lambda: styles.Run(self._scene_name(options), self._days(options, result)))
         for product in products_of(self.ID):
             name = product.option.upper()
             if product.style and outputs.get(name):

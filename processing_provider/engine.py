@@ -17,7 +17,7 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Optional
+from typing import Any, Callable, Iterator, Mapping, Optional, TypeVar
 
 from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsProjUtils
 from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
@@ -36,6 +36,7 @@ _ASK_S = 30
 _GRACE_S = 1.2  # for the engine to remove half-written files; the whole of Cancel must take less than 2 s
 _WINDOWS = os.name == "nt"
 _NORMAL_EXIT = QProcess.ExitStatus.NormalExit
+_Result = TypeVar("_Result")
 
 
 class FeedbackProgress:
@@ -107,6 +108,32 @@ def _failure(text: str) -> QgsProcessingException:
     return QgsProcessingException(said(text))
 
 
+def in_python_thread(call: Callable[[], _Result]) -> _Result:
+    """Call something of the engine in a thread that Python has made, unless this is the main thread; waits for it.
+
+    QGIS runs algorithms in threads of Qt, which it keeps for the next run, while Python forgets its part of them. With
+    pyproj 3.7 and newer the second run in such a thread ends QGIS: it takes up the context of PROJ that the first one
+    has freed (https://github.com/pyproj4/pyproj/issues/1509). A thread of Python's has a context of its own.
+    """
+    if threading.current_thread() is threading.main_thread():
+        return call()
+    made: list[_Result] = []
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            made.append(call())
+        except BaseException as error:  # whatever it is, it belongs to the caller
+            failed.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    if failed:
+        raise failed[0]
+    return made[0]
+
+
 def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.errors import RepmError
@@ -114,9 +141,12 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
     from ..repm_qgis.stages import run_stage
     from ..repm_qgis.translation import written_in
 
-    try:
+    def run() -> dict[str, Any]:
         with written_in(language(), labels(stage)), one_thread_for_loaded_sums():
             return run_stage(stage, options, FeedbackProgress(feedback, said))
+
+    try:
+        return in_python_thread(run)
     except RepmError as error:
         raise _failure(str(error)) from None
     except ImportError as error:

@@ -4,6 +4,8 @@
 'scripts/pictures.py FOLDER NAME' makes NAME_1.png and so on of a recording of the first hour, which lies in FOLDER
 ('scripts/qgis-matrix --first-hour').
 
+The recording whole_way.gif needs Pillow.
+
 Takes the demo's results ('make demo' makes them first), the report as Chromium shows it, screenshots of the desktop
 tests, and, where the shared data lies beside the project, the DSM of a real Pleiades pair, the report of a real
 triplet, and the heights of a town at two dates. Pictures that cannot be made here are named and stay as they are.
@@ -206,6 +208,31 @@ def desktop(folder: str) -> None:
         return
     for source, name in SHOWN.items():
         keep(os.path.join(folder, source), name)
+    recording(folder, "whole_way_", "whole_way.gif")
+
+
+def recording(folder: str, source: str, name: str) -> None:
+    """The pictures of a driver's clicks, in the order of their numbers, as one that moves."""
+    try:
+        from PIL import Image
+    except ImportError:
+        say(f"  {name} is left as it is: no Pillow here")
+        return
+    size, corner = (720, 459), (0, 0, 1380, 880)  # the screen has an edge around QGIS's window
+    frames = []
+    for file in sorted(file for file in os.listdir(folder) if file.startswith(source)):
+        with Image.open(os.path.join(folder, file)) as picture:
+            frames.append(picture.convert("RGB").crop(corner).resize(size, Image.LANCZOS))
+    some = [frames[round(part * (len(frames) - 1))] for part in (0, 0.15, 0.6, 1)]
+    sheet = Image.new("RGB", (size[0], size[1] * len(some)))
+    for row, frame in enumerate(some):
+        sheet.paste(frame, (0, row * size[1]))
+    colours = sheet.quantize(64, method=Image.MEDIANCUT)  # the same for all: only what changes takes bytes
+    first, *more = (frame.quantize(palette=colours, dither=Image.NONE) for frame in frames)
+    times = [1600] * len(more) + [4000]
+    target = os.path.join(FOLDER, name)
+    first.save(target, save_all=True, append_images=more, duration=times, loop=0, optimize=True)
+    say(f"  {name:<18}{os.path.getsize(target) / 1000:6.0f} kB")
 
 
 def first_hour(recording: str, name: str) -> None:

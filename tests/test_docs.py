@@ -111,3 +111,5 @@ def test_pictures_are_small():
     for picture in pictures:
         assert picture.read_bytes()[:4] == b"\x89PNG"
         assert picture.stat().st_size < 400_000, picture.name
+    for recording in (ROOT / "docs" / "pictures").glob("*.gif"):
+        assert recording.read_bytes()[:4] == b"GIF8" and recording.stat().st_size < 900_000, recording.name

@@ -227,6 +227,7 @@ def desktop_start(tmp_path):
         }
         environment.update(REPM_DESKTOP_PLAN=str(path), REPM_ENGINE_PYTHON=sys.executable if engine else "")
         environment.update(REPM_DESKTOP_DRIVERS=str(ROOT / "tests" / "qgis"), HOME=str(tmp_path))
+        environment.update(PYTHONFAULTHANDLER="1")  # a crash of QGIS is told with the place in Python
         environment.setdefault("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
         qgis = ["qgis", "--nologo", "--noversioncheck", "--profiles-path", str(tmp_path / "profiles")]
         done = subprocess.run(
@@ -238,6 +239,7 @@ def desktop_start(tmp_path):
             timeout=seconds + 30,
             check=False,
         )
+        assert (out / "found.json").exists(), f"QGIS ended with {done.returncode}:\n{done.stdout}"
         found = json.loads((out / "found.json").read_text())
         assert done.returncode == 0 and "error" not in found, f"{found}\n{done.stdout}"
         keep = os.environ.get("REPM_KEEP_PICTURES")

@@ -116,6 +116,8 @@ def compare_again(dialog):
 def end(dialog):
     dialog.close()
     FOUND["last"] = list(buttons(iface.messageBar()))
+    buttons(iface.messageBar())[PLAN["edit"]].click()
+    FOUND["edited"] = plugins["repm"].menu.edit_dsm().records.dsm
     plugins["repm"].unload()
     FOUND["after the plugin"] = sum(item.title() == "REPM" for item in iface.messageBar().items())
     finish()

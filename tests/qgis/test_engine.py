@@ -358,3 +358,41 @@ def test_cancel_ends_a_real_stage(plugin, feedback, tmp_path):
     assert time.monotonic() - cancelled[0] < 2
     left = [path.name for path in folder.rglob("*") if path.is_file()] if folder.exists() else []
     assert not [name for name in left if "part" in name or "tmp" in name], left
+
+
+def test_light_stages_run_in_threads_of_pythons(plugin, sample, tmp_path, ears, monkeypatch):
+    """With pyproj 3.7 and newer the second run in the same thread of Qt ended QGIS (3.40: edit or compare twice)."""
+    from qgis.core import QgsApplication, QgsProcessingAlgRunnerTask, QgsProcessingContext
+    from qgis.PyQt.QtCore import QCoreApplication
+    from repm.processing_provider import engine
+    from repm.repm_qgis import stages
+
+    kinds, run_stage = [], stages.run_stage
+
+    def spied(*given):
+        kinds.append(type(threading.current_thread()))
+        return run_stage(*given)
+
+    monkeypatch.setattr(stages, "run_stage", spied)
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm")
+    for number in range(3):
+        given = {"DSM": sample["truth"], "REFERENCE": sample["truth"], "ERROR": str(tmp_path / f"{number}.tif")}
+        context, feedback, ended = QgsProcessingContext(), ears(), []
+        task = QgsProcessingAlgRunnerTask(algorithm, {**given, "REPORT": ""}, context, feedback)
+        task.executed.connect(lambda well, _, ended=ended: ended.append(well))
+        QgsApplication.taskManager().addTask(task)
+        while not ended:
+            QCoreApplication.processEvents()
+        assert ended == [True] and (tmp_path / f"{number}.tif").exists(), feedback.heard
+    assert kinds == [threading.Thread] * 3
+    raised = []
+
+    def fails():
+        with pytest.raises(ZeroDivisionError) as caught:
+            engine.in_python_thread(lambda: 1 / 0)
+        raised.append(caught.type)
+
+    other = threading.Thread(target=fails)
+    other.start()
+    other.join()
+    assert raised == [ZeroDivisionError]

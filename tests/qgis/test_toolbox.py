@@ -148,7 +148,11 @@ ModelerUtils.modelsFolders = staticmethod(lambda: [sys.argv[2]])
 copy = model_copy.copied(QgsApplication.processingRegistry().algorithmById("repm:dsm_by_stages"))
 designer = ModelerDialog.create(copy)
 QTimer.singleShot(1000, lambda: [window.close() for window in application.topLevelWidgets()])
-designer.runModel()
+if hasattr(designer, "runModel"):
+    designer.runModel()
+else:  # QGIS 3.40
+    from qgis.PyQt.QtWidgets import QAction
+    designer.findChild(QAction, "mActionRun").trigger()
 print("ran", flush=True)
 from processing.core.ProcessingConfig import ProcessingConfig
 ProcessingConfig.settings.clear()  # as where QGIS ends, and has unloaded Processing before
