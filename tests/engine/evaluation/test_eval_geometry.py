@@ -13,6 +13,7 @@ from osgeo import ogr
 from repm_qgis.evaluation.geometry_section import add_geometry, overlap_percent
 from repm_qgis.evaluation.report import Report
 from repm_qgis.evaluation.stage_reports import fit_report
+from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.geometry.sun import sun_position
 from repm_qgis.records import GcpFigures
 from repm_qgis.scene import Scene
@@ -118,3 +119,17 @@ def test_ties_show_what_is_left_of_their_rows(scene, urban_run):
 def test_without_the_ties_layer_there_is_no_drawing(scene, tmp_path):
     scene = replace(scene, tie_points=str(tmp_path / "gone.gpkg"))
     assert not os.path.exists(tmp_path / "gone.gpkg") and "<svg" not in page_of(scene)
+
+
+def test_waves_of_a_view_are_drawn_with_their_size(scene):
+    assert "Jitter" not in page_of(scene)
+    view, rows = scene.views[1], np.linspace(0.0, 12.0, 40)
+    coefficients = np.stack([0.9 * np.sin(rows), 0.3 * np.cos(rows)], axis=1)
+    waves = Jitter(0.0, view.height - 1.0, coefficients)
+    moved = view.with_pointing(view.pointing, waves)
+    page = page_of(replace(scene, views=(scene.views[0], moved, scene.views[2])))
+    section = page[page.rindex(">Jitter<") :]
+    columns, lines = waves.rms_px
+    assert f"{view.name}</td>" in section and f">{columns:.2f}</td>" in section and f">{lines:.2f}</td>" in section
+    assert "line of the image" in section and section.count("<polyline") >= 2
+    assert scene.views[0].name not in section[: section.index("</table>")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from osgeo import gdal
 from repm_qgis.errors import Cancelled, MissingPackageError, OptionError, SceneError, WorkspaceError
 from repm_qgis.exports.model import tile_model
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic
+from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -361,6 +363,20 @@ def test_what_cannot_be_exported_is_said(scenes, tmp_path, told, monkeypatch):
     with pytest.raises(MissingPackageError, match="pycolmap"):
         run_stage("exportcameras", options, told())
     assert not (tmp_path / "never").exists()
+
+
+def test_jitter_is_in_the_cameras_by_its_mean_alone(scenes, tmp_path, told):
+    scene = Scene.load(scenes["rebuilt"])
+    view, tile = scene.views[0], next(tile for tile in scene.tiles if tile.id == TILE)
+    level = np.tile([0.7, -0.4], (8, 1))  # waves that are the same in all lines move the camera by so much
+    moved = view.with_pointing(view.pointing, Jitter(0.0, view.height - 1.0, level))
+    shaken = replace(scene, views=(moved, *scene.views[1:]))
+    steady, found = (tile_model(each, tile, False).views[0].shift_px for each in (scene, shaken))
+    assert np.abs(found - steady - level[0]).max() < 0.02
+    said = told()
+    path = shaken.save(str(tmp_path / "shaken.json"))
+    run_stage("exportcameras", {"scene": path, "folder": str(tmp_path / "x"), "tile": TILE, "format": "mvsnet"}, said)
+    assert [text for text in said.warnings if "cannot hold the jitter of img_01, waves of up to 0.81 px" in text]
 
 
 def test_mirrored_cameras_are_turned_round(scenes, ground):

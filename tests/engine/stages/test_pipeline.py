@@ -447,6 +447,7 @@ def test_a_missing_geoid_stops_the_run_before_the_work(urban, tmp_path, told):
     "wrong, words",
     (
         ({"adjustment": "colmap", "pointing": "affine"}, "POINTING is 'affine': it must be auto or shift"),
+        ({"adjustment": "colmap", "pointing": "jitter"}, "POINTING is 'jitter': it must be auto or shift"),
         ({"adjustment": "colmap", "gcps": "points.csv"}, "ADJUSTMENT is 'colmap': it must be rpc where there are GCPS"),
         ({"adjustment": "ceres"}, "ADJUSTMENT is 'ceres'"),
         ({"pointing": "bent"}, "POINTING is 'bent'"),
