@@ -158,7 +158,9 @@ def adjust(
     if len(names) == 1:
         return solved[0].adjustment("asked for")
     better, reason = _compared(solved[0], solved[1], parameters.adjustment)
-    if can_jitter(views) and (model == "jitter" or _may_jitter(better, parameters.jitter)):
+    if not can_jitter(views):
+        reason += "; the lines of a map show no waves" if model == "jitter" else ""
+    elif model == "jitter" or _may_jitter(better, parameters.jitter):
         better, reason = _with_jitter(better, reason, model == "jitter", parameters.jitter)
     return better.adjustment(reason)
 
@@ -239,6 +241,7 @@ class _Solution:
         self.views = [view.with_pointing(np.eye(2, 3)) for view in views]
         self.tracks, self.model = tracks, model
         self.control = [gcp for gcp in gcps if gcp.role == "control" and gcp.pixels]
+        self._everyone = self.control
         self.rejected: Tuple[str, ...] = ()
         self.control_noise_px = self._parameters.control_known_px
         self._redundancy = self._determined = 0.0
@@ -257,6 +260,7 @@ class _Solution:
         """The same corrections and, as unknowns that are zero now, splines of the images' lines."""
         found = copy(self)
         found.waves, found.groups = waves, [copy(group) for group in self.groups]
+        found.control = self._everyone  # waves may be why some contradicted the others
         own = self.corrections.reshape(len(self.views), 2, -1)
         splines = np.zeros((*own.shape[:2], waves.count))
         found.corrections = np.concatenate([own, splines], axis=2).reshape(len(self.views), -1)

@@ -54,7 +54,8 @@ def waves_over(
         return None
     ends = tuple((float(each.min()), float(each.max())) for each in rows)
     lines = max(last - first for first, last in ends)
-    intervals = min(round(lines / knots_lines), parameters.most_intervals)
+    most = min(parameters.most_intervals, parameters.most_unknowns // (2 * len(rows)))
+    intervals = min(round(lines / knots_lines), most)
     count = intervals + ORDER - 1
     few = min(map(len, rows)) < parameters.ties_per_spline * count
     short = intervals < parameters.least_intervals or min(last - first for first, last in ends) < lines / 4

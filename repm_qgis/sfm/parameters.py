@@ -196,7 +196,8 @@ class JitterParameters(Parameters):
     knots_lines: Tuple[float, ...] = (300.0, 200.0, 130.0, 90.0)  # between two knots of the splines: a wave needs four
     asked_lines: float = 130.0  # of which it is asked whether there are waves at all
     least_intervals: int = 4  # between knots: shorter parts of images show no waves
-    most_intervals: int = 160  # bounds memory and time
+    most_intervals: int = 160  # bounds memory and time,
+    most_unknowns: int = 1200  # as does this, of many views
     ties_per_spline: float = 4.0  # of each view, at least
     gain: float = 0.75  # waves must reduce the residuals below this share
     least_px: float = 0.08  # root mean square of a view's wave, at least of one: what is smaller does no harm

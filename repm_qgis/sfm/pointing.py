@@ -23,6 +23,7 @@ from .control_information import control_information
 from .exchanged import require_own_rpcs
 from .ground_control import Gcp, intersect
 from .height_uncertainty import height_uncertainty
+from .jitter import can_jitter
 from .keypoints import Detector, with_best_detector
 from .parameters import POINTING, PointingParameters
 from .tie_alignment import align_ties
@@ -89,7 +90,7 @@ def point_views(
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0), parameters, altitudes)
     else:
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
-    if adjusted.jitter or model == "jitter":
+    if adjusted.jitter or (model == "jitter" and can_jitter(scene.views)):
         more = parameters.with_many_ties()
         matches, tracks = _more_ties(scene, adjusted, names, stretches, detector, progress, workers, more)
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)

@@ -12,7 +12,7 @@ from repm_qgis.geometry.map_plane import MapPlane
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.scene import View
 from repm_qgis.sfm.adjustment import Track, adjust
-from repm_qgis.sfm.ground_control import intersect
+from repm_qgis.sfm.ground_control import Gcp, intersect
 from repm_qgis.sfm.jitter import can_jitter, ladder
 from repm_qgis.sfm.vertical_parallax import tracks_of_pair
 from repm_qgis.simulation.scene import SceneSpec, make_views
@@ -113,3 +113,17 @@ def test_few_ties_and_maps_get_no_waves(shaken):
     assert ladder([np.linspace(0, 300, 900)] * 3) == []  # so short a part of an image shows no waves
     of_a_map = replace(shaken.views[0], plane=MapPlane("EPSG:32632", (0.0, 2.0, 0.0, 0.0, 0.0, -2.0), 500.0, ""))
     assert can_jitter(shaken.views) and not can_jitter([of_a_map, *shaken.views[1:]])
+    assert len(ladder([np.linspace(0, 9000, 9000)] * 40)) == 1  # many views have fewer splines each
+    assert ladder([np.linspace(0, 9000, 9000)] * 40)[0].count == 1200 // 80 + 3
+
+
+def test_good_control_points_are_not_rejected_because_the_satellite_shook(shaken):
+    numbers = np.random.default_rng(8)
+    gcps = []
+    for k in range(0, len(shaken.ground), len(shaken.ground) // 12):
+        pixels = {view.name: shaken.seen[i][k] + numbers.normal(0, 0.1, 2) for i, view in enumerate(shaken.views)}
+        gcps.append(Gcp(f"P{k}", *map(float, shaken.ground[k]), "control", pixels))
+    found = adjust(shaken.views, shaken.tracks(), 700.0, "auto", gcps)
+    assert found.jitter and found.rejected == ()
+    errors = np.array([intersect(gcp, found.applied(shaken.views)) for gcp in gcps])
+    assert found.control_noise_px < 0.3 and np.sqrt(np.mean(errors**2, axis=0)).max() < 1.0
