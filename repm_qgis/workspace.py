@@ -317,8 +317,10 @@ def _is_too_long(path: str, error: OSError) -> bool:
 def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
     """The sentence for a file or folder that cannot be written: what stood in the way, and what helps.
 
-    ``written`` are the bytes of it that were.
+    ``written`` are the bytes of it that were. An error that is such a sentence already stays as it is.
     """
+    if isinstance(error, WorkspaceError):
+        return error
     if error.errno in _FULL and _has_no_inodes(path):
         return WorkspaceError(
             f"Cannot write '{path}': the disk takes no more files (it has no inode left): remove some, "

@@ -88,8 +88,6 @@ def install(
             with open(log_of(folder), "w", encoding="utf-8") as stream:
                 _make(plan, python, progress, _logger(stream))
         except OSError as error:
-            if isinstance(error, WorkspaceError):
-                raise
             raise cannot_write(folder, error) from error
     left = environments.remove(environments.superseded(folder, program))
     if left:
