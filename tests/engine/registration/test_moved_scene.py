@@ -9,7 +9,7 @@ from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected, projected_from_geodetic
 from repm_qgis.geometry.jitter import Jitter
-from repm_qgis.records import GroundShift
+from repm_qgis.records import GcpFigures, GroundShift, PointingFigures
 from repm_qgis.registration.moved_scene import moved_scene, moved_view
 from repm_qgis.scene import Scene, Tile
 
@@ -53,7 +53,10 @@ def test_a_scene_takes_its_heights_along(urban, ground):
     tile = Tile("r000c000", tuple(bounds), (150.0, 250.0), {view.name: None for view in urban.views})
     lon, lat = urban.views[0].rpc.lon_off, urban.views[0].rpc.lat_off
     area = box(bounds).ExportToWkt()
-    scene = Scene(list(urban.views), EnuFrame(lon, lat), urban.crs, area, (140.0, 260.0), [tile])
+    points = (GcpFigures("A", "control", False, 0.5, -0.25, 1.0),)
+    ties = PointingFigures(0, "", 0.0, 0.0, "", "", {}, (), gcps=points)
+    scene = Scene(list(urban.views), EnuFrame(lon, lat), urban.crs, area, (140.0, 260.0), [tile], pointing=ties)
     moved, error = moved_scene(scene, GroundShift((5.0, -3.0, 7.0), (0.0, 0.0)))
     assert moved.altitudes == (147.0, 267.0) and moved.tiles[0].altitudes == (157.0, 257.0) and error < 0.01
+    assert moved.pointing.gcps == (GcpFigures("A", "control", False, 5.5, -3.25, 8.0),)
     assert tuple(moved.tiles[0].bounds) == tuple(bounds + np.array([5.0, -3.0, 5.0, -3.0]))

@@ -12,6 +12,7 @@ import pytest
 
 from repm_qgis.errors import InputTableError
 from repm_qgis.scene import Scene, View
+from repm_qgis.sfm import control_places
 from repm_qgis.sfm.control_places import misplaced, placed_points, require_places
 from repm_qgis.sfm.ground_control import Gcp, read_gcps
 from repm_qgis.stages import run_stage
@@ -158,3 +159,11 @@ def test_pixels_that_the_rpc_cannot_place_are_too_far(wide):
     view, gcps = wide
     lost = [replace(gcp, pixels={"wide": np.array([1e8, -1e8])}) for gcp in gcps]
     assert "farther than the RPC reaches in the median" in misplaced(lost, [view], "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("metres", "words"),
+    ((3.4, "3 m"), (999.4, "999 m"), (1000.0, "1.0 km"), (float("inf"), "farther than the RPC reaches")),
+)
+def test_distances_are_said_as_people_read_them(metres, words):
+    assert control_places._length(metres) == words

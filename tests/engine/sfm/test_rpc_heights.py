@@ -56,6 +56,9 @@ def test_the_error_lies_between_what_brings_the_ground_back(urban):
     views = views_of(urban.views[:2], 20.0, 120.0)
     found = outside_rpc_heights(views, figures_of(views, GROUND))
     assert found is not None and (found.least_m, found.most_m) == (90.0 - ROOM, 180.0 + ROOM)
+    views = views_of(urban.views[:2], 80.0, 209.5 - ROOM)  # the middle half a metre above the room
+    found = outside_rpc_heights(views, figures_of(views, GROUND))
+    assert found is not None and found.least_m == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

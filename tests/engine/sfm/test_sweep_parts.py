@@ -8,6 +8,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from repm_qgis.altitudes import ALTITUDES
+from repm_qgis.arrays import Bounds
+from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.progress import Silent
+from repm_qgis.scene import View
+from repm_qgis.sfm import altitude_range
 from repm_qgis.sfm.altitude_range import _correlation, _in_large_parts, _middle, sweep_patches
 from repm_qgis.sfm.parameters import POINTING
 
@@ -107,3 +113,42 @@ def test_patches_are_spread_over_the_area():
     two = sweep_patches((0.0, 0.0, 1.6 * side, 100.0), 0.5, SWEEP)
     assert len(two) == 2 and two[0].xmax == two[1].xmin == pytest.approx(0.8 * side)
     assert _middle(nine[0]) == pytest.approx((240.0, 240.0, 720.0, 720.0))
+    assert _middle(Bounds(0.0, 100.0, 8.0, 500.0)) == pytest.approx((2.0, 200.0, 6.0, 400.0))
+
+
+def test_planes_are_as_dense_as_the_images_tell_and_no_more_than_is_worth_it(synthetic_rpc, monkeypatch):
+    view, seen = View("a", "a.tif", 1, 1000, 1000, synthetic_rpc(), 0.5), []
+
+    def no_shift(sweep, patches):
+        seen.append(sweep.planes)
+        return 0, 0
+
+    monkeypatch.setattr(altitude_range, "_pointing_shift", no_shift)
+    monkeypatch.setattr(altitude_range, "sweep_patches", lambda *given: [])
+    for search in ((100.0, 160.0), (-500.0, 5500.0)):
+        area = Bounds(0, 0, 1, 1)
+        altitude_range._swept(view, view, 0.5, "EPSG:32631", area, search, Silent(), SWEEP, ALTITUDES)
+    few, many = seen
+    assert np.diff(few) == pytest.approx(np.full(len(few) - 1, 0.5 * SWEEP.reduction / 0.5))
+    assert SWEEP.most_planes <= len(many) <= SWEEP.most_planes + 2 and many[0] == -500.0 and many[-1] > 5499.9
+
+
+def test_a_patch_that_not_both_images_show_has_no_shift(monkeypatch):
+    monkeypatch.setattr(altitude_range, "_reduced_pair", lambda sweep, patch: ((8, 8), np.zeros((9, 9, 2)), None))
+    assert altitude_range._cross_shift(None, Bounds(0, 0, 1, 1)) == (-1.0, 0, (0, 0))
+
+
+def test_pairs_are_looked_at_in_the_middle_of_the_area_and_of_the_search(urban, monkeypatch):
+    asked = []
+
+    def pair_at(first, second, place, *rest):
+        asked.append(place)
+        return pairs(first, second, place, *rest)
+
+    pairs = altitude_range.pair_at
+    monkeypatch.setattr(altitude_range, "pair_at", pair_at)
+    found = altitude_range._pairs(urban.views, urban.bounds, urban.crs, (150.0, 350.0), SWEEP)
+    assert len(found) >= 2 and {place[2] for place in asked} == {250.0}
+    west, south, east, north = urban.bounds
+    middle = geodetic_from_projected(urban.crs, np.array([(west + east) / 2, (south + north) / 2]))
+    assert asked[0][:2] == pytest.approx(tuple(middle))

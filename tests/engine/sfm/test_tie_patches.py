@@ -9,6 +9,7 @@ import pytest
 
 from repm_qgis.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.sfm import tie_patches
 from repm_qgis.sfm.parameters import POINTING
@@ -27,6 +28,20 @@ def test_places_lie_evenly_and_the_middle_one_comes_first():
     assert middles == sorted(middles)
     assert _places(np.array([0.0, 0.0]), np.array([80.0, 50.0]), 100.0, 4) == [Bounds(0.0, 0.0, 80.0, 50.0)]
     assert len(_places(np.array([0.0, 0.0]), np.array([101.0, 50.0]), 100.0, 4)) == 2
+
+
+def test_of_a_cells_places_the_one_with_the_best_texture_comes_first(urban_run):
+    scene = Scene.load(urban_run.result["scene"])
+    small = replace(PATCHES, whole_px=0, least_px=60, most_px=60)
+
+    def texture(place):
+        return place.xmin - 2.0 * place.ymin
+
+    cells = tie_patches.ranked_patches(scene, texture, Silent(), small)
+    assert any(len(places) > 2 for places in cells)
+    for places in cells:
+        values = [texture(place) for place in places]
+        assert values == sorted(values, reverse=True)
 
 
 def test_the_texture_is_that_of_the_middle_half(urban_run, monkeypatch):
