@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import write
 from repm_qgis.records import GroundShift
 from repm_qgis.registration.found import FoundHeights
-from repm_qgis.registration.laying import Laid, factor_for
+from repm_qgis.registration.laying import Laid, factor_for, overlaps
 from repm_qgis.registration.parameters import REGISTRATION
 from repm_qgis.registration.stable import stable_cells
 from repm_qgis.registration.surfaces import Reference
@@ -47,6 +50,19 @@ def test_cells_are_as_wide_as_references_need():
     assert factor_for([found(0.1)], 0.5) == 1
     assert factor_for([found(90.0), found(4.0 * across * 0.5)], 0.5) == 4, "the finest reference counts"
     assert factor_for([], 0.5) == int(REGISTRATION.averaged_cells)
+
+
+@pytest.mark.parametrize(
+    ("away", "shared"),
+    (((60.0, 0.0), True), ((-60.0, 0.0), True), ((0.0, 60.0), True), ((0.0, -60.0), True), ((100.0, 0.0), False))
+    + (((-100.0, 0.0), False), ((0.0, 100.0), False), ((0.0, -100.0), False), ((-60.0, 60.0), True)),
+)
+def test_surfaces_that_may_share_ground_are_found_in_all_directions(away, shared):
+    grids = [
+        CellGrid(500_000.0 + east, 4_800_000.0 + north, 10.0, (8, 8)) for east, north in ((0.0, 0.0), away)
+    ]  # 80 m wide
+    surfaces = [SimpleNamespace(grid=grid, crs=UTM) for grid in grids]
+    assert overlaps(surfaces) == ([(0, 1)] if shared else [])
 
 
 def test_what_a_raster_does_not_cover_is_not_stable(tmp_path):
