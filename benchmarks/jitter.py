@@ -51,6 +51,7 @@ CASES = (
     Case("jitter, and a DEM as REFERENCE", JITTER_PX, reference=True),
     Case("jitter, forward and backward, without waves", JITTER_PX, (0, 2), "shift"),
     Case("jitter, forward and backward", JITTER_PX, (0, 2)),
+    Case("jitter, forward and backward, and a DEM as REFERENCE", JITTER_PX, (0, 2), reference=True),
 )
 
 
