@@ -4,4 +4,9 @@ The method is that of Hong et al., "Refined Equivalent Pinhole Model for Large-s
 Spaceborne CCD Imagery". The engine knows nothing of QGIS; ``python -m repm_qgis STAGE JOB.json`` runs one stage.
 """
 
+import warnings
+
 __version__ = "0.1.0"
+
+# GDAL 3.7 and newer asks programmers this in the log of every process, where users read it.
+warnings.filterwarnings("ignore", message="Neither (gdal|ogr|osr).UseExceptions", category=FutureWarning)

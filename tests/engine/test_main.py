@@ -192,3 +192,12 @@ def test_results_do_not_depend_on_the_threads_of_linear_algebra(urban, tmp_path)
     assert found[0] == found[1]
     with opened(str(tmp_path / "1" / "dsm.tif")) as one, opened(str(tmp_path / "8" / "dsm.tif")) as other:
         assert np.array_equal(one.ReadAsArray(), other.ReadAsArray())
+
+
+def test_gdals_question_to_programmers_is_not_in_the_log():
+    """GDAL 3.7 and newer asks it once in each process."""
+    question = "Neither gdal.UseExceptions() nor gdal.DontUseExceptions() has been explicitly called."
+    said = "".join(f"; warnings.warn({text!r}, FutureWarning)" for text in (question, "another"))
+    code = f"import repm_qgis, warnings{said}"
+    done = subprocess.run([sys.executable, "-W", "default", "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert "another" in done.stderr and "Neither" not in done.stderr

@@ -17,9 +17,9 @@ OPEN = []  # without a reference Python forgets what a dialog is
 
 
 def buttons(bar):
-    """The titles of the buttons in a bar's message, and their presses."""
-    found = [each for item in bar.items() for each in item.findChildren(QPushButton) if each.text()]
-    return {each.text(): each for each in found}
+    """The titles of the buttons in our message, and their presses; QGIS has messages with buttons of its own."""
+    ours = [item for item in bar.items() if item.title() == "REPM"]
+    return {each.text(): each for item in ours for each in item.findChildren(QPushButton) if each.text()}
 
 
 def messages(dialog):
