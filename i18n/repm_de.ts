@@ -1308,6 +1308,22 @@
 <context>
     <name>RepmParameters</name>
     <message>
+        <source>Images and products</source>
+        <translation>Bilder und Produkte</translation>
+    </message>
+    <message>
+        <source>Images</source>
+        <translation>Bilder</translation>
+    </message>
+    <message>
+        <source>Products in tiles, archives and STAC items</source>
+        <translation>Produkte in Kacheln, Archive und STAC-Items</translation>
+    </message>
+    <message>
+        <source>All files</source>
+        <translation>Alle Dateien</translation>
+    </message>
+    <message>
         <source>Satellite images with RPCs</source>
         <translation>Satellitenbilder mit RPC</translation>
     </message>

@@ -30,6 +30,7 @@ from qgis.PyQt.QtCore import QCoreApplication
 from ..repm_qgis import products
 from ..repm_qgis.checks import Number
 from ..repm_qgis.options import (
+    IMAGE_ENDS,
     DsmFuseOptions,
     EpmFitOptions,
     Options,
@@ -111,6 +112,23 @@ class Images(QgsProcessingParameterMultipleLayers):
         # One folder may hold many images: the engine counts them.
         several = any(isinstance(path, str) and is_delivery(path) for path in named)
         return several or super().checkValueIsAcceptable(input)
+
+    def createFileFilter(self) -> str:
+        """What *Add file(s)...* offers: images, and what stands for several or for one in tiles.
+
+        *Add directory...* takes all files whose endings stand after "*." here. These must be images only: a delivery
+        also has sidecar files in XML and JSON.
+        """
+        every = [*IMAGE_ENDS, *(end.upper() for end in IMAGE_ENDS)]
+        images = " ".join(f"*{end}" for end in every)
+        products = " ".join(("*TIL", "*til", "DIM*XML", "*zip", "*ZIP", "*json", "*geojson"))
+        groups = (
+            (tr("Images and products"), f"{images} {products}"),
+            (tr("Images"), images),
+            (tr("Products in tiles, archives and STAC items"), products),
+            (tr("All files"), "*"),
+        )
+        return ";;".join(f"{name} ({patterns})" for name, patterns in groups)
 
     def clone(self) -> Images:
         return Images(self)

@@ -183,6 +183,10 @@ def require_mesh(path: str) -> None:
         raise OptionError("MESH", path, "must end with .ply, .glb or .obj")
 
 
+IMAGE_ENDS = (".tif", ".tiff", ".jp2", ".ntf", ".nitf")
+"""How the names of images end in what vendors deliver."""
+
+
 def is_archive(path: str) -> bool:
     """Whether a path is that of an archive as products are delivered in, by its name."""
     return path.lower().endswith(".zip") and not path.startswith("/vsi")

@@ -179,7 +179,8 @@ class ViewPair(Record):
     ``share`` is the part of the scene's area that both see. ``days`` is the time between the two images, ``sun_deg``
     the angle between the two directions to the sun, ``shadow`` the distance between the ends of the two shadows (m for
     each m of height). They are None where a time is unknown, the last two also where the sun had set.
-    ``tied``: whether tie points are searched in it; else it only covers ground that no other pair does.
+    ``tied``: whether tie points are searched in it; else it only covers ground that no other pair does. ``gsd_m`` is
+    the ground sampling distance of the coarser view, at which the pair is matched; None in scenes of earlier versions.
     """
 
     first: Name
@@ -192,6 +193,7 @@ class ViewPair(Record):
     sun_deg: Optional[float] = None
     shadow: Optional[float] = None
     tied: bool = True
+    gsd_m: Optional[Annotated[float, Number(0.01, 1000.0, "m")]] = None
 
     @property
     def names(self) -> Tuple[str, str]:

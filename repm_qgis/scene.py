@@ -34,7 +34,7 @@ from .geometry.vertical import PLACED
 from .imagery.acquisition import acquired, moment, sensor_of
 from .imagery.enhancement import Stretch, view_stretch
 from .imagery.ortho_ready import OrthoReady, plane_of
-from .imagery.parameters import STRETCH, StretchParameters
+from .imagery.parameters import SAMPLING, STRETCH, StretchParameters
 from .options import BACKENDS, MODELS, PRESETS
 from .records import (
     FilePath,
@@ -162,7 +162,10 @@ class View(Record):
         """(..., 2) column, row and heights to (..., 3) longitude, latitude, height, pointing included."""
         steady = np.asarray(col_row) if self.jitter is None else self.jitter.removed(np.asarray(col_row))
         offset: FloatArray = steady - self.pointing[:, 2]
-        raw: FloatArray = offset @ np.linalg.inv(self.pointing[:, :2]).T
+        linear = self.pointing[:, :2]
+        if (linear == _IDENTITY[:, :2]).all():  # a shift, as nearly always: many frames are placed many times
+            return self.model.localise(offset, height)
+        raw: FloatArray = offset @ np.linalg.inv(linear).T
         return self.model.localise(raw, height)
 
     def stretch(self, parameters: StretchParameters = STRETCH) -> Stretch:
@@ -177,6 +180,19 @@ class View(Record):
     def with_pointing(self, pointing: FloatArray, jitter: Optional[Jitter] = None) -> "View":
         """The view with another correction in the place of its own."""
         return replace(self, pointing=np.asarray(pointing, dtype=np.float64), jitter=jitter)
+
+
+def finest_gsd_m(views: Sequence[View]) -> float:
+    """The finest ground sampling distance at which a pair of views can be matched: that of the finest view, unless it
+    is much finer than all others."""
+    finest, *others = sorted(view.gsd_m for view in views)
+    return others[0] if others and others[0] > SAMPLING.alike * finest else finest
+
+
+def pair_gsd_m(coarser: float, finest: float) -> float:
+    """The ground sampling distance at which a pair is matched: that of its ``coarser`` view, where it is much coarser
+    than the ``finest`` of the scene, else that."""
+    return coarser if coarser > SAMPLING.alike * finest else finest
 
 
 @dataclass(frozen=True)
@@ -354,8 +370,12 @@ class Scene(Record):
 
     @property
     def gsd_m(self) -> float:
-        """The finest view's ground sampling distance."""
-        return min(view.gsd_m for view in self.views)
+        """The finest ground sampling distance at which a pair is matched (:func:`finest_gsd_m`)."""
+        return finest_gsd_m(self.views)
+
+    def matched_gsd_m(self, names: Sequence[str]) -> float:
+        """The ground sampling distance at which views are matched with each other (:func:`pair_gsd_m`)."""
+        return pair_gsd_m(max(self.view(name).gsd_m for name in names), self.gsd_m)
 
     @property
     def placed(self) -> str:
@@ -538,7 +558,8 @@ def serves(path: str, stage: str) -> bool:
 
 
 class GroundSeen(NamedTuple):
-    """What images show at most together: the finest ground sampling distance and the longest side, m; their place."""
+    """What images show at most together: the finest ground sampling distance at which they can be matched and the
+    longest side, m; their place."""
 
     gsd_m: float
     side_m: float
@@ -549,7 +570,7 @@ class GroundSeen(NamedTuple):
     def of(cls, views: Sequence[View]) -> "GroundSeen":
         # Two images share no more than the smaller of the two largest shows.
         sides = sorted((math.hypot(*view.size) * view.gsd_m for view in views), reverse=True)
-        return cls(min(view.gsd_m for view in views), sides[min(1, len(sides) - 1)], *middle_of(views))
+        return cls(finest_gsd_m(views), sides[min(1, len(sides) - 1)], *middle_of(views))
 
 
 def ground_of(path: str) -> Optional[GroundSeen]:

@@ -44,6 +44,9 @@ _DEEPEST = 8  # VRTs that name each other
 _MOST_FILES = 200_000  # that one file leads to; mosaics have 100,000 parts
 _MOST_OPENED = 1_000_000  # each counted as often as it is named: mosaics of VRTs with three bands name each part thrice
 _MOST_ENTRIES = 100_000  # of a folder that are looked at
+_INDEXED = re.compile(rb"(?:DATA_FILE_PATH[^>]{0,200}?href|filename)\s{0,9}=\s{0,9}[\"']([^\"']{0,255})", re.IGNORECASE)
+_OTHER_INDEX = re.compile(rb"COMPONENT_TYPE\s{0,9}>\s{0,9}DIMAP", re.IGNORECASE)  # of which a DIMAP volume names images
+_MOST_INDEX_BYTES = 16 << 20  # of one with 20,000 tiles; GDAL reads no more of a DIMAP file's text than it holds
 _AROUND_NAMES = re.compile(r"^img_|_r\d+c\d+$")  # of image files whose product has one file of metadata for all parts
 
 MOST_SIDE_PX = 1_000_000
@@ -225,15 +228,36 @@ def _archived_description(path: str) -> str:
     """Why a path into an archive should not be opened: what lies there names other files, and is not looked through."""
     if not _ARCHIVE.match(path) or _NETWORK.search(path):
         return ""
+    head = _archived_bytes(path, 1024)
+    index = b"<Dimap_Document" in head or path.lower().endswith(".til")
+    safe = _names_tiles_alone(path) if index else not _is_description(head)
+    return "" if safe else "is a description in an archive: unpack the archive."
+
+
+def _archived_bytes(path: str, most: int) -> bytes:
+    """The beginning of a file in an archive; nothing where there is no such file."""
     stream = gdal.VSIFOpenL(path, "rb")
     if stream is None:
-        return ""
+        return b""
     try:
-        head = bytes(gdal.VSIFReadL(1, 1024, stream) or b"")
+        return bytes(gdal.VSIFReadL(1, most, stream) or b"")
     finally:
         gdal.VSIFCloseL(stream)
-    named = head.lstrip().startswith(tuple(mark.encode() for mark in INLINE)) or b"<VRTDataset" in head
-    return "is a description in an archive: unpack the archive." if named else ""
+
+
+def _is_description(head: bytes) -> bool:
+    return head.lstrip().startswith(tuple(mark.encode() for mark in INLINE)) or b"<VRTDataset" in head
+
+
+def _names_tiles_alone(path: str) -> bool:
+    """Whether the index of a product in tiles, in an archive, names files of its own folder that are no descriptions,
+    and GDAL opens nothing else because of it."""
+    text = _archived_bytes(path, _MOST_INDEX_BYTES)
+    names = [name.decode("utf-8", "replace") for name in _INDEXED.findall(text)[:_MOST_ENTRIES]]
+    if _OTHER_INDEX.search(text) or b"<VRTDataset" in text or any(re.search(r"[/\\:]", name) for name in names):
+        return False
+    folder = path.rsplit("/", 1)[0]
+    return not any(_is_description(_archived_bytes(f"{folder}/{name}", 1024)) for name in names)
 
 
 def _format(path: str, kind: int) -> str:

@@ -163,7 +163,7 @@ def _overlaps(page: Report, places: Sequence[Place], parameters: PointingParamet
         for facts in place.pairs:
             pair = facts.pair
             area = f"{facts.ground.GetArea() / 1e6:.2f} km², {facts.percent:.0f} %"
-            accuracy = expected_accuracy_m(pair, min(gsd[pair.first], gsd[pair.second]), parameters.advice)
+            accuracy = expected_accuracy_m(pair, min(gsd.values()), parameters.advice)
             looks = *fixed(pair.base_to_height, decimals=2), *fixed(pair.angle_deg, decimals=1)
             sun = "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.0f}°"
             figures = *looks, area, *fixed(accuracy, decimals=2), duration_text(pair.days), sun

@@ -174,7 +174,8 @@ def _compared(task: _TileTask) -> _Compared:
         source = height_source(task.scene, task.bounds, record, crs, task.matching)
         points = source.within(None, parameters.every_px)
         own = np.where(points.filled, np.nan, points.height)
-        layers.append(grid_points(grid, points.x, points.y, own, points.score, spacing, task.fusion.gridding)[0])
+        apart = parameters.every_px * task.scene.matched_gsd_m(record.pair)
+        layers.append(grid_points(grid, points.x, points.y, own, points.score, apart, task.fusion.gridding)[0])
         columns, rows = (nodes(size, parameters.lattice_px) for size in record.size)
         known = points.height[np.isfinite(points.height)]
         middle = float(np.median(known)) if known.size else sum(record.altitudes) / 2

@@ -171,15 +171,16 @@ def fuse_tile(task: FuseTask) -> FusedTile:
 
 def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]) -> FusedCells:
     """The fused cells of a grid, in blocks that bound the memory and overlap by the reach of the aggregation."""
-    parameters, spacing = task.parameters, task.step * task.scene.gsd_m
-    rim = rim_cells(spacing, grid.cell, parameters.evidence)
+    parameters = task.parameters
+    spacings = [task.step * task.scene.matched_gsd_m(record.pair) for record in task.records]
+    rim = rim_cells(max(spacings, default=task.scene.gsd_m), grid.cell, parameters.evidence)
     whole = np.empty((2 * FIELDS + 1, *grid.shape), np.float32)
     everything = Window(0, 0, *grid.size)
     for own, wide in overlapping_blocks(grid.size, parameters.block_cells, rim):
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers: List[HeightLayer] = []
-        for source, record in zip(sources, task.records):
+        for source, record, spacing in zip(sources, task.records, spacings):
             heights = source.within(bounds, task.step)
             layers.append(grid_height_map(part, heights, task.step * record.metres_per_px, spacing, parameters))
         fused = aggregate(layers, task.method, rim, parameters.evidence)

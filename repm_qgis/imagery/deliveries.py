@@ -19,10 +19,10 @@ from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Typ
 from osgeo import gdal
 
 from ..errors import ImageError, OptionError, RepmError, RpcError
-from ..options import EpmFitOptions, InspectOptions, is_archive, is_catalogue, is_delivery
+from ..options import IMAGE_ENDS, EpmFitOptions, InspectOptions, is_archive, is_catalogue, is_delivery
 from ..progress import Progress, counted, listed
-from ..rpc.formats import sidecar_text, xml_attributes
-from ..rpc.readers import files_in_folder, product_of, rpc_of
+from ..rpc.formats import ARCHIVED, sidecar_text, xml_attributes
+from ..rpc.readers import beside, files_in_folder, product_of, rpc_of
 from .bands import intensity_bands
 from .raster import opened
 from .stac import items_of
@@ -31,7 +31,6 @@ T = TypeVar("T", EpmFitOptions, InspectOptions)
 
 _TILE = re.compile(r"_R\d{1,4}C\d{1,4}(?=[-_.]|$)", re.IGNORECASE)
 _TIL_FILES = re.compile(r"^\s*filename\s*=\s*\"([^\"\r\n]{1,255})\"", re.IGNORECASE | re.MULTILINE)
-_IMAGES = (".tif", ".tiff", ".jp2", ".ntf", ".nitf")
 _NO_IMAGES = re.compile(r"^(?:msk|prv|icon|browse)|_(?:msk|browse|preview|udm2?)\b|-browse", re.IGNORECASE)
 _MOST_ENTRIES = 20_000
 _DEEPEST = 8
@@ -97,7 +96,7 @@ def whole_of(path: str) -> str:
     """The index of the product whose tile a path is; the path itself where it is none, where the product has only this
     tile, or where other tiles are missing."""
     image = Path(path)
-    if not _TILE.search(image.stem) or not os.path.isfile(path):
+    if not _TILE.search(image.stem) or not (ARCHIVED.match(path) or os.path.isfile(path)):
         return path
     there = files_in_folder(image)
     for index in _indexes(image, there):
@@ -116,7 +115,7 @@ def _indexes(image: Path, there: Dict[str, List[str]]) -> Iterator[str]:
     own = [f"{plain}.til", *(f"dim_{name}.xml" for name in (core, re.sub(r"_[A-Za-z-]+$", "", core)))]
     others = sorted(key for key in there if key.endswith(".til"))
     for key in dict.fromkeys(name.lower() for name in (*own, *others)):
-        yield from (str(image.with_name(name)) for name in there.get(key, ()))
+        yield from (beside(image, name) for name in there.get(key, ()))
 
 
 def _tiles_of(index: str) -> List[str]:
@@ -138,8 +137,6 @@ def _tiles_of(index: str) -> List[str]:
 def _inside(path: str) -> Tuple[List[str], List[str]]:
     """The panchromatic and the other images with an RPC in a folder or an archive."""
     files = [file for file in _files(path) if _looks_like_one(file)]
-    if is_archive(path) and any(file.lower().endswith(".til") or _is_part(file, files) for file in files):
-        raise ImageError(f"'{path}' holds an image in tiles: unpack the archive, and choose the folder.")
     whole = dict.fromkeys(whole_of(file) for file in files if not file.lower().endswith((".til", ".xml")))
     return _usable(path, list(whole), {})
 
@@ -168,22 +165,14 @@ def _usable(path: str, files: Sequence[str], rpcs: Mapping[str, str]) -> Tuple[L
         except RepmError as error:
             reasons.append(str(error))
     if not greys and not colours:
-        first = f": {reasons[0]}" if reasons else f": none of its files ends with {', '.join(_IMAGES)}."
+        first = f": {reasons[0]}" if reasons else f": none of its files ends with {', '.join(IMAGE_ENDS)}."
         raise ImageError(f"'{path}' holds no image with an RPC{first}")
     return greys, colours
 
 
-def _is_part(file: str, files: Sequence[str]) -> bool:
-    """Whether a file is one of several tiles of a product."""
-    name = _TILE.sub("", os.path.basename(file)).lower()
-    return bool(_TILE.search(os.path.basename(file))) and any(
-        other != file and _TILE.sub("", os.path.basename(other)).lower() == name for other in files
-    )
-
-
 def _looks_like_one(file: str) -> bool:
     name = os.path.basename(file)
-    return name.lower().endswith((*_IMAGES, ".til")) and not _NO_IMAGES.search(name) and not name.startswith(".")
+    return name.lower().endswith((*IMAGE_ENDS, ".til")) and not _NO_IMAGES.search(name) and not name.startswith(".")
 
 
 def _files(path: str) -> List[str]:

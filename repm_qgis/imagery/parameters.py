@@ -29,6 +29,14 @@ class WarpingParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class SamplingParameters(Parameters):
+    """Images of different ground sampling distances (GSD)."""
+
+    alike: float = 1.3  # times a GSD, up to which two images are taken as equally fine: nadir and 40 degrees. Chosen
+    blur: float = 0.45  # px of the coarser image, of a Gaussian before the reduction; `make bench-frames`
+
+
+@dataclass(frozen=True)
 class DemParameters(Parameters):
     """Reading elevation models; both sizes only bound the memory."""
 
@@ -51,4 +59,5 @@ class CollarParameters(Parameters):
 COLLARS = CollarParameters()
 STRETCH = StretchParameters()
 WARPING = WarpingParameters()
+SAMPLING = SamplingParameters()
 DEM = DemParameters()

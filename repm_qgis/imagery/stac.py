@@ -14,13 +14,13 @@ from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 from urllib.parse import unquote
 
 from ..errors import ImageError, RpcError
+from ..options import IMAGE_ENDS
 from ..rpc.formats import sidecar_text
 
 _MOST_ITEMS = 1000
 _DEEPEST = 3  # catalogues that link to others
 _DEEPEST_JSON = 32
 _IMAGES = re.compile(r"image/(?:tiff|jp2|vnd\.stac\.geotiff)|application/vnd\.nitf", re.IGNORECASE)
-_ENDS = (".tif", ".tiff", ".jp2", ".ntf", ".nitf")
 _OTHER_ROLES = {"thumbnail", "overview", "metadata", "mask", "data-mask", "cloud", "snow-ice", "udm", "udm2"}
 _RPC_FILES = re.compile(r"_rpc\.(?:txt|xml)$|\.rp[bc]$|(?:^|/)rpc_[^/]*\.xml$", re.IGNORECASE)
 
@@ -71,7 +71,7 @@ def _item(path: str, feature: Mapping[str, Any]) -> StacItem:
         kind = str(_object(asset).get("type", ""))
         if "rpc" in named or "rpc" in key.lower() or _RPC_FILES.search(href):
             rpcs.append(_local(path, href))
-        elif (_IMAGES.match(kind) or href.lower().endswith(_ENDS)) and not named & _OTHER_ROLES:
+        elif (_IMAGES.match(kind) or href.lower().endswith(IMAGE_ENDS)) and not named & _OTHER_ROLES:
             images.append(_local(path, href))
     when = properties.get("datetime") or properties.get("start_datetime") or ""
     return StacItem(tuple(images), tuple(rpcs), str(when), str(properties.get("platform") or ""))

@@ -12,7 +12,7 @@ import numpy as np
 from ..arrays import FloatArray, FloatImage, Mask, Size, Window
 from ..errors import ImageError
 from ..geometry.interpolation import interpolate_steps
-from .parameters import WARPING
+from .parameters import SAMPLING, WARPING
 from .raster import Image, read
 
 PixelMap = Callable[[FloatArray], FloatArray]
@@ -115,6 +115,28 @@ def reduced(image: FloatImage, factor: int) -> FloatImage:
         return np.full((1, 1), np.nan, dtype=np.float32)
     small: FloatImage = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
     return small
+
+
+def coarsened(image: FloatImage, ratio: float) -> FloatImage:
+    """An image that can be sampled at steps of ``ratio`` px without aliasing; NaN stays NaN, and 1 changes nothing."""
+    if ratio <= 1.0:
+        return image
+    known = np.isfinite(image)
+    sigma = SAMPLING.blur * math.sqrt(ratio**2 - 1.0)
+    if known.all():
+        blurred: FloatImage = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        return blurred
+    smooth = gaussian_mean(known, sigma)(np.where(known, image, np.float32(0)))
+    return np.where(known, smooth, np.float32(np.nan)).astype(np.float32)
+
+
+def warp_coarsened(dataset: Image, band: int, to_source: PixelMap, size: Size, kernel: str, ratio: float) -> FloatImage:
+    """:func:`warp` of an image that is finer than the result by a ratio, as :func:`coarsened` makes it; a ratio of 1
+    changes nothing."""
+    if ratio <= 1.0:
+        return warp(dataset, band, to_source, size, kernel)
+    source = source_pixels(dataset, band, to_source, size, lambda pixels: coarsened(pixels, ratio))
+    return source.sampled(to_source, size, kernel)
 
 
 def source_pixels(

@@ -26,7 +26,7 @@ from ..imagery.warping import sample_array, source_positions
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
-from ..stereo.pairing import rectified_pair
+from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.triangulation import pair_geometry
 from .disparity_map import PairMatcher
 from .parameters import MATCHING, CoarseSurfaceParameters, MatchingParameters
@@ -119,15 +119,18 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     high = math.ceil(geometry.disparities[1]) + p.range_margin_px
     width, height = pair.size
     positions = source_positions(lambda at: pair.second_original(at - (high, 0)), (width + high - low, height))
-    a = _reduced(first, task.stretches[0], source_positions(pair.first_original, pair.size), p.factor)
-    b = _reduced(second, task.stretches[1], positions, p.factor)
+    factors = [p.factor * max(1, round(ratio)) for ratio in reductions(first, second)]
+    a = _reduced(first, task.stretches[0], source_positions(pair.first_original, pair.size), factors[0])
+    b = _reduced(second, task.stretches[1], positions, factors[1])
     found = task.match(a, b, (low, high), geometry.height_sign, parameters=task.parameters)
     good = ~found.filled & (found.score >= p.least_score)
     disparity = np.where(good, found.disparity, np.nan).astype(np.float64)
     columns, rows = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
     z = geometry.height.on_grid(columns, rows, disparity)
     x, y = (table.on_grid(columns, rows, z) for table in (geometry.x, geometry.y))
-    cells, _, _ = grid_points(task.grid.part(task.grid.window(task.bounds)), x, y, z, found.score)
+    spacing, part = p.factor * scene.matched_gsd_m((task.first, task.second)), task.grid.window(task.bounds)
+    spacing = spacing if spacing > task.grid.cell else math.inf  # then a point is as wide as a cell
+    cells, _, _ = grid_points(task.grid.part(part), x, y, z, found.score, spacing)
     # The median removes wrong cells and cells without neighbours.
     return median_of_neighbours(cells, p.median_cells, p.least_neighbours)
 

@@ -25,6 +25,7 @@ from .disparity_map import PairMatcher
 from .parameters import MATCHING, MatchingParameters, PriorParameters
 
 STEP_PX = WARPING.node_step_px  # between the nodes of the resampled second image
+_WIDEST = 4.0  # sides of an image: a Gaussian as wide as that has nearly one value all over it
 
 
 @dataclass(frozen=True)
@@ -189,17 +190,23 @@ def _ground(coarse: FloatImage, parameters: PriorParameters) -> Optional[FloatAr
 
 
 def fill_gaps(cells: FloatImage, sigma: float) -> FloatImage:
-    """Gaps filled from their surroundings: Gaussian means that become wider, the narrowest that knows something."""
+    """Gaps filled from their surroundings: Gaussian means that become wider, the narrowest that knows something.
+
+    Where a few known cells lie far from the gaps, as in a strip that two frames share, no mean knows enough: these gaps
+    get the mean of all that is known.
+    """
     known = np.isfinite(cells)
     value, weight = np.where(known, cells, np.float32(0)), known.astype(np.float32)
     result, missing = value.copy(), ~known if known.any() else known
-    while missing.any():
+    while missing.any() and sigma <= _WIDEST * max(cells.shape):
         share = cv2.GaussianBlur(weight, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         total = cv2.GaussianBlur(value, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         near = missing & (share > 1e-3)
         result[near] = total[near] / share[near]
         missing &= ~near
         sigma *= 2
+    if missing.any():
+        result[missing] = cells[known].mean()
     return result
 
 

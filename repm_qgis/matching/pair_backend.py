@@ -16,7 +16,7 @@ from ..errors import EmptyResultError
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
-from ..imagery.warping import PixelMap, SourcePixels, source_pixels
+from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
 from ..memory import matching_mib, tile_work, workers_within
 from ..options import ReconstructOptions
 from ..parallel import run_tasks
@@ -24,7 +24,7 @@ from ..progress import Progress
 from ..records import HeightMapRecord
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
-from ..stereo.pairing import rectified_pair
+from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
@@ -124,9 +124,9 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
     """How many workers the memory allows; tiles are alike, so the one with the widest altitudes stands for all."""
     if not tasks:
         return job.options.workers
-    task = max(tasks, key=lambda t: t.altitudes[1] - t.altitudes[0])
+    task = max(tasks, key=lambda t: (t.altitudes[1] - t.altitudes[0]) / t.scene.matched_gsd_m(t.pair))
     slope = max(pair.base_to_height for pair in job.pairs)
-    disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.gsd_m
+    disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.matched_gsd_m(task.pair)
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
     each = matching_mib(*frame_size(task), disparities, task.parameters.sgm.paths)
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
@@ -207,7 +207,7 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
     if needs_coarse_level(search, (height, width), p):
         match, sign = task.backend.pair_matcher, geometry.height_sign
         coarse = coarse_level(whole(), (height, width), sign, match, task.parameters)
-        bounds = Bounds(*task.bounds).grown(task.parameters.stereo.tile_margin_px * task.scene.gsd_m)
+        bounds = Bounds(*task.bounds).grown(task.parameters.stereo.tile_margin_px * task.scene.matched_gsd_m(task.pair))
         window = coarse.window(bounds, geometry, p)
         prior = find_prior(coarse, window, geometry, p)
     left, top, width, height = window
@@ -224,7 +224,7 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
 def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
     """Disparities of a task's rectified pair, coarse to fine, without water and clouds; NaN beside the tile."""
     seen, sign = sample_pair(task, pair, geometry), geometry.height_sign
-    subpixel = task.parameters.subpixel.of_pair(task.scene.gsd_m / geometry.metres_per_px)
+    subpixel = task.parameters.subpixel.of_pair(task.scene.matched_gsd_m(task.pair) / geometry.metres_per_px)
     parameters, match = replace(task.parameters, subpixel=subpixel), task.backend.pair_matcher
     images = seen.first, seen.second, seen.disparities, sign
     matched = match(*images, geometry.relief_displacement, parameters)
@@ -247,10 +247,11 @@ def _whole_range(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[i
 
 
 def _source(task: PairTask, number: int, to_original: PixelMap, size: Size) -> SourcePixels:
-    """The intensities of a view that a frame of ``size`` is sampled from."""
+    """The intensities of a view that a frame of ``size`` is sampled from, as coarse as the frame is."""
     view = task.scene.view(task.pair[number])
+    ratio, stretch = reductions(*map(task.scene.view, task.pair))[number], task.stretches[number]
     with opened_masked(view.image, view.mask) as dataset:
-        return source_pixels(dataset, view.band, to_original, size, task.stretches[number].apply)
+        return source_pixels(dataset, view.band, to_original, size, lambda seen: coarsened(stretch.apply(seen), ratio))
 
 
 def _reduced(source: SourcePixels, to_source: PixelMap, size: Size, factor: int) -> FloatImage:
@@ -264,5 +265,5 @@ def rectified_over_tile(
 ) -> Optional[RectifiedPair]:
     """The rectified pair in which a tile is matched: its ground with the matching margin; None where unseen."""
     first, second = (scene.view(name) for name in pair)
-    wide = Bounds(*bounds).grown(parameters.tile_margin_px * scene.gsd_m)
+    wide = Bounds(*bounds).grown(parameters.tile_margin_px * scene.matched_gsd_m(pair))
     return rectified_pair(scene, first, second, wide, altitudes, parameters)

@@ -181,7 +181,14 @@ def rpc_sidecars(path: str) -> List[str]:
 def beside(image: Path, name: str) -> str:
     """The path of another file in an image's folder, which may be one in an archive."""
     path = image.with_name(name)
-    return path.as_posix() if ARCHIVED.match(image.as_posix()) else str(path)
+    return _in_archive(path) if ARCHIVED.match(path.as_posix()) else str(path)
+
+
+def _in_archive(path: Path) -> str:
+    """GDAL's name of a file or folder in an archive. That of an archive with an absolute path has two slashes after
+    its first word, of which a Path keeps one."""
+    text = path.as_posix()
+    return text if gdal.VSIStatL(text) is not None else re.sub(r"^(/vsi\w+/)", r"\1/", text)
 
 
 def product_of(image: Path) -> str:
@@ -194,7 +201,7 @@ def files_in_folder(image: Path) -> Dict[str, List[str]]:
     """Names of the files in an image's folder by their lower-case form; empty where the folder cannot be listed."""
     names: Dict[str, List[str]] = {}
     if ARCHIVED.match(image.as_posix()):
-        for name in (gdal.ReadDir(image.parent.as_posix()) or [])[:_MAX_FOLDER]:
+        for name in (gdal.ReadDir(_in_archive(image.parent)) or [])[:_MAX_FOLDER]:
             names.setdefault(name.lower(), []).append(name)
         return {key: sorted(found) for key, found in names.items()}
     try:
@@ -245,7 +252,7 @@ def _tile_origin(image: Path) -> Tuple[int, int]:
     # Names of Pleiades Neo's images have the band after the name that the product's own file has.
     for product in (core, re.sub(r"_[A-Za-z-]+$", "", core)):
         for name in there.get(f"dim_{product}.xml".lower(), ()):
-            size = tile_size(str(image.with_name(name)))
+            size = tile_size(beside(image, name))
             if size is not None:
                 return (col - 1) * size[0], (row - 1) * size[1]
     reason = f"'DIM_{core}.XML', which says where it lies, is not in its folder"

@@ -578,8 +578,10 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
     """(n, 3, m) of (n, m, 3) with rank three, which rays that meet at an angle give; far faster than an SVD."""
     transposed = np.swapaxes(jacobian, 1, 2)
     square = transposed @ jacobian
-    # Rays from one place meet nowhere: a small ridge keeps their point where it is.
-    ridge = 1e-12 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    # Rays from one place meet nowhere: a small ridge keeps their point where it is. Where a point has left the Earth,
+    # nothing moves it back.
+    trace = np.trace(square, axis1=1, axis2=2)[:, None, None]
+    ridge = np.maximum(1e-12 * trace, np.finfo(float).tiny) * np.eye(3)
     return np.linalg.solve(square + ridge, transposed)
 
 

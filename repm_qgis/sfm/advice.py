@@ -13,7 +13,7 @@ from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import duration_text
 from ..progress import counted, listed
 from ..records import PointingFigures, ViewPair
-from ..scene import Scene, View
+from ..scene import Scene, View, pair_gsd_m
 from .graph import components
 from .height_uncertainty import height_le90_m, height_uncertainty
 from .pair_selection import days_off_season, sun_over
@@ -271,8 +271,9 @@ def other_season(pair: ViewPair, parameters: AdviceParameters = POINTING.advice)
 
 
 def expected_accuracy_m(pair: ViewPair, gsd_m: float, parameters: AdviceParameters = POINTING.advice) -> float:
-    """How accurate the heights of a pair are where matching is as accurate as expected, m."""
-    return parameters.matching_px * gsd_m / pair.base_to_height
+    """How accurate the heights of a pair are where matching is as accurate as expected, m; ``gsd_m`` is that of the
+    finest pair."""
+    return parameters.matching_px * pair_gsd_m(pair.gsd_m or gsd_m, gsd_m) / pair.base_to_height
 
 
 def _dates(pairs: Sequence[ViewPair], spare: bool, parameters: AdviceParameters) -> List[str]:

@@ -13,23 +13,27 @@ from itertools import combinations
 from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
+from osgeo import ogr
 
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
 from ..errors import OptionError
-from ..geometry.footprints import ray_slope
-from ..geometry.frames import geodetic_from_projected, mean_place
+from ..geometry.footprints import bounds_of, box, footprint, geometry_of, ray_slope
+from ..geometry.frames import EnuFrame, geodetic_from_projected, mean_place, projected_from_geodetic
 from ..geometry.interpolation import upsample_grid
 from ..geometry.tiles import pixel_window
 from ..imagery.correlation import window_statistics
 from ..imagery.dem import dem_range
 from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
-from ..progress import Progress
+from ..progress import Part, Progress
 from ..records import ViewPair
 from ..scene import View
+from ..stereo.pairing import reductions
 from .pair_selection import change_cost, pair_at, usual_change
 from .parameters import POINTING, SweepParameters
+
+_ROOM = 1.5  # times the distance at which two images may just touch: their RPCs may be wrong, and ground high
 
 
 @dataclass(frozen=True)
@@ -58,13 +62,77 @@ def sweep_altitudes(
     None where the images do not show it: no texture, no overlap, or all pairs too narrow.
     """
     best: Optional[SweepResult] = None
-    for first, second, base_to_height in _pairs(views, bounds, crs, search, parameters)[: parameters.pairs]:
+    pairs = _pairs(views, bounds, crs, search, parameters)
+    parts = _of_block(views, pairs, bounds, crs, search, parameters)
+    if parts is not None:
+        every = []
+        for k, (part, pair) in enumerate(parts):
+            own = Part(progress, k / len(parts), (k + 1) / len(parts))
+            every.append(_swept(*pair, crs, part, search, own, parameters, altitudes))
+        return _joined([each for each in every if each is not None])
+    for first, second, base_to_height in pairs[: parameters.pairs]:
         found = _swept(first, second, base_to_height, crs, bounds, search, progress, parameters, altitudes)
         if found is not None and (best is None or found.matched > best.matched):
             best = found
         if best is not None and best.matched >= parameters.enough_share * best.cells:
             break
     return best
+
+
+Candidate = Tuple[View, View, float]  # with their base-to-height ratio
+
+
+def _of_block(
+    views: Sequence[View],
+    pairs: Sequence[Candidate],
+    bounds: Bounds,
+    crs: str,
+    search: Altitudes,
+    parameters: SweepParameters,
+) -> Optional[List[Tuple[Bounds, Candidate]]]:
+    """Of a block of frames, parts of the area, each with the best pair that sees most of it; None where one of the best
+    pairs sees enough of the area by itself."""
+    if len(views) <= parameters.pairs:
+        return None
+    whole = box(bounds)
+    shapes = [
+        {
+            view.name: geometry_of(projected_from_geodetic(crs, footprint(view.localise, view.size, altitude)))
+            for view in views
+        }
+        for altitude in np.linspace(*search, parameters.block_levels)
+    ]
+
+    def seen(pair: Candidate, of: ogr.Geometry, level: int) -> Optional[ogr.Geometry]:
+        common = shapes[level][pair[0].name].Intersection(shapes[level][pair[1].name])
+        return None if common is None else common.Intersection(of)
+
+    least = parameters.block_share * whole.GetArea()
+    if any(
+        _area(seen(pair, whole, level)) >= least for pair in pairs[: parameters.pairs] for level in range(len(shapes))
+    ):
+        return None
+    found, middle = [], len(shapes) // 2
+    for part in sweep_patches(bounds, max(view.gsd_m for view in views), parameters):
+        grounds = [seen(pair, box(part), middle) for pair in pairs]
+        most = max(map(_area, grounds), default=0.0)
+        if most > 0:
+            best = next(k for k, ground in enumerate(grounds) if _area(ground) >= parameters.most_seen * most)
+            found.append((bounds_of(grounds[best]), pairs[best]))
+    return found
+
+
+def _area(ground: Optional[ogr.Geometry]) -> float:
+    return 0.0 if ground is None else float(ground.GetArea())
+
+
+def _joined(found: Sequence[SweepResult]) -> Optional[SweepResult]:
+    """What several parts of an area show together; None of none."""
+    if not found:
+        return None
+    ends = min(each.altitudes[0] for each in found), max(each.altitudes[1] for each in found)
+    counts = sum(each.matched for each in found), sum(each.cells for each in found)
+    return SweepResult(ends, *counts, max(e.step_m for e in found), np.concatenate([each.points for each in found]))
 
 
 def _swept(
@@ -150,7 +218,7 @@ def _pairs(
     """
     lon, lat = geodetic_from_projected(crs, np.array([(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2]))
     place = float(lon), float(lat), (search[0] + search[1]) / 2
-    pairs = [pair_at(first, second, place, 0, 0.0) for first, second in combinations(views, 2)]
+    pairs = [pair_at(first, second, _seen_by(first, second, place), 0, 0.0) for first, second in _near(views, search)]
     pairs = [pair for pair in pairs if pair.base_to_height >= parameters.least_base_to_height]
     unknown, named = usual_change(pairs), {view.name: view for view in views}
 
@@ -160,6 +228,31 @@ def _pairs(
         return abs(math.log(ratio)) + (unknown if changed is None else changed)
 
     return [(named[pair.first], named[pair.second], pair.base_to_height) for pair in sorted(pairs, key=cost)]
+
+
+def _near(views: Sequence[View], search: Altitudes) -> List[Tuple[View, View]]:
+    """The pairs of views whose images may overlap: their middles are no farther apart than their diagonals."""
+    altitude, room = sum(search) / 2, search[1] - search[0]  # by which a wrong height may move oblique views
+    middles = [view.localise((np.array(view.size) - 1) / 2, altitude) for view in views]
+    lon, lat = map(float, mean_place(np.array(middles)[:, :2]))
+    frame = EnuFrame(lon, lat, altitude)
+    places = [frame.from_geodetic(middle)[:2] for middle in middles]
+    reach = [math.hypot(*view.size) * view.gsd_m / 2 for view in views]
+    return [
+        (views[i], views[j])
+        for i, j in combinations(range(len(views)), 2)
+        if not np.hypot(*(places[i] - places[j])) > _ROOM * (reach[i] + reach[j]) + room
+    ]
+
+
+def _seen_by(first: View, second: View, place: Tuple[float, float, float]) -> Tuple[float, float, float]:
+    """A place, or that between the middles of two frames that do not both show it: an RPC says nothing about others."""
+    pixels = [view.project(np.array(place)) for view in (first, second)]
+    if all((pixel > 0).all() and (pixel < view.size).all() for pixel, view in zip(pixels, (first, second))):
+        return place
+    middles = [view.localise((np.array(view.size) - 1) / 2, place[2])[:2] for view in (first, second)]
+    lon, lat = np.mean(middles, axis=0)
+    return float(lon), float(lat), place[2]
 
 
 def sweep_patches(bounds: Bounds, gsd: float, parameters: SweepParameters) -> List[Bounds]:
@@ -222,7 +315,9 @@ class _Reduced:
 
     @classmethod
     def of(cls, view: View, sweep: _Sweep, patch: Bounds) -> Optional["_Reduced"]:
-        reduction, altitudes = sweep.parameters.reduction, (float(sweep.planes[0]), float(sweep.planes[-1]))
+        altitudes = float(sweep.planes[0]), float(sweep.planes[-1])
+        ratio = reductions(sweep.first, sweep.second)[0 if view is sweep.first else 1]
+        reduction = sweep.parameters.reduction * max(1, round(ratio))
 
         def to_geodetic(xy: FloatArray) -> FloatArray:
             return geodetic_from_projected(sweep.crs, xy)

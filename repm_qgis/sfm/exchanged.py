@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Callable, Iterator, List, Sequence, Set, Tuple
+from typing import Callable, Dict, Iterator, List, Sequence, Set, Tuple
 
 import numpy as np
 
 from ..errors import RpcInvalidError
 from ..scene import View
+from ..stereo.pairing import convergence
 from .adjustment import Track, adjust
 from .parameters import POINTING, PointingParameters
 
@@ -41,25 +42,39 @@ def exchanges(
     views: Sequence[View], tracks: Sequence[Track], altitude: float, parameters: PointingParameters = POINTING
 ) -> Iterator[Exchange]:
     """What an exchange of the RPCs of two views would change: for all two that share enough ties, and for those whose
-    ties with other views fit badly.
+    ties with other views fit badly. Of many views, these alone: an exchange would spoil the fit of their neighbours.
 
     ``altitude`` is where ground points start from, metres above the ellipsoid.
     """
     p, bad = parameters.exchange, _badly_fitting(views, tracks, altitude, parameters)
+    of: Dict[str, Set[int]] = {view.name: set() for view in views}
+    for number, track in enumerate(tracks):
+        for name in track.pixels:
+            of[name].add(number)
     for pair in combinations(views, 2):
         names = pair[0].name, pair[1].name
-        either = [track for track in tracks if any(name in track.pixels for name in names)]
-        both = [track for track in either if all(name in track.pixels for name in names)]
+        both = sorted(of[names[0]] & of[names[1]])
         found = None
+        if both and _base_to_height(pair, tracks[both[len(both) // 2]], altitude) < p.least_base_to_height:
+            continue  # neighbouring frames of one pass
+        if len(views) > p.most_views and bad.isdisjoint(names):
+            continue
         if len(both) >= p.least_ties:
-            ties = [Track({name: track.pixels[name] for name in names}) for track in both]
+            ties = [Track({name: tracks[k].pixels[name] for name in names}) for k in both]
             found = _exchange(pair, pair, ties, altitude, parameters)
         elif not bad.issuperset(names):
             continue
         if len(views) > 2 and (found is None or found.evidence > -p.sure_evidence):
+            either = [tracks[k] for k in sorted(of[names[0]] | of[names[1]])]
             found = _exchange(pair, views, either, altitude, parameters)
         if found is not None:
             yield found
+
+
+def _base_to_height(pair: Tuple[View, View], track: Track, altitude: float) -> float:
+    """Of two views, where both see a track."""
+    lon, lat, _ = pair[0].localise(track.pixels[pair[0].name], altitude)
+    return convergence(*pair, float(lon), float(lat), altitude)[1]
 
 
 def _exchange(

@@ -20,7 +20,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic, 
 from ..geometry.tiles import enclosing
 from ..imagery.acquisition import duration_text
 from ..records import ViewPair
-from ..scene import View, common_heights, middle_of
+from ..scene import View, common_heights, finest_gsd_m, middle_of, pair_gsd_m
 from .advice import expected_accuracy_m, other_season, other_sun
 from .overlap import places
 from .pair_selection import Seen, best_pairs, pair_at, places_seen, shared_part, sun_at
@@ -93,10 +93,15 @@ class Place:
 
     def seen_px(self, names: Sequence[str]) -> List[float]:
         """The pixels of ground that each pair of these images sees which a run with them alone would match."""
-        gsd_m = min(each.view.gsd_m for each in self.images if each.view.name in names)
         mine = [each for each in self.pairs if set(each.pair.names) <= set(names)]
         matched = [each for each in mine if each.chosen or (len(names) <= 3 and each.worth != NO)]
-        return [each.ground.GetArea() / gsd_m**2 for each in matched]
+        return self.matched_px(matched, [each.view for each in self.images if each.view.name in names])
+
+    @staticmethod
+    def matched_px(pairs: Sequence[PairFacts], views: Sequence[View]) -> List[float]:
+        """The pixels of ground that each of some pairs sees, as a run with these views matches them."""
+        finest = finest_gsd_m(views)
+        return [each.ground.GetArea() / pair_gsd_m(each.pair.gsd_m or finest, finest) ** 2 for each in pairs]
 
     def first_area(self, parameters: PointingParameters = POINTING) -> Optional[Bounds]:
         """A small square in the overlap of the best pair, for a first trial; None where no pair is worth it."""

@@ -15,9 +15,10 @@ from osgeo import ogr
 from ..arrays import Bounds, FloatArray, Mask
 from ..errors import EmptyResultError
 from ..geometry.footprints import footprint, geometry_of
-from ..geometry.frames import projected_from_geodetic
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
 from ..geometry.tiles import enclosing
+from ..imagery.parameters import SAMPLING
 from ..records import ViewPair
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
@@ -53,23 +54,28 @@ def best_pairs(
     if len(names) <= parameters.all_up_to:
         return sorted(usable, key=lambda pair: abs(math.log(pair.base_to_height / parameters.best_base_to_height)))
     unknown = usual_change(usable, parameters)
+    finest = min((pair.gsd_m for pair in usable if pair.gsd_m), default=0.0)
 
     def cost(pair: ViewPair) -> float:
-        return pair_cost(pair, unknown, parameters)
+        return pair_cost(pair, unknown, parameters, finest)
 
     ranked = sorted(usable, key=cost)
     few = _few(ranked, names, parameters)
     return sorted([*few, *_uncovered(few, ranked, seen, parameters)], key=cost)
 
 
-def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters = POINTING.pairs) -> float:
+def pair_cost(
+    pair: ViewPair, unknown: float = 0.0, parameters: PairParameters = POINTING.pairs, finest: float = 0.0
+) -> float:
     """How unsuitable a pair is: 0 is best; half or twice the best convergence angle alone costs ln(2) = 0.69.
 
-    The sum of three terms:
+    The sum of four terms:
 
     * convergence: abs(ln(angle / 20 degrees)); semi-global matching is best at 15 to 25 degrees;
     * overlap: -ln(part of the area that both see), so that half of it costs as much as twice the angle;
-    * time: :func:`change_cost`, or ``unknown`` where a time is not known.
+    * time: :func:`change_cost`, or ``unknown`` where a time is not known;
+    * ground sampling distance: ln of how many times coarser the pair is matched than the ``finest`` one (m; 0: not
+      known), but for what counts as alike: an error in px is that many times as large in metres.
 
     References
     ----------
@@ -80,7 +86,8 @@ def pair_cost(pair: ViewPair, unknown: float = 0.0, parameters: PairParameters =
     change = change_cost(pair, parameters)
     overlap = math.log(max(pair.share, parameters.least_share))
     angle = abs(math.log(pair.angle_deg / parameters.best_deg))
-    return angle - overlap + (unknown if change is None else change)
+    coarse = math.log(max(pair.gsd_m / (SAMPLING.alike * finest), 1.0)) if pair.gsd_m and finest else 0.0
+    return angle - overlap + coarse + (unknown if change is None else change)
 
 
 def is_good(pair: ViewPair, parameters: PairParameters = POINTING.pairs) -> bool:
@@ -152,19 +159,36 @@ def _candidates(scene: Scene, parameters: PairParameters) -> Tuple[List[ViewPair
     shapes = {name: geometry_of(outline) for name, outline in outlines.items()}
     area = ogr.CreateGeometryFromWkt(scene.area) if scene.area else None
     found: List[ViewPair] = []
+    few = len(scene.views) <= parameters.all_up_to
     for first, second in combinations(scene.views, 2):
         shared = sum(first.name in tile.views and second.name in tile.views for tile in scene.tiles)
-        if shared:
-            place = scene.frame.lon, scene.frame.lat, altitude
+        if shared and (few or shared_part(shapes[first.name], shapes[second.name]) >= parameters.least_overlap):
             share = shared_part(shapes[first.name], shapes[second.name], area)
-            found.append(pair_at(first, second, place, shared, share))
+            lon, lat = _place_of(scene, shapes[first.name], shapes[second.name])
+            found.append(pair_at(first, second, (lon, lat, altitude), shared, share))
     return found, places_seen(outlines, enclosing([tile.bounds for tile in scene.tiles]), parameters)
+
+
+def _place_of(scene: Scene, first: ogr.Geometry, second: ogr.Geometry) -> Tuple[float, float]:
+    """Longitude and latitude where two views' lines of sight are compared: the scene's middle or, where these do not
+    show it, as frames of a block do, the middle of what they share. An RPC says nothing about other places."""
+    x, y = projected_from_geodetic(scene.crs, np.array([scene.frame.lon, scene.frame.lat]))
+    middle = ogr.Geometry(ogr.wkbPoint)
+    middle.AddPoint_2D(float(x), float(y))
+    common = first.Intersection(second)
+    if common is None or common.GetArea() <= 0 or common.Contains(middle):
+        return scene.frame.lon, scene.frame.lat
+    centre = common.Centroid()
+    lon, lat = geodetic_from_projected(scene.crs, np.array([centre.GetX(), centre.GetY()]))
+    return float(lon), float(lat)
 
 
 def pair_at(first: View, second: View, place: Tuple[float, float, float], tiles: int, share: float) -> ViewPair:
     """Two views as they look at a place (longitude, latitude, height): angles, and how far time and sun differ."""
     angles = convergence(first, second, *place)
-    return ViewPair(first.name, second.name, *angles, tiles, share, *_apart(first, second, *place[:2]))
+    differing = _apart(first, second, *place[:2])
+    coarser = max(first.gsd_m, second.gsd_m)
+    return ViewPair(first.name, second.name, *angles, tiles, share, *differing, gsd_m=coarser)
 
 
 def shared_part(first: ogr.Geometry, second: ogr.Geometry, area: Optional[ogr.Geometry] = None) -> float:

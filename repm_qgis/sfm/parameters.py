@@ -30,6 +30,9 @@ class SweepParameters(Parameters):
     least_share: float = 0.01  # the same as a share of all cells
     enough_share: float = 0.1  # of all cells with an altitude: with fewer, the next best pair is tried,
     pairs: int = 4  # up to so many pairs
+    block_share: float = 0.25  # of the area: where no pair sees so much, each part of it has a pair of its own
+    block_levels: int = 3  # heights of the RPCs at which that is asked: the ground's is not known yet
+    most_seen: float = 0.8  # of what any pair sees of a part: the best pair that sees so much is taken
     most_planes: int = 180  # planes of a sweep
     shift_planes: int = 40  # planes that are tried when the shift between two views is searched
     most_shift: int = 3  # cells across the parallax, searched in both directions: errors of RPCs of tens of px
@@ -66,6 +69,7 @@ class PairParameters(Parameters):
     decade_cost: float = 0.5  # for each power of ten of days between two images; `make bench-towns`
     season_cost: float = 0.5  # of the opposite season
     sun_cost_deg: float = 10.0  # angle between two suns that is as bad as an angle of convergence wrong by a factor e
+    least_overlap: float = 0.05  # of the smaller of two of many images: less holds too few tie points. Chosen
     least_share: float = 0.01  # of the area: smaller overlaps cost as much as this one
 
     def fewest(self) -> "PairParameters":
@@ -105,6 +109,13 @@ class PatchParameters(Parameters):
     missed_weight: float = 0.5  # of a patch's texture, for each view that does not show it
     most_rounds: int = 5  # patches searched in a cell
     enough_ties: int = 100  # of every pair; with fewer, the next patches are searched
+    block_share: float = 0.25  # of the area, which most pairs of a block of frames do not see
+    frame_patches: int = 3  # of each pair of a block: with fewer, a frame's ties lie in one corner
+    frame_seen: float = 0.2  # share of a patch that a pair must see to be searched there
+    frame_places: int = 4  # along a side of the ground that a pair of frames sees, of which the best is searched first
+    frame_inside: float = 0.7  # share of a patch that must lie on that ground
+    frame_apart: float = 0.5  # of a patch may lie on another one
+    frame_ties: int = 40  # of every pair of a block, as ``enough_ties``: each frame has several pairs
 
 
 @dataclass(frozen=True)
@@ -242,6 +253,8 @@ class ExchangeParameters(Parameters):
     most_ties: int = 200  # that are asked: bounds the time. Chosen
     view_ties: int = 50  # for each of many views, of which it is asked whether its ties fit. Chosen
     limit: float = 5.0  # median residuals beyond which all ties count alike. Chosen
+    most_views: int = 24  # of which all pairs are asked: the time grows with their square. Chosen
+    least_base_to_height: float = 0.02  # of two images: an exchange of narrower ones turns no surface. Chosen
     least_evidence: float = 10.0  # for a warning: "very strong" (Kass and Raftery 1995, "Bayes factors"); -2 at most
     # on sound scenes, and 19 to 480 on exchanged ones
     sure_evidence: float = 30.0  # for a refusal, where the ties also fit to
@@ -320,6 +333,7 @@ class PointingParameters(Parameters):
     colmap: ColmapAdjustmentParameters = ColmapAdjustmentParameters()
     advice: AdviceParameters = AdviceParameters()
     least_tracks: int = 20  # tie points after alignment; chosen
+    track_base: float = 0.02  # base-to-height ratio of the views of a tie point: narrower ones give no height; chosen
     usual_px: float = 2.0  # by which RPCs of one pass usually disagree in each direction: tells datums apart; chosen
     most_trend_px: float = 10.0  # over an image, without ground control: no vendor's RPC drifts so far. Chosen
     good_px: float = 1.5  # a tie with a larger residual is a wrong match, and gives no altitude; chosen

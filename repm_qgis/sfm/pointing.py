@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..arrays import Altitudes, Bounds, FloatArray
 from ..errors import EmptyResultError, RpcInvalidError
+from ..geometry.footprints import ray_slope
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..imagery.sampling import nmad
@@ -81,6 +82,7 @@ def point_views(
     matches, detector = with_best_detector(find, progress, parameters.keypoints)
     part = Part(progress, 0.7, 0.95)
     tracks = align_ties(scene, tracks_from(matches), names, stretches, part, workers, parameters.alignment)
+    tracks = with_base(scene.views, tracks, sum(scene.altitudes) / 2, parameters.track_base)
     if len(tracks) < parameters.least_tracks:
         raise EmptyResultError(
             f"Only {len(tracks)} tie points could be aligned at full resolution (needed: {parameters.least_tracks}): "
@@ -142,7 +144,21 @@ def _more_ties(
     matches = find_ties(pointed, names, stretches, part, workers, detector, parameters)
     part = Part(progress, 0.98, 1.0)
     aligned = align_ties(pointed, tracks_from(matches), names, stretches, part, workers, parameters.alignment)
-    return matches, aligned
+    return matches, with_base(scene.views, aligned, sum(scene.altitudes) / 2, parameters.track_base)
+
+
+def with_base(views: Sequence[View], tracks: Sequence[Track], altitude: float, least: float) -> List[Track]:
+    """The tracks that two views see with at least so much base-to-height ratio: neighbouring frames of one pass see
+    nothing of the height, and their ground point would lie anywhere along their common line of sight."""
+    slopes = {}
+    for view in views:
+        lon, lat, _ = view.localise((np.array(view.size) - 1) / 2, altitude)
+        slopes[view.name] = ray_slope(view, np.array([lon, lat]), altitude)
+    known: Dict[FrozenSet[str], bool] = {}
+    for seen in {frozenset(track.pixels) for track in tracks}:
+        every = np.array([slopes[name] for name in seen])
+        known[seen] = bool(np.hypot(*(every[:, None] - every).T).max() >= least)
+    return [track for track in tracks if known[frozenset(track.pixels)]]
 
 
 def _require_small_trends(adjusted: Adjustment, parameters: PointingParameters) -> None:

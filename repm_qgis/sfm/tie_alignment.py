@@ -21,11 +21,11 @@ from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.sampling import known_or_zero
-from ..imagery.warping import PixelMap, gaussian_mean, warp
+from ..imagery.warping import PixelMap, gaussian_mean, warp_coarsened
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import Scene, View
-from ..stereo.pairing import rectified_pair
+from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.rectification import RectifiedPair
 from .adjustment import Track, track_pixels
 from .parameters import POINTING, AlignmentParameters
@@ -201,8 +201,11 @@ def _frames(task: _AlignTask, names: Pair) -> Optional[_Frames]:
     size = (int(extent[0]) + margin, int(extent[1]) + margin)
     h_first, h_second = (translation(*-corner) @ h for corner, h in zip(corners, (pair.h_first, pair.h_second)))
     cut = RectifiedPair(pair.first, pair.second, h_first, h_second, size)
-    images = zip((first, second), (cut.first_original, cut.second_original))
-    evened = [_evened(view, task.stretches[view.name], original, size, task.parameters) for view, original in images]
+    images = zip((first, second), (cut.first_original, cut.second_original), reductions(first, second))
+    evened = [
+        _evened(view, task.stretches[view.name], original, size, ratio, task.parameters)
+        for view, original, ratio in images
+    ]
     return _Frames(pair, names, (evened[0], evened[1]), (corners[0], corners[1]))
 
 
@@ -245,15 +248,15 @@ def _distance(a: FloatImage, b: FloatImage) -> FloatImage:
 
 
 def _evened(
-    view: View, stretch: Stretch, to_original: PixelMap, size: Size, parameters: AlignmentParameters
+    view: View, stretch: Stretch, to_original: PixelMap, size: Size, ratio: float, parameters: AlignmentParameters
 ) -> ByteImage:
-    """The view as (rows, columns), with locally even intensity and contrast.
+    """The view as (rows, columns), ``ratio`` times as coarse, with locally even intensity and contrast.
 
     Registration assumes that a ground point has the same intensity in both views. Under another sun or in another
     season it has not, and ties would be dropped or displaced.
     """
     with opened_masked(view.image, view.mask) as dataset:
-        pixels = known_or_zero(stretch.apply(warp(dataset, view.band, to_original, size, "cubic")))
+        pixels = known_or_zero(stretch.apply(warp_coarsened(dataset, view.band, to_original, size, "cubic", ratio)))
     mean = gaussian_mean(np.ones(pixels.shape, bool), parameters.even_px)
     away = pixels - mean(pixels)
     contrast = np.sqrt(mean(away * away))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, Dict, List
+from typing import Callable, Dict, List, Sequence, Tuple
 
 import cv2
 import numpy as np
 from osgeo import ogr
 
 from ..arrays import Bounds, FloatArray, Window
-from ..geometry.footprints import box
-from ..geometry.frames import geodetic_from_projected
+from ..geometry.footprints import bounds_of, box, footprint, geometry_of
+from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.tiles import enclosing
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read
@@ -19,6 +19,7 @@ from ..progress import Progress
 from ..scene import Scene
 from .parameters import POINTING, PatchParameters
 
+Pair = Tuple[str, str]
 Texture = Callable[[Bounds], float]
 """How suitable a patch is: more is better."""
 
@@ -59,6 +60,84 @@ def ranked_patches(
         if places:
             result.append(places)
     return result
+
+
+def common_ground(scene: Scene, pairs: Sequence[Pair]) -> Dict[Pair, ogr.Geometry]:
+    """For each pair of views, the part of the scene's area that both see at its middle altitude, in the scene's CRS."""
+    area, altitude = ogr.CreateGeometryFromWkt(scene.area), sum(scene.altitudes) / 2
+    shapes = {}
+    for name in {name for pair in pairs for name in pair}:
+        view = scene.view(name)
+        outline = footprint(view.localise, view.size, altitude)
+        shapes[name] = geometry_of(projected_from_geodetic(scene.crs, outline))
+    return {pair: shapes[pair[0]].Intersection(shapes[pair[1]]).Intersection(area) for pair in pairs}
+
+
+def is_block(scene: Scene, ground: Dict[Pair, ogr.Geometry], parameters: PatchParameters) -> bool:
+    """Whether a scene is a block of frames: most pairs see a small part of its area only."""
+    whole = ogr.CreateGeometryFromWkt(scene.area).GetArea()
+    return bool(np.median([shared.GetArea() for shared in ground.values()]) < parameters.block_share * whole)
+
+
+class BlockPatches:
+    """Where the ties of a block of frames are searched: some patches on the ground of each pair.
+
+    Patches that an earlier pair has got count for all pairs that see them. ``texture`` is given a patch and the pair.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        ground: Dict[Pair, ogr.Geometry],
+        texture: Callable[[Bounds, Pair], float],
+        parameters: PatchParameters,
+    ) -> None:
+        self._ground, self._texture, self._parameters = ground, texture, parameters
+        self._side = parameters.most_px * scene.gsd_m
+        self._chosen: List[Bounds] = []
+
+    def first(self, progress: Progress) -> List[Bounds]:
+        """Patches for all pairs."""
+        for pair in self._ground:
+            progress.check_cancelled()
+            self._add(pair, self._parameters.frame_patches)
+        return list(self._chosen)
+
+    def more(self, pairs: Sequence[Pair]) -> List[Bounds]:
+        """As many patches again for pairs with too few ties; those that there is room for."""
+        before = len(self._chosen)
+        for pair in pairs:
+            self._add(pair, len(self._on(pair)) + self._parameters.frame_patches)
+        return self._chosen[before:]
+
+    def seeing(self, place: Bounds) -> List[Pair]:
+        """The pairs that see enough of a patch."""
+        least = self._parameters.frame_seen
+        return [pair for pair, shared in self._ground.items() if _share_within(place, shared) >= least]
+
+    def _on(self, pair: Pair) -> List[Bounds]:
+        least = self._parameters.frame_inside
+        return [place for place in self._chosen if _share_within(place, self._ground[pair]) >= least]
+
+    def _add(self, pair: Pair, wanted: int) -> None:
+        """Patches on a pair's ground, those with the best texture first, until it has so many."""
+        missing, shared = wanted - len(self._on(pair)), self._ground[pair]
+        if missing <= 0 or not shared.GetArea() > 0:
+            return
+        bounds = bounds_of(shared)
+        extent = np.array([bounds.xmax - bounds.xmin, bounds.ymax - bounds.ymin])
+        side = min(self._side, float(extent.max()) / 2)
+        places = _places(np.array(bounds[:2]), extent, side, self._parameters.frame_places)
+        inside = {place: _share_within(place, shared) for place in places}
+        most = min(self._parameters.frame_inside, max(inside.values()))
+        free = [place for place in places if inside[place] >= most and self._is_apart(place)]
+        for place in sorted(free, key=lambda place: -self._texture(place, pair)):
+            if missing > 0 and self._is_apart(place):
+                self._chosen.append(place)
+                missing -= 1
+
+    def _is_apart(self, place: Bounds) -> bool:
+        return all(_share_within(place, box(other)) <= self._parameters.frame_apart for other in self._chosen)
 
 
 def _places(corner: FloatArray, step: FloatArray, side: float, most: int) -> List[Bounds]:

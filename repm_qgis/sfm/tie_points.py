@@ -6,6 +6,7 @@ vertical parallax and the disparity of a match: only few candidates compete, and
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Dict, List, Optional, Sequence, Tuple
@@ -19,17 +20,19 @@ from ..errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.refinement import apply_homography
 from ..imagery.enhancement import Stretch
+from ..imagery.parameters import SAMPLING
 from ..imagery.raster import opened_masked
-from ..imagery.warping import warp
+from ..imagery.warping import warp_coarsened
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
 from ..scene import Scene, View
-from ..stereo.pairing import ground_points, rectify_over, refined_view
+from ..stereo.pairing import ground_points, rectify_over, reductions, refined_view
 from ..stereo.rectification import RectifiedPair
+from .graph import components
 from .keypoints import CPU_DETECTOR, Detector
 from .overlap import foreign_rpc
-from .parameters import POINTING, PointingParameters, TieParameters
-from .tie_patches import ranked_patches, texture_of
+from .parameters import POINTING, PatchParameters, PointingParameters, TieParameters
+from .tie_patches import BlockPatches, common_ground, covered_by_ties, is_block, ranked_patches, texture_of
 
 _ROWS = 256  # of the matrix of distances that are made at once: they fit into the cache
 
@@ -60,11 +63,15 @@ class _Features:
 
 @dataclass(frozen=True)
 class _PatchTask:
-    """What a worker needs to match all pairs over one patch; ``scene`` is without its tiles."""
+    """What a worker needs to match all pairs over one patch; ``scene`` is without its tiles.
+
+    ``coarsest_m`` has for each pair the GSD at which its keypoints are found.
+    """
 
     scene: Scene
     bounds: Bounds
     pairs: Tuple[Pair, ...]
+    coarsest_m: Tuple[float, ...]
     stretches: Dict[str, Stretch]
     detector: Detector
     small_px: int
@@ -83,43 +90,114 @@ def find_ties(
 ) -> List[PairMatches]:
     """Match pairs of views on patches spread over the scene; more patches where the first give too few.
 
-    ``workers`` 0 means one for each core. Raises DetectorError where the detector's device fails, EmptyResultError with
-    the counts where a pair has too few ties.
+    Pairs with too few ties are left out where the others connect all their views. ``workers`` 0 means one for each
+    core. Raises DetectorError where the detector's device fails, EmptyResultError with the counts where a pair that is
+    needed has too few ties.
     """
     patches, ties = parameters.patches, parameters.ties
     names = {name for pair in pairs for name in pair}
     used = {name: stretch for name, stretch in stretches.items() if name in names}
-    cells = ranked_patches(scene, lambda place: texture_of(scene, used, place, patches), progress, patches)
-    lean, small_px = scene.lean(), ties.small_px if len(cells) == 1 else ties.small_patch_px
-    features = max(ties.least_patch_features, ties.most_features // len(cells))
+    search = _Search.of(scene, pairs, used, progress, patches)
+    lean, small_px = scene.lean(), ties.small_px if search.count == 1 else ties.small_patch_px
+    features = max(ties.least_patch_features, ties.most_features // search.count)
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in pairs}
+    kept = {pair: consistent_matches(*pair, [], ties) for pair in pairs}
+    gsd_m = common_gsd_m([max(scene.view(name).gsd_m for name in pair) for pair in pairs])
+    coarsest_m, lacking = dict(zip(pairs, gsd_m)), list(pairs)
     for number in range(patches.most_rounds):
-        places = [cell[number] for cell in cells if number < len(cell)]
-        tasks = [_PatchTask(lean, place, tuple(pairs), used, detector, small_px, features, ties) for place in places]
+        tasks = []
+        for place in search.places(number, lacking):
+            own = search.pairs(place)
+            scales = tuple(coarsest_m[pair] for pair in own)
+            tasks.append(_PatchTask(lean, place, own, scales, used, detector, small_px, features, ties))
         if not tasks:
             break
         part = Part(progress, 1 - 0.5**number, 1 - 0.5 ** (number + 1), "tie points")
         for found in run_tasks(_match_patch, tasks, detector.workers(workers), part, lambda _: "patch"):
             for pair, matches in found.items():
                 parts[pair].append(matches)
-        kept = [consistent_matches(*pair, found, ties) for pair, found in parts.items()]
-        if all(len(matches.first_px) >= patches.enough_ties for matches in kept):
+        kept = {pair: consistent_matches(*pair, found, ties) for pair, found in parts.items()}
+        lacking = [pair for pair, matches in kept.items() if len(matches.first_px) < search.enough]
+        if not lacking:
             break
-    return [_checked(scene.view(first), scene.view(second), found, ties) for (first, second), found in parts.items()]
+    enough = [pair for pair in pairs if len(kept[pair].first_px) >= ties.least_ties]
+    groups = components(sorted(names), enough)
+    needed = [pair for pair in pairs if not any(group.issuperset(pair) for group in map(set, groups))]
+    for first, second in needed:
+        raise _too_few(scene.view(first), scene.view(second), kept[first, second], parts[first, second], ties)
+    return [kept[pair] for pair in enough]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Where all pairs are searched: in each of the ``cells``, or in the patches of a ``block`` of frames."""
+
+    every: Tuple[Pair, ...]
+    cells: List[List[Bounds]]
+    block: Optional[BlockPatches]
+    enough: int
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        pairs: Sequence[Pair],
+        stretches: Dict[str, Stretch],
+        progress: Progress,
+        parameters: PatchParameters,
+    ) -> "_Search":
+        ground = common_ground(scene, pairs)
+        if len(pairs) > 1 and not covered_by_ties(scene, parameters) and is_block(scene, ground, parameters):
+
+            def texture(place: Bounds, pair: Pair) -> float:
+                return texture_of(scene, {name: stretches[name] for name in pair}, place, parameters)
+
+            block = BlockPatches(scene, ground, texture, parameters)
+            return cls(tuple(pairs), [[place] for place in block.first(progress)], block, parameters.frame_ties)
+        cells = ranked_patches(scene, lambda at: texture_of(scene, stretches, at, parameters), progress, parameters)
+        return cls(tuple(pairs), cells, None, parameters.enough_ties)
+
+    @property
+    def count(self) -> int:
+        """How many patches share the keypoints of a view."""
+        return len(self.cells)
+
+    def places(self, number: int, lacking: Sequence[Pair]) -> List[Bounds]:
+        """The patches of a round; those of a block's further rounds lie on the ground of pairs that lack ties."""
+        if self.block is not None and number > 0:
+            return self.block.more(lacking)
+        return [cell[number] for cell in self.cells if number < len(cell)]
+
+    def pairs(self, place: Bounds) -> Tuple[Pair, ...]:
+        """The pairs that may see a patch."""
+        return self.every if self.block is None else tuple(self.block.seeing(place))
+
+
+def common_gsd_m(gsd_m: Sequence[float]) -> Tuple[float, ...]:
+    """For each pair's GSD, the coarsest one of those that are about alike: keypoints of one view that are found at
+    different scales are no common tie points, so that there are as few scales as possible."""
+    common: Dict[float, float] = {}
+    coarsest = math.inf
+    for one in sorted(set(gsd_m), reverse=True):
+        coarsest = coarsest if coarsest <= SAMPLING.alike * one else one
+        common[one] = coarsest
+    return tuple(common[one] for one in gsd_m)
 
 
 def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
     """Matches of all pairs over one patch; pairs without any are left out."""
-    coarsest = max(task.scene.view(name).gsd_m for name in task.stretches)
-    features: Dict[str, _Features] = {}
-    for name in task.stretches:
-        found = _features(task, task.scene.view(name), coarsest)
-        if found is not None:
-            features[name] = found
+    features: Dict[Tuple[str, float], Optional[_Features]] = {}
+
+    def of(name: str, gsd_m: float) -> Optional[_Features]:
+        if (name, gsd_m) not in features:
+            features[name, gsd_m] = _features(task, task.scene.view(name), gsd_m)
+        return features[name, gsd_m]
+
     result = {}
-    for first, second in task.pairs:
-        if first in features and second in features:
-            matches = _match(task, features[first], features[second])
+    for (first, second), gsd_m in zip(task.pairs, task.coarsest_m):
+        a, b = of(first, gsd_m), of(second, gsd_m)
+        if a is not None and b is not None:
+            matches = _match(task, a, b)
             if matches is not None:
                 result[first, second] = matches
     return result
@@ -131,20 +209,24 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     camera = refined_view(scene, view, task.bounds.grown(parameters.margin_px * scene.gsd_m), scene.altitudes)
     if camera is None:
         return None
-    # All views have one sampling distance here: most keypoints have the smallest scale, and match at equal scales only.
-    factor = (parameters.reduction if min(camera.size) >= task.small_px else 1.0) * coarsest_m / view.gsd_m
+    # Both views have one sampling distance here: most keypoints have the smallest scale, and match at equal scales
+    # only.
+    finer = coarsest_m / view.gsd_m
+    ratio = finer if finer > SAMPLING.alike else 1.0
+    factor = (parameters.reduction if min(camera.size) >= ratio * task.small_px else 1.0) * finer
     size = (max(1, int(camera.size[0] / factor)), max(1, int(camera.size[1] / factor)))
 
     def to_original(points: FloatArray) -> FloatArray:
         return camera.to_original.original_from_refined((points + 0.5) * factor - 0.5)
 
     with opened_masked(view.image, view.mask) as dataset:
-        pixels = task.stretches[view.name].apply(warp(dataset, view.band, to_original, size))
+        seen = warp_coarsened(dataset, view.band, to_original, size, "bilinear", ratio)
+    pixels = task.stretches[view.name].apply(seen)
     missing = ~np.isfinite(pixels)
     grey: ByteImage = (np.where(missing, 0, pixels) * 255).astype(np.uint8)
     kernel = np.ones((2 * parameters.border_px + 1,) * 2, np.uint8)
     mask = np.asarray(cv2.erode((~missing).astype(np.uint8), kernel, borderValue=(0,)))
-    usual = parameters.features_per_mpx * camera.size[0] * camera.size[1] / 1e6
+    usual = parameters.features_per_mpx * camera.size[0] * camera.size[1] / ratio**2 / 1e6
     most = min(int(np.clip(usual, parameters.least_features, parameters.most_features)), task.features)
 
     def choose(points: FloatArray, strength: FloatArray) -> Indices:
@@ -175,7 +257,8 @@ def _match(task: _PatchTask, first: _Features, second: _Features) -> Optional[Pa
     near that value, and a third along its trend over the patch, have fewer candidates that compete.
     """
     scene, parameters = task.scene, task.parameters
-    pair = rectify_over(scene, (first.camera, second.camera), task.bounds, scene.altitudes)
+    reduction = reductions(first.view, second.view)[0]
+    pair = rectify_over(scene, (first.camera, second.camera), task.bounds, scene.altitudes, reduction)
     a = apply_homography(pair.h_first, first.points)
     b = apply_homography(pair.h_second, second.points)
     low, high = disparity_range(pair, first.view, second.view, ground_points(scene, task.bounds, scene.altitudes))
@@ -311,18 +394,17 @@ def parallax_trend(
     return np.asarray(design(at) @ plane)
 
 
-def _checked(first: View, second: View, parts: Sequence[PairMatches], parameters: TieParameters) -> PairMatches:
-    """The consistent matches of a pair; raises EmptyResultError where they are too few."""
-    found = consistent_matches(first.name, second.name, parts, parameters)
-    if len(found.first_px) < parameters.least_ties:
-        candidates = sum(len(part.first_px) for part in parts)
-        doubt = foreign_rpc([first, second]) or "Check that each RPC belongs to its image: a crop's often does not."
-        raise EmptyResultError(
-            f"{first.name} and {second.name} have only {len(found.first_px)} consistent tie points, of {candidates} "
-            f"candidates in {counted(len(parts), 'place')} (needed: {parameters.least_ties}). {doubt} Do they show the "
-            "same place, in focus and without clouds? Choose another EXTENT with more texture, or another pair."
-        )
-    return found
+def _too_few(
+    first: View, second: View, found: PairMatches, parts: Sequence[PairMatches], parameters: TieParameters
+) -> EmptyResultError:
+    """The error of a pair whose consistent matches are too few."""
+    candidates = sum(len(part.first_px) for part in parts)
+    doubt = foreign_rpc([first, second]) or "Check that each RPC belongs to its image: a crop's often does not."
+    return EmptyResultError(
+        f"{first.name} and {second.name} have only {len(found.first_px)} consistent tie points, of {candidates} "
+        f"candidates in {counted(len(parts), 'place')} (needed: {parameters.least_ties}). {doubt} Do they show the "
+        "same place, in focus and without clouds? Choose another EXTENT with more texture, or another pair."
+    )
 
 
 def _mode(values: FloatArray, width: float) -> float:

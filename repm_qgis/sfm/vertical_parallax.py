@@ -7,7 +7,7 @@ themselves, so that no camera fitted over a whole scene changes it.
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -69,8 +69,15 @@ def largest_parallax(
 ) -> Tuple[FloatArray, FloatArray]:
     """(N,) vertical parallax and azimuth of each track in the pair of its views where it is largest."""
     parallax, azimuths = np.zeros(len(tracks)), np.zeros(len(tracks))
-    for pair in combinations(views, 2):
-        members, found, azimuth = tracks_of_pair(pair, tracks, ground)
+    order = {view.name: number for number, view in enumerate(views)}
+    shared: Dict[Tuple[int, int], List[int]] = {}
+    for number, track in enumerate(tracks):
+        for pair in combinations(sorted(order[name] for name in track.pixels), 2):
+            shared.setdefault((pair[0], pair[1]), []).append(number)
+    for (i, j), numbers in sorted(shared.items()):
+        seen = [tracks[k] for k in numbers]
+        own, found, azimuth = tracks_of_pair((views[i], views[j]), seen, ground[numbers])
+        members = np.array(numbers)[own]
         larger = np.abs(found) > np.abs(parallax[members])
         chosen = members[larger]
         parallax[chosen], azimuths[chosen] = found[larger], azimuth[larger]

@@ -117,8 +117,8 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
     """Bounds in the UTM zone of all that any view may see, with a margin for shadows."""
     places = []
     for view in views:
-        edge = np.linspace(-8.0, spec.size + 7.0, 9)
-        pixels = np.stack(np.meshgrid(edge, edge), axis=-1).reshape(-1, 2)
+        edges = (np.linspace(-8.0, side + 7.0, 9) for side in view.size)
+        pixels = np.stack(np.meshgrid(*edges), axis=-1).reshape(-1, 2)
         for height in spec.height_bounds:
             places.append(projected_from_geodetic(spec.crs, view.localise(pixels, height)))
     every = np.concatenate(places)

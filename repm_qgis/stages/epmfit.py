@@ -25,6 +25,7 @@ from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
 from ..imagery.collars import write_collar_mask
 from ..imagery.deliveries import with_images
+from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
 from ..memory import planned_mib
 from ..names import scene_title
@@ -32,7 +33,7 @@ from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
-from ..scene import Scene, Tile, TileView, View, common_heights, folder_of, middle_of, reusable
+from ..scene import Scene, Tile, TileView, View, common_heights, finest_gsd_m, folder_of, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
 from ..sfm.overlap import views_of
 from ..sfm.plane_heights import with_planes
@@ -40,6 +41,8 @@ from ..stereo.parameters import STEREO
 from ..vector import write_layer
 from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
 from .parameters import ENGINE, EngineParameters, TileParameters
+
+_MOST_NAMED = 12  # images that the log names one by one
 
 
 def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
@@ -107,10 +110,7 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
 
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
     views = views_of(options, parameters.tiles.least_overlap_px, progress.warn)
-    taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
-    satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
-    sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
-    progress.info("; ".join(map("".join, zip(sizes, satellites, taken))))
+    _log_views(views, progress)
     crs = _crs(options, views)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
@@ -151,6 +151,25 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     scene = replace(scene, tiles=_tiles(scene, lay_tiles(area, size * scene.gsd_m), progress))
     progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
+
+
+def _log_views(views: Sequence[View], progress: Progress) -> None:
+    """The images, and at which ground sampling distance those of different sensors are matched."""
+    finest, coarsest = (choose(view.gsd_m for view in views) for choose in (min, max))
+    if len(views) > _MOST_NAMED:
+        pixels = sum(view.width * view.height for view in views) / 1e6
+        progress.info(f"{len(views)} images with {pixels:.0f} million pixels of {finest:.2f} to {coarsest:.2f} m.")
+    else:
+        taken = [f", taken {v.time:%Y-%m-%d %H:%M:%S} UTC" if v.time else "" for v in views]
+        satellites = [f", {v.sensor}" if v.sensor else "" for v in views]
+        sizes = (f"{v.name}: {v.width} x {v.height} px of {v.gsd_m:.2f} m" for v in views)
+        progress.info("; ".join(map("".join, zip(sizes, satellites, taken))))
+    if coarsest > SAMPLING.alike * finest:
+        progress.info(
+            f"The images' ground sampling distances are {finest:.2f} to {coarsest:.2f} m: each pair is matched at that "
+            "of its coarser image, to which the finer one is reduced; tiles and cells follow the finest pair "
+            f"({finest_gsd_m(views):.2f} m)."
+        )
 
 
 def _parted(views: Sequence[View], crs: str, area: ogr.Geometry, altitudes: Altitudes) -> Tuple[View, ...]:

@@ -73,8 +73,8 @@ def _outlook(places: Sequence[Place], tile_px: int) -> str:
 
 
 def _all_px(place: Place) -> List[float]:
-    gsd_m = min(facts.view.gsd_m for facts in place.images)
-    return [facts.ground.GetArea() / gsd_m**2 for facts in place.pairs if facts.chosen]
+    chosen = [facts for facts in place.pairs if facts.chosen]
+    return place.matched_px(chosen, [facts.view for facts in place.images]) if chosen else []
 
 
 def _choices(places: Sequence[Place], tile_px: int) -> List[Choice]:

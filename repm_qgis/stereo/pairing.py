@@ -11,6 +11,7 @@ from ..geometry.equivalent_error import RefinedPinhole, fit_pinhole, refine_pinh
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import pixel_window
+from ..imagery.parameters import SAMPLING
 from ..scene import Scene, View
 from .parameters import STEREO, StereoParameters
 from .rectification import RectifiedPair, rectify
@@ -26,7 +27,19 @@ def rectified_pair(
     """
     found = (refined_view(scene, view, bounds, altitudes) for view in (first, second))
     refined = [view for view in found if view is not None]
-    return rectify_over(scene, refined, bounds, altitudes, parameters) if len(refined) == 2 else None
+    if len(refined) < 2:
+        return None
+    return rectify_over(scene, refined, bounds, altitudes, reductions(first, second)[0], parameters)
+
+
+def reductions(first: View, second: View) -> Tuple[float, float]:
+    """How many pixels of each view one pixel of their common frame is wide: the frame has the GSD of the coarser view.
+
+    1 for views that are about equally fine.
+    """
+    coarser = max(first.gsd_m, second.gsd_m)
+    found = coarser / first.gsd_m, coarser / second.gsd_m
+    return found if max(found) > SAMPLING.alike else (1.0, 1.0)
 
 
 def rectify_over(
@@ -34,13 +47,17 @@ def rectify_over(
     pair: Sequence[RefinedPinhole],
     bounds: Bounds,
     altitudes: Altitudes,
+    reduction: float,
     parameters: StereoParameters = STEREO,
 ) -> RectifiedPair:
-    """Rectify two refined views so that the frame holds a ground rectangle at all altitudes of a range."""
+    """Rectify two refined views so that the frame holds a ground rectangle at all altitudes of a range.
+
+    One of its pixels is ``reduction`` px of the first view wide.
+    """
     points, (first, second) = parameters.ground_points, pair
     plane, tile = (ground_points(scene, bounds, levels, points) for levels in ((sum(altitudes) / 2,), altitudes))
     places = scene.frame.from_geodetic(plane), scene.frame.from_geodetic(tile)
-    return rectify(first, second, *places, parameters.most_shear)
+    return rectify(first, second, *places, parameters.most_shear, reduction)
 
 
 def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes) -> Optional[RefinedPinhole]:

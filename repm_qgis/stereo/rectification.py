@@ -70,7 +70,12 @@ def _aligning_rotation(first: PinholeCamera, second: PinholeCamera, target: Floa
 
 
 def rectify(
-    first: RefinedPinhole, second: RefinedPinhole, plane: FloatArray, tile: FloatArray, most_shear: float
+    first: RefinedPinhole,
+    second: RefinedPinhole,
+    plane: FloatArray,
+    tile: FloatArray,
+    most_shear: float,
+    reduction: float = 1.0,
 ) -> RectifiedPair:
     """Homographies that align the rows of two refined images.
 
@@ -80,13 +85,15 @@ def rectify(
     plane : (N, 3) points of the local frame at the middle altitude, where the disparity becomes as close to zero as
         an affine change of the second image's columns allows.
     tile : (M, 3) points of the local frame whose pixels in the first image the rectified frame must contain.
+    reduction : pixels of the first image to one of the frame, where the second image is coarser.
 
     Notes
     -----
     Turning both cameras onto their common baseline (Fusiello, Trucco and Verri, A compact algorithm for
     rectification of stereo pairs, 2000) aligns the rows. One affine change of rows for both images and of columns for
-    each is still free; it gives the first image the scale of its refined image, and shears its columns along its rows,
-    by at most ``most_shear``, so that the tile fills the frame: what lies beside it is matched for nothing.
+    each is still free; it gives the first image the scale of its refined image, or that divided by ``reduction``, and
+    shears its columns along its rows, by at most ``most_shear``, so that the tile fills the frame: what lies beside it
+    is matched for nothing.
     """
     R = _aligning_rotation(first.camera, second.camera, plane.mean(axis=0))
     turn_first = _turn(first.camera, R)
@@ -101,6 +108,7 @@ def rectify(
     columns = across @ np.linalg.inv(J)
     A = np.array([[columns[0], columns[1], 0.0], [0.0, 1.0 / np.linalg.norm(J[1]), 0.0], [0.0, 0.0, 1.0]])
     A = _upright(apply_homography(A @ turn_first, first.camera.project(tile)), most_shear) @ A
+    A = np.diag([1.0 / reduction, 1.0 / reduction, 1.0]) @ A
     h_first = A @ turn_first
     h_second = A @ turn_second
     h_second = _aligned_columns(h_first, h_second, ground, second.camera.project(plane)) @ h_second

@@ -9,8 +9,9 @@ from osgeo import gdal
 
 from repm_qgis.errors import ImageError, OptionError
 from repm_qgis.imagery.deliveries import delivered, whole_of
+from repm_qgis.imagery.raster import opened
 from repm_qgis.options import EpmFitOptions, InspectOptions
-from repm_qgis.rpc.writers import rpb_text
+from repm_qgis.rpc.writers import rpb_text, rpc_tags
 from repm_qgis.scene import Scene, load_view
 from repm_qgis.stages import run_stage
 
@@ -101,25 +102,34 @@ def test_an_index_that_names_other_folders_is_not_followed(urban, tmp_path):
     assert delivered([str(tmp_path / NAMES[1])]).images == (str(tmp_path / NAMES[1]),)
 
 
-def test_an_airbus_product_in_tiles_is_one_image(urban, tmp_path):
-    view, core = urban.views[1], "PHR1A_P_201304171037198_SEN_1-001"
+CORE = "PHR1A_P_201304171037198_SEN_1-001"
+
+
+def airbus(view, folder, core=CORE):
+    """A Primary product in four tiles of 256 px as Airbus delivers it, with its DIMAP file; the tiles' names."""
     names = [f"IMG_{core}_R{row}C{col}.TIF" for row in (1, 2) for col in (1, 2)]
-    cut(view, tmp_path, names, (256, 256))
+    cut(view, folder, names, (256, 256))
     files = "".join(
         f'<Data_File tile_R="{n // 2 + 1}" tile_C="{n % 2 + 1}"><DATA_FILE_PATH href="{name}"/></Data_File>'
         for n, name in enumerate(names)
     )
     tiling = '<Regular_Tiling><NTILES>4</NTILES><NTILES_SIZE ncols="256" nrows="256"/><NTILES_COUNT ntiles_R="2" '
     tiling += 'ntiles_C="2"/><OVERLAP_COL>0</OVERLAP_COL><OVERLAP_ROW>0</OVERLAP_ROW></Regular_Tiling>'
-    (tmp_path / f"DIM_{core}.XML").write_text(
+    (folder / f"DIM_{core}.XML").write_text(
         '<Dimap_Document><Metadata_Identification><METADATA_FORMAT version="2.0">DIMAP</METADATA_FORMAT>'
         f"</Metadata_Identification><Raster_Data><Data_Access><DATA_FILE_FORMAT>image/tiff</DATA_FILE_FORMAT>"
         f"<Data_Files>{files}</Data_Files></Data_Access><Raster_Dimensions><NROWS>{view.height}</NROWS>"
         f"<NCOLS>{view.width}</NCOLS><NBANDS>1</NBANDS><Tile_Set><NTILES>4</NTILES>{tiling}</Tile_Set>"
         "</Raster_Dimensions><Raster_Encoding><NBITS>16</NBITS></Raster_Encoding></Raster_Data></Dimap_Document>"
     )
-    (tmp_path / f"DIM_{core}.RPB").write_text(rpb_text(view.rpc))
-    index = str(tmp_path / f"DIM_{core}.XML")
+    (folder / f"DIM_{core}.RPB").write_text(rpb_text(view.rpc))
+    return names
+
+
+def test_an_airbus_product_in_tiles_is_one_image(urban, tmp_path):
+    view = urban.views[1]
+    names = airbus(view, tmp_path)
+    index = str(tmp_path / f"DIM_{CORE}.XML")
     assert delivered([str(tmp_path / name) for name in names]).images == (index,)
     whole = load_view(index)
     assert whole.size == view.size
@@ -136,6 +146,43 @@ def test_a_folder_gives_panchromatic_images_and_sets_the_others_apart(urban, tmp
     found = delivered([str(tmp_path)])
     assert found.images == (index, second) and found.xs == (colours,)
     assert delivered([str(tmp_path), second]).images == (index, second)
+
+
+def rpc_lines(rpc):
+    """The keys and values of a text file with an RPC, a coefficient a line."""
+    for key, value in rpc_tags(rpc).items():
+        if key.endswith("_COEFF"):
+            yield from ((f"{key}_{number}", each) for number, each in enumerate(value.split(), start=1))
+        else:
+            yield key, value
+
+
+def test_halves_of_two_cameras_are_images_of_their_own(urban, tmp_path, write_image):
+    """Names of GF-2's files: PMS1 and PMS2 see the left and the right half, with an RPC each; there is no index."""
+    stems = [f"GF2_PMS{n}_E116.4_N39.9_20230522_L1A000729370{n}" for n in (1, 2)]
+    images = []
+    for number, (stem, view) in enumerate(zip(stems, urban.views), start=1):
+        without_rpc(view, tmp_path / stem / f"{stem}-PAN{number}.tiff")
+        (tmp_path / stem / f"{stem}-PAN{number}.rpb").write_text(rpb_text(view.rpc))
+        facts = "<ProductMetaData><SatelliteID>GF2</SatelliteID></ProductMetaData>"
+        (tmp_path / stem / f"{stem}-PAN{number}.xml").write_text(facts)
+        write_image(tmp_path / stem / f"{stem}-MSS{number}.tiff", np.ones((4, 90, 100), np.uint16), view.rpc)
+        images.append(str(tmp_path / stem / f"{stem}-PAN{number}.tiff"))
+    found = delivered([str(tmp_path)])
+    assert found.images == tuple(images) and len(found.xs) == 2
+
+
+def test_a_folder_of_skysats_frames_gives_all_of_them(urban, tmp_path, write_image):
+    """Names of SkySat's Basic L1A frames: the RPC beside each image, and a mask that is none."""
+    images = []
+    for number, view in enumerate(urban.views):
+        path = tmp_path / f"20200101_101010_ssc{number}d1_000{number}_basic_l1a_panchromatic_dn.tif"
+        without_rpc(view, path)
+        lines = [f"{key}: {value}" for key, value in rpc_lines(view.rpc)]
+        path.with_name(f"{path.stem}_RPC.TXT").write_text("\n".join(lines) + "\n")
+        write_image(path.with_name(path.name.replace("panchromatic_dn", "panchromatic_udm2")))
+        images.append(str(path))
+    assert delivered([str(tmp_path)]).images == tuple(images)
 
 
 def test_a_folder_of_colour_images_alone_gives_these(urban, tmp_path, write_image):
@@ -167,14 +214,46 @@ def test_an_archive_is_read_without_unpacking(urban, tmp_path):
         assert np.abs(again.project(ground) - view.project(ground)).max() < 1e-6
 
 
-def test_tiles_in_an_archive_are_to_be_unpacked(urban, tmp_path):
-    maxar(urban.views[0], tmp_path / "in")
+def test_tiles_in_an_archive_are_one_image(urban, tmp_path):
+    maxar(urban.views[0], tmp_path / "in" / "055_P1BS")
+    airbus(urban.views[1], tmp_path / "in")
+    archive = tmp_path / "order.zip"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+        for file in sorted(file for file in (tmp_path / "in").rglob("*") if file.is_file()):
+            packed.write(file, file.relative_to(tmp_path / "in").as_posix())
+    root = f"/vsizip/{archive.as_posix()}"
+    found = delivered([str(archive)]).images
+    assert found == (f"{root}/055_P1BS/{INDEX}", f"{root}/DIM_{CORE}.XML")
+    for view, path in zip(urban.views, found):
+        again = load_view(path)
+        assert again.size == view.size
+        np.testing.assert_array_equal(pixels_of(path), pixels_of(view.image))
+        ground = view.localise(np.array([[10.0, 20.0], [300.0, 350.0]]), 200.0)
+        assert np.abs(again.project(ground) - view.project(ground)).max() < 1e-6
+
+
+VRT = '<VRTDataset rasterXSize="2" rasterYSize="2"/>'
+
+
+@pytest.mark.parametrize("kind", ["a network path", "another index", "a tile that is a description"])
+@pytest.mark.parametrize("vendor", ["airbus", "maxar"])
+def test_an_index_in_an_archive_leads_nowhere_else(urban, tmp_path, kind, vendor):
+    names = airbus(urban.views[1], tmp_path) if vendor == "airbus" else NAMES
+    index = tmp_path / (f"DIM_{CORE}.XML" if vendor == "airbus" else os.path.basename(maxar(urban.views[0], tmp_path)))
+    if kind == "a network path":
+        index.write_text(index.read_text().replace(f'"{names[3]}"', '"/vsicurl/http://localhost:9/x.tif"'))
+    elif kind == "another index":
+        component = '<COMPONENT_TYPE>DIMAP</COMPONENT_TYPE><COMPONENT_PATH href="b.xml"/>'
+        index.write_text(index.read_text() + component)
+    else:
+        (tmp_path / names[3]).write_text(VRT)
     archive = tmp_path / "order.zip"
     with zipfile.ZipFile(archive, "w") as packed:
-        for file in sorted((tmp_path / "in").iterdir()):
+        for file in (index, *(tmp_path / name for name in names)):
             packed.write(file, file.name)
-    with pytest.raises(ImageError, match="holds an image in tiles: unpack the archive"):
-        delivered([str(archive)])
+    with pytest.raises(ImageError, match="is a description in an archive: unpack the archive"):
+        with opened(f"/vsizip/{archive.as_posix()}/{index.name}"):
+            pass
 
 
 def test_one_folder_is_enough_for_the_stages(urban, tmp_path, told):

@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.imagery.raster import opened
-from repm_qgis.imagery.warping import sample_array, source_pixels, source_positions, warp
+from repm_qgis.imagery.parameters import SAMPLING
+from repm_qgis.imagery.raster import opened, write
+from repm_qgis.imagery.warping import (
+    coarsened,
+    sample_array,
+    source_pixels,
+    source_positions,
+    warp,
+    warp_coarsened,
+)
 
 ANGLE = np.radians(7.0)
 
@@ -169,3 +177,25 @@ def test_a_frame_beside_the_image_has_no_pixels(images):
         source = source_pixels(dataset, 1, lambda at: at + 9000.0, (40, 30), lambda pixels: pixels)
     assert np.isnan(source.sampled(lambda at: at + 9000.0, (40, 30), "cubic")).all()
     assert np.isnan(source.reduced(4).sampled(lambda at: 4 * at + 9000.0, (10, 7), "bilinear")).all()
+
+
+def test_a_finer_image_is_seen_as_coarsely_as_another(tmp_path):
+    fine = np.indices((60, 90)).sum(axis=0) % 2 * 100.0 + 50.0
+    image = write(str(tmp_path / "fine.tif"), [fine.astype(np.float32)], (0.0, 1.0, 0.0, 0.0, 0.0, 1.0), "")
+    with opened(image) as dataset:
+        plain = warp(dataset, 1, lambda p: 3.0 * p + 1.0, (30, 20), "cubic")
+        seen = warp_coarsened(dataset, 1, lambda p: 3.0 * p + 1.0, (30, 20), "cubic", 3.0)
+        same = warp_coarsened(dataset, 1, lambda p: 3.0 * p + 1.0, (30, 20), "cubic", 1.0)
+    assert np.array_equal(same, plain, equal_nan=True)
+    # A pattern that the coarser image cannot hold is its mean there, and no pattern of another width.
+    assert np.nanstd(plain) > 45.0 and np.nanstd(seen) < 3.0 and np.nanmean(seen) == pytest.approx(100.0, abs=0.5)
+
+
+def test_a_coarsened_image_keeps_its_gaps():
+    point = np.zeros((41, 41), np.float32)
+    point[20, 20] = 1.0
+    seen, offset = coarsened(point, 3.0), np.arange(41) - 20.0
+    assert np.sqrt((seen.sum(axis=0) * offset**2).sum()) == pytest.approx(SAMPLING.blur * np.sqrt(8.0), rel=0.02)
+    point[:, :10] = np.nan
+    assert np.array_equal(np.isnan(coarsened(point, 3.0)), np.isnan(point))
+    assert coarsened(point, 1.0) is point

@@ -219,3 +219,11 @@ def test_a_frame_of_which_nothing_is_known_is_matched_as_a_whole():
     )
     nothing = CoarseLevel(np.full((120, 160), np.nan, np.float32), (-100, 100), (480, 640))
     assert nothing.window(Bounds(0.0, 0.0, 10.0, 10.0), geometry, MATCHING.prior) == Window(0, 0, 640, 480)
+
+
+def test_gaps_of_a_narrow_strip_end():
+    """One known cell of a strip: no Gaussian knows enough of the other end, and the search for one had no end."""
+    strip = np.full((60, 2), np.nan, np.float32)
+    strip[0, 0] = 7.0
+    filled = fill_gaps(strip, 2.0)
+    assert np.isfinite(filled).all() and np.abs(filled - 7.0).max() < 1e-3
