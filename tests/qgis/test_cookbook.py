@@ -83,8 +83,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_eighteen_tasks():
-    assert sorted(TASKS) == list(range(1, 19))
+def test_the_book_has_nineteen_tasks():
+    assert sorted(TASKS) == list(range(1, 20))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -250,6 +250,15 @@ def test_18_damage_after_an_earthquake(cook):
     place = Transformer.from_crs(32631, 4326, always_xy=True).transform((west + east) / 2, (south + north) / 2)
     ring = np.array(json.loads((folder / "house.geojson").read_text())["coordinates"][0])
     assert (ring.min(axis=0) < place).all() and (place < ring.max(axis=0)).all()
+
+
+def test_19_two_sensors(cook):
+    folder, said = cook(19)
+    assert "each pair is matched at that of its coarser image" in said
+    dataset = gdal.Open(str(folder / "mixed.tif"))
+    assert dataset.GetGeoTransform()[1] == 4.0
+    found = score_files(str(folder / "mixed.tif"), str(folder / "mountains" / "truth.tif"), "cells").metrics
+    assert found.nmad < 1.5 and found.completeness[-1][1] > 90.0
 
 
 def test_the_whole_book_is_quick():
