@@ -68,6 +68,7 @@ class Hillshades:
 
     def stop(self) -> None:
         _disconnect(self._connections)
+        self._connections = []  # they hold us, and we hold the project, which would outlive QGIS
         self._soon.stop()
         if self._action is not None:
             self._iface.removeCustomActionForLayerType(self._action)
