@@ -297,8 +297,11 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def processAlgorithm(
         self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> dict[str, Any]:
-        with in_workspace(self, parameters, context) as placed:
-            outputs = self._processed(placed, context, feedback)
+        def processed() -> dict[str, Any]:
+            with in_workspace(self, parameters, context) as placed:
+                return self._processed(placed, context, feedback)
+
+        outputs = engine.in_python_thread(processed)
         self._pages: dict[str, str] = {}
         if batch.is_batch(feedback):
             outputs, self._pages = batch.without_pages(self, outputs)
@@ -326,7 +329,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             for output in self.outputDefinitions()
             if made.get(output.name().lower()) is not None
         }
-        run = engine.in_python_thread(lambda: styles.Run(self._scene_name(options), self._days(options, result)))
+        run = styles.Run(self._scene_name(options), self._days(options, result))
         for product in products_of(self.ID):
             name = product.option.upper()
             if product.style and outputs.get(name):

@@ -141,12 +141,9 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
     from ..repm_qgis.stages import run_stage
     from ..repm_qgis.translation import written_in
 
-    def run() -> dict[str, Any]:
+    try:
         with written_in(language(), labels(stage)), one_thread_for_loaded_sums():
             return run_stage(stage, options, FeedbackProgress(feedback, said))
-
-    try:
-        return in_python_thread(run)
     except RepmError as error:
         raise _failure(str(error)) from None
     except ImportError as error:

@@ -311,6 +311,8 @@ def test_light_stages_have_one_thread_for_linear_algebra(plugin, feedback, monke
         return {get() for get, _ in _thread_settings()}
 
     before, seen = [(put, get()) for get, put in _thread_settings()], []
+    if not before:
+        pytest.skip("no library of this numpy has threads that can be set")
     monkeypatch.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments: seen.append(threads()) or {})
     try:
         for put, _ in before:
