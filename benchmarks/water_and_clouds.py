@@ -68,15 +68,23 @@ LAKES = {"still": (-0.25, 0.24, 0.1), "ripples": (0.24, 0.24, 0.1), "glint": (0.
 
 
 def make_pair(
-    folder: str, kind: str = "urban", size: int = 1000, seed: int = 5, water: bool = True, clouds: bool = True
+    folder: str,
+    kind: str = "urban",
+    size: int = 1000,
+    seed: int = 5,
+    water: bool = True,
+    clouds: bool = True,
+    river: bool = False,
 ) -> Disturbed:
-    """Simulate a pair 20 degrees apart with three lakes and two clouds, or without them."""
+    """Simulate a pair 20 degrees apart with three lakes, or a river in their place, and two clouds, or without them."""
     spec = SceneSpec.default(kind, size, seed)
     gsd = spec.sensor.looks[0].gsd_m
     spec = replace(spec, sensor=replace(spec.sensor, looks=(Look(10.0, gsd), Look(-10.0, gsd))))
     views = make_views(spec)
     surface = make_surface(spec, surface_bounds(spec, views), Silent())
-    surface, lakes = _with_lakes(surface, size * gsd) if water else (surface, np.zeros(surface.height.shape, np.uint8))
+    lakes = np.zeros(surface.height.shape, np.uint8)
+    if water or river:
+        surface, lakes = (_with_river if river else _with_lakes)(surface, size * gsd)
     fits = fit_view_rpcs(views, surface.height_range())
     square = common_square(surface, views, spec.surface_step)
     os.makedirs(folder, exist_ok=True)
@@ -117,6 +125,25 @@ def _with_lakes(surface: SimulatedSurface, side: float) -> Tuple[SimulatedSurfac
         lakes[inside] = WATER[name]
         height[inside] = np.percentile(surface.height[inside], 2) - 0.5
     shade = np.where(lakes > 0, -1e3, surface.shade) if surface.shade.shape == lakes.shape else surface.shade
+    return replace(surface, height=height, shade=shade.astype(np.float32)), lakes
+
+
+def _with_river(surface: SimulatedSurface, side: float) -> Tuple[SimulatedSurface, np.ndarray]:
+    """The surface with a winding river of still water from west to east, 0.12 of the side wide, and its cells.
+
+    It falls by 8 m from one side to the other, in the middle of a valley whose floor is half a metre higher.
+    """
+    rows, columns = surface.height.shape
+    x = (np.arange(columns) - (columns - 1) / 2) * surface.cell
+    y = ((rows - 1) / 2 - np.arange(rows)) * surface.cell
+    away = np.abs(y[:, None] - 0.06 * side * np.sin(2 * np.pi * x / side)[None, :])
+    level = float(np.percentile(surface.height, 20)) - 8.0 * x[None, :] / side + np.zeros_like(surface.height)
+    floor = level + 0.5 + np.maximum(away - 0.16 * side, 0.0) * 0.5
+    inside = away < 0.06 * side
+    valley = (away < 0.16 * side) | (surface.height > floor) & (away < 0.3 * side)
+    height = np.where(inside, level, np.where(valley, floor, surface.height)).astype(surface.height.dtype)
+    lakes = np.where(inside, WATER["still"], LAND).astype(np.uint8)
+    shade = np.where((inside | valley), -1e3, surface.shade) if surface.shade.shape == lakes.shape else surface.shade
     return replace(surface, height=height, shade=shade.astype(np.float32)), lakes
 
 

@@ -1596,6 +1596,14 @@
         <translation>occlusions: Zellen, die ein Bild verdeckt, erhalten die Höhe des Bodens dahinter, und Zellen, die ein Schatten ohne Textur lässt, die des Bodens, auf dem er endet; all: übrige Lücken werden zudem interpoliert; beides ist im Konfidenzraster gekennzeichnet. none: sie bleiben ohne Wert.</translation>
     </message>
     <message>
+        <source>Water surfaces</source>
+        <translation>Wasserflächen</translation>
+    </message>
+    <message>
+        <source>keep: as they were matched, mostly without heights; flatten: lakes get the level of their shore, and rivers fall along their flow. Water is found where matching finds nothing and the images are dark and smooth, from 2000 m² and a width of 12 m on.</source>
+        <translation>keep: wie sie zugeordnet wurden, meist ohne Höhen; flatten: Seen bekommen die Höhe ihres Ufers, und Flüsse fallen in Fließrichtung. Wasser wird gefunden, wo die Zuordnung nichts findet und die Bilder dunkel und glatt sind, ab 2000 m² und 12 m Breite.</translation>
+    </message>
+    <message>
         <source>Outlier radius (m)</source>
         <translation>Ausreißerradius (m)</translation>
     </message>
@@ -1746,6 +1754,14 @@
     <message>
         <source>The images in map geometry, on the cells of the DSM, in colour where the images have colours.</source>
         <translation>Die Bilder in Kartengeometrie, auf den Zellen des DOM, farbig, wo die Bilder Farben haben.</translation>
+    </message>
+    <message>
+        <source>Water</source>
+        <translation>Wasser</translation>
+    </message>
+    <message>
+        <source>1 where the images and the matching show water, 0 on land, 255 where neither is known.</source>
+        <translation>1, wo die Bilder und die Zuordnung Wasser zeigen, 0 auf Land, 255, wo beides unbekannt ist.</translation>
     </message>
     <message>
         <source>Point cloud</source>
@@ -2159,6 +2175,14 @@
     <message>
         <source>All bands</source>
         <translation>Alle Kanäle</translation>
+    </message>
+    <message>
+        <source>As matched</source>
+        <translation>Wie zugeordnet</translation>
+    </message>
+    <message>
+        <source>Flat, rivers fall</source>
+        <translation>Eben, Flüsse fallen</translation>
     </message>
     <message>
         <source>Images</source>

@@ -608,6 +608,18 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
             )
         ),
         advanced(
+            choice(
+                DsmFuseOptions,
+                "water",
+                tr("Water surfaces"),
+                tr(
+                    "keep: as they were matched, mostly without heights; flatten: lakes get the level of their shore, "
+                    "and rivers fall along their flow. Water is found where matching finds nothing and the images are "
+                    "dark and smooth, from 2000 m² and a width of 12 m on."
+                ),
+            )
+        ),
+        advanced(
             number(
                 DsmFuseOptions,
                 "outlier_radius",

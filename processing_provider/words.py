@@ -52,6 +52,8 @@ def _words() -> dict[str, str]:
         "ADJUSTMENT=colmap": _tr("With COLMAP"),
         "FILL=all": _tr("All holes"),
         "COLOUR=all": _tr("All bands"),
+        "WATER=keep": _tr("As matched"),
+        "WATER=flatten": _tr("Flat, rivers fall"),
     }
 
 
@@ -63,7 +65,7 @@ def groups() -> list[tuple[str, tuple[str, ...]]]:
         (_tr("Control and references"), ("GCP_DATUM", "REFERENCE_DATUM", "STABLE")),
         (_tr("Cameras"), ("TILE_SIZE", "ERROR_BUDGET", "MODEL", "ORDER")),
         (_tr("Matching"), ("PAIRS", "POINTING", "ADJUSTMENT", "BACKEND")),
-        (_tr("Surface"), ("METHOD", "FILL", "OUTLIER_RADIUS")),
+        (_tr("Surface"), ("METHOD", "FILL", "WATER", "OUTLIER_RADIUS")),
         (
             _tr("Colours, point cloud and mesh"),
             ("COLOUR", "XS", "PANSHARPEN", "CLOUD_NORMALS", "MESH_VERTICES"),

@@ -25,6 +25,7 @@ QUALITIES = ("fast", "default", "best")
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
+WATERS = ("keep", "flatten")
 ALIGNMENTS = ("none", "vertical", "3d")
 COMPARED_ALIGNMENTS = (*ALIGNMENTS, "icp")
 SHIFTS = ("shift", "tilt")
@@ -441,7 +442,8 @@ class DsmFuseOptions(Options):
     scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height, and those that a shadow leaves without texture that of the ground where it ends; ``all``,
-    remaining holes are interpolated besides; or ``none``. ``outlier_radius`` in metres, 0 = off.
+    remaining holes are interpolated besides; or ``none``. ``water``: ``keep`` it as it was matched, or ``flatten`` it
+    to the level of its shore; ``water_mask`` says where it is. ``outlier_radius`` in metres, 0 = off.
     ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser), ``stac`` (an item for
     catalogues): files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each
     pair alone. ``mesh_vertices``: at most so
@@ -458,9 +460,11 @@ class DsmFuseOptions(Options):
     crs: Optional[str] = None
     method: str = choice("mean", METHODS)
     fill: str = choice("occlusions", FILLS)
+    water: str = choice("keep", WATERS)
     outlier_radius: float = number(0.0, 0, 1000, "m")
     confidence: Optional[str] = None
     ortho: Optional[str] = None
+    water_mask: Optional[str] = None
     cloud: Optional[str] = None
     workers: int = whole(0, 0, 1024)
     vertical_datum: str = ""

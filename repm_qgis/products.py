@@ -53,6 +53,7 @@ _SOURCE_CLASSES = (
     "Ground in a shadow",
     "From the cells beside it",
     "Edited by hand",
+    "Level of the water",
 )
 STYLES = (
     Style("gcps"),
@@ -106,6 +107,7 @@ STYLES = (
         title="LE90 of each height",
     ),
     Style("sources", off=True, template="palette"),
+    Style("water", template="palette", classes=("Land", "Water"), off=True),
     Style("mesh", "elevation", off=True, unit=" m"),
     Style("image", plain=True),
     Style("objects", template="palette", classes=("Ground", "Object"), off=True),
@@ -153,6 +155,7 @@ _CONFIDENCE = "For each height: its expected error and LE90 in metres, how many 
 _ORTHO = "The images in map geometry, on the cells of the DSM, in colour where the images have colours."
 _DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
 _OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."
+_WATER_MASK = "1 where the images and the matching show water, 0 on land, 255 where neither is known."
 _CLOUD = "One point for each matched pixel, with its colour: LAZ, LAS, or PLY for 3-D programs without these."
 _MESH = "Triangles: PLY for QGIS and 3-D programs, or GLB and OBJ with the orthophoto as picture, not for QGIS."
 _ERROR_MAP = "How far the pinhole camera is from the RPC at each place on the ground, in px."
@@ -221,6 +224,7 @@ PRODUCTS = (
     Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm", help=_DSM),
     Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE),
     Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO),
+    Product("dsmfuse", "water_mask", "Water", RASTER, style="water", help=_WATER_MASK),
     Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las);;PLY (*.ply)", help=_CLOUD),
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
     Product(

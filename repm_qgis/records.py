@@ -448,7 +448,8 @@ class FusionFacts(Record):
     ``matched``, ``background`` (all other sources but interpolation) and ``interpolated`` ones; ``removed`` were
     outliers, ``needles`` stood far above all others on a single map's word. ``points`` are the cloud's,
     ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was given, or
-    none that could be compared.
+    none that could be compared. ``water`` are the bodies of water, of ``water_m2`` square metres together, that were
+    found where the options asked for it.
     """
 
     cells: int
@@ -463,6 +464,8 @@ class FusionFacts(Record):
     crs: str
     dem_offset: Optional[DemOffset] = None
     needles: int = 0
+    water: int = 0
+    water_m2: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..fusion.parameters import FUSION
 from ..parameters import Parameters
 
 
@@ -11,8 +12,8 @@ from ..parameters import Parameters
 class EditingParameters(Parameters):
     """Chosen, unless a source is given."""
 
-    shore_cells: int = 3  # width of the strip around water whose heights say how high the water is
-    shore_percentile: float = 10.0  # of these heights: banks and trees are higher, a tenth may be wrong and too low
+    shore_cells: int = FUSION.water.shore_cells  # width of the strip around water that says how high the water is
+    shore_percentile: float = FUSION.water.shore_percentile  # of its heights, as where water is found in images
     most_solved: int = 1_000_000  # cells of a window whose fill is solved as a whole; of more, on coarser cells
     accurate_m: float = 1e-4  # how exactly a fill is solved
     most_iterations: int = 200  # 30 are usual

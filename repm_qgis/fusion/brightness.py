@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import List, Tuple
+from typing import Iterator, Tuple
 
 import numpy as np
 
@@ -60,15 +60,26 @@ def brightness(
     The first views that show the grid are taken, as many as the parameters say; each counts where it sees a cell past
     all that stands higher within ``hidden_cells`` of it.
     """
-    nothing = np.full(grid.shape, np.nan, np.float32)
+    seen = list(lights(witnesses, grid, height, parameters, visibility))
+    return median_of_known(np.stack(seen)) if seen else np.full(grid.shape, np.nan, np.float32)
+
+
+def lights(
+    witnesses: Witnesses,
+    grid: CellGrid,
+    height: FloatImage,
+    parameters: BrightnessParameters = FUSION.brightness,
+    visibility: VisibilityParameters = FUSION.visibility,
+) -> Iterator[FloatImage]:
+    """The brightness (H, W) that each of these views shows, NaN where it does not see a cell."""
     known = np.isfinite(height)
     if not known.any():
-        return nothing
-    seen: List[FloatImage] = []
+        return
+    count = 0
     to_geodetic = partial(geodetic_from_projected, witnesses.crs)
     for view, stretch, slope in zip(witnesses.views, witnesses.stretches, witnesses.slopes):
-        if len(seen) == parameters.views:
-            break
+        if count == parameters.views:
+            return
         if pixel_window(view.project, to_geodetic, grid.bounds, witnesses.altitudes, view.size, smallest=1) is None:
             continue
         with opened_masked(view.image, view.mask) as dataset:
@@ -77,5 +88,5 @@ def brightness(
             values = sample_source(dataset, view.band, np.round(pixels * 32) / 32, "bilinear")
         hidden = blocked(slope, grid, height, visibility.clearance_m, parameters.hidden_cells)
         light = (values - np.float32(stretch.low)) / np.float32(stretch.high - stretch.low)
-        seen.append(np.where(known & ~hidden, light, np.float32(np.nan)))
-    return median_of_known(np.stack(seen)) if seen else nothing
+        count += 1
+        yield np.where(known & ~hidden, light, np.float32(np.nan))

@@ -149,6 +149,30 @@ class ErrorParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class WaterParameters(Parameters):
+    """Water, and how high it is (fusion/water.py; `make bench-water`). Chosen, unless a source is given."""
+
+    narrowest_m: float = 12.0  # narrower empty ground is a shadow, or what a wall hides
+    least_m2: float = 2000.0  # of a body: shadows and haloes of single houses are smaller
+    share: float = 0.6  # of the cells around one that must be dark and flat
+    dark_percentile: float = 20.0  # of the brightness of land: water is darker
+    flat: float = 0.5  # of the usual roughness of land: what is smoother shows noise alone
+    window_cells: int = 5  # side of the window of a roughness
+    shore_m: float = 3.0  # width of the strip around water that says how high the water is,
+    shore_cells: int = 3  # but at least so many cells
+    shore_percentile: float = 10.0  # of its heights: banks and trees are higher, a tenth may be wrong and too low
+    least_shore: int = 20  # heights of a shore, or of a part of it: fewer say nothing
+    island_m2: float = 100.0  # smaller islands are wrong matches, boats and waves
+    bin_m: float = 25.0  # of a river's length, in which its shore gives one level
+    least_bins: int = 4  # of a river
+    least_elongation: float = 6.0  # length times length over area: a river is six times as long as wide; a disc has 1.3
+    least_fall_m: float = 1.0  # of a river over its length: the level of a lake's shores is known no better
+    fall_scatters: float = 3.0  # by so many deviations of its parts must a river fall
+    most_cells: int = 4_000_000  # in which water is looked for; larger DSMs are reduced
+    most_nodes: int = 20_000  # cells of a body between which lengths are measured
+
+
+@dataclass(frozen=True)
 class VisibilityParameters(Parameters):
     """Which cells of a surface a view shows, and where (fusion/visible.py); both values are chosen."""
 
@@ -173,6 +197,7 @@ class FusionParameters(Parameters):
     shaded: ShadedGroundParameters = ShadedGroundParameters()
     holes: HoleParameters = HoleParameters()
     error: ErrorParameters = ErrorParameters()
+    water: WaterParameters = WaterParameters()
     visibility: VisibilityParameters = VisibilityParameters()
     step_px: float = MATCHING.occlusions.step_px  # of disparity: higher steps hide ground, as where matching fills it
     covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen

@@ -11,7 +11,7 @@ import pyproj
 from osgeo import ogr
 
 from .. import __version__
-from ..arrays import Bounds, FloatArray, Window
+from ..arrays import Bounds, FloatArray, FloatImage, Window
 from ..errors import EmptyResultError
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.footprints import footprint, seen_twice
@@ -33,6 +33,9 @@ from .layout import DsmLayout
 from .parameters import FUSION, FusionParameters
 from .provenance import SurfaceCells
 from .surface import Block
+from .water import Water, flattened
+
+_NO_MASK = 255
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class _Products:
     crop: Window
     dsm: RasterWriter
     confidence: Optional[RasterWriter]
+    water: Optional[RasterWriter]
     whole: Optional[RasterWriter]
 
     @classmethod
@@ -78,14 +82,33 @@ class _Products:
 
         dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", layout.file_crs)
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
+        water = None
+        if options.water_mask:
+            file = created(
+                options.water_mask,
+                shape,
+                np.dtype(np.uint8),
+                1,
+                place,
+                wkt,
+                nodata=_NO_MASK,
+                descriptions=("water: 0 land, 1 water",),
+                metadata=metadata,
+                cog=True,
+                overviews="NEAREST",
+            )
+            water = stack.enter_context(file)
         whole = None
         if options.fill == "all":
             heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
             whole = stack.enter_context(heights)
-        return cls(crop, dsm, confidence, whole)
+        return cls(crop, dsm, confidence, water, whole)
 
-    def write_block(self, surface: SurfaceCells, own: Window) -> None:
-        """Write the facts of a block's own cells."""
+    def write_block(self, surface: SurfaceCells, own: Window, level: Optional[FloatImage]) -> None:
+        """Write the facts of a block's own cells; ``level`` is that of water, NaN on land."""
+        if self.water is not None and level is not None:
+            land = np.where(np.isfinite(surface.height), 0, _NO_MASK)
+            self.water.write(np.where(np.isfinite(level), 1, land).astype(np.uint8), own.col, own.row)
         if self.confidence is not None:
             for band, values in enumerate(surface.facts(), start=1):
                 self.confidence.write(values, own.col, own.row, band)
@@ -101,8 +124,9 @@ def write_products(
     parameters: FusionParameters = FUSION,
     means: Optional[CoarseMeans] = None,
     deviation_m: Optional[float] = None,
+    water: Optional[Water] = None,
 ) -> FusionFacts:
-    """Write DSM and confidence from the surface's ``blocks``; gives what was counted, without a cloud's points.
+    """Write DSM, confidence and water from the surface's ``blocks``; gives what was counted, without a cloud's points.
 
     ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
     ``deviation_m`` is the standard deviation of the absolute height, m, which the rasters state.
@@ -114,6 +138,9 @@ def write_products(
         products = _Products.opened(stack, options, scene, layout, crop, folder, deviation_m)
         for block in blocks:
             surface, own = block.surface(), block.own
+            level = water.within(own) if water else None
+            if level is not None and options.water == "flatten":
+                surface = flattened(surface, level)
             known = np.isfinite(surface.height)
             if known.any():
                 levels.append(float(np.median(surface.height[known])))
@@ -122,7 +149,7 @@ def write_products(
             if means is not None:
                 place = Window(own.col + crop.col, own.row + crop.row, own.width, own.height)
                 means.add(surface.height.astype(np.float64), place)
-            products.write_block(surface, own)
+            products.write_block(surface, own, level)
             height = surface.height
             if products.whole is None:
                 height = height - layout.undulation(grid.part(own))

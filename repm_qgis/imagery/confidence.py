@@ -21,6 +21,7 @@ class Provenance(IntEnum):
     SHADOW = 4
     NEIGHBOURS = 5
     EDITED = 6
+    WATER = 7
 
 
 CONFIDENCE_BANDS = (
@@ -28,7 +29,7 @@ CONFIDENCE_BANDS = (
     "spread between them (m)",
     "mean matching score",
     "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM, "
-    "4 ground in a shadow, 5 from the cells beside it, 6 edited by hand",
+    "4 ground in a shadow, 5 from the cells beside it, 6 edited by hand, 7 level of the water",
     "expected error (m): two thirds are within",
     "LE90 (m): nine of ten are within, but for what all heights have in common",
 )

@@ -59,7 +59,7 @@ def mask_unreliable(
     if full_disparity is not None:
         matched = replace(matched, disparity=full_disparity(matched.disparity))
     if wider is not None:
-        missing = _large(shown & (removed | ~np.isfinite(matched.disparity)), parameters.least_px)
+        missing = large_components(shown & (removed | ~np.isfinite(matched.disparity)), parameters.least_px)
         if missing.any():
             wide = wider(missing)
             taken = missing & np.isfinite(wide.disparity)
@@ -75,7 +75,7 @@ def mask_unreliable(
     return DisparityMap(disparity, score, matched.filled & ~removed)
 
 
-def _large(mask: Mask, least_px: int) -> Mask:
+def large_components(mask: Mask, least_px: float) -> Mask:
     """The mask's components of so many pixels or more."""
     _, component, facts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     large = facts[:, cv2.CC_STAT_AREA] >= least_px

@@ -97,7 +97,7 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
 
     Raises SceneError, OptionError, MissingPackageError and WorkspaceError.
     """
-    if options.ortho or options.viewer:
+    if options.ortho or options.viewer or options.water_mask or options.water == "flatten":
         scene.require_images()
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
@@ -266,7 +266,7 @@ def _alone(fusion: Fusion, pair: Tuple[str, str]) -> Fusion:
     scene, layout = replace(fusion.scene, tiles=tiles, dem=""), replace(fusion.layout, windows=windows)
     place = ensure_folder(str(fusion.options.view_heights)) / re.sub(r"[^\w.-]", "_", "_".join(pair))
     made = {**not_requested("dsmfuse"), "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
-    options = replace(fusion.options, fill="none", **made)
+    options = replace(fusion.options, fill="none", water="keep", **made)
     return Fusion.within(fusion.folder.parent, options, fusion.parameters, scene, layout)
 
 

@@ -19,6 +19,7 @@ from ..fusion.rasters import write_products
 from ..fusion.surface import Block, LightTask, SurfaceTask, blocks_of, halo, light_block, make_block
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
+from ..fusion.water import Water, find_water
 from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
@@ -93,8 +94,12 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
             f"Removed {counted(gone, 'cell')} of needles: a few cells far above all others around them, which only one "
             "pair of images has."
         )
-    facts: FusionFacts = run_whole(_written, (fusion, joined, blocks), progress, "writing the products")
-    return replace(facts, needles=gone), stored
+    water: Optional[Water] = None
+    if options.water == "flatten" or options.water_mask:
+        water = run_whole(_water, (fusion, joined, blocks), progress, "looking for water")
+    facts: FusionFacts = run_whole(_written, (fusion, joined, blocks, water), progress, "writing the products")
+    bodies = water.bodies if water else ()
+    return replace(facts, needles=gone, water=len(bodies), water_m2=sum(body.area for body in bodies)), stored
 
 
 def _walls(fusion: Fusion, progress: Progress) -> bool:
@@ -154,16 +159,29 @@ def _workers_of_blocks(fusion: Fusion, windows: List[Window], progress: Progress
     return workers_within(fusion.options.workers, work, fusion.options.memory, progress)
 
 
-def _written(task: Tuple[Fusion, JoinedTiles, List[Block]], progress: Progress) -> FusionFacts:
-    """Write DSM and confidence, with their styles, and compare the heights with the scene's DEM."""
+def _water(task: Tuple[Fusion, JoinedTiles, List[Block]], progress: Progress) -> Water:
+    """The water of the surface, named in the log."""
     fusion, joined, blocks = task
+    grid, numbers = fusion.layout.grid.part(joined.crop), fusion.parameters.fusion
+    water = find_water(blocks, grid, _witnesses(fusion, progress), progress.check_cancelled, numbers)
+    rivers = [body for body in water.bodies if body.falls]
+    lakes, area = len(water.bodies) - len(rivers), sum(body.area for body in water.bodies)
+    found = f"{counted(lakes, 'lake')}, {counted(len(rivers), 'river')}"
+    progress.info(f"Water was found on {area:.0f} m2: {found}.")
+    return water
+
+
+def _written(task: Tuple[Fusion, JoinedTiles, List[Block], Optional[Water]], progress: Progress) -> FusionFacts:
+    """Write DSM, confidence and water, with their styles, and compare the heights with the scene's DEM."""
+    fusion, joined, blocks, water = task
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
     stated = stated_height_deviation(fusion.scene)
-    facts = write_products(options, fusion.scene, layout, joined, blocks, folder, numbers.fusion, means, stated)
+    facts = write_products(options, fusion.scene, layout, joined, blocks, folder, numbers.fusion, means, stated, water)
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
-    for name, path in (("output", options.output), ("confidence", options.confidence)):
+    for name in ("output", "confidence", "water_mask"):
+        path = getattr(options, name)
         if path:
             write_style(product("dsmfuse", name).style, path, taken=fusion.scene.taken())
     return facts

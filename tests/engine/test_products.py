@@ -75,7 +75,8 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(urban, tmp_pa
 
 
 def test_the_report_names_every_product_that_was_made(urban_run):
-    made = {**urban_run.result, "view_heights": "/somewhere/pairs", "stac": "/somewhere/dsm.json"}
+    named = {"view_heights": "/somewhere/pairs", "stac": "/somewhere/dsm.json", "water_mask": "/somewhere/water.tif"}
+    made = {**urban_run.result, **named}
     page = plain(pipeline_report(Scene.load(made["scene"]), made, made["seconds"], None).html())
     for product in products_of("pipeline"):
         if product.stage == "dsmfuse":

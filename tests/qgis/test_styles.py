@@ -258,7 +258,13 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
         found[layer.renderer().usesBands()[0]] = [each.label for each in layer.renderer().classes()]
     assert found[1] == ["1", "2", "3"]
     sources = ["Matched", "Background of an occlusion", "Interpolated", "Interpolated on the DEM"]
-    assert found[4] == [*sources, "Ground in a shadow", "From the cells beside it", "Edited by hand"]
+    assert found[4] == [
+        *sources,
+        "Ground in a shadow",
+        "From the cells beside it",
+        "Edited by hand",
+        "Level of the water",
+    ]
     assert manager.setCurrentStyle("LE90 of each height") and layer.renderer().usesBands() == [6]
     assert manager.setCurrentStyle("Source of each height")
     assert len({tuple(pixel) for pixel in drawn(layer, layer.extent(), (4, 4)).reshape(-1, 3)}) == 4

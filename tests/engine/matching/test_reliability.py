@@ -10,9 +10,12 @@ import pytest
 from osgeo import gdal
 from scipy import ndimage
 
+from repm_qgis.imagery.confidence import Provenance
 from repm_qgis.matching.disparity_map import DisparityMap
 from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.matching.sgm import match
+from repm_qgis.progress import Silent
+from repm_qgis.stages import run_stage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
@@ -142,11 +145,23 @@ def test_what_only_one_image_shows_speaks_against_nothing():
 def test_lakes_of_a_simulated_scene_end_as_nodata(tmp_path, pipeline):
     """Through the whole pipeline: still water, ripples and glint; the land around them keeps its heights."""
     made = make_pair(str(tmp_path / "scene"), size=640, seed=5, clouds=False)
+    mask, flat = str(tmp_path / "water.tif"), str(tmp_path / "flat.tif")
     run = pipeline(
-        made, tmp_path, images=made.images, resolution=0.5, workers=1, confidence=None, ortho=None, cloud=None
+        made,
+        tmp_path,
+        images=made.images,
+        resolution=0.5,
+        workers=1,
+        confidence=None,
+        ortho=None,
+        cloud=None,
+        water_mask=mask,
     )
+    options = {"scene": run.result["scene"], "output": flat, "confidence": str(tmp_path / "sources.tif")}
+    flattened = run_stage("dsmfuse", {**options, "resolution": 0.5, "workers": 1, "water": "flatten"}, Silent())
     dataset = gdal.Open(run.result["output"])
     dsm, place = dataset.ReadAsArray(), dataset.GetGeoTransform()
+    water, level, sources = (gdal.Open(path).ReadAsArray() for path in (mask, flat, options["confidence"]))
     dataset = gdal.Open(made.truth)
     origin, shape = dataset.GetGeoTransform(), (dataset.RasterYSize, dataset.RasterXSize)
     dataset = None
@@ -157,3 +172,10 @@ def test_lakes_of_a_simulated_scene_end_as_nodata(tmp_path, pipeline):
         # 4 m: pointing is relative, and the whole may lie a few metres off.
         assert known[inner(made.classes == number, 8)].mean() < 0.02
     assert known[inner(made.classes == LAND, 8)].mean() > 0.95
+    water, level, source = (values[np.ix_(rows, columns)] for values in (water, level, sources[3]))
+    for number in (WATER["still"], WATER["ripples"]):  # glint is bright
+        lake = inner(made.classes == number, 8)
+        assert (water[lake] == 1).mean() > 0.95 and len(np.unique(level[lake & (water == 1)])) == 1
+        assert (source[lake & (water == 1)] == Provenance.WATER).all()
+    assert (water[made.classes == LAND] == 1).mean() < 0.01
+    assert flattened["water"] == run.result["water"] == 2 and flattened["water_m2"] > 5000

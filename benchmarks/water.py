@@ -1,0 +1,100 @@
+"""Water: what share of simulated lakes and of a river is found, how high it is, and what dry ground is taken for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, List, Tuple
+
+import numpy as np
+from osgeo import gdal
+
+from benchmarks.runner import few, pipeline, say
+from benchmarks.scenes import CACHE, SHARED, made_once
+from benchmarks.tables import Section, table
+from benchmarks.water_and_clouds import LAND, WATER, make_pair
+
+_WET = (("urban", 5, False), ("mountains", 6, False), ("mountains", 5, True))
+_SIZE = 700
+_DRY = {
+    "jax_068, three views": [f"jax_068/JAX_068_{number}_RGB.tif" for number in ("009", "011", "012")],
+    "pleiades_pair": [f"pleiades_pair/img_0{number}.tif" for number in (1, 2)],
+    "pleiades_triplet": [f"pleiades_triplet/img_0{number}.tif" for number in (1, 2, 3)],
+    "pleiades_two_dates, before": [f"pleiades_two_dates/pre_event_img{number}.tif" for number in (1, 2)],
+    "pleiades_two_dates, after": [f"pleiades_two_dates/post_event_img{number}.tif" for number in (1, 2)],
+}
+
+
+def _made(images: List[str], folder: Path) -> Any:
+    return pipeline(images, folder, resolution=0.5, workers=1, water="flatten", water_mask=f"{folder}/water.tif")
+
+
+def _on(path: Path, truth: gdal.Dataset, nodata: float) -> np.ndarray:
+    """A raster on the cells of another one."""
+    place, size = truth.GetGeoTransform(), (truth.RasterXSize, truth.RasterYSize)
+    bounds = (place[0], place[3] + place[5] * size[1], place[0] + place[1] * size[0], place[3])
+    options = {"outputBounds": bounds, "xRes": place[1], "yRes": place[1], "dstNodata": nodata}
+    warped = gdal.Warp("", str(path), format="MEM", dstSRS=truth.GetProjection(), **options)
+    return np.asarray(warped.ReadAsArray(), float)
+
+
+def _wet(kind: str, seed: int, river: bool) -> List[List[Any]]:
+    folder = CACHE / f"water_{kind}_{seed}_{'river' if river else 'lakes'}_{_SIZE}"
+
+    def simulate() -> None:
+        made = make_pair(str(folder), kind, _SIZE, seed=seed, clouds=not river, river=river)
+        np.save(folder / "classes.npy", made.classes)
+        _made(made.images, folder)
+
+    made_once(folder, simulate)
+    truth = gdal.Open(str(folder / "truth.tif"))
+    true = truth.ReadAsArray().astype(float)
+    classes = np.load(folder / "classes.npy")[: true.shape[0], : true.shape[1]]
+    water = _on(folder / "water.tif", truth, 255) == 1
+    error = _on(folder / "dsm.tif", truth, np.nan) - true
+    land = classes == LAND
+    error -= float(np.nanmedian(error[land]))
+    rows = []
+    for name, number in WATER.items():
+        own = classes == number
+        if own.any():
+            levels = np.percentile(error[own & water], (5, 50, 95)) if (own & water).any() else ()
+            shown = ", ".join(f"{value:+.2f}" for value in levels) or "-"
+            kind_of = "river, still" if river else f"lake, {name}"
+            rows.append([f"{kind}, seed {seed}", kind_of, 100 * float(water[own].mean()), shown, ""])
+    rows[-1][-1] = f"{100 * float(water[land].mean()):.3f}"
+    return rows
+
+
+def _dry() -> Tuple[List[List[Any]], List[str]]:
+    rows, absent = [], []
+    for name, files in few(list(_DRY.items())):
+        images = [str(SHARED / file) for file in files]
+        if not all(Path(image).exists() for image in images):
+            absent.append(name)
+            continue
+        folder = CACHE / f"water_{name.replace(', ', '_').replace(' ', '_')}"
+        made_once(folder, lambda: _made(images, folder))  # noqa: B023 - runs now
+        mask = gdal.Open(str(folder / "water.tif"))
+        values = mask.ReadAsArray()
+        rows.append([name, f"{(values == 0).sum() / 4e4:.1f}", f"{(values == 1).sum() / 4:.0f}"])
+    return rows, absent
+
+
+def water() -> List[str]:
+    say("water: simulated lakes and a river")
+    wet = [row for case in few(_WET) for row in _wet(*case)]
+    dry, absent = _dry()
+    return [
+        f"Simulated pairs of {_SIZE} px with three lakes and two clouds, or with a river that falls by 8 m "
+        "(`benchmarks/water_and_clouds.py`), with WATER=flatten. *Found*: the share of the true water. *Level*: found "
+        "minus true, as 5, 50 and 95 % quantiles, after the median error of land is taken off; shores are half a metre "
+        "and more above the water. *Land*: the share of land that is taken for water. Sun glint is bright, and is not "
+        "looked for.",
+        table("pair | water | found, % | level, m | land, %", wet),
+        "Real images without water, in towns with tall shadows, fields and mountains:",
+        table("images | heights, ha | taken for water, m2", dry),
+        *([f"Not measured, absent from '{SHARED}': {', '.join(absent)}."] if absent else []),
+    ]
+
+
+SECTIONS = [Section("water", "Lakes and rivers", "make bench-water", {"water": water})]
