@@ -138,7 +138,7 @@ def run(*words):
 
 
 def test_the_command_line_names_what_there_is():
-    assert "cuda, dsm, epm" in run("--help").stdout
+    assert "dsm, earthquake, epm, files, frames" in run("--help").stdout
     assert "NAME" in run("nonsense").stderr
     assert "the parts of pointing are: urban, known" in run("pointing", "nonsense").stderr
     assert "quick figures are not written" in run("cuda", "--quick", "--write").stderr
