@@ -94,6 +94,7 @@ def test_numbers_that_are_not_given_have_their_defaults_and_a_crs_is_named(plugi
         "vertical_datum": "",
         "method": "mean",
         "fill": "occlusions",
+        "water": "keep",
         "outlier_radius": 0.0,
         "mesh_vertices": 500000,
         "colour": "auto",
