@@ -163,8 +163,10 @@ def run_apart(
     """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
     python = python or find_python()
     start = time.time()
-    job = json.dumps({**options, "language": language(), "labels": labels(stage)})
-    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(job)}")
+    given = {**options, "language": language()}
+    job = json.dumps({**given, "labels": labels(stage)})
+    # Without the labels: they are the same in each run, and would fill the log.
+    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(json.dumps(given))}")
     try:
         return _EngineProcess(stage, python, job).result(feedback)
     except QgsProcessingException:
