@@ -29,6 +29,9 @@ PYQT = {}
 for _name in ("QtCore", "QtGui", "QtWidgets", "QtNetwork", "QtXml", "QtSvg", "QtTest", "QtPrintSupport", "uic", "sip"):
     PYQT[_name] = importlib.import_module(f"PyQt6.{_name}")
 QtCore, QtGui, QtWidgets = PYQT["QtCore"], PYQT["QtGui"], PYQT["QtWidgets"]
+# PyQt's own question knows its objects alone; QGIS's, which are stand-ins here, are never deleted.
+_is_deleted = PYQT["sip"].isdeleted
+PYQT["sip"].isdeleted = lambda owner: not isinstance(owner, mock.NonCallableMock) and _is_deleted(owner)
 # As QGIS's own qgis.PyQt.QtWidgets does.
 QtWidgets.QAction, QtWidgets.QShortcut = QtGui.QAction, QtGui.QShortcut
 
