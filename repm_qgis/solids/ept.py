@@ -27,7 +27,7 @@ from ..arrays import FloatArray, IntArray
 from ..errors import EmptyResultError, WorkspaceError
 from ..las import laz_backend, required_laspy
 from ..progress import Progress, Silent
-from ..workspace import whole_folder
+from ..workspace import cannot_write, whole_folder
 from .derived import FinishedDsm
 from .parameters import SOLIDS, EptParameters
 
@@ -179,7 +179,10 @@ def require_ept_place(path: str) -> None:
     folder = Path(path)
     others = [folder.name] if folder.is_file() else []
     if folder.is_dir():
-        others = sorted({path.name for path in folder.iterdir()} - set(_ENTRIES))
+        try:
+            others = sorted({path.name for path in folder.iterdir()} - set(_ENTRIES))
+        except OSError as error:  # too many open files, or a folder that may not be read
+            raise cannot_write(path, error) from error
     if others:
         reason = f"holds '{others[0]}', which does not belong to an EPT and would be lost"
         raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for EPT.")
