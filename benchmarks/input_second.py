@@ -43,6 +43,7 @@ from repm_qgis.errors import RepmError
 from repm_qgis.geometry.tiles import enclosing
 from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG
 from repm_qgis.imagery.raster import opened, read, write
+from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags, rpc_txt
 from repm_qgis.scene import Scene
 
@@ -55,23 +56,26 @@ _WORK = "years of work"
 # --- 1, 2: RPCs that are not the images' own, or broken -------------------------------------------------------------
 
 
+def plain_images(rpcs: Sequence[Rpc], folder: Path) -> List[str]:
+    """Images of the town with these RPCs, one each."""
+    return [
+        write_plain(folder / f"{view.name}.tif", pixels_of(view.image), rpc)
+        for view, rpc in zip(true_views(len(rpcs)), rpcs)
+    ]
+
+
 def with_rpcs(owners: Sequence[int], with_dem: bool, folder: Path) -> List[Job]:
     """Images of the town, each with the RPC of the one named; a DEM of the true ground where one is asked for."""
     views = true_views(len(owners))
-    images = [
-        write_plain(folder / f"{view.name}.tif", pixels_of(view.image), views[owner].rpc)
-        for view, owner in zip(views, owners)
-    ]
+    images = plain_images([views[owner].rpc for owner in owners], folder)
     dem = {"dem": str(shutil.copy(town().reference, folder / "dem.tif"))} if with_dem else {}
     return [pipeline(folder, images, report=str(folder / "r.html"), **dem)]
 
 
 def with_trend(folder: Path) -> List[Job]:
     """The second RPC's rows run away, by 14 px between the middle and the last one."""
-    images = []
-    for number, view in enumerate(true_views(2)):
-        rpc = replace(view.rpc, row_scale=1.028 * view.rpc.row_scale) if number else view.rpc
-        images.append(write_plain(folder / f"{view.name}.tif", pixels_of(view.image), rpc))
+    first, second = (view.rpc for view in true_views(2))
+    images = plain_images([first, replace(second, row_scale=1.028 * second.row_scale)], folder)
     return [pipeline(folder, images, report=str(folder / "r.html"))]
 
 
@@ -206,11 +210,8 @@ def mirrored_rows(folder: Path) -> List[Job]:
 
 def across_180_degrees(folder: Path) -> List[Job]:
     """The town where the longitude changes its sign, one image on either side."""
-    images = []
-    for view, side in zip(true_views(2), (0.0, 360.0)):
-        rpc = replace(view.rpc, lon_off=180.0 - side)
-        images.append(write_plain(folder / f"{view.name}.tif", pixels_of(view.image), rpc))
-    return [pipeline(folder, images)]
+    rpcs = [replace(view.rpc, lon_off=180.0 - side) for view, side in zip(true_views(2), (0.0, 360.0))]
+    return [pipeline(folder, plain_images(rpcs, folder))]
 
 
 def filled(ended: Ended) -> str:
@@ -299,14 +300,14 @@ def other_letters(folder: Path) -> List[Job]:
 
 
 def pipe_beside(name: str, folder: Path) -> List[Job]:
-    images = [write_plain(folder / f"{v.name}.tif", pixels_of(v.image), v.rpc) for v in true_views(2)]
+    images = plain_images([view.rpc for view in true_views(2)], folder)
     os.mkfifo(f"{os.path.splitext(images[0])[0]}{name}")
     return [pipeline(folder, images)]
 
 
 def fan(folder: Path) -> List[Job]:
     """Seven VRTs, of which each names the next one ten times."""
-    images = [write_plain(folder / f"{v.name}.tif", pixels_of(v.image), v.rpc) for v in true_views(2)]
+    images = plain_images([view.rpc for view in true_views(2)], folder)
     rows, columns = pixels_of(images[0]).shape
     for number in range(7):
         source = f"{number + 1}.vrt" if number < 6 else os.path.basename(images[0])

@@ -75,8 +75,10 @@ class _Products:
             metadata[DAYS] = " ".join(sorted(taken))
         kind, place = np.dtype(np.float32), cells.geotransform
 
-        def raster(path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt, **more: Any) -> RasterWriter:
-            frame = shape, kind, len(names), place, crs
+        def raster(
+            path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt, values: Any = kind, **more: Any
+        ) -> RasterWriter:
+            frame = shape, np.dtype(values), len(names), place, crs
             file = created(path, *frame, descriptions=names, metadata=metadata, unit=unit, cog=True, **more)
             return stack.enter_context(file)
 
@@ -84,20 +86,8 @@ class _Products:
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         water = None
         if options.water_mask:
-            file = created(
-                options.water_mask,
-                shape,
-                np.dtype(np.uint8),
-                1,
-                place,
-                wkt,
-                nodata=_NO_MASK,
-                descriptions=("water: 0 land, 1 water",),
-                metadata=metadata,
-                cog=True,
-                overviews="NEAREST",
-            )
-            water = stack.enter_context(file)
+            names = ("water: 0 land, 1 water",)
+            water = raster(options.water_mask, names, values=np.uint8, nodata=_NO_MASK, overviews="NEAREST")
         whole = None
         if options.fill == "all":
             heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)

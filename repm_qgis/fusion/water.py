@@ -158,12 +158,8 @@ def _broad(empty: Mask, width: float, least: float) -> Mask:
 
 def _without_islands(inside: Mask, most: float) -> Mask:
     """A body with its small holes."""
-    framed = np.pad(~inside, 1, constant_values=True).astype(np.uint8)
-    _, numbers, facts, _ = cv2.connectedComponentsWithStats(framed, connectivity=4)
-    small = facts[:, cv2.CC_STAT_AREA] < most
-    small[0] = False
-    found: Mask = inside | small[numbers][1:-1, 1:-1]
-    return found
+    around = large_components(np.pad(~inside, 1, constant_values=True), most)
+    return ~around[1:-1, 1:-1]
 
 
 def _dark_and_flat(
@@ -176,8 +172,9 @@ def _dark_and_flat(
         rough.append(_roughness(light, p.window_cells))
     if len(dark) < 2:
         return np.zeros(grid.shape, bool)
-    twice = np.isfinite(np.stack(dark)).sum(axis=0) >= 2
-    light, texture = median_of_known(np.stack(dark)), median_of_known(np.stack(rough))
+    each = np.stack(dark)
+    twice = np.isfinite(each).sum(axis=0) >= 2
+    light, texture = median_of_known(each), median_of_known(np.stack(rough))
     known = land & np.isfinite(light) & np.isfinite(texture)
     if not known.any():
         return np.zeros(grid.shape, bool)
@@ -216,14 +213,17 @@ class _Shore:
     heights: FloatArray
 
     @classmethod
-    def of(cls, body: Mask, facts: Any, height: FloatImage, cell: float, p: WaterParameters) -> _Shore:
+    def of(
+        cls, numbers: IntArray, number: int, facts: Any, height: FloatImage, cell: float, p: WaterParameters
+    ) -> _Shore:
+        """The shore of the component of a ``number``, whose ``facts`` are OpenCV's."""
         reach = max(int(round(p.shore_m / cell)), p.shore_cells)
         left, top, width, tall = (int(value) for value in facts[:4])
         part = (
             slice(max(top - reach, 0), top + tall + reach),
             slice(max(left - reach, 0), left + width + reach),
         )
-        inside = body[part]
+        inside = numbers[part] == number  # in its part alone: there may be many components
         around = cv2.dilate(inside.astype(np.uint8), _disc(reach)) > 0
         rows, columns = np.nonzero(around & np.isfinite(height[part]))
         return cls(part, inside, rows, columns, height[part][rows, columns].astype(np.float64))
@@ -233,7 +233,7 @@ def _shores(water: Mask, height: FloatImage, cell: float, p: WaterParameters) ->
     """The shores of all components of a mask."""
     _, numbers, facts, _ = cv2.connectedComponentsWithStats(water.astype(np.uint8), connectivity=4)
     for number in range(1, len(facts)):
-        yield _Shore.of(numbers == number, facts[number], height, cell, p)
+        yield _Shore.of(numbers, number, facts[number], height, cell, p)
 
 
 def water_levels(
