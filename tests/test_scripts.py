@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import importlib.machinery
 import importlib.util
 import pathlib
+import re
 import subprocess
 import sys
 import zipfile
@@ -14,6 +16,7 @@ import pytest
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
 PROGRAMS += [ROOT / "scripts" / name for name in ("scan", "repm-cluster", "qgis-matrix", "windows-trial")]
+PROGRAMS.append(ROOT / "scripts" / "workflow-trial")
 PROGRAMS += sorted((ROOT / "benchmarks").glob("*.py"))
 
 
@@ -101,3 +104,45 @@ def test_the_scan_names_every_planted_problem_on_a_line_of_its_own(tmp_path):
     }.items():
         assert sum(line.startswith(start) for line in lines) == count, (start, lines)
     assert not [line for line in lines if "B404" in line]
+
+
+def workflow_trial():
+    """scripts/workflow-trial as a module."""
+    path = str(ROOT / "scripts" / "workflow-trial")
+    loader = importlib.machinery.SourceFileLoader("workflow_trial", path)
+    spec = importlib.util.spec_from_loader("workflow_trial", loader)
+    module = importlib.util.module_from_spec(spec)
+    loader.exec_module(module)
+    return module
+
+
+def test_the_workflows_have_pinned_actions_and_steps_that_can_be_tried_here():
+    yaml, trial = pytest.importorskip("yaml"), workflow_trial()
+    steps = [
+        step
+        for path in (ROOT / ".github" / "workflows").glob("*.yml")
+        for job in yaml.safe_load(path.read_text(encoding="utf-8"))["jobs"].values()
+        for step in job["steps"]
+    ]
+    used = {step["uses"] for step in steps if "uses" in step}
+    assert not [each for each in used if not re.fullmatch(r"[\w./-]+@([0-9a-f]{40}|v\d+\.\d+\.\d+)", each)]
+    assert {each.split("@")[0] for each in used} <= set(trial.ACTIONS)
+    assert not [step["run"] for step in steps if "${{" in step.get("run", "")]
+
+
+def test_a_trial_runs_steps_as_a_workflow_does_and_names_the_one_that_fails(tmp_path, monkeypatch):
+    pytest.importorskip("yaml")
+    trial = workflow_trial()
+    monkeypatch.setenv("SECRET_OF_THIS_MACHINE", "1")
+    steps = [
+        {"name": "first", "run": "echo $WORD ${SECRET_OF_THIS_MACHINE:-hidden} > made; ls -A ~ | wc -l >> made"},
+        {"name": "second", "run": "false | cat\ntest $WORD = two", "env": {"WORD": "two"}},
+        {"name": "third", "run": "false | cat", "shell": "bash"},
+    ]
+    job = trial.Trial("job", {"steps": steps, "env": {"WORD": "one"}}, tmp_path, {"made": "written"})
+    job.clone.mkdir()
+    with pytest.raises(trial.Failure, match=r"job, step 3 \(third\): exit code 1"):
+        job.run()
+    assert (job.clone / "written").read_text().split() == ["one", "hidden", "0"]
+    with pytest.raises(trial.Failure, match="no stand-in for someone/else"):
+        trial.Trial("job", {"steps": [{"uses": "someone/else@v1.0.0"}]}, tmp_path / "other", {}).run()
