@@ -17,11 +17,11 @@ from benchmarks.colour_scene import WEIGHTS, make_colour_scene
 from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage
 from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
 from benchmarks.tables import table
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
+from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.options import DsmFuseOptions
 from repm_qgis.ortho.colour_ortho import ColourTask
 from repm_qgis.ortho.colour_sources import colour_plan
 from repm_qgis.ortho.parameters import ORTHO

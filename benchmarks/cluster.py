@@ -21,7 +21,7 @@ from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, say
 from benchmarks.scenes import default, real, simulated, zy3
 from benchmarks.tables import Section, table
 from repm_qgis.cluster import cluster_workers
-from repm_qgis.errors import RepmError
+from repm_qgis.contracts.errors import RepmError
 from repm_qgis.parallel import run_tasks
 from repm_qgis.progress import Silent
 from tests.engine.cluster_tasks import square

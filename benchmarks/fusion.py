@@ -21,11 +21,11 @@ from osgeo import gdal
 
 from benchmarks.runner import ROOT, few, is_quick, measured, resident_gib, say, stage
 from benchmarks.tables import Section, table
-from repm_qgis.arrays import Altitudes, Bounds
+from repm_qgis.contracts.arrays import Altitudes, Bounds
+from repm_qgis.contracts.records import HeightMapRecord
 from repm_qgis.matching.pair_backend import rectified_over_tile
 from repm_qgis.parallel import run_tasks
 from repm_qgis.progress import Silent
-from repm_qgis.records import HeightMapRecord
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene

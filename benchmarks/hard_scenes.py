@@ -11,7 +11,7 @@ from typing import Any, Callable, Sequence
 import numpy as np
 from scipy import ndimage
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.render import render_view

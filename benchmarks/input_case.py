@@ -15,7 +15,7 @@ import numpy as np
 from osgeo import gdal
 
 from benchmarks.scenes import CACHE, SHARED, Scene, default
-from repm_qgis.errors import RepmError
+from repm_qgis.contracts.errors import RepmError
 from repm_qgis.evaluation.grids import Grid
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened

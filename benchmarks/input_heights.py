@@ -20,9 +20,9 @@ from benchmarks.pointing_case import fitted, pointed, truth_scene
 from benchmarks.runner import few, is_quick, say
 from benchmarks.scenes import CACHE, SHARED, real
 from benchmarks.tables import table
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
+from repm_qgis.contracts.records import PointingFigures
 from repm_qgis.imagery.raster import opened, read, write
-from repm_qgis.records import PointingFigures
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import View, load_views

@@ -38,8 +38,8 @@ from benchmarks.input_dsms import WRONG, relief, surface
 from benchmarks.own_rpcs import sound_scenes
 from benchmarks.runner import ROOT, few, say
 from benchmarks.tables import table
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import RepmError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import RepmError
 from repm_qgis.geometry.tiles import enclosing
 from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG
 from repm_qgis.imagery.raster import opened, read, write

@@ -13,7 +13,7 @@ import pyproj
 from benchmarks.runner import alone, few, is_quick, say, stage
 from benchmarks.scenes import CACHE, made_once
 from benchmarks.tables import DOCS, Section, table
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.evaluation.pictures import gradients, hillshade, png_bytes
 from repm_qgis.imagery import raster
 from repm_qgis.imagery.sampling import nmad

@@ -15,7 +15,7 @@ from benchmarks.pointing_case import Case, case_of, fitted, known_pointings, poi
 from benchmarks.runner import few
 from benchmarks.scenes import CACHE, made_once, quick_size
 from benchmarks.tables import table
-from repm_qgis.errors import RepmError
+from repm_qgis.contracts.errors import RepmError
 from repm_qgis.simulation.scene import SceneSpec, make_views, surface_bounds
 from repm_qgis.simulation.surface import SimulatedSurface, Sun
 

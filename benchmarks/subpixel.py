@@ -17,7 +17,7 @@ from benchmarks.matching import MatchedPair
 from benchmarks.runner import few, pipeline, stage
 from benchmarks.scenes import Scene, default, simulated, zy3_fine
 from benchmarks.tables import Section, table
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching import sgm

@@ -19,12 +19,12 @@ from scipy import ndimage
 from benchmarks.runner import ROOT, earlier, few, made_by, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, default, made_once, real
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.options import QUALITIES
 from repm_qgis.evaluation import coregistration
 from repm_qgis.evaluation.grids import Grid, HeightWarper, read_heights
 from repm_qgis.evaluation.metrics import THRESHOLDS_M, height_metrics
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.options import QUALITIES
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters

@@ -372,7 +372,7 @@ class ControlPointsDock(QgsDockWidget):
         self._refresh(move or name != self._current)
 
     def _tried(self, work: Callable[[], Any]) -> bool:
-        from ..repm_qgis.errors import RepmError
+        from ..repm_qgis.contracts.errors import RepmError
 
         try:
             work()

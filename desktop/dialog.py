@@ -34,7 +34,7 @@ from qgis.utils import iface
 from ..processing_provider import settings, words
 from ..processing_provider.last_scene import last_scene
 from ..processing_provider.values import is_empty
-from ..repm_qgis.options import PRESETS
+from ..repm_qgis.contracts.options import PRESETS
 from .next_step import STEPS, push_message
 
 _OF_SETTINGS = (*settings.COLMAP, "CLUSTER")  # the options page has these, for all runs
@@ -200,7 +200,7 @@ class Panel(ParametersPanel):
 
     def _named(self, part: str, name: str) -> list[tuple[str, str]]:
         """The names of the views or tiles of the scene that is chosen; none where there is none that can be read."""
-        from ..repm_qgis.errors import RepmError
+        from ..repm_qgis.contracts.errors import RepmError
         from ..repm_qgis.scene import Scene
 
         try:

@@ -10,7 +10,7 @@ from qgis.PyQt.QtGui import QDesktopServices
 def open_document(name: str) -> None:
     """Show a document of docs/ by its name; where the profile cannot be written, the document as it is stored."""
     from ..processing_provider import helppages
-    from ..repm_qgis.errors import WorkspaceError
+    from ..repm_qgis.contracts.errors import WorkspaceError
 
     try:
         for algorithm in QgsApplication.processingRegistry().providerById("repm").algorithms():

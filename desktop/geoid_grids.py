@@ -119,7 +119,7 @@ class GeoidGridsDialog(QDialog):
         self.bar.setValue(int(100 * received / total) if total > 0 else 0)
 
     def _arrived(self, name: str, part: str) -> None:
-        from ..repm_qgis.errors import ImageError
+        from ..repm_qgis.contracts.errors import ImageError
         from ..repm_qgis.imagery.raster import opened
 
         try:

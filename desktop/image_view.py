@@ -96,7 +96,7 @@ class ImageView(QWidget):
         return QPointF(float(x) + self.width() / 2, float(y) + self.height() / 2)
 
     def _read(self) -> None:
-        from ..repm_qgis.errors import RepmError
+        from ..repm_qgis.contracts.errors import RepmError
         from ..repm_qgis.imagery.window_picture import window_picture
 
         size = (max(self.width(), 1), max(self.height(), 1))

@@ -26,8 +26,8 @@ from ..processing_provider import last_scene
 from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
 from ..processing_provider.values import any_paths, is_empty, layer_path
-from ..repm_qgis.options import DsmFuseOptions
-from ..repm_qgis.products import STYLES, products_of
+from ..repm_qgis.contracts.options import DsmFuseOptions
+from ..repm_qgis.contracts.products import STYLES, products_of
 
 _PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
 Button = tuple[str, Callable[[], Any]]
@@ -203,7 +203,7 @@ def _paths(value: Any) -> list[str]:
 
 
 def _is_registered(scene: Optional[str]) -> bool:
-    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.scene import Scene
 
     try:

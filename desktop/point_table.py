@@ -84,7 +84,7 @@ class PointTable(QAbstractTableModel):
         return f"{check.distance_m:.2f}" if column == _OFFSET else f"{check.largest_miss_px:.2f}"
 
     def setData(self, index: QModelIndex, value: Any, role: int = Qt.ItemDataRole.EditRole) -> bool:
-        from ..repm_qgis.errors import InputTableError
+        from ..repm_qgis.contracts.errors import InputTableError
 
         if role == Qt.ItemDataRole.CheckStateRole and index.column() == _CHECK_ONLY:
             checked = value in (Qt.CheckState.Checked, 2)  # Qt 6 gives the number

@@ -448,7 +448,7 @@ class SurfaceEditingDock(QgsDockWidget):
                 self._bands[0 if area else 1].addGeometry(geometry, None)
 
     def _tried(self, work: Callable[[], Any]) -> bool:
-        from ..repm_qgis.errors import RepmError
+        from ..repm_qgis.contracts.errors import RepmError
 
         try:
             work()

@@ -1,7 +1,7 @@
 """What all our algorithms share: identity, help, early checks, running a stage, and dressing its results.
 
-An algorithm's parameters carry the names of the stage's options in upper case (repm_qgis/options.py), so a subclass
-only declares itself: it reads nothing and computes nothing.
+An algorithm's parameters carry the names of the stage's options in upper case (repm_qgis/contracts/options.py), so a
+subclass only declares itself: it reads nothing and computes nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
-from ..repm_qgis.products import products_of
+from ..repm_qgis.contracts.products import products_of
 from . import batch, engine, helppages, last_scene, settings, styles
 from .helptext import to_html
 from .kept import in_workspace
@@ -75,7 +75,7 @@ def _taken_kinds(definition: QgsProcessingParameterDefinition) -> list[QgsProces
 
 def _is_raster(path: str) -> bool:
     """Whether GDAL opens it; asked without QGIS, which would write statistics beside the file."""
-    from ..repm_qgis.errors import ImageError
+    from ..repm_qgis.contracts.errors import ImageError
     from ..repm_qgis.imagery.raster import opened
 
     try:
@@ -130,7 +130,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return self.shortDescription()
 
     def helpUrl(self) -> str:
-        from ..repm_qgis.errors import WorkspaceError
+        from ..repm_qgis.contracts.errors import WorkspaceError
 
         entries = [*self.parameterDefinitions(), *self.outputDefinitions()]
         more = {entry.name(): entry.help() for entry in self.parameterDefinitions()}
@@ -176,7 +176,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             problem = self._input_problem(definition, parameters.get(definition.name()), context)
             if problem:
                 return False, problem
-        from ..repm_qgis.errors import RepmError
+        from ..repm_qgis.contracts.errors import RepmError
         from ..repm_qgis.stages import STAGES
         from ..repm_qgis.stages.early import require_sensible
 
@@ -254,7 +254,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
     ) -> str:
         """Files must be there, and be rasters where nothing else is taken; the engine names what is wrong in others."""
-        from ..repm_qgis.las import is_cloud
+        from ..repm_qgis.contracts.file_kinds import is_cloud
         from ..repm_qgis.vector import file_and_layer
 
         name, kinds = definition.name(), _taken_kinds(definition)

@@ -6,7 +6,7 @@ from typing import Any, Mapping
 
 from qgis.core import QgsProcessingOutputNumber
 
-from ..repm_qgis.options import ChangeOptions
+from ..repm_qgis.contracts.options import ChangeOptions
 from . import parameters
 from .base import RepmAlgorithm
 

@@ -7,7 +7,7 @@ import os
 import shutil
 from typing import Any, Iterator, Mapping
 
-from ..repm_qgis.products import BUILT_FOLDER, FOLDER, SCENE, forms, kept_folder, tiles_folder
+from ..repm_qgis.contracts.products import BUILT_FOLDER, FOLDER, SCENE, forms, kept_folder, tiles_folder
 
 _MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
 

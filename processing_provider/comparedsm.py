@@ -11,8 +11,8 @@ from qgis.core import (
     QgsProcessingParameterString,
 )
 
-from ..repm_qgis.las import is_cloud
-from ..repm_qgis.options import CompareDsmOptions
+from ..repm_qgis.contracts.file_kinds import is_cloud
+from ..repm_qgis.contracts.options import CompareDsmOptions
 from . import parameters
 from .base import RepmAlgorithm
 

@@ -7,7 +7,7 @@ from qgis.core import (
     QgsProcessingParameterFile,
 )
 
-from ..repm_qgis.options import DtmOptions
+from ..repm_qgis.contracts.options import DtmOptions
 from . import parameters
 from .base import RepmAlgorithm
 

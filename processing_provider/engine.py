@@ -60,7 +60,7 @@ class FeedbackProgress:
 
     def check_cancelled(self) -> None:
         if is_cancelled(self._feedback):
-            from ..repm_qgis.errors import Cancelled
+            from ..repm_qgis.contracts.errors import Cancelled
 
             raise Cancelled
 
@@ -136,7 +136,7 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
 
 def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
-    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.parallel import one_thread_for_loaded_sums
     from ..repm_qgis.stages import run_stage
     from ..repm_qgis.translation import written_in

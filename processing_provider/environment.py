@@ -6,8 +6,8 @@ from typing import Any, Mapping
 
 from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback, QgsProcessingParameterFile
 
+from ..repm_qgis.contracts.options import EnvironmentOptions
 from ..repm_qgis.installer.packages import REQUIREMENTS, requirements_of, sizes_mb
-from ..repm_qgis.options import EnvironmentOptions
 from . import engine, installation, parameters
 from .base import RepmAlgorithm
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from qgis.core import QgsProcessingOutputNumber, QgsProcessingParameterString
 
-from ..repm_qgis.options import ErrorMapOptions
+from ..repm_qgis.contracts.options import ErrorMapOptions
 from . import parameters
 from .base import RepmAlgorithm
 

@@ -7,7 +7,7 @@ from qgis.core import (
     QgsProcessingParameterString,
 )
 
-from ..repm_qgis.options import ExportCamerasOptions
+from ..repm_qgis.contracts.options import ExportCamerasOptions
 from . import parameters
 from .base import RepmAlgorithm
 

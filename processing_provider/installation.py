@@ -10,7 +10,7 @@ from urllib.parse import quote
 from qgis.core import QgsNetworkAccessManager, QgsProcessingException, QgsProcessingFeedback
 from qgis.PyQt.QtNetwork import QNetworkProxy
 
-from ..repm_qgis.errors import RepmError
+from ..repm_qgis.contracts.errors import RepmError
 from ..repm_qgis.installer import environments
 from ..repm_qgis.installer.install import log_of, planned
 from ..repm_qgis.installer.interpreter import Interpreter, program_in, qgis_python

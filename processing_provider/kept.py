@@ -18,7 +18,7 @@ from qgis.core import (
     QgsProperty,
 )
 
-from ..repm_qgis.products import Product, products_of
+from ..repm_qgis.contracts.products import Product, products_of
 
 _NOT_PLACED = ("workspace", "output_scene", "heights")  # what says where the workspace is, or lies in it if left out
 _AFTER_RUN = {

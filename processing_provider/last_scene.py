@@ -25,7 +25,7 @@ def remember(path: str) -> None:
 
 def of_surface(path: str) -> str:
     """The scene that a DSM was fused of, among those that were written last; "" where it is none of them."""
-    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.imagery.raster import opened
 
     try:
@@ -37,7 +37,7 @@ def of_surface(path: str) -> str:
 
 
 def _fingerprint(path: str) -> str:
-    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.scene import Scene
 
     try:

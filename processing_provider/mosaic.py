@@ -11,7 +11,7 @@ from qgis.core import (
     QgsProcessingParameterMultipleLayers,
 )
 
-from ..repm_qgis.options import MosaicOptions
+from ..repm_qgis.contracts.options import MosaicOptions
 from . import parameters
 from .base import RepmAlgorithm
 

@@ -27,19 +27,18 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
-from ..repm_qgis import products
-from ..repm_qgis.checks import Number
-from ..repm_qgis.options import (
-    IMAGE_ENDS,
+from ..repm_qgis.contracts import products
+from ..repm_qgis.contracts.checks import Number
+from ..repm_qgis.contracts.file_kinds import IMAGE_ENDS, is_delivery
+from ..repm_qgis.contracts.options import (
     DsmFuseOptions,
     EpmFitOptions,
     Options,
     PipelineOptions,
     ReconstructOptions,
     RefineOptions,
-    is_delivery,
 )
-from ..repm_qgis.products import tiles_folder
+from ..repm_qgis.contracts.products import tiles_folder
 
 SCENE_FILTER = products.SCENES
 

@@ -6,7 +6,7 @@ from typing import Any, Mapping
 
 from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
 
-from ..repm_qgis.options import PRESETS
+from ..repm_qgis.contracts.options import PRESETS
 from . import parameters
 from .base import RepmAlgorithm
 from .values import command_line

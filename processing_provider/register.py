@@ -8,7 +8,7 @@ from qgis.core import (
     QgsProcessingParameterMultipleLayers,
 )
 
-from ..repm_qgis.options import RegisterOptions
+from ..repm_qgis.contracts.options import RegisterOptions
 from . import parameters
 from .base import RepmAlgorithm
 

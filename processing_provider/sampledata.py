@@ -15,7 +15,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QUrl, QUrlQuery
 
-from ..repm_qgis.options import SampleDataOptions
+from ..repm_qgis.contracts.options import SampleDataOptions
 from . import parameters, styles
 from .base import RepmAlgorithm
 

@@ -8,7 +8,7 @@ from typing import Any
 from qgis.PyQt.QtCore import QCoreApplication
 from qgis.PyQt.QtGui import QIcon
 
-from ..repm_qgis.options import ReconstructOptions
+from ..repm_qgis.contracts.options import ReconstructOptions
 
 GROUP = "REPM"
 ENGINE_PYTHON = "REPM_ENGINE_PYTHON"

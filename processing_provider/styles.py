@@ -23,9 +23,9 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QCoreApplication
 
+from ..repm_qgis.contracts.file_kinds import is_textured
+from ..repm_qgis.contracts.products import STYLES
 from ..repm_qgis.names import titled
-from ..repm_qgis.options import is_textured
-from ..repm_qgis.products import STYLES
 from ..repm_qgis.translation import written_in
 from .language import language, said
 
@@ -210,7 +210,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
     """A result's style file, written now where its stage wrote none; "" where that fails."""
     style = os.path.splitext(path)[0] + ".qml"
     if not os.path.exists(style):
-        from ..repm_qgis.errors import RepmError
+        from ..repm_qgis.contracts.errors import RepmError
 
         try:
             from ..repm_qgis.evaluation.styles import write_style
@@ -225,7 +225,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
 
 def _views(kind: str, path: str, feedback: QgsProcessingFeedback) -> dict[str, str]:
     """Further styles of a kind of layer, by their names, which QGIS offers beside the first one."""
-    from ..repm_qgis.errors import RepmError
+    from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.evaluation.styles import style_text
 
     found = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..repm_qgis.options import ViewerOptions
+from ..repm_qgis.contracts.options import ViewerOptions
 from . import parameters
 from .base import RepmAlgorithm
 

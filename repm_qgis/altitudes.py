@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .arrays import Altitudes
-from .parameters import Parameters
+from .contracts.arrays import Altitudes
+from .contracts.parameters import Parameters
 
 
 @dataclass(frozen=True)

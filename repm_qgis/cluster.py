@@ -23,7 +23,7 @@ from distributed.scheduler import KilledWorker
 from distributed.security import Security
 from osgeo import gdal
 
-from .errors import ClusterError
+from .contracts.errors import ClusterError
 from .parallel import do_task, packed, prepare_process, use_workers
 from .progress import Progress
 from .workspace import ensure_folder, whole_file

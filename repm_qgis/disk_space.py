@@ -11,11 +11,11 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
 
 from osgeo import ogr
 
-from .errors import WorkspaceError
-from .options import VIEWER_CELLS, DsmFuseOptions, DtmOptions, EditDsmOptions, MosaicOptions
-from .products import tiles_folder
+from .contracts.errors import WorkspaceError
+from .contracts.options import VIEWER_CELLS, DsmFuseOptions, DtmOptions, EditDsmOptions, MosaicOptions
+from .contracts.products import tiles_folder
+from .contracts.records import ViewPair
 from .progress import Progress
-from .records import ViewPair
 from .scene import Scene, folder_of
 from .stereo.parameters import STEREO
 from .workspace import existing_place, free_bytes, size_of

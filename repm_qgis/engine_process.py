@@ -25,7 +25,7 @@ import traceback
 from contextlib import suppress
 from typing import Any, Dict, Tuple
 
-from .errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
+from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
 from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
 from .progress import JsonLines
 from .shortage import reserve_buffers, said_in_a_sentence

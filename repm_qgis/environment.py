@@ -17,7 +17,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any, Optional
 
-from .errors import INSTALL_REMEDY, MissingPackageError
+from .contracts.errors import INSTALL_REMEDY, MissingPackageError
 from .installer.packages import PACKAGES, Package
 from .memory import kernel_memory, physical_memory
 from .parallel import cores

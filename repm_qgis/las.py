@@ -1,16 +1,13 @@
-"""Point clouds as LAS and LAZ: their extensions, the package laspy, and how it compresses LAZ."""
+"""Point clouds as LAS and LAZ: the package laspy, and how it compresses LAZ."""
 
 from __future__ import annotations
 
 import os
 import struct
-from pathlib import Path
 from typing import Any
 
 from .containers import own_rest
-from .errors import INSTALL_REMEDY, MissingPackageError
-
-EXTENSIONS = (".laz", ".las")
+from .contracts.errors import INSTALL_REMEDY, MissingPackageError
 
 # LAS 1.4 R15, table 3: the header's size, the offset of the points and the number of records before them; from version
 # 1.4 on where the records after them begin, and their number. A record has a header of so many bytes (tables 6 and 7).
@@ -18,11 +15,6 @@ _BEFORE, _AFTER = (94, "<HII"), (235, "<QI")
 _LEAST_HEADER, _LEAST_HEADER_1_4 = 227, 375
 _RECORD, _LATER_RECORD = 54, 60
 _LENGTH = 20  # where a later record's header states how many bytes follow it, 8 bytes
-
-
-def is_cloud(path: str) -> bool:
-    """Whether a file is a point cloud, by its extension."""
-    return Path(path).suffix.lower() in EXTENSIONS
 
 
 def impossible_header(path: str) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Callable, Dict, Optional, Sequence
 
 from .containers import container_rest, own_rest
-from .errors import ClusterError, OptionError
+from .contracts.errors import ClusterError, OptionError
 from .parallel import cores, task_mib
 from .progress import Progress
 

@@ -11,8 +11,8 @@ import re
 from pathlib import Path
 from typing import List, Sequence
 
-from .checks import as_text
-from .errors import ImageError
+from .contracts.checks import as_text
+from .contracts.errors import ImageError
 from .imagery import raster
 from .scene import Scene, origin
 

@@ -20,7 +20,7 @@ from functools import cache
 from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 from .containers import memory_kills
-from .errors import OutOfMemoryError, RepmError, WorkerError
+from .contracts.errors import OutOfMemoryError, RepmError, WorkerError
 from .progress import Progress, Recorder, Silent
 from .shortage import MEMORY_REMEDY, reserve_buffers, said_in_a_sentence
 from .translation import reader, written_in

@@ -20,7 +20,7 @@ class Progress(Protocol):
     def warn(self, text: str) -> None: ...
 
     def check_cancelled(self) -> None:
-        """Raise :class:`repm_qgis.errors.Cancelled` if the user asked to stop."""
+        """Raise :class:`repm_qgis.contracts.errors.Cancelled` if the user asked to stop."""
         ...
 
 
@@ -128,6 +128,6 @@ class JsonLines:
 
     def check_cancelled(self) -> None:
         if self._cancelled is not None and self._cancelled():
-            from .errors import Cancelled
+            from .contracts.errors import Cancelled
 
             raise Cancelled

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import NamedTuple, Sequence
 
+from .contracts.records import ViewPair
 from .disk_space import seen_px
 from .memory import planned_mib
 from .parallel import cores
 from .progress import counted
-from .records import ViewPair
 from .scene import Scene
 from .stereo.parameters import STEREO
 

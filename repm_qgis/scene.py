@@ -19,24 +19,11 @@ from typing import Annotated, Any, Callable, Dict, List, Mapping, NamedTuple, Op
 import numpy as np
 
 from . import __version__
-from .arrays import FloatArray, Size, Window
-from .checks import Choice, Misfit, Number, file_name, mapping, shown, typed, within
-from .errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
-from .geometry.equivalent_error import EquivalentError, RefinedPinhole
-from .geometry.footprints import bounds_of_wkt
-from .geometry.frames import EnuFrame, projected_crs
-from .geometry.jitter import Jitter
-from .geometry.map_plane import MapPlane
-from .geometry.pinhole import PinholeCamera
-from .geometry.refinement import SensorModel, Terrain
-from .geometry.tiles import enclosing
-from .geometry.vertical import PLACED
-from .imagery.acquisition import acquired, moment, sensor_of
-from .imagery.enhancement import Stretch, view_stretch
-from .imagery.ortho_ready import OrthoReady, plane_of
-from .imagery.parameters import SAMPLING, STRETCH, StretchParameters
-from .options import BACKENDS, MODELS, PRESETS
-from .records import (
+from .contracts.arrays import FloatArray, Size, Window
+from .contracts.checks import Choice, Misfit, Number, file_name, mapping, shown, typed, within
+from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
+from .contracts.options import BACKENDS, MODELS, PRESETS
+from .contracts.records import (
     FilePath,
     Ground,
     HeightMapRecord,
@@ -51,6 +38,19 @@ from .records import (
     ViewPair,
     with_files,
 )
+from .geometry.equivalent_error import EquivalentError, RefinedPinhole
+from .geometry.footprints import bounds_of_wkt
+from .geometry.frames import EnuFrame, projected_crs
+from .geometry.jitter import Jitter
+from .geometry.map_plane import MapPlane
+from .geometry.pinhole import PinholeCamera
+from .geometry.refinement import SensorModel, Terrain
+from .geometry.tiles import enclosing
+from .geometry.vertical import PLACED
+from .imagery.acquisition import acquired, moment, sensor_of
+from .imagery.enhancement import Stretch, view_stretch
+from .imagery.ortho_ready import OrthoReady, plane_of
+from .imagery.parameters import SAMPLING, STRETCH, StretchParameters
 from .rpc import Rpc
 from .untrusted import MOST_SIDE_PX
 from .workspace import write_text

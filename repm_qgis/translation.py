@@ -20,7 +20,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
-from .errors import OptionError
+from .contracts.errors import OptionError
 
 SOURCE_LANGUAGE = "en"
 _FOLDER = Path(__file__).resolve().parents[1] / "i18n"

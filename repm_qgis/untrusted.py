@@ -17,8 +17,8 @@ from xml.parsers import expat  # declarations of types, and so of entities, are 
 
 from osgeo import gdal
 
-from .arrays import Window
-from .checks import INLINE
+from .contracts.arrays import Window
+from .contracts.checks import INLINE
 from .workspace import file_identity
 
 # Formats of files with pixels or shapes, and of files that list such files. None of them is a service of the network,

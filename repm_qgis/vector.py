@@ -10,9 +10,9 @@ from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import gdal, ogr, osr
 
-from .arrays import FloatArray
-from .errors import WorkspaceError
-from .records import GroundShift
+from .contracts.arrays import FloatArray
+from .contracts.errors import WorkspaceError
+from .contracts.records import GroundShift
 from .untrusted import VECTORS, distrust, drivers_for
 from .workspace import not_written, take_name, temporary_folder
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from . import __version__, windows
-from .errors import Cancelled, RepmError, WorkspaceError
+from .contracts.errors import Cancelled, RepmError, WorkspaceError
 
 _kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
 

@@ -66,7 +66,7 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
 
 def texts_of_products() -> list[str]:
     sys.path.insert(0, str(ROOT))
-    from repm_qgis.products import PRODUCTS
+    from repm_qgis.contracts.products import PRODUCTS
 
     return [text for product in PRODUCTS for text in (product.title, product.layer, product.help) if text]
 
@@ -265,7 +265,7 @@ def _read_in(tree: ast.AST) -> list[str]:
 def _read_in_templates() -> list[str]:
     """Texts in quotation marks of the pages' templates, labels of legends, and what models say."""
     sys.path.insert(0, str(ROOT))
-    from repm_qgis.products import STYLES
+    from repm_qgis.contracts.products import STYLES
 
     found: list[str] = []
     for path in sorted((ROOT / "resources" / "templates").iterdir()):
@@ -315,7 +315,7 @@ def engine_texts() -> list[str]:
 
 def titles_of_products() -> list[str]:
     sys.path.insert(0, str(ROOT))
-    from repm_qgis.products import PRODUCTS
+    from repm_qgis.contracts.products import PRODUCTS
 
     return [text for product in PRODUCTS for text in (product.title, product.layer) if text]
 

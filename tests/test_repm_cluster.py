@@ -54,7 +54,7 @@ def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
     from distributed import Client
 
     from repm_qgis.cluster import cluster_workers, key_file, security
-    from repm_qgis.errors import ClusterError
+    from repm_qgis.contracts.errors import ClusterError
     from repm_qgis.parallel import run_tasks
     from repm_qgis.progress import Silent
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from .errors import ErrorModel
 from .parameters import CHANGE, DetectionParameters
 from .surfaces import Cells

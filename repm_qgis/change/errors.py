@@ -14,8 +14,8 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Floats
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, FloatImage, Floats
+from ..contracts.errors import EmptyResultError
 from ..imagery.sampling import NMAD_FACTOR, nmad
 from .parameters import CHANGE, ErrorModelParameters
 from .surfaces import Cells

@@ -11,8 +11,9 @@ import numpy as np
 from osgeo import ogr
 
 from .. import __version__
-from ..arrays import FloatArray, FloatImage, IntArray, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Window
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import ChangeOptions
 from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
@@ -20,7 +21,6 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..imagery import raster
 from ..imagery.sampling import nmad
-from ..options import ChangeOptions
 from ..progress import Part, Progress
 from ..vector import write_layer
 from ..workspace import temporary_folder

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from pyproj import Transformer
 
+from ..contracts.options import ChangeOptions
 from ..evaluation import charts, pictures, verdict
 from ..evaluation.report import Report, fixed
 from ..geometry.frames import flat_crs
-from ..options import ChangeOptions
 from .finding import Found
 from .parameters import CHANGE
 from .volumes import centre_of

@@ -9,8 +9,9 @@ from typing import List, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Mask, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatImage, Mask, Window
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import ChangeOptions
 from ..evaluation.comparison import gradient, sample_windows
 from ..evaluation.coregistration import Alignment, align
 from ..evaluation.grids import Grid, HeightWarper, cell_metres, overlap
@@ -19,7 +20,6 @@ from ..geometry.frames import flat_crs
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
-from ..options import ChangeOptions
 from ..progress import Progress
 from .parameters import CHANGE, DetectionParameters
 

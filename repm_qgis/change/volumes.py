@@ -9,8 +9,8 @@ from typing import Callable, Iterator, List, Sequence, Tuple
 import numpy as np
 from osgeo import gdal, ogr, osr
 
-from ..arrays import FloatArray, FloatImage, IntArray, Mask, Window
-from ..errors import WorkspaceError
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.errors import WorkspaceError
 from ..evaluation.grids import Grid
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster

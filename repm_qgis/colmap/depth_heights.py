@@ -14,8 +14,8 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..scene import Scene

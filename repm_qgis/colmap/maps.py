@@ -10,8 +10,8 @@ import re
 
 import numpy as np
 
-from ..arrays import FloatImage, Size
-from ..errors import ImageError
+from ..contracts.arrays import FloatImage, Size
+from ..contracts.errors import ImageError
 
 _HEADER = re.compile(rb"(\d{1,6})&(\d{1,6})&(\d{1,2})&")
 _HEADER_BYTES = 24

@@ -22,8 +22,8 @@ from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, Bounds, FloatArray, Size
-from ..errors import RpcInvalidError
+from ..contracts.arrays import Altitudes, Bounds, FloatArray, Size
+from ..contracts.errors import RpcInvalidError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.pinhole import PinholeCamera, factorise
 from ..geometry.refinement import apply_homography, translation

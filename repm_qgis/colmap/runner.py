@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar, Union
 
+from ..contracts.errors import Cancelled, DeviceError
 from ..environment import Gpu
-from ..errors import Cancelled, DeviceError
 from ..parallel import as_they_end
 from ..progress import Progress
 from ..workspace import write_text

@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask
+from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask
+from ..contracts.errors import DeviceError, EmptyResultError, ImageError
+from ..contracts.records import HeightMapRecord
 from ..environment import Gpu
-from ..errors import DeviceError, EmptyResultError, ImageError
 from ..imagery.correlation import window_statistics
 from ..imagery.enhancement import Stretch
 from ..imagery.warping import box_filter, sample_array
 from ..progress import Progress
-from ..records import HeightMapRecord
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.parameters import STEREO, StereoParameters

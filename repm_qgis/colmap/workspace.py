@@ -17,8 +17,8 @@ from typing import Any, Mapping, Sequence, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask
-from ..errors import WorkspaceError
+from ..contracts.arrays import FloatArray, FloatImage, Mask
+from ..contracts.errors import WorkspaceError
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import warp

@@ -12,8 +12,8 @@ from typing import Iterator, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, FloatImage, Mask, Window
+from ..contracts.errors import EmptyResultError
 from ..evaluation.grids import Grid
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import doubled, halved

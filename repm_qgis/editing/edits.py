@@ -12,7 +12,7 @@ from typing import Any, Dict, Optional, Sequence, Tuple
 
 from osgeo import ogr
 
-from ..errors import InputTableError
+from ..contracts.errors import InputTableError
 from ..vector import file_and_layer, open_vector, write_layer
 
 OPERATIONS = ("remove", "fill", "set", "flatten", "breakline")

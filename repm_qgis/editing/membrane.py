@@ -15,7 +15,7 @@ from typing import List, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask
+from ..contracts.arrays import FloatArray, FloatImage, Mask
 from ..geometry.levels import halved
 from .parameters import EDITING, EditingParameters
 

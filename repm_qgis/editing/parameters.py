@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..contracts.parameters import Parameters
 from ..fusion.parameters import FUSION
-from ..parameters import Parameters
 
 
 @dataclass(frozen=True)

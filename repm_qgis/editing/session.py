@@ -9,8 +9,8 @@ from typing import Optional, Tuple
 import pyproj
 from osgeo import ogr
 
-from ..checks import as_text
-from ..errors import ImageError
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError
 from ..geometry.frames import flat_crs
 from ..imagery.raster import opened
 from ..terrain.inputs import surface_of

@@ -12,8 +12,8 @@ from typing import Any, List, Optional, Tuple
 import numpy as np
 from osgeo import gdal, ogr, osr
 
-from ..arrays import FloatArray, Mask, Window
-from ..errors import InputTableError
+from ..contracts.arrays import FloatArray, Mask, Window
+from ..contracts.errors import InputTableError
 from ..evaluation.grids import Grid
 from ..geometry.frames import flat_crs
 from ..imagery.raster import quiet

@@ -8,8 +8,8 @@ import numpy as np
 from osgeo import gdal
 from pyproj import Transformer
 
-from ..arrays import FloatArray, Floats, Mask, Window
-from ..errors import ImageError
+from ..contracts.arrays import FloatArray, Floats, Mask, Window
+from ..contracts.errors import ImageError
 from ..geometry.frames import flat_crs
 from ..imagery import raster
 from .grids import Grid

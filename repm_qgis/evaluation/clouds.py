@@ -12,8 +12,8 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, Window
-from ..errors import ImageError
+from ..contracts.arrays import Bounds, FloatArray, Window
+from ..contracts.errors import ImageError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG, stated_datum

@@ -9,8 +9,8 @@ from typing import Callable, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, FloatImage, IntArray, Size, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import Bounds, FloatArray, FloatImage, IntArray, Size, Window
+from ..contracts.errors import EmptyResultError
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights

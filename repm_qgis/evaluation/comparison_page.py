@@ -8,7 +8,7 @@ from typing import List, Mapping, Sequence, Tuple
 import numpy as np
 
 from ..accuracy import EXPLAINED
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures, verdict
 from .comparison import Comparison

@@ -19,8 +19,8 @@ from typing import Callable, Dict, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Floats, IntArray
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, FloatImage, Floats, IntArray
+from ..contracts.errors import EmptyResultError
 from ..imagery.sampling import mean_of_known, nmad
 from .parameters import COREGISTRATION, CoregistrationParameters
 

@@ -6,7 +6,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray
+from ..contracts.arrays import Altitudes, FloatArray
 from ..geometry.equivalent_error import EquivalentError, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.refinement import Terrain

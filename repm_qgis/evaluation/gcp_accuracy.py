@@ -14,8 +14,8 @@ from osgeo import gdal
 from pyproj import CRS, Transformer
 
 from ..accuracy import distances, le90
-from ..arrays import FloatArray, Mask
-from ..checks import as_text
+from ..contracts.arrays import FloatArray, Mask
+from ..contracts.checks import as_text
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
 from ..imagery.sampling import nmad
 from ..scene import View

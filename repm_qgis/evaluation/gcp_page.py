@@ -7,8 +7,8 @@ from typing import Any, List
 import numpy as np
 
 from ..accuracy import EXPLAINED, LEAST_POINTS
+from ..contracts.options import CheckGcpsOptions
 from ..geometry.frames import EnuFrame, mean_place
-from ..options import CheckGcpsOptions
 from ..progress import counted
 from . import charts, verdict
 from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy

@@ -8,12 +8,12 @@ from typing import Any, List, Sequence
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
+from ..contracts.records import GcpFigures, PointingFigures, ViewPair
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import duration_text
 from ..progress import counted
-from ..records import GcpFigures, PointingFigures, ViewPair
 from ..scene import Scene
 from ..sfm.advice import absolute_height
 from ..sfm.pair_selection import shared_part

@@ -12,9 +12,9 @@ from osgeo import gdal, osr
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from ..arrays import Bounds, FloatArray, FloatImage, Size, Window
-from ..checks import as_text
-from ..errors import ImageError, OverlapError
+from ..contracts.arrays import Bounds, FloatArray, FloatImage, Size, Window
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG

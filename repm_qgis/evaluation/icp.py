@@ -14,8 +14,8 @@ from typing import Any, Callable
 
 import numpy as np
 
-from ..arrays import FloatArray, Mask
-from ..errors import INSTALL_REMEDY, EmptyResultError, MissingPackageError
+from ..contracts.arrays import FloatArray, Mask
+from ..contracts.errors import INSTALL_REMEDY, EmptyResultError, MissingPackageError
 from ..geometry.neighbours import principal_axes
 from ..imagery.sampling import nmad
 from .parameters import COREGISTRATION, ICP, IcpParameters

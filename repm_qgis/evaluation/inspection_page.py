@@ -8,7 +8,7 @@ from typing import Any, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from ..errors import RepmError
+from ..contracts.errors import RepmError
 from ..imagery.acquisition import duration_text
 from ..progress import counted
 from ..run_estimate import duration

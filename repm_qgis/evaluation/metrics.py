@@ -24,7 +24,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..accuracy import SHARE, le90
-from ..arrays import Floats, IntArray
+from ..contracts.arrays import Floats, IntArray
 from ..imagery.sampling import NMAD_FACTOR, nmad
 
 THRESHOLDS_M = (1.0, 2.5, 5.0)

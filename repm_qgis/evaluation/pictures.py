@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import ByteImage, FloatImage, Floats
-from ..errors import ImageError
+from ..contracts.arrays import ByteImage, FloatImage, Floats
+from ..contracts.errors import ImageError
 from ..imagery import raster
 from .grids import Grid, metres_per_unit
 

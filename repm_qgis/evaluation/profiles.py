@@ -10,9 +10,9 @@ import numpy as np
 import pyproj
 from osgeo import ogr, osr
 
-from ..arrays import Bounds, FloatArray, FloatImage
-from ..checks import as_text
-from ..errors import InputTableError
+from ..contracts.arrays import Bounds, FloatArray, FloatImage
+from ..contracts.checks import as_text
+from ..contracts.errors import InputTableError
 from ..geometry.frames import flat_crs
 from ..vector import file_and_layer, open_vector
 from .coregistration import Alignment

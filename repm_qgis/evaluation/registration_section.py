@@ -8,9 +8,9 @@ from typing import List, Tuple
 
 import numpy as np
 
+from ..contracts.records import ReferenceFigures, RegistrationFigures
 from ..imagery.raster import opened, read
 from ..imagery.sampling import nmad
-from ..records import ReferenceFigures, RegistrationFigures
 from ..scene import Scene
 from . import charts, pictures, verdict
 from .geometry_section import add_jitter

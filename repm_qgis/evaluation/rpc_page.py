@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Sequence, Tuple
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..progress import counted
 from ..rpc.correction import CorrectedRpc
 from ..scene import View

@@ -6,7 +6,7 @@ from typing import NamedTuple, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Floats
+from ..contracts.arrays import FloatImage, Floats
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 from .coregistration import Alignment, align

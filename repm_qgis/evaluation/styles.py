@@ -1,8 +1,8 @@
 """Map styles as sidecar files of products: QGIS opens ``dsm.tif`` with ``dsm.qml`` beside it.
 
-The templates lie in ``resources/styles``, and :data:`repm_qgis.products.STYLES` says which kind of layer has which;
-this module fills in what depends on the data (the range, and the colours spread over it). Each is valid for QGIS 3.22
-and later; what an older QGIS does not know (the elevation of 3.26) it passes over.
+The templates lie in ``resources/styles``, and :data:`repm_qgis.contracts.products.STYLES` says which kind of layer has
+which; this module fills in what depends on the data (the range, and the colours spread over it). Each is valid for QGIS
+3.22 and later; what an older QGIS does not know (the elevation of 3.26) it passes over.
 
 | kind | what | range |
 |---|---|---|
@@ -39,10 +39,10 @@ from typing import List, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage
-from ..errors import OptionError
+from ..contracts.arrays import FloatImage
+from ..contracts.errors import OptionError
+from ..contracts.products import STYLES, Style
 from ..imagery.raster import opened
-from ..products import STYLES, Style
 from ..translation import SOURCE_LANGUAGE, reader, said
 from ..workspace import write_text
 from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, ramp_table, rgb

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import MissingPackageError
+from ..contracts.errors import MissingPackageError
 from ..translation import said
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from typing import List, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 
+from ..contracts.records import FusionFacts, RegistrationFigures
 from ..imagery.sampling import nmad
-from ..records import FusionFacts, RegistrationFigures
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
 from ..scene import Scene
 from .gcp_accuracy import GcpAccuracy

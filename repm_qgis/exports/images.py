@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatImage, Window
-from ..errors import ImageError
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import ImageError
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import RasterWriter, created, opened, quiet, read
 from ..imagery.warping import warp_strips

@@ -12,8 +12,8 @@ from typing import Callable, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Size
-from ..errors import SceneError
+from ..contracts.arrays import FloatArray, Size
+from ..contracts.errors import SceneError
 from ..geometry.centring import centred, image_nodes
 from ..geometry.equivalent_error import EquivalentError, RefinedPinhole
 from ..geometry.frames import EnuFrame

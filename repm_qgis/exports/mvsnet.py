@@ -11,7 +11,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..workspace import write_text
 from .formats import ExportFormat
 from .model import ExportView, TileModel

@@ -12,7 +12,7 @@ from typing import Any, Dict, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..workspace import write_text
 from .formats import ExportFormat
 from .model import ExportView, TileModel

@@ -16,9 +16,9 @@ import pyproj
 from osgeo import gdal
 
 from .. import __version__
-from ..arrays import FloatArray
-from ..checks import as_text
-from ..errors import OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import as_text
+from ..contracts.errors import OptionError
 from ..geometry.footprints import ring
 from ..geometry.frames import flat_crs
 from ..imagery.raster import opened

@@ -6,7 +6,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.frames import geodetic_from_projected
 from ..scene import Scene, Tile
 from ..sfm.parameters import POINTING

@@ -20,7 +20,7 @@ from typing import Optional, Sequence, Tuple, Union
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Floats, IntArray, Mask
+from ..contracts.arrays import FloatImage, Floats, IntArray, Mask
 from .parameters import FUSION, EvidenceParameters
 
 _AROUND = np.ones((3, 3), np.uint8)

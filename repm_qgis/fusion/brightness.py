@@ -12,7 +12,7 @@ from typing import Iterator, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, FloatImage
+from ..contracts.arrays import Altitudes, FloatArray, FloatImage
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected

@@ -28,7 +28,7 @@ from typing import List, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, IntArray, Mask
+from ..contracts.arrays import FloatImage, IntArray, Mask
 from .aggregation import FusedCells, objection
 from .parameters import FUSION, ChoiceParameters, EvidenceParameters
 from .surroundings import Offsets, extremes, farthest, others, places

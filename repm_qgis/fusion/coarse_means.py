@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..arrays import FloatArray, Floats, Window
+from ..contracts.arrays import FloatArray, Floats, Window
 from ..geometry.cell_grid import CellGrid
 
 

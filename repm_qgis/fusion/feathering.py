@@ -6,7 +6,7 @@ from typing import Optional, Sequence
 
 import numpy as np
 
-from ..arrays import Floats, Size, Window
+from ..contracts.arrays import Floats, Size, Window
 from .parameters import FUSION
 from .tile_fusion import StoredTile
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..arrays import Altitudes, Floats, Window
+from ..contracts.arrays import Altitudes, Floats, Window
 from ..geometry.cell_grid import CellGrid
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import opened, read

@@ -7,7 +7,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Floats, IntArray, Mask
+from ..contracts.arrays import FloatImage, Floats, IntArray, Mask
 from .parameters import FUSION, HoleParameters
 
 _HALF_TURN = ((0, 1), (1, 2), (1, 1), (2, 1), (1, 0), (2, -1), (1, -1), (1, -2))

@@ -7,11 +7,11 @@ from typing import Iterator, List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import DsmFuseOptions
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery.raster import created, opened, read
-from ..options import DsmFuseOptions
 from ..scene import Scene
 from .aggregation import FIELDS, Candidate, FusedCells
 from .feathering import feathered

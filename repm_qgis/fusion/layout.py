@@ -8,7 +8,7 @@ from typing import Optional, Sequence, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import Bounds, FloatArray, Mask, Window
+from ..contracts.arrays import Bounds, FloatArray, Mask, Window
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice

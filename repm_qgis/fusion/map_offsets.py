@@ -18,7 +18,8 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, Floats
+from ..contracts.arrays import Bounds, FloatArray, Floats
+from ..contracts.records import HeightMapRecord
 from ..geometry.cell_grid import CellGrid
 from ..geometry.gridding import grid_points
 from ..geometry.tiles import enclosing
@@ -27,7 +28,6 @@ from ..matching.parameters import MATCHING, MatchingParameters
 from ..memory import fusing_mib, tile_work, workers_within
 from ..parallel import run_tasks
 from ..progress import Progress
-from ..records import HeightMapRecord
 from ..scene import Scene, Tile
 from ..stereo.triangulation import nodes
 from .parameters import FUSION, FusionParameters, MapOffsetParameters

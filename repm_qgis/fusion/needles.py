@@ -13,7 +13,7 @@ import math
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, IntArray, Mask
+from ..contracts.arrays import FloatImage, IntArray, Mask
 from .parameters import FUSION, NeedleParameters
 from .surroundings import extremes
 

@@ -12,7 +12,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Floats, IntArray
+from ..contracts.arrays import FloatArray, FloatImage, Floats, IntArray
 from ..stereo.height_maps import HeightMap
 
 

@@ -7,7 +7,7 @@ from typing import List, Tuple
 
 import numpy as np
 
-from ..arrays import Floats, Mask
+from ..contracts.arrays import Floats, Mask
 from .parameters import FUSION, IsolatedPointParameters, OutlierParameters
 
 

@@ -7,7 +7,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatImage
+from ..contracts.arrays import Bounds, FloatImage
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.tiles import enclosing

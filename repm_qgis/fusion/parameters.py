@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Tuple
 
+from ..contracts.parameters import Parameters
 from ..geometry.parameters import GriddingParameters
 from ..matching.parameters import MATCHING
-from ..parameters import Parameters
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Tuple
 import numpy as np
 
 from ..accuracy import LE90
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
 from .aggregation import Candidate, FusedCells
 from .parameters import FUSION, ErrorParameters, EvidenceParameters

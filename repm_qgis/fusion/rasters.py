@@ -11,8 +11,10 @@ import pyproj
 from osgeo import ogr
 
 from .. import __version__
-from ..arrays import Bounds, FloatArray, FloatImage, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import Bounds, FloatArray, FloatImage, Window
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import DsmFuseOptions
+from ..contracts.records import FusionFacts
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.footprints import footprint, seen_twice
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
@@ -23,8 +25,6 @@ from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, Provenance
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import RasterWriter, created
 from ..names import DAYS
-from ..options import DsmFuseOptions
-from ..records import FusionFacts
 from ..scene import Scene
 from .coarse_means import CoarseMeans
 from .holes import fill_holes

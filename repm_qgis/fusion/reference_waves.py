@@ -11,14 +11,14 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray
+from ..contracts.arrays import Bounds, FloatArray
+from ..contracts.records import HeightMapRecord, RegistrationFigures
 from ..geometry.jitter import Jitter
 from ..matching.backends import height_source, wave_geometry
 from ..matching.parameters import MATCHING, MatchingParameters
 from ..memory import fusing_mib, tile_work, workers_within
 from ..parallel import run_tasks
 from ..progress import Progress
-from ..records import HeightMapRecord, RegistrationFigures
 from ..registration.parameters import REGISTRATION, WaveParameters
 from ..registration.surfaces import Reference
 from ..registration.waves import FoundWaves, MapDifferences, find_waves

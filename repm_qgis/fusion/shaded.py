@@ -13,7 +13,7 @@ from typing import Callable, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import ByteImage, FloatImage, Floats, IntArray, Mask
+from ..contracts.arrays import ByteImage, FloatImage, Floats, IntArray, Mask
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import mean_position
 from ..imagery.sampling import median_of_known

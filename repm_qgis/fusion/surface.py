@@ -10,7 +10,7 @@ from typing import Iterator, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Window
+from ..contracts.arrays import FloatImage, Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..imagery.confidence import Provenance
 from ..workspace import writing

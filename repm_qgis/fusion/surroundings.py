@@ -7,7 +7,7 @@ from typing import Sequence, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 
 Offsets = Sequence[Tuple[int, int]]
 """Rows and columns from a cell to others."""

@@ -9,12 +9,12 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, Floats, Mask, Window
+from ..contracts.arrays import Bounds, Floats, Mask, Window
+from ..contracts.records import FilePath, HeightMapRecord, Record
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.gridding import grid_points, surface_step
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
-from ..records import FilePath, HeightMapRecord, Record
 from ..scene import Scene
 from ..stereo.height_maps import HeightMap, HeightSource, checksum_of, require_whole
 from ..workspace import whole_file, write_text

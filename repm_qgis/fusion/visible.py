@@ -8,7 +8,7 @@ from typing import Callable, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, FloatImage, Floats, Mask, Window
+from ..contracts.arrays import Altitudes, FloatArray, FloatImage, Floats, Mask, Window
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Window
+from ..contracts.arrays import Window
+from ..contracts.records import HeightMapRecord
 from ..imagery.raster import opened, read
 from ..matching.detail import tail
 from ..matching.parameters import MATCHING, SubpixelParameters
-from ..records import HeightMapRecord
 from ..scene import Scene
 from .outliers import remove_isolated_points
 from .parameters import FUSION, IsolatedPointParameters, WallParameters

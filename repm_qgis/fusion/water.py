@@ -14,7 +14,7 @@ from typing import Any, Callable, Iterator, List, Sequence, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
 from ..geometry.cell_grid import CellGrid
 from ..imagery.confidence import Provenance
 from ..imagery.sampling import median_of_known

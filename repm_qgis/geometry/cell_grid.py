@@ -8,7 +8,7 @@ from typing import Iterator, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, Floats, IntArray, Mask, Size, Window
+from ..contracts.arrays import Bounds, FloatArray, Floats, IntArray, Mask, Size, Window
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Size
+from ..contracts.arrays import FloatArray, Size
 from .pinhole import PinholeCamera
 from .refinement import apply_homography
 

@@ -10,10 +10,10 @@ from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray
-from ..checks import typed
-from ..errors import OptionError, RpcInvalidError
-from ..records import Count, Pixels, Record
+from ..contracts.arrays import Altitudes, FloatArray
+from ..contracts.checks import typed
+from ..contracts.errors import OptionError, RpcInvalidError
+from ..contracts.records import Count, Pixels, Record
 from .footprints import ring
 from .frames import EnuFrame
 from .jitter import Jitter

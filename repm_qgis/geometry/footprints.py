@@ -8,7 +8,7 @@ from typing import Callable, List, Optional, Sequence
 import numpy as np
 from osgeo import gdal, ogr, osr
 
-from ..arrays import Bounds, FloatArray, Size
+from ..contracts.arrays import Bounds, FloatArray, Size
 from .frames import EnuFrame
 from .refinement import SensorModel
 

@@ -18,10 +18,10 @@ from osgeo import osr
 from pyproj.aoi import AreaOfInterest
 from pyproj.transformer import TransformerGroup
 
-from ..arrays import FloatArray
-from ..checks import Number
-from ..errors import ImageError, OptionError, RepmError
-from ..records import Record
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import Number
+from ..contracts.errors import ImageError, OptionError, RepmError
+from ..contracts.records import Record
 
 _TO_ECEF = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
 

@@ -8,7 +8,7 @@ from typing import Iterator, Tuple, Union
 
 import numpy as np
 
-from ..arrays import FloatArray, Floats, IntArray, Mask
+from ..contracts.arrays import FloatArray, Floats, IntArray, Mask
 from .cell_grid import CellGrid
 from .parameters import GRIDDING, GriddingParameters
 

@@ -7,8 +7,8 @@ from typing import Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import FloatArray
-from ..records import GroundShift
+from ..contracts.arrays import FloatArray
+from ..contracts.records import GroundShift
 from .frames import geodetic_from_projected, projected_from_geodetic
 
 _STEP_M = 100.0  # over which two CRSs are compared

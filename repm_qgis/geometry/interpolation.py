@@ -6,7 +6,7 @@ from typing import Callable, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Floats, Size
+from ..contracts.arrays import FloatArray, Floats, Size
 
 
 def bilinear(grid: Floats, columns: Floats, rows: Floats) -> Floats:

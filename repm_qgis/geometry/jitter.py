@@ -14,9 +14,9 @@ from typing import Annotated, Optional, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..checks import Array, Number
-from ..records import Record
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import Array, Number
+from ..contracts.records import Record
 
 _STEPS = 30  # at most: each makes the error fifty times smaller
 _TOLERANCE_PX = 1e-9

@@ -6,7 +6,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import Floats
+from ..contracts.arrays import Floats
 
 
 def halved(values: Floats) -> Floats:

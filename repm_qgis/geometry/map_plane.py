@@ -12,9 +12,9 @@ from typing import Annotated, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import FloatArray
-from ..checks import Number
-from ..records import Record
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import Number
+from ..contracts.records import Record
 from .frames import geodetic_from_projected, projected_from_geodetic
 
 _LEAST_PIXEL = 1e-18  # area of a pixel in units of the map squared: 1e-9 degrees are a tenth of a millimetre

@@ -6,7 +6,7 @@ from typing import Any, Iterator, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 
 
 def principal_axes(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Tuple
 
-from ..parameters import Parameters
+from ..contracts.parameters import Parameters
 
 
 @dataclass(frozen=True)

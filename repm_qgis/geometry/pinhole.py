@@ -11,10 +11,10 @@ from typing import Annotated, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..checks import Array
-from ..errors import RpcInvalidError
-from ..records import Record
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import Array
+from ..contracts.errors import RpcInvalidError
+from ..contracts.records import Record
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Protocol, 
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..checks import Array, Misfit, Number, shown, typed, within
-from ..errors import OptionError
-from ..records import Record
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import Array, Misfit, Number, shown, typed, within
+from ..contracts.errors import OptionError
+from ..contracts.records import Record
 from .frames import EnuFrame
 from .jitter import Jitter
 from .pinhole import PinholeCamera, linear_transform

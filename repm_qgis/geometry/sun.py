@@ -8,7 +8,7 @@ from typing import Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=timezone.utc)
 

@@ -7,7 +7,7 @@ from typing import Callable
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from .interpolation import bilinear
 
 _STEPS = 20  # of an intersection at most: they bound the time where lines never meet the surface

@@ -9,7 +9,7 @@ from typing import Callable, List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import Altitudes, Bounds, FloatArray, Size, Window
+from ..contracts.arrays import Altitudes, Bounds, FloatArray, Size, Window
 from .footprints import box
 
 

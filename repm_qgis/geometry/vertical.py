@@ -10,8 +10,8 @@ import numpy as np
 import pyproj
 from pyproj.crs.crs import CompoundCRS
 
-from ..arrays import FloatArray
-from ..errors import MissingPackageError, OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import MissingPackageError, OptionError
 from .frames import geodetic_from_projected, install_grid, vertical_operations
 
 DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}

@@ -23,8 +23,8 @@ from typing import Callable, Iterator, List, Optional, Tuple
 
 from osgeo import gdal
 
-from ..checks import as_texts
-from ..errors import RpcError
+from ..contracts.checks import as_texts
+from ..contracts.errors import RpcError
 from ..rpc.formats import sidecar_text, xml_texts
 from ..rpc.readers import beside, files_in_folder, product_of
 from .sensors import sensor_in

@@ -7,7 +7,7 @@ from typing import List, Optional, Tuple
 
 from osgeo import gdal
 
-from ..checks import as_text
+from ..contracts.checks import as_text
 from .raster import COLOURS, colour_interpretations
 
 _NAMES = ("red", "green", "blue")

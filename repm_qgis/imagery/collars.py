@@ -13,7 +13,7 @@ from typing import Callable, Iterator, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Mask, Size, Window
+from ..contracts.arrays import FloatImage, Mask, Size, Window
 from .parameters import COLLARS, CollarParameters
 from .raster import Image, MaskedImage, created, opened_masked, read
 

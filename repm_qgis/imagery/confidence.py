@@ -7,8 +7,8 @@ from typing import List, NamedTuple
 
 from osgeo import gdal
 
-from ..checks import as_text
-from ..errors import ImageError
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError
 
 
 class Provenance(IntEnum):

@@ -6,7 +6,7 @@ from typing import Callable, NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 
 _LEAST_POWER = 1e-12  # product of two variances of intensities 0..1: below the noise of a sensor of 12 bits
 

@@ -18,8 +18,9 @@ from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Typ
 
 from osgeo import gdal
 
-from ..errors import ImageError, OptionError, RepmError, RpcError
-from ..options import IMAGE_ENDS, EpmFitOptions, InspectOptions, is_archive, is_catalogue, is_delivery
+from ..contracts.errors import ImageError, OptionError, RepmError, RpcError
+from ..contracts.file_kinds import IMAGE_ENDS, is_archive, is_catalogue, is_delivery
+from ..contracts.options import EpmFitOptions, InspectOptions
 from ..progress import Progress, counted, listed
 from ..rpc.formats import ARCHIVED, sidecar_text, xml_attributes
 from ..rpc.readers import beside, files_in_folder, product_of, rpc_of

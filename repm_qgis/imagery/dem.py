@@ -9,9 +9,9 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, FloatImage, Window
-from ..checks import as_text
-from ..errors import ImageError, OverlapError
+from ..contracts.arrays import Bounds, FloatArray, FloatImage, Window
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, geodetic_from_projected, on_earth, vertical_part
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface

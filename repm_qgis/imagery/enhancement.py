@@ -7,8 +7,8 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, Window
-from ..errors import ImageError
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import ImageError
 from .parameters import STRETCH, StretchParameters
 from .raster import opened_masked, read
 

@@ -15,9 +15,9 @@ import pyproj
 from osgeo import gdal
 from pyproj.exceptions import CRSError
 
-from ..arrays import FloatImage, Size, Window
-from ..checks import as_text
-from ..errors import ImageError
+from ..contracts.arrays import FloatImage, Size, Window
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError
 from ..geometry.vertical import metres_per_unit
 from . import raster
 

@@ -21,9 +21,9 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import FloatArray
-from ..checks import as_text
-from ..errors import RpcError, RpcInvalidError
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import as_text
+from ..contracts.errors import RpcError, RpcInvalidError
 from ..geometry.map_plane import MapPlane
 from ..rpc.formats import sidecar_text, xml_inside, xml_texts
 from ..rpc.model import Rpc

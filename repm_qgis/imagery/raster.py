@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatImage, Mask, Size, Window
-from ..errors import ImageError
+from ..contracts.arrays import FloatImage, Mask, Size, Window
+from ..contracts.errors import ImageError
 from ..shortage import speaks_of_memory
 from ..untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
 from ..workspace import file_identity, file_sample, not_written, take_name, temporary_name

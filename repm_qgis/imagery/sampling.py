@@ -7,7 +7,7 @@ from typing import Callable, List, Optional, Tuple, Union
 
 import numpy as np
 
-from ..arrays import Floats, Mask
+from ..contracts.arrays import Floats, Mask
 from ..geometry.interpolation import bilinear
 
 NMAD_FACTOR = 1.4826  # the standard deviation of Gaussian noise over its median absolute deviation

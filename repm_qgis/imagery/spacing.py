@@ -10,7 +10,7 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..checks import as_text, as_texts
+from ..contracts.checks import as_text, as_texts
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 
 _INCH_M = 0.0254

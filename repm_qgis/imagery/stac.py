@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
 from urllib.parse import unquote
 
-from ..errors import ImageError, RpcError
-from ..options import IMAGE_ENDS
+from ..contracts.errors import ImageError, RpcError
+from ..contracts.file_kinds import IMAGE_ENDS
 from ..rpc.formats import sidecar_text
 
 _MOST_ITEMS = 1000

@@ -9,7 +9,7 @@ from typing import Iterator, Mapping, Sequence, Tuple
 
 from osgeo import gdal
 
-from ..arrays import Size, Window
+from ..contracts.arrays import Size, Window
 from .raster import NODATA
 
 

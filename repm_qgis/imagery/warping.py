@@ -9,8 +9,8 @@ from typing import Callable, Iterator, Optional, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask, Size, Window
-from ..errors import ImageError
+from ..contracts.arrays import FloatArray, FloatImage, Mask, Size, Window
+from ..contracts.errors import ImageError
 from ..geometry.interpolation import interpolate_steps
 from .parameters import SAMPLING, WARPING
 from .raster import Image, read

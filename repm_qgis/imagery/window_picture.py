@@ -8,7 +8,7 @@ from typing import Optional, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, Size, Window
+from ..contracts.arrays import FloatArray, Size, Window
 from .raster import opened_image, read
 
 _ENDS_PERCENT = (0.5, 99.5)  # of the window's own values: the contrast of what is shown

@@ -11,7 +11,7 @@ import signal
 import sys
 from typing import Sequence
 
-from ..errors import Cancelled, RepmError
+from ..contracts.errors import Cancelled, RepmError
 from ..progress import Silent
 from . import environments
 from .install import described, install, log_of, planned

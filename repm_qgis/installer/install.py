@@ -11,7 +11,7 @@ from contextlib import suppress
 from datetime import datetime
 from typing import Callable, List, Optional, Sequence, TextIO
 
-from ..errors import MissingPackageError, OptionError, WorkspaceError
+from ..contracts.errors import MissingPackageError, OptionError, WorkspaceError
 from ..locks import exclusive
 from ..progress import Part, Progress
 from ..workspace import cannot_write, ensure_folder

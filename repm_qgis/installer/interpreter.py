@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from typing import Dict, List, Sequence, Tuple
 
-from ..errors import MissingPackageError
+from ..contracts.errors import MissingPackageError
 from .packages import OF_QGIS, PACKAGES
 
 STAMP = "repm-environment.json"

@@ -11,7 +11,7 @@ import subprocess  # nosec B404 # see its uses
 import threading
 from typing import IO, Callable, Deque, Dict, List, Optional, Sequence
 
-from ..errors import MissingPackageError, RepmError, WorkspaceError
+from ..contracts.errors import MissingPackageError, RepmError, WorkspaceError
 from ..progress import Progress
 from ..workspace import size_of
 from .interpreter import variables

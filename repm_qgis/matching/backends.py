@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, Dict, List, Mapping, NamedTuple, Optional
 
 import numpy as np
 
-from ..arrays import Bounds
-from ..errors import DeviceError
+from ..contracts.arrays import Bounds
+from ..contracts.errors import DeviceError
+from ..contracts.options import ReconstructOptions
+from ..contracts.records import HeightMapRecord, ViewPair
 from ..geometry.ground_shifts import shift_in
 from ..imagery.enhancement import Stretch
-from ..options import ReconstructOptions
 from ..progress import Part, Progress
-from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
 from ..stereo.wave_change import WaveChange, WaveGeometry

@@ -14,8 +14,8 @@ import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Window
+from ..contracts.errors import EmptyResultError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.gridding import grid_points
 from ..geometry.tiles import enclosing, lay_tiles

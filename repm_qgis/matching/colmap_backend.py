@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
-from ..arrays import Bounds
 from ..colmap.runner import PatchMatchOptions, Runner, run_patch_match
 from ..colmap.tile_matching import GpuTask, match_tiles, tile_height_source
+from ..contracts.arrays import Bounds
+from ..contracts.options import ReconstructOptions
+from ..contracts.records import HeightMapRecord, ViewPair
 from ..environment import Gpu, cuda, cuda_usable, gpus
-from ..options import ReconstructOptions
 from ..progress import Progress
-from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
 from ..stereo.wave_change import WaveGeometry

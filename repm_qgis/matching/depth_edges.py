@@ -13,7 +13,7 @@ from typing import Callable, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..imagery.sampling import known_or_zero, mean_of_known
 from ..imagery.warping import box_filter
 from .parameters import MATCHING, EdgeParameters

@@ -15,7 +15,7 @@ from typing import List, Optional, Sequence
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Size
+from ..contracts.arrays import FloatImage, Size
 from ..imagery.sampling import nmad
 from ..imagery.warping import gaussian_mean
 from .parameters import DetailParameters, SubpixelParameters

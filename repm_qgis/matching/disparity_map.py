@@ -8,7 +8,7 @@ from typing import Protocol, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask, Size, Window
+from ..contracts.arrays import FloatImage, Mask, Size, Window
 from ..imagery.correlation import window_statistics
 from ..imagery.warping import box_filter
 from .parameters import MATCHING, MatchingParameters

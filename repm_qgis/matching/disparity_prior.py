@@ -14,7 +14,7 @@ from typing import NamedTuple, Optional, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, FloatImage, Floats, Window
+from ..contracts.arrays import Bounds, FloatArray, FloatImage, Floats, Window
 from ..geometry.interpolation import bilinear, interpolate_steps
 from ..imagery.parameters import WARPING
 from ..imagery.sampling import median_of_known, median_of_neighbours, nmad

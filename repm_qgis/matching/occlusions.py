@@ -10,7 +10,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, IntArray, Mask
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask
 from .parameters import MATCHING, OcclusionParameters
 
 

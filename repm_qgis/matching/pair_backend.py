@@ -11,17 +11,17 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, Bounds, FloatImage, Mask, Size, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import Altitudes, Bounds, FloatImage, Mask, Size, Window
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import ReconstructOptions
+from ..contracts.records import HeightMapRecord
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
 from ..memory import matching_mib, tile_work, workers_within
-from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Progress
-from ..records import HeightMapRecord
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.pairing import rectified_pair, reductions

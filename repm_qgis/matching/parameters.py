@@ -12,7 +12,7 @@ from typing import Tuple
 
 from ..altitudes import ALTITUDES
 from ..colmap.parameters import ColmapParameters
-from ..parameters import Parameters
+from ..contracts.parameters import Parameters
 from ..stereo.parameters import StereoParameters
 
 

@@ -20,7 +20,7 @@ from typing import Callable, Optional, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
 from ..imagery.warping import box_filter
 from .disparity_map import DisparityMap, match_correlation

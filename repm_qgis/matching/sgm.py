@@ -12,7 +12,7 @@ from typing import Callable, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import ByteImage, FloatImage, Mask
+from ..contracts.arrays import ByteImage, FloatImage, Mask
 from ..imagery.sampling import known_or_zero
 from .depth_edges import correct_depth_edges
 from .disparity_map import DisparityMap, match_correlation

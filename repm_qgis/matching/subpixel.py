@@ -7,7 +7,7 @@ from typing import Callable, Dict, Optional, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..imagery.sampling import NMAD_FACTOR, known_or_zero
 from ..imagery.warping import gaussian_mean
 from .detail import bilateral_mean, tail, without_noise

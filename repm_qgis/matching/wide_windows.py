@@ -14,7 +14,7 @@ from typing import Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..imagery.sampling import mean_of_known
 from ..imagery.warping import box_filter, gaussian_mean, reduced
 from .disparity_map import DisparityMap, PairMatcher, match_correlation

@@ -11,8 +11,8 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatImage, IntArray, Window
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatImage, IntArray, Window
+from ..contracts.errors import EmptyResultError
 from ..evaluation.coregistration import align, block_means
 from ..evaluation.grids import Grid, HeightWarper, cell_metres, metres_per_unit
 from ..geometry.cell_grid import overlapping_blocks

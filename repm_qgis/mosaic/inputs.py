@@ -11,9 +11,10 @@ import pyproj
 from osgeo import gdal
 from pyproj.exceptions import ProjError
 
-from ..arrays import Bounds, Window
-from ..checks import as_text
-from ..errors import ImageError, OptionError
+from ..contracts.arrays import Bounds, Window
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError, OptionError
+from ..contracts.options import MosaicOptions
 from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_place
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
@@ -22,7 +23,6 @@ from ..geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
-from ..options import MosaicOptions
 from ..progress import Progress
 from .parameters import MOSAIC
 

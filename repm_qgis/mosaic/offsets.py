@@ -13,7 +13,7 @@ from typing import Collection, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from .parameters import MOSAIC, OffsetParameters
 
 _LEAST_STATED_M = 0.01  # no DSM's absolute height is known better

@@ -7,9 +7,9 @@ from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
+from ..contracts.options import MosaicOptions
 from ..evaluation import charts, pictures, verdict
 from ..evaluation.report import Report, fixed
-from ..options import MosaicOptions
 from ..progress import counted
 from .inputs import Layout
 from .offsets import Offsets, Overlap

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..parameters import Parameters
+from ..contracts.parameters import Parameters
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,16 @@ from typing import Any, ContextManager, Dict, Iterator, List, Sequence, Tuple
 import numpy as np
 
 from .. import __version__
-from ..arrays import FloatImage, Window
-from ..errors import WorkspaceError
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import WorkspaceError
+from ..contracts.options import MosaicOptions
+from ..contracts.products import product, tiles_folder
 from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.vertical import TAG
 from ..imagery.raster import RasterWriter, created
 from ..imagery.vrt import Mosaicked, vrt_text
-from ..options import MosaicOptions
 from ..parallel import run_tasks, run_whole
-from ..products import product, tiles_folder
 from ..progress import Part, Progress
 from ..workspace import whole_file, whole_folder
 from .blocks import Block

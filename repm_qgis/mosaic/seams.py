@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..arrays import FloatImage, IntArray, Mask, Window
+from ..contracts.arrays import FloatImage, IntArray, Mask, Window
 from .parameters import MOSAIC, SeamParameters
 
 

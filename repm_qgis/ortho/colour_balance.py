@@ -14,7 +14,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage
+from ..contracts.arrays import FloatArray, FloatImage
 from .parameters import ORTHO, BalanceParameters
 
 

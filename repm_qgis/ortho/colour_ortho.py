@@ -13,13 +13,13 @@ from typing import Callable, List, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Floats, Window
+from ..contracts.arrays import FloatArray, FloatImage, Floats, Window
+from ..contracts.options import DsmFuseOptions
 from ..fusion.finished import FinishedSurface
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..memory import Work, colouring_mib, workers_within
-from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, counted
 from ..workspace import ensure_folder, writing

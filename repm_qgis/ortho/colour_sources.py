@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatArray, FloatImage, Floats
-from ..errors import ImageError, OptionError, OverlapError, RepmError
+from ..contracts.arrays import FloatArray, FloatImage, Floats
+from ..contracts.errors import ImageError, OptionError, OverlapError, RepmError
+from ..contracts.options import DsmFuseOptions
 from ..fusion.parameters import VisibilityParameters
 from ..fusion.visible import nadir_first, pixels_on
 from ..geometry.cell_grid import CellGrid
@@ -23,7 +24,6 @@ from ..geometry.footprints import footprint, geometry_of, ray_slope
 from ..imagery.bands import band_name, intensity_bands, natural_bands
 from ..imagery.raster import opened, opened_masked
 from ..imagery.warping import sample_source
-from ..options import DsmFuseOptions
 from ..progress import Progress, counted, listed
 from ..scene import Scene, View, load_view
 from .pansharpening import Multispectral, brovey

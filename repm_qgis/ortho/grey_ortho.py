@@ -9,12 +9,12 @@ from typing import Callable, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Window
+from ..contracts.arrays import Window
+from ..contracts.options import DsmFuseOptions
 from ..fusion.finished import FinishedSurface
 from ..fusion.visible import orthophoto
 from ..geometry.cell_grid import overlapping_blocks
 from ..memory import Work, colouring_mib, workers_within
-from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Progress
 from ..scene import View

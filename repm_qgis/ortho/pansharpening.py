@@ -18,8 +18,8 @@ from typing import Iterator, List, Sequence, Tuple
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask, Window
-from ..errors import OverlapError
+from ..contracts.arrays import FloatArray, FloatImage, Mask, Window
+from ..contracts.errors import OverlapError
 from ..imagery.raster import opened_masked, read
 from ..imagery.warping import sample_source
 from ..scene import View

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Tuple
 
+from ..contracts.parameters import Parameters
 from ..fusion.parameters import VisibilityParameters
-from ..parameters import Parameters
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, Optional, Sequence, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import Floats, Mask, Window
+from ..contracts.arrays import Floats, Mask, Window
 from ..fusion.finished import FinishedSurface
 from ..fusion.parameters import VisibilityParameters
 from ..fusion.visible import blocked, slope_over

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatImage, Floats, Mask
+from ..contracts.arrays import FloatImage, Floats, Mask
 from ..imagery.sampling import median_of_known
 from .parameters import ORTHO, SeamParameters
 

@@ -13,8 +13,8 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..records import GroundShift
+from ..contracts.arrays import FloatArray
+from ..contracts.records import GroundShift
 from .parameters import REGISTRATION, RegistrationParameters
 from .solve import Prior, Shift
 

@@ -11,8 +11,8 @@ from typing import Any, Callable, Iterator, Optional
 import numpy as np
 import pyproj
 
-from ..arrays import Bounds, FloatArray, Mask
-from ..errors import ImageError, RepmError
+from ..contracts.arrays import Bounds, FloatArray, Mask
+from ..contracts.errors import ImageError, RepmError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import metres_per_unit, stated_datum

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Callable, List, Tuple
 
-from ..errors import MissingPackageError, OptionError
+from ..contracts.errors import MissingPackageError, OptionError
 from ..geometry.vertical import HeightDatum
 from .found import FoundHeights
 from .parameters import REGISTRATION, RegistrationParameters

@@ -7,10 +7,10 @@ from typing import Callable, Optional
 
 import numpy as np
 
-from ..arrays import Floats
+from ..contracts.arrays import Floats
+from ..contracts.records import DemOffset
 from ..geometry.cell_grid import CellGrid
 from ..geometry.vertical import HeightDatum
-from ..records import DemOffset
 from ..scene import Scene
 from .parameters import REGISTRATION, RegistrationParameters
 from .references import in_datum, read_reference

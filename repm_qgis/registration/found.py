@@ -8,8 +8,8 @@ from typing import List, Optional, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import Bounds, FloatArray, Mask
-from ..errors import InputTableError, OverlapError
+from ..contracts.arrays import Bounds, FloatArray, Mask
+from ..contracts.errors import InputTableError, OverlapError
 from ..geometry.vertical import HeightDatum, metres_per_unit
 from .parameters import REGISTRATION
 

@@ -16,8 +16,8 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, Mask
-from ..errors import ImageError, MissingPackageError
+from ..contracts.arrays import Bounds, FloatArray, Mask
+from ..contracts.errors import ImageError, MissingPackageError
 from ..geometry.vertical import ELLIPSOID, HeightDatum
 from ..imagery.raster import quiet
 from ..untrusted import distrust

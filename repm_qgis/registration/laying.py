@@ -8,12 +8,12 @@ from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, Floats
+from ..contracts.arrays import Bounds, FloatArray, Floats
+from ..contracts.records import GroundShift, ReferenceFigures
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.vertical import HeightDatum
 from ..imagery.sampling import nmad
-from ..records import GroundShift, ReferenceFigures
 from ..scene import Scene
 from ..sfm.height_uncertainty import usual_height_deviation
 from ..sfm.parameters import POINTING, PointingParameters

@@ -7,11 +7,11 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, Bounds, FloatArray
+from ..contracts.arrays import Altitudes, Bounds, FloatArray
+from ..contracts.records import GroundShift
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.ground_shifts import moved_area
 from ..geometry.tiles import enclosing
-from ..records import GroundShift
 from ..scene import Scene, Tile, View
 
 _NODES = (7, 7, 3)  # east, north, up

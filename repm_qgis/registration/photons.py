@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, Mask
+from ..contracts.arrays import FloatArray, IntArray, Mask
 from .parameters import REGISTRATION, RegistrationParameters
 
 _EARTH_M = 6_371_000.0

@@ -11,8 +11,8 @@ from typing import Any, Callable, Iterator, Mapping, Optional, Sequence, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import Bounds, FloatArray
-from ..errors import InputTableError
+from ..contracts.arrays import Bounds, FloatArray
+from ..contracts.errors import InputTableError
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import ELLIPSOID, HeightDatum, metres_per_unit, stated_datum
 from ..tables import CsvTable, LayerTable, Limits, number_in

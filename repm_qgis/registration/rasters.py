@@ -9,9 +9,9 @@ import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..arrays import Bounds, FloatArray, Floats, Window
-from ..checks import as_text
-from ..errors import ImageError, OverlapError
+from ..contracts.arrays import Bounds, FloatArray, Floats, Window
+from ..contracts.checks import as_text
+from ..contracts.errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import TAG, stated_datum
 from ..imagery.heights import read_heights

@@ -7,9 +7,9 @@ from typing import Callable
 
 import numpy as np
 
-from ..arrays import Bounds
+from ..contracts.arrays import Bounds
+from ..contracts.file_kinds import is_cloud
 from ..geometry.vertical import HeightDatum
-from ..las import is_cloud
 from ..vector import file_and_layer, open_vector
 from .clouds import read_cloud
 from .found import FoundHeights

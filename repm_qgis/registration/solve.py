@@ -18,10 +18,10 @@ from typing import Callable, Iterator, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, Mask
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, IntArray, Mask
+from ..contracts.errors import EmptyResultError
+from ..contracts.records import GroundShift, LocalOffset, OtherRelief
 from ..imagery.sampling import NMAD_FACTOR, nmad
-from ..records import GroundShift, LocalOffset, OtherRelief
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
 

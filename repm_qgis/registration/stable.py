@@ -8,8 +8,8 @@ import numpy as np
 import pyproj
 from osgeo import gdal, ogr, osr
 
-from ..arrays import Mask
-from ..errors import ImageError, InputTableError
+from ..contracts.arrays import Mask
+from ..contracts.errors import ImageError, InputTableError
 from ..geometry.cell_grid import CellGrid
 from ..imagery.raster import opened
 from ..vector import file_and_layer, open_vector

@@ -8,7 +8,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Floats
+from ..contracts.arrays import FloatArray, Floats
 from ..geometry.cell_grid import CellGrid
 
 

@@ -13,7 +13,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.jitter import ORDER, splines
 from ..imagery.sampling import nmad
 from ..sfm.jitter import Waves

@@ -17,8 +17,8 @@ from typing import Any, Callable, Dict, Optional
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, Size
-from ..errors import RpcInvalidError
+from ..contracts.arrays import Altitudes, FloatArray, Size
+from ..contracts.errors import RpcInvalidError
 from .fit import Localise, fit_rpc
 from .grid import virtual_grid
 from .model import Rpc, monomials

@@ -11,8 +11,8 @@ from typing import Any, Callable, Dict, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, Size
-from ..errors import RpcInvalidError
+from ..contracts.arrays import Altitudes, FloatArray, Size
+from ..contracts.errors import RpcInvalidError
 from .grid import virtual_grid
 from .model import Rpc, monomials
 from .parameters import RPC_FIT, RpcFitParameters

@@ -21,8 +21,8 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Seque
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import FloatArray
-from ..errors import RpcInvalidError, RpcMissingError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import RpcInvalidError, RpcMissingError
 from .model import Rpc
 
 Node = List[Any]

@@ -6,7 +6,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray, Size
+from ..contracts.arrays import Altitudes, FloatArray, Size
 
 
 def virtual_grid(

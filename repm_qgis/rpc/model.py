@@ -12,10 +12,10 @@ from typing import Annotated, Any, Mapping, Optional
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..checks import Misfit, Number
-from ..errors import RpcInvalidError
-from ..records import Record
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import Misfit, Number
+from ..contracts.errors import RpcInvalidError
+from ..contracts.records import Record
 
 _CHUNK = 1 << 14  # points a pass: 20 monomials of them stay in the second-level cache
 _LOCALISE_TOLERANCE_PX = 3e-8  # rounding in images of 40000 px is about 1e-8 px: less would never be reached

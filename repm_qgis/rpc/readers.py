@@ -24,9 +24,9 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import FloatArray
-from ..checks import as_texts
-from ..errors import RpcInvalidError, RpcMissingError
+from ..contracts.arrays import FloatArray
+from ..contracts.checks import as_texts
+from ..contracts.errors import RpcInvalidError, RpcMissingError
 from .formats import ARCHIVED, DIMAP, FORMAT_NAMES, FoundRpc, checked, read_sidecar, rpc_from_texts, tile_size
 from .model import Rpc
 

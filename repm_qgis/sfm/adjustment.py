@@ -16,8 +16,8 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tupl
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..errors import OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import OptionError
 from ..geometry.frames import EnuFrame, mean_place
 from ..geometry.jitter import Jitter
 from ..imagery.sampling import nmad

@@ -8,11 +8,11 @@ from typing import Dict, Iterable, List, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import Bounds, FloatArray
+from ..contracts.arrays import Bounds, FloatArray
+from ..contracts.records import PointingFigures, ViewPair
 from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import duration_text
 from ..progress import counted, listed
-from ..records import PointingFigures, ViewPair
 from ..scene import Scene, View, pair_gsd_m
 from .graph import components
 from .height_uncertainty import height_le90_m, height_uncertainty

@@ -16,8 +16,9 @@ import numpy as np
 from osgeo import ogr
 
 from ..altitudes import ALTITUDES, AltitudeParameters
-from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
-from ..errors import OptionError
+from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
+from ..contracts.errors import OptionError
+from ..contracts.records import ViewPair
 from ..geometry.footprints import bounds_of, box, footprint, geometry_of, ray_slope
 from ..geometry.frames import EnuFrame, geodetic_from_projected, mean_place, projected_from_geodetic
 from ..geometry.interpolation import upsample_grid
@@ -27,7 +28,6 @@ from ..imagery.dem import dem_range
 from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
 from ..progress import Part, Progress
-from ..records import ViewPair
 from ..scene import View
 from ..stereo.pairing import reductions
 from .pair_selection import change_cost, pair_at, usual_change

@@ -19,9 +19,9 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..altitudes import ALTITUDES, AltitudeParameters
-from ..arrays import Bounds, FloatArray, Size
+from ..contracts.arrays import Bounds, FloatArray, Size
+from ..contracts.errors import EmptyResultError
 from ..environment import required_pycolmap
-from ..errors import EmptyResultError
 from ..geometry.centring import centred
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, mean_place, projected_from_geodetic

@@ -6,7 +6,7 @@ from typing import Collection, Sequence
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.frames import EnuFrame
 from ..scene import View
 from .ground_control import Gcp

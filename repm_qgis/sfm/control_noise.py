@@ -15,7 +15,7 @@ from typing import List, Sequence
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..imagery.sampling import nmad
 from .parameters import ControlParameters
 

@@ -13,7 +13,7 @@ from typing import Callable, Dict, List, Sequence, Tuple
 import numpy as np
 import pyproj
 
-from ..errors import InputTableError
+from ..contracts.errors import InputTableError
 from ..progress import counted
 from ..scene import View
 from .control_noise import most_set_aside

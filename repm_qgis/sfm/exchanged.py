@@ -19,7 +19,7 @@ from typing import Callable, Dict, Iterator, List, Sequence, Set, Tuple
 
 import numpy as np
 
-from ..errors import RpcInvalidError
+from ..contracts.errors import RpcInvalidError
 from ..scene import View
 from ..stereo.pairing import convergence
 from .adjustment import Track, adjust

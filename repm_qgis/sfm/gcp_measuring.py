@@ -7,8 +7,8 @@ from typing import Any, Dict, FrozenSet, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..errors import InputTableError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import InputTableError
 from ..geometry.frames import EnuFrame
 from ..scene import View
 from .ground_control import Gcp, intersect, point_of, residuals, write_gcps

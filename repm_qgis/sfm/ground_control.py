@@ -12,8 +12,8 @@ from typing import Any, Callable, Counter, Dict, Iterable, Iterator, List, Mappi
 import numpy as np
 import pyproj
 
-from ..arrays import FloatArray
-from ..errors import InputTableError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import InputTableError
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..progress import counted, listed

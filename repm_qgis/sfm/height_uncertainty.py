@@ -16,9 +16,9 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
+from ..contracts.records import PointingFigures, ViewPair
 from ..geometry.frames import EnuFrame
-from ..records import PointingFigures, ViewPair
 from ..scene import View, middle_of
 from .graph import components
 from .parameters import POINTING, PointingParameters, PromiseParameters

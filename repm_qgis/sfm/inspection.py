@@ -13,13 +13,13 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import Bounds
-from ..errors import EmptyResultError
+from ..contracts.arrays import Bounds
+from ..contracts.errors import EmptyResultError
+from ..contracts.records import ViewPair
 from ..geometry.footprints import Polygon, bounds_of, footprint, geometry_of, ray_slope, seen_twice
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
 from ..geometry.tiles import enclosing
 from ..imagery.acquisition import duration_text
-from ..records import ViewPair
 from ..scene import View, common_heights, finest_gsd_m, middle_of, pair_gsd_m
 from .advice import expected_accuracy_m, other_season, other_sun
 from .overlap import places

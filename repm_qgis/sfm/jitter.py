@@ -13,7 +13,7 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.jitter import ORDER, Jitter, splines
 from ..scene import View
 from .parameters import POINTING, JitterParameters

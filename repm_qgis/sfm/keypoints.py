@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import environment
-from ..arrays import ByteImage, FloatArray, FloatImage
-from ..errors import EmptyResultError, RepmError
+from ..contracts.arrays import ByteImage, FloatArray, FloatImage
+from ..contracts.errors import EmptyResultError, RepmError
 from ..parallel import cores
 from ..progress import Progress
 from .parameters import POINTING, KeypointParameters

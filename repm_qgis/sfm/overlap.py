@@ -14,12 +14,12 @@ from typing import Callable, List, Optional, Sequence, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import FloatArray, Window
-from ..errors import OverlapError, RpcInvalidError
+from ..contracts.arrays import FloatArray, Window
+from ..contracts.errors import OverlapError, RpcInvalidError
+from ..contracts.options import EpmFitOptions
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring
 from ..imagery.deliveries import with_images
 from ..imagery.raster import opened, read
-from ..options import EpmFitOptions
 from ..progress import Silent, listed
 from ..scene import View, common_heights, load_views
 

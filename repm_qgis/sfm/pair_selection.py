@@ -12,14 +12,14 @@ from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import Bounds, FloatArray, Mask
-from ..errors import EmptyResultError
+from ..contracts.arrays import Bounds, FloatArray, Mask
+from ..contracts.errors import EmptyResultError
+from ..contracts.records import ViewPair
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
 from ..geometry.tiles import enclosing
 from ..imagery.parameters import SAMPLING
-from ..records import ViewPair
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
 from .graph import components

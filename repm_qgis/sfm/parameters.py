@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Tuple
 
 from ..accuracy import CE90, LE90
-from ..parameters import Parameters
+from ..contracts.parameters import Parameters
 
 
 @dataclass(frozen=True)

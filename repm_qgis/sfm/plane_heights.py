@@ -14,7 +14,7 @@ from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, Bounds
+from ..contracts.arrays import Altitudes, Bounds
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.dem import dem_range, surface_of
 from ..imagery.ortho_ready import OPTION

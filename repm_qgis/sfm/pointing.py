@@ -8,14 +8,14 @@ from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..altitudes import ALTITUDES, AltitudeParameters
-from ..arrays import Altitudes, Bounds, FloatArray
-from ..errors import EmptyResultError, RpcInvalidError
+from ..contracts.arrays import Altitudes, Bounds, FloatArray
+from ..contracts.errors import EmptyResultError, RpcInvalidError
+from ..contracts.records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..imagery.sampling import nmad
 from ..progress import Part, Progress
-from ..records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..scene import Scene, View
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .advice import absolute_height, ties_by_part, ties_by_tile

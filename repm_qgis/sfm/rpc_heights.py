@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Optional, Sequence
 
-from ..arrays import Altitudes
-from ..records import PointingFigures
+from ..contracts.arrays import Altitudes
+from ..contracts.records import PointingFigures
 from ..scene import View
 from .parameters import POINTING, RpcHeightParameters
 

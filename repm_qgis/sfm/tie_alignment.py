@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
+from ..contracts.arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch

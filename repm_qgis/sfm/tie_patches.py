@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from osgeo import ogr
 
-from ..arrays import Bounds, FloatArray, Window
+from ..contracts.arrays import Bounds, FloatArray, Window
 from ..geometry.footprints import bounds_of, box, footprint, geometry_of
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.tiles import enclosing

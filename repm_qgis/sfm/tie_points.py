@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
-from ..errors import EmptyResultError
+from ..contracts.arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
+from ..contracts.errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.refinement import apply_homography
 from ..imagery.enhancement import Stretch

@@ -11,7 +11,7 @@ from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.frames import EnuFrame, mean_place
 from ..scene import View
 from .adjustment import Track, track_pixels

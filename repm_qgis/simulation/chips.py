@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..arrays import FloatImage
+from ..contracts.arrays import FloatImage
 from .parameters import DistrictParameters, EffectParameters
 from .sensor import Sensor
 

@@ -15,7 +15,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 from osgeo import osr
 
-from ..arrays import FloatArray, FloatImage
+from ..contracts.arrays import FloatArray, FloatImage
 from ..geometry.frames import ecef_from_geodetic, projected_from_geodetic, utm_crs
 from ..imagery.raster import created, write
 from ..progress import Progress

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..progress import Progress
 from .parameters import SIMULATION, DistrictParameters, EffectParameters
 from .surface import Area, Ground, fractal

@@ -11,7 +11,7 @@ from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
 from ..geometry.frames import EnuFrame
 from ..progress import Part, Progress
 from ..workspace import ensure_folder

@@ -6,8 +6,8 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..errors import OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import OptionError
 from ..sfm.ground_control import Gcp
 from .parameters import SIMULATION, SimulatedGcpParameters
 from .render import RayCaster

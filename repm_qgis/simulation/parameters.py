@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Optional, Tuple
 
-from ..parameters import Parameters
+from ..contracts.parameters import Parameters
 from ..rpc.parameters import RpcFitParameters
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from ..arrays import FloatArray, FloatImage, IntArray
+from ..contracts.arrays import FloatArray, FloatImage, IntArray
 from ..progress import Part, Progress
 from .parameters import SIMULATION, RenderParameters
 from .sensor import PushbroomView

@@ -18,8 +18,8 @@ import numpy as np
 from osgeo import gdal, osr
 
 from .. import __version__
-from ..arrays import Altitudes, Bounds, FloatArray
-from ..errors import OptionError
+from ..contracts.arrays import Altitudes, Bounds, FloatArray
+from ..contracts.errors import OptionError
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import created
 from ..progress import Part, Progress

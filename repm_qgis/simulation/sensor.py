@@ -14,8 +14,8 @@ from typing import Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..errors import OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import OptionError
 from ..geometry.frames import ecef_from_geodetic, geodetic_from_ecef
 
 EARTH_GM = 3.986004418e14  # m^3 / s^2

@@ -13,7 +13,7 @@ from typing import Optional, Tuple
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import Bounds, FloatArray, FloatImage, IntArray
+from ..contracts.arrays import Bounds, FloatArray, FloatImage, IntArray
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.levels import doubled
 from .parameters import SIMULATION, LightParameters

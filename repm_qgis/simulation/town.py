@@ -10,7 +10,7 @@ from typing import Any, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Mask
+from ..contracts.arrays import FloatArray, Mask
 from ..progress import Progress
 from .parameters import SIMULATION, TownParameters
 from .surface import Area, Ground, fractal

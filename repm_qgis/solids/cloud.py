@@ -13,18 +13,18 @@ from typing import Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Bounds, FloatArray, Window
+from ..contracts.arrays import Bounds, FloatArray, Window
+from ..contracts.file_kinds import is_cloud
+from ..contracts.options import DsmFuseOptions
+from ..contracts.records import HeightMapRecord
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout, own_cells
 from ..fusion.parameters import FUSION, IsolatedPointParameters
-from ..las import is_cloud
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
 from ..memory import gathering_mib, tile_work, workers_within
-from ..options import DsmFuseOptions
 from ..parallel import run_tasks
 from ..progress import Progress
-from ..records import HeightMapRecord
 from ..scene import Scene
 from ..workspace import ensure_folder, writing
 from .cloud_points import cloud_points

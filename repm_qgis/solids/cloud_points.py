@@ -11,7 +11,7 @@ from typing import List, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Floats, IntArray, Mask
+from ..contracts.arrays import FloatArray, Floats, IntArray, Mask
 from ..fusion.outliers import remove_isolated_points
 from ..fusion.parameters import FUSION, IsolatedPointParameters
 from ..geometry.cell_grid import CellGrid

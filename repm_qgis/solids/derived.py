@@ -6,9 +6,9 @@ import importlib
 from dataclasses import dataclass
 from typing import Iterator, Optional, Tuple
 
-from ..options import DsmFuseOptions
+from ..contracts.options import DsmFuseOptions
+from ..contracts.products import Product, paths_of
 from ..parallel import run_whole
-from ..products import Product, paths_of
 from ..progress import Progress
 from .parameters import SolidsParameters
 

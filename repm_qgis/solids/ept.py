@@ -23,8 +23,8 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..errors import EmptyResultError, WorkspaceError
+from ..contracts.arrays import FloatArray, IntArray
+from ..contracts.errors import EmptyResultError, WorkspaceError
 from ..las import laz_backend, required_laspy
 from ..progress import Progress, Silent
 from ..workspace import cannot_write, whole_folder

@@ -16,8 +16,8 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..errors import OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
 from .lattice import Lattice
 from .texture import middle, picture, picture_places

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
 from ..imagery.raster import read
 from ..progress import Progress
 from .painting import Colours, Paint

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatArray, IntArray
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, IntArray
+from ..contracts.errors import EmptyResultError
+from ..contracts.file_kinds import is_textured
+from ..contracts.options import require_mesh
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery.raster import opened
-from ..options import is_textured, require_mesh
 from ..progress import Progress, Silent
 from ..workspace import whole_file
 from . import ply

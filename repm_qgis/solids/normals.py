@@ -11,7 +11,7 @@ from typing import Tuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, Mask
+from ..contracts.arrays import FloatArray, Mask
 from ..geometry.neighbours import principal_axes
 from .parameters import SOLIDS, CloudParameters
 

@@ -19,7 +19,7 @@ from typing import BinaryIO, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import WorkspaceError
+from ..contracts.errors import WorkspaceError
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..workspace import whole_file
 from .lattice import Lattice

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatArray, Window
+from ..contracts.arrays import FloatArray, Window
 from ..imagery.raster import opened, read
 from .parameters import SOLIDS, PaintingParameters
 

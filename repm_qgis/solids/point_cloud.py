@@ -8,10 +8,11 @@ from typing import Any, BinaryIO, Iterator, Optional, Protocol, Sequence
 import numpy as np
 import pyproj
 
-from ..arrays import FloatArray
+from ..contracts.arrays import FloatArray
+from ..contracts.file_kinds import is_ply
+from ..contracts.options import require_cloud
 from ..geometry.vertical import ELLIPSOID
 from ..las import laz_backend, required_laspy
-from ..options import is_ply, require_cloud
 from ..workspace import whole_file
 from . import ply
 from .painting import Colours

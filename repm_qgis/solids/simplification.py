@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..arrays import FloatImage, Mask
+from ..contracts.arrays import FloatImage, Mask
 from ..progress import Progress
 from .lattice import TRIANGLES, Kept, Lattice, square_triangles, thinned
 from .parameters import SimplificationParameters, SolidsParameters

@@ -8,7 +8,7 @@ from typing import List
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import FloatArray, FloatImage, Window
+from ..contracts.arrays import FloatArray, FloatImage, Window
 from .lattice import Lattice
 from .painting import Colours, Paint
 

@@ -10,10 +10,10 @@ import os
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mapping, Optional
 
-from .. import options as _options
-from ..errors import MissingPackageError, OptionError
+from ..contracts import options as _options
+from ..contracts.errors import MissingPackageError, OptionError
+from ..contracts.products import FOLDER, SCENE, paths_of
 from ..locks import exclusive
-from ..products import FOLDER, SCENE, paths_of
 from ..progress import Progress
 from ..shortage import said_in_a_sentence
 from ..workspace import following_links_of

@@ -7,11 +7,11 @@ from typing import Any, Dict
 from ..change.finding import Found, find_changes
 from ..change.page import change_page
 from ..change.parameters import CHANGE
+from ..contracts.options import ChangeOptions
+from ..contracts.products import products_of
 from ..evaluation.styles import write_style
 from ..names import dates_title
-from ..options import ChangeOptions
 from ..parallel import run_whole
-from ..products import products_of
 from ..progress import Part, Progress, counted
 
 

@@ -7,14 +7,14 @@ from typing import Any, Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..errors import EmptyResultError, InputTableError
+from ..contracts.errors import EmptyResultError, InputTableError
+from ..contracts.options import CheckGcpsOptions
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
 from ..evaluation.gcp_page import gcp_page
 from ..evaluation.styles import write_style
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
-from ..options import CheckGcpsOptions
 from ..progress import Progress, counted
 from ..scene import Scene
 from ..sfm.control_places import misplaced, placed_points

@@ -6,11 +6,11 @@ import os
 from dataclasses import replace
 from typing import Dict, List, Tuple
 
-from ..errors import ImageError, OptionError, SceneError
+from ..contracts.errors import ImageError, OptionError, SceneError
+from ..contracts.options import Options
+from ..contracts.products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
+from ..contracts.records import with_files
 from ..imagery.raster import files_of
-from ..options import Options
-from ..products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
-from ..records import with_files
 from ..rpc.readers import rpc_sidecars
 from ..scene import Scene
 from ..vector import file_and_layer

@@ -9,6 +9,8 @@ from typing import Any, Dict, Tuple
 import numpy as np
 from osgeo import gdal
 
+from ..contracts.file_kinds import is_cloud
+from ..contracts.options import CompareDsmOptions
 from ..evaluation.clouds import raster_of_cloud
 from ..evaluation.comparison import Comparison, compare
 from ..evaluation.comparison_page import comparison_page
@@ -17,9 +19,7 @@ from ..evaluation.metrics import HeightMetrics
 from ..evaluation.profiles import read_lines
 from ..evaluation.styles import write_style
 from ..imagery import raster
-from ..las import is_cloud
 from ..names import surface_title
-from ..options import CompareDsmOptions
 from ..parallel import run_whole
 from ..progress import Part, Progress
 

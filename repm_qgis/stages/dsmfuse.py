@@ -13,8 +13,12 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
+from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
+from ..contracts.file_kinds import is_textured
+from ..contracts.options import DsmFuseOptions, ViewerOptions
+from ..contracts.products import not_requested, paths_of, product, products_of
+from ..contracts.records import FusionFacts, ViewPair
 from ..disk_space import fusion_needs, require_space
-from ..errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..evaluation.styles import height_limits, write_style
 from ..exports.stac import require_times, write_item
 from ..fusion.finished import FinishedSurface
@@ -26,14 +30,11 @@ from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import content_of
 from ..names import scene_title
-from ..options import DsmFuseOptions, ViewerOptions, is_textured
 from ..ortho.colour_ortho import make_colour_ortho
 from ..ortho.colour_sources import ColourPlan, colour_plan
 from ..ortho.grey_ortho import make_grey_ortho
 from ..parallel import run_whole
-from ..products import not_requested, paths_of, product, products_of
 from ..progress import Part, Progress
-from ..records import FusionFacts, ViewPair
 from ..scene import Scene
 from ..solids.cloud import TilePoints, clouds_of, gathered_points, write_cloud
 from ..solids.derived import FinishedDsm, make_derived

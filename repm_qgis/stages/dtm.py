@@ -8,14 +8,14 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 
+from ..contracts.options import DsmFuseOptions, DtmOptions
+from ..contracts.products import product
 from ..disk_space import require_space, terrain_needs
 from ..evaluation.styles import write_style
 from ..imagery.raster import NODATA, created
 from ..memory import Work, workers_within
 from ..names import surface_title
-from ..options import DsmFuseOptions, DtmOptions
 from ..parallel import kept_workers, run_tasks, run_whole
-from ..products import product
 from ..progress import Part, Progress, Recorder
 from ..terrain import blocks
 from ..terrain.inputs import Surface, surface_of

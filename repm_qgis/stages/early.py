@@ -8,10 +8,8 @@ from __future__ import annotations
 import math
 from typing import Optional
 
-from ..errors import OptionError
-from ..geometry.vertical import HeightDatum, named_datum
-from ..memory import free_mib
-from ..options import (
+from ..contracts.errors import OptionError
+from ..contracts.options import (
     CheckGcpsOptions,
     DsmFuseOptions,
     Options,
@@ -20,6 +18,8 @@ from ..options import (
     RegisterOptions,
     SampleDataOptions,
 )
+from ..geometry.vertical import HeightDatum, named_datum
+from ..memory import free_mib
 from ..scene import GroundSeen, ground_of
 from ..sfm.overlap import views_of
 from .parameters import ENGINE, EngineParameters, TileParameters

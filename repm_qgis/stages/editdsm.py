@@ -13,7 +13,9 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 
-from ..checks import as_text
+from ..contracts.checks import as_text
+from ..contracts.options import EditDsmOptions
+from ..contracts.products import product
 from ..disk_space import editing_needs, require_space
 from ..editing.apply import Surface
 from ..editing.edits import Edits, read_edits
@@ -27,8 +29,6 @@ from ..geometry.vertical import DEVIATION_TAG
 from ..imagery import raster
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, ConfidenceBands, confidence_bands
 from ..imagery.heights import read_heights
-from ..options import EditDsmOptions
-from ..products import product
 from ..progress import Part, Progress, counted
 from ..terrain.inputs import surface_of
 from ..workspace import fingerprint

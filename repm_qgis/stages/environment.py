@@ -8,12 +8,12 @@ from contextlib import suppress
 from typing import Any, Dict, List, Optional, Tuple
 
 from .. import __version__
+from ..contracts.errors import OptionError, WorkspaceError
+from ..contracts.options import EnvironmentOptions
 from ..environment import GRIDS, survey
-from ..errors import OptionError, WorkspaceError
 from ..evaluation.report import Report
 from ..installer.interpreter import base_program
 from ..installer.packages import PACKAGES
-from ..options import EnvironmentOptions
 from ..progress import Progress
 
 

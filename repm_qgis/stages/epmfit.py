@@ -14,8 +14,9 @@ import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..arrays import Altitudes, Bounds, Window
-from ..errors import OptionError, OverlapError
+from ..contracts.arrays import Altitudes, Bounds, Window
+from ..contracts.errors import OptionError, OverlapError
+from ..contracts.options import EpmFitOptions, Extent
 from ..evaluation.stage_reports import fit_report
 from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
@@ -29,7 +30,6 @@ from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
 from ..memory import planned_mib
 from ..names import scene_title
-from ..options import EpmFitOptions, Extent
 from ..parallel import task_mib
 from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars

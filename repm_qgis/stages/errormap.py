@@ -8,8 +8,9 @@ from typing import Any, Dict, Tuple
 import numpy as np
 import pyproj
 
-from ..arrays import FloatArray
-from ..errors import OptionError
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import OptionError
+from ..contracts.options import ErrorMapOptions
 from ..evaluation.stage_reports import errormap_report
 from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid
@@ -18,7 +19,6 @@ from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
 from ..imagery.raster import created
 from ..names import scene_title
-from ..options import ErrorMapOptions
 from ..progress import Progress
 from ..scene import Scene, Tile, View
 

@@ -10,14 +10,14 @@ from typing import Any, Dict, List, Optional, Tuple
 import numpy as np
 
 from .. import __version__
-from ..errors import OptionError, SceneError, WorkspaceError
+from ..contracts.errors import OptionError, SceneError, WorkspaceError
+from ..contracts.options import ExportCamerasOptions
 from ..exports import FORMATS
 from ..exports.formats import ExportFormat
 from ..exports.images import write_image
 from ..exports.model import TileModel, tile_model
 from ..exports.ties import tie_points
 from ..imagery.enhancement import Stretch
-from ..options import ExportCamerasOptions
 from ..progress import Progress
 from ..scene import Scene, Tile
 from ..workspace import ensure_folder, whole_folder, write_text

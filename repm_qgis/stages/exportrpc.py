@@ -9,14 +9,14 @@ from typing import Any, Dict, List
 import numpy as np
 
 from .. import __version__
-from ..errors import RpcInvalidError, WorkspaceError
+from ..contracts.errors import RpcInvalidError, WorkspaceError
+from ..contracts.options import ExportRpcOptions
 from ..evaluation.rpc_page import ExportedRpc, rpc_page, within_px
 from ..evaluation.verdict import of_rpcs
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
 from ..imagery.vrt import image_vrt_text
 from ..names import scene_title
-from ..options import ExportRpcOptions
 from ..progress import Progress, counted
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt

@@ -7,8 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import List, Optional, Tuple
 
-from ..arrays import Window
-from ..errors import RepmError
+from ..contracts.arrays import Window
+from ..contracts.errors import RepmError
+from ..contracts.options import DsmFuseOptions
+from ..contracts.products import product
+from ..contracts.records import DemOffset, FusionFacts
 from ..evaluation.styles import write_style
 from ..fusion.brightness import Witnesses
 from ..fusion.coarse_means import CoarseMeans
@@ -21,11 +24,8 @@ from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
 from ..fusion.water import Water, find_water
 from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
-from ..options import DsmFuseOptions
 from ..parallel import run_tasks, run_whole
-from ..products import product
 from ..progress import Part, Progress, counted
-from ..records import DemOffset, FusionFacts
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
 from ..scene import Scene

@@ -8,13 +8,13 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from osgeo import ogr
 
-from ..errors import Cancelled, ImageError, RepmError
+from ..contracts.errors import Cancelled, ImageError, RepmError
+from ..contracts.options import InspectOptions
 from ..evaluation.inspection_page import Choice, inspection_page, verdict
 from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
-from ..options import InspectOptions
 from ..progress import Progress, counted
 from ..run_estimate import RunEstimate, estimate
 from ..scene import View, load_view

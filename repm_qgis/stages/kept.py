@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Iterator, Optional
 
-from ..errors import Cancelled, ClusterError
+from ..contracts.errors import Cancelled, ClusterError
 from ..locks import exclusive
 from ..progress import Progress
 from ..workspace import drop_temporaries

@@ -12,10 +12,12 @@ from typing import Any, Dict, List, Optional, Sequence
 import numpy as np
 import pyproj
 
-from ..arrays import IntArray
-from ..checks import as_text
+from ..contracts.arrays import IntArray
+from ..contracts.checks import as_text
+from ..contracts.errors import EmptyResultError, ImageError, OverlapError
+from ..contracts.options import DsmFuseOptions, MosaicOptions
+from ..contracts.products import kept_folder
 from ..disk_space import mosaic_needs, require_space
-from ..errors import EmptyResultError, ImageError, OverlapError
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
 from ..memory import Work, workers_within
@@ -38,9 +40,7 @@ from ..mosaic.page import mosaic_page
 from ..mosaic.parameters import MosaicParameters, OffsetParameters
 from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
 from ..names import mosaic_name
-from ..options import DsmFuseOptions, MosaicOptions
 from ..parallel import kept_workers, run_tasks
-from ..products import kept_folder
 from ..progress import Part, Progress, Recorder, Silent, counted
 from ..workspace import ensure_folder, file_identity, fingerprint
 from . import dsmfuse

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any, List, Tuple
 
 from ..altitudes import AltitudeParameters
+from ..contracts.parameters import Parameters
 from ..fusion.parameters import FusionParameters
 from ..imagery.parameters import StretchParameters
 from ..matching.parameters import MatchingParameters
 from ..mosaic.parameters import MosaicParameters
 from ..ortho.parameters import OrthoParameters
-from ..parameters import Parameters
 from ..registration.parameters import RegistrationParameters
 from ..sfm.parameters import PointingParameters
 from ..solids.parameters import SolidsParameters

@@ -9,16 +9,16 @@ from typing import Any, Callable, Dict, List, Sequence
 
 from osgeo import ogr
 
+from ..contracts.options import PRESETS, PipelineOptions
+from ..contracts.products import FOLDER, paths_of
+from ..contracts.records import ViewPair
 from ..disk_space import Need, fusion_needs, heights_need, require_space
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
-from ..options import PRESETS, PipelineOptions
 from ..parallel import kept_workers
-from ..products import FOLDER, paths_of
 from ..progress import Part, Progress, Silent
-from ..records import ViewPair
 from ..run_estimate import estimate_run
 from ..scene import Scene
 from ..sfm.control_places import require_places

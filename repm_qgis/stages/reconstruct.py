@@ -12,9 +12,11 @@ import numpy as np
 from osgeo import ogr
 
 from ..altitudes import AltitudeParameters
-from ..arrays import Altitudes, Bounds, FloatArray
+from ..contracts.arrays import Altitudes, Bounds, FloatArray
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import ReconstructOptions
+from ..contracts.records import HeightMapRecord, ViewPair
 from ..disk_space import heights_need, require_space
-from ..errors import EmptyResultError
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..fusion.map_offsets import with_agreeing_maps
@@ -24,10 +26,8 @@ from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
 from ..names import scene_title
-from ..options import ReconstructOptions
 from ..parallel import run_tasks
 from ..progress import Part, Progress, Recorder, counted
-from ..records import HeightMapRecord, ViewPair
 from ..scene import Scene, Tile, View, folder_of, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice

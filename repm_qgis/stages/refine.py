@@ -11,8 +11,9 @@ from typing import Any, Dict, List, Optional, Tuple
 import numpy as np
 import pyproj
 
+from ..contracts.errors import OptionError
+from ..contracts.options import RefineOptions
 from ..disk_space import images_need, require_space
-from ..errors import OptionError
 from ..evaluation.stage_reports import refine_report
 from ..fusion.own_surface import lon_lat_bounds, own_surface
 from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
@@ -21,7 +22,6 @@ from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import raster_identity, write
 from ..memory import refining_mib, tile_work, workers_within
 from ..names import scene_title
-from ..options import RefineOptions
 from ..parallel import run_tasks
 from ..progress import Progress, Recorder
 from ..scene import Scene, Tile, reusable

@@ -13,7 +13,9 @@ import numpy as np
 import pyproj
 from osgeo import ogr
 
-from ..errors import EmptyResultError, OverlapError, SceneError
+from ..contracts.errors import EmptyResultError, OverlapError, SceneError
+from ..contracts.options import RegisterOptions
+from ..contracts.records import GroundShift, RegistrationFigures
 from ..evaluation.registration_section import registration_page
 from ..evaluation.styles import write_style
 from ..fusion.own_surface import own_surface
@@ -23,9 +25,7 @@ from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum
 from ..imagery.raster import opened, raster_identity, read, write
 from ..names import scene_title
-from ..options import RegisterOptions
 from ..progress import Part, Progress, Recorder
-from ..records import GroundShift, RegistrationFigures
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
 from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps, prior_of
 from ..registration.moved_scene import moved_scene

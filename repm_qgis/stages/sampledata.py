@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..options import SampleDataOptions
+from ..contracts.options import SampleDataOptions
 from ..progress import Progress
 from ..simulation.scene import SceneSpec, make_scene
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Dict
 
-from ..options import ViewerOptions
+from ..contracts.options import ViewerOptions
 from ..parallel import run_whole
 from ..progress import Progress
 from ..viewer.page import write_viewer

@@ -12,11 +12,11 @@ from typing import Iterable, Iterator, Optional, Tuple
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Size, Window
-from ..errors import ImageError, SceneError
+from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Size, Window
+from ..contracts.errors import ImageError, SceneError
+from ..contracts.records import GroundShift, HeightMapRecord
 from ..geometry.interpolation import interpolate_grid
 from ..imagery.raster import opened, read, write
-from ..records import GroundShift, HeightMapRecord
 from ..scene import Scene
 from .triangulation import NodeTable, verticals
 from .wave_change import WaveChange

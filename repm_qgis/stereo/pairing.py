@@ -6,7 +6,7 @@ from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, Bounds, FloatArray
+from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..geometry.equivalent_error import RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.parameters import VIRTUAL_GRID

@@ -11,8 +11,8 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, Size
-from ..errors import RpcInvalidError
+from ..contracts.arrays import FloatArray, Size
+from ..contracts.errors import RpcInvalidError
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography, translation

@@ -12,8 +12,8 @@ from typing import Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray
-from ..errors import EmptyResultError
+from ..contracts.arrays import Altitudes, FloatArray
+from ..contracts.errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.interpolation import interpolate_grid
 from ..scene import View

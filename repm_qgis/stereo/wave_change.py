@@ -12,7 +12,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..arrays import Altitudes, FloatArray
+from ..contracts.arrays import Altitudes, FloatArray
 from ..geometry.jitter import Jitter
 from ..scene import View
 from .parameters import STEREO, StereoParameters

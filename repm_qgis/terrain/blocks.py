@@ -12,7 +12,7 @@ from typing import List, Sequence, Tuple
 
 import numpy as np
 
-from ..arrays import FloatArray, FloatImage, Mask, Window
+from ..contracts.arrays import FloatArray, FloatImage, Mask, Window
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import halved
 from ..imagery import raster

@@ -17,7 +17,7 @@ from typing import List, Tuple
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import FloatArray, Mask
+from ..contracts.arrays import FloatArray, Mask
 from ..geometry.levels import doubled, halved
 from .parameters import TERRAIN, GroundParameters
 

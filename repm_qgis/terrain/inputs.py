@@ -9,8 +9,8 @@ import numpy as np
 import pyproj
 
 from .. import __version__
-from ..arrays import Size
-from ..errors import ImageError
+from ..contracts.arrays import Size
+from ..contracts.errors import ImageError
 from ..evaluation.grids import Grid, cell_sides
 from ..evaluation.pictures import preview
 from ..geometry.frames import flat_crs, on_earth, utm_crs

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatImage, Floats, Mask
+from ..contracts.arrays import FloatImage, Floats, Mask
 from .parameters import TERRAIN, ObjectParameters
 
 _HIGH = np.float32(1e30)  # stands for no height where the lowest is looked for, and -_HIGH where the highest is

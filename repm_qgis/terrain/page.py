@@ -6,10 +6,10 @@ from typing import Any, Dict, List, Mapping, Sequence
 
 import numpy as np
 
-from ..arrays import FloatImage
+from ..contracts.arrays import FloatImage
+from ..contracts.options import DtmOptions
 from ..evaluation import charts, pictures
 from ..evaluation.report import Report
-from ..options import DtmOptions
 from .inputs import Surface
 
 _PICTURE_PX = 700

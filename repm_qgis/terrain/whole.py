@@ -8,8 +8,8 @@ from typing import Sequence
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import FloatArray, Mask
-from ..errors import EmptyResultError
+from ..contracts.arrays import FloatArray, Mask
+from ..contracts.errors import EmptyResultError
 from . import ground
 from .blocks import Coarse, Part, Search
 
@@ -17,7 +17,7 @@ from .blocks import Coarse, Part, Search
 def coarse_of(search: Search, parts: Sequence[Part], stiffness: float, voids: str) -> Coarse:
     """Put the blocks' sums together and solve; raises EmptyResultError where nothing is ground.
 
-    ``voids`` is an option of :class:`~repm_qgis.options.DtmOptions`.
+    ``voids`` is an option of :class:`~repm_qgis.contracts.options.DtmOptions`.
     """
     weighted, weights, known = (np.zeros(search.coarse_shape) for _ in range(3))
     for part in parts:

@@ -18,9 +18,11 @@ import numpy as np
 from osgeo import gdal
 
 from .. import __version__
-from ..arrays import ByteImage, FloatImage, Mask
-from ..checks import as_text
-from ..errors import EmptyResultError
+from ..contracts.arrays import ByteImage, FloatImage, Mask
+from ..contracts.checks import as_text
+from ..contracts.errors import EmptyResultError
+from ..contracts.options import ViewerOptions
+from ..contracts.products import STYLES
 from ..evaluation.grids import Grid, metres_per_unit
 from ..evaluation.pictures import RAMPS, jpeg_bytes, percentile_range
 from ..evaluation.styles import value_range
@@ -29,8 +31,6 @@ from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
 from ..names import surface_title
-from ..options import ViewerOptions
-from ..products import STYLES
 from ..progress import Progress
 from ..translation import reader
 from ..workspace import write_text

@@ -9,8 +9,8 @@ from typing import Callable
 import numpy as np
 from osgeo import gdal
 
-from ..arrays import FloatImage, Window
-from ..errors import OverlapError
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import OverlapError
 from ..evaluation.grids import Grid, HeightWarper
 from ..geometry.frames import flat_crs
 from ..geometry.levels import halved

@@ -6,7 +6,7 @@ import os
 import signal
 import time
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 
 
 def square(x):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import Cancelled
+from repm_qgis.contracts.errors import Cancelled
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from osgeo import ogr
 
-from repm_qgis.errors import RepmError
-from repm_qgis.options import PipelineOptions
+from repm_qgis.contracts.errors import RepmError
+from repm_qgis.contracts.options import PipelineOptions
 from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.ground_control import read_gcps

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import Cancelled, ClusterError, MissingPackageError, OptionError
+from repm_qgis.contracts.errors import Cancelled, ClusterError, MissingPackageError, OptionError
 from repm_qgis.imagery import raster
 from repm_qgis.parallel import run_tasks, run_whole, task_mib
 from repm_qgis.stages import run_stage

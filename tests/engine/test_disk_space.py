@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from repm_qgis import disk_space
+from repm_qgis.contracts.errors import WorkspaceError
+from repm_qgis.contracts.options import DsmFuseOptions
+from repm_qgis.contracts.products import PIPELINE, products_of
 from repm_qgis.disk_space import Need, fusion_needs, heights_need, images_need, require_space
-from repm_qgis.errors import WorkspaceError
-from repm_qgis.options import DsmFuseOptions
-from repm_qgis.products import PIPELINE, products_of
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.workspace import size_of

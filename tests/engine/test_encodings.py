@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr, osr
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.checks import as_text, as_texts
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.checks import as_text, as_texts
 from repm_qgis.imagery.acquisition import acquired
 from repm_qgis.imagery.bands import band_name
 from repm_qgis.imagery.spacing import stated_spacings

@@ -12,8 +12,8 @@ import types
 import pytest
 
 from repm_qgis import environment
+from repm_qgis.contracts.errors import INSTALL_REMEDY, MissingPackageError
 from repm_qgis.environment import remedy_for, survey, version_of
-from repm_qgis.errors import INSTALL_REMEDY, MissingPackageError
 from repm_qgis.installer.packages import PACKAGES, Package
 
 

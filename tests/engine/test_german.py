@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.translation import Translator, written_in

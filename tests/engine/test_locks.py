@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import Cancelled, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, WorkspaceError
 from repm_qgis.locks import exclusive
 from repm_qgis.workspace import write_text
 

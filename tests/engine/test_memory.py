@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from repm_qgis import memory
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.fusion.aggregation import HeightLayer, aggregate
 from repm_qgis.imagery.raster import created
 from repm_qgis.memory import (
@@ -75,7 +75,7 @@ GATHERING = (
     BEGIN
     + """
 from pathlib import Path
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.solids.cloud import CloudTask, gather
@@ -90,7 +90,7 @@ COLOURING = (
     + """
 from dataclasses import replace
 from pathlib import Path
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.ortho.colour_ortho import ColourTask, _block
@@ -119,7 +119,7 @@ CHOOSING = """
 import json, sys
 from repm_qgis.parallel import begin_worker
 begin_worker()
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.joining import JoinedTiles
 from repm_qgis.fusion.surface import Block, SurfaceTask, make_block
 from repm_qgis.geometry.cell_grid import CellGrid

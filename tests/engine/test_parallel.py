@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from repm_qgis import parallel
-from repm_qgis.errors import Cancelled, OptionError, OutOfMemoryError, WorkerError
+from repm_qgis.contracts.errors import Cancelled, OptionError, OutOfMemoryError, WorkerError
 from repm_qgis.parallel import cores, kept_workers, run_tasks
 from repm_qgis.progress import Silent
 from repm_qgis.shortage import said_in_a_sentence
@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
 WORK = """
 import ctypes, os, signal, time
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 
 def square(x):
     return x * x
@@ -71,7 +71,7 @@ def who(x):
 
 BOUNDED = """
 import resource, sys
-from repm_qgis.errors import OutOfMemoryError
+from repm_qgis.contracts.errors import OutOfMemoryError
 from repm_qgis.parallel import run_tasks
 from repm_qgis.progress import Silent
 from repm_qgis.shortage import said_in_a_sentence

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import OptionError
-from repm_qgis.options import PRESETS, PipelineOptions
+from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.options import PRESETS, PipelineOptions
 from repm_qgis.run_estimate import estimate_run
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage

@@ -10,7 +10,7 @@ from datetime import datetime, timezone
 import numpy as np
 import pytest
 
-from repm_qgis.errors import ImageError, RpcInvalidError, SceneError, SceneVersionError, WorkspaceError
+from repm_qgis.contracts.errors import ImageError, RpcInvalidError, SceneError, SceneVersionError, WorkspaceError
 from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.progress import Silent
 from repm_qgis.scene import SCHEMA, Scene, ground_of, load_views, reusable

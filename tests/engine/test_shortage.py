@@ -15,7 +15,7 @@ import pytest
 from osgeo import ogr
 
 from repm_qgis import las, shortage
-from repm_qgis.errors import ImageError, MissingPackageError, OutOfMemoryError, WorkerError, WorkspaceError
+from repm_qgis.contracts.errors import ImageError, MissingPackageError, OutOfMemoryError, WorkerError, WorkspaceError
 from repm_qgis.exports.images import encode
 from repm_qgis.imagery.raster import write
 from repm_qgis.shortage import said_in_a_sentence, speaks_of_memory

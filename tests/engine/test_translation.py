@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.evaluation.report import Report
 from repm_qgis.progress import JsonLines
 from repm_qgis.translation import Translator, reader, said, written_in

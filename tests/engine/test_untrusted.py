@@ -14,7 +14,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis import untrusted
-from repm_qgis.errors import ImageError, InputTableError, SceneError
+from repm_qgis.contracts.errors import ImageError, InputTableError, SceneError
 from repm_qgis.imagery.raster import opened, opened_image, raster_identity, read
 from repm_qgis.scene import Scene, load_views
 from repm_qgis.sfm import ground_control

@@ -7,7 +7,7 @@ import os
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.errors import WorkspaceError
+from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.vector import open_vector, read_points, write_layer
 
 FIELDS = {"name": str, "count": int, "height": float}

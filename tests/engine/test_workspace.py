@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from repm_qgis import workspace
-from repm_qgis.errors import WorkspaceError
+from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.imagery.raster import write as write_raster
 from repm_qgis.stages import run_stage
 from repm_qgis.workspace import (

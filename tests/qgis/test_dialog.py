@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from repm_qgis.options import PRESETS, PipelineOptions
+from repm_qgis.contracts.options import PRESETS, PipelineOptions
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"

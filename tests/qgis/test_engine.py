@@ -335,7 +335,7 @@ def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
         bug.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments: 1 / 0)
         engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w"}, feedback)
     feedback.cancel()
-    from repm.repm_qgis.errors import Cancelled
+    from repm.repm_qgis.contracts.errors import Cancelled
 
     with pytest.raises(Cancelled):
         engine.FeedbackProgress(feedback).check_cancelled()

@@ -11,7 +11,7 @@ import zipfile
 
 import pytest
 
-from repm_qgis.errors import INSTALL_REMEDY
+from repm_qgis.contracts.errors import INSTALL_REMEDY
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 

@@ -79,7 +79,7 @@ def test_our_model_becomes_one_of_the_users(plugin, tmp_path, monkeypatch):
 
 
 def test_a_preset_goes_before_defaults_that_nobody_gave(plugin, context, feedback, sample):
-    from repm_qgis.options import PipelineOptions
+    from repm_qgis.contracts.options import PipelineOptions
 
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline").create()
     given = {"IMAGES": sample["images"], "PRESET": "fast", "FILL": "all", "WORKSPACE": "w", "OUTPUT": "dsm.tif"}

@@ -43,7 +43,7 @@ def rasters(tmp_path):
 
 
 def test_inputs_become_options_of_the_engine(plugin, context, feedback, rasters):
-    from repm_qgis.options import EpmFitOptions
+    from repm_qgis.contracts.options import EpmFitOptions
 
     area = QgsReferencedRectangle(QgsRectangle(1.5, 2.5, 3.5, 4.5), QgsCoordinateReferenceSystem("EPSG:32631"))
     found = options(
@@ -205,7 +205,7 @@ def test_what_colmaps_adjustment_cannot_do_is_refused_before_anything_runs(plugi
 
 
 def test_the_adjustment_is_an_option_of_the_engine(plugin, context, feedback, rasters):
-    from repm_qgis.options import PipelineOptions
+    from repm_qgis.contracts.options import PipelineOptions
 
     assert options("reconstruct", {"SCENE": "/s/scene.json"}, context, feedback)["adjustment"] == "rpc"
     found = options("pipeline", {"IMAGES": rasters, "ADJUSTMENT": "colmap"}, context, feedback)

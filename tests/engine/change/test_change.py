@@ -12,9 +12,9 @@ from repm_qgis.change.errors import Correlation, ErrorModel, correlation_of, fit
 from repm_qgis.change.finding import find_changes
 from repm_qgis.change.parameters import CHANGE
 from repm_qgis.change.surfaces import Cells
-from repm_qgis.errors import EmptyResultError, ImageError, OptionError, OverlapError
+from repm_qgis.contracts.errors import EmptyResultError, ImageError, OptionError, OverlapError
+from repm_qgis.contracts.options import ChangeOptions
 from repm_qgis.imagery.confidence import CONFIDENCE_BANDS
-from repm_qgis.options import ChangeOptions
 from repm_qgis.stages import run_stage
 
 CELL = 0.5

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 from repm_qgis.colmap.maps import read_map
-from repm_qgis.errors import ImageError
+from repm_qgis.contracts.errors import ImageError
 from tests.engine.colmap.emulation import write_map
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 
 from repm_qgis.colmap.depth_heights import depth_geometry
 from repm_qgis.colmap.projective_frame import FrameView, ProjectiveFrame, TileFrame, tile_frame
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.stereo.parameters import STEREO
 

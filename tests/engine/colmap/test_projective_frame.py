@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.colmap.projective_frame import ProjectiveFrame, tile_frame
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected, projected_from_geodetic, utm_crs
 from repm_qgis.geometry.parameters import VIRTUAL_GRID

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
+from repm_qgis.contracts.errors import EmptyResultError, ImageError, InputTableError, OptionError
 from repm_qgis.editing.edits import Edit, read_edits, write_edits
 from repm_qgis.editing.membrane import filled
 from repm_qgis.editing.parameters import EDITING
-from repm_qgis.errors import EmptyResultError, ImageError, InputTableError, OptionError
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.imagery.confidence import CONFIDENCE_BANDS, Provenance

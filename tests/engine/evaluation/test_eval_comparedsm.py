@@ -12,7 +12,7 @@ from osgeo import gdal
 from pyproj import Transformer
 from pyproj.transformer import TransformerGroup
 
-from repm_qgis.errors import Cancelled, EmptyResultError, ImageError, OverlapError
+from repm_qgis.contracts.errors import Cancelled, EmptyResultError, ImageError, OverlapError
 from repm_qgis.evaluation.comparison import compare as compare_rasters
 from repm_qgis.evaluation.grids import Grid, metres_per_unit
 from repm_qgis.evaluation.parameters import EVALUATION
@@ -437,7 +437,7 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
 
 
 def test_what_is_no_line_layer_is_named(make_raster, terrain, tmp_path):
-    from repm_qgis.errors import InputTableError
+    from repm_qgis.contracts.errors import InputTableError
 
     a = make_raster("dsm.tif", terrain(60, 60))
     with pytest.raises(InputTableError, match="none.gpkg"):

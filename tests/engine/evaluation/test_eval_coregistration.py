@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.evaluation import coregistration as c
 
 CELL = 0.5

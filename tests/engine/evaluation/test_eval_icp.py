@@ -9,7 +9,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from repm_qgis.errors import EmptyResultError, ImageError, MissingPackageError, OverlapError
+from repm_qgis.contracts.errors import EmptyResultError, ImageError, MissingPackageError, OverlapError
 from repm_qgis.evaluation.icp import shift_onto
 from repm_qgis.progress import Silent
 from repm_qgis.stages import run_stage

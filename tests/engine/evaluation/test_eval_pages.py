@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import ImageError, OptionError, WorkspaceError
+from repm_qgis.contracts.errors import ImageError, OptionError, WorkspaceError
 from repm_qgis.evaluation import charts, pictures, styles
 from repm_qgis.evaluation.report import Report, number
 from repm_qgis.imagery import raster

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.evaluation import charts, pictures
 from repm_qgis.evaluation.report import Report
 from repm_qgis.translation import written_in

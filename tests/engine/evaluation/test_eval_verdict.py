@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from repm_qgis.contracts.options import CheckGcpsOptions
+from repm_qgis.contracts.records import FusionFacts
 from repm_qgis.evaluation import verdict
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.gcp_page import gcp_page
@@ -16,8 +18,6 @@ from repm_qgis.evaluation.report import Report
 from repm_qgis.evaluation.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
 from repm_qgis.fusion.rasters import overlap_m2
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.options import CheckGcpsOptions
-from repm_qgis.records import FusionFacts
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.ground_control import Gcp
 from repm_qgis.translation import written_in

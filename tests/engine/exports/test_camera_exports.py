@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import Cancelled, MissingPackageError, OptionError, SceneError, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, MissingPackageError, OptionError, SceneError, WorkspaceError
 from repm_qgis.exports.model import tile_model
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic
 from repm_qgis.geometry.jitter import Jitter

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.exports.stac import write_item
-from repm_qgis.options import DsmFuseOptions
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.brightness import Witnesses, brightness
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.geometry.cell_grid import CellGrid

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.coarse_means import CoarseMeans
 from repm_qgis.geometry.cell_grid import CellGrid
 

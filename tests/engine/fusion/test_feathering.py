@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.feathering import feathered
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.fusion.tile_fusion import StoredTile, wide_file

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.fusion.map_offsets import Differences, Lattice, Parts, solve_parallax, with_agreeing_maps
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.geometry.cell_grid import CellGrid

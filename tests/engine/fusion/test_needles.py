@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.needles import largest_needle, needles
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.geometry.cell_grid import overlapping_blocks

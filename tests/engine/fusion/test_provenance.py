@@ -10,7 +10,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis import parallel
-from repm_qgis.errors import OutOfMemoryError, WorkerError
+from repm_qgis.contracts.errors import OutOfMemoryError, WorkerError
 from repm_qgis.fusion.aggregation import Candidate, FusedCells
 from repm_qgis.fusion.provenance import described
 from repm_qgis.imagery.confidence import Provenance

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion import water as module
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.fusion.provenance import SurfaceCells

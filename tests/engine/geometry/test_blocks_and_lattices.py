@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds, Window
+from repm_qgis.contracts.arrays import Bounds, Window
 from repm_qgis.geometry.cell_grid import CellGrid, overlapping_blocks
 from repm_qgis.geometry.interpolation import bilinear, interpolate_grid, interpolate_steps, on_lattice
 from repm_qgis.imagery.sampling import mean_of_known, median_of_known, median_of_neighbours, quantile_of_known

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds, Window
+from repm_qgis.contracts.arrays import Bounds, Window
 from repm_qgis.geometry.cell_grid import CellGrid, overlapping_blocks
 
 TENTHS = [(-37, -12, 41, 58), (3, 6, 7, 9), (0, 0, 30, 30), (-30, -21, -9, -3), (11, 12, 12, 13)]

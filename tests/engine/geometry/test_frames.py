@@ -6,7 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.geometry.frames import (
     EnuFrame,
     ecef_from_geodetic,

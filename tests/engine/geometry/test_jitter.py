@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.checks import Misfit
+from repm_qgis.contracts.checks import Misfit
 from repm_qgis.geometry.jitter import ORDER, Jitter, splines
 from repm_qgis.geometry.pinhole import PinholeCamera
 from repm_qgis.geometry.refinement import HomographyMap, JitteredMap, TerrainMap, map_from_mapping, translation

@@ -7,8 +7,8 @@ import pyproj
 import pytest
 from osgeo import gdal, ogr, osr
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import RepmError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import RepmError
 from repm_qgis.geometry.frames import on_earth
 from repm_qgis.imagery.dem import dem_range, make_surface
 from repm_qgis.progress import Silent

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from repm_qgis.checks import Misfit
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.checks import Misfit
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.refinement import (

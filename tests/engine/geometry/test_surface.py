@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, refine_pinhole, surface_grid, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.parameters import VIRTUAL_GRID

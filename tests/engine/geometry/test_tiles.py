@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.footprints import box, geometry_of
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.tiles import enclosing, largest_within, lay_tiles, pixel_window

@@ -13,7 +13,7 @@ import pytest
 from pyproj.crs.crs import CompoundCRS
 from pyproj.transformer import TransformerGroup
 
-from repm_qgis.errors import MissingPackageError, OptionError
+from repm_qgis.contracts.errors import MissingPackageError, OptionError
 from repm_qgis.geometry import vertical
 from repm_qgis.geometry.frames import vertical_part
 from repm_qgis.geometry.vertical import HeightDatum, _bounds, metres_per_unit, stated_datum
@@ -65,7 +65,7 @@ WITH_THE_GRID = """
 import os, shutil, sys
 import numpy as np
 from osgeo import gdal, osr
-from repm_qgis.errors import MissingPackageError
+from repm_qgis.contracts.errors import MissingPackageError
 from repm_qgis.geometry.vertical import HeightDatum
 
 datum, place = HeightDatum.of("EGM2008"), np.array([[500000.0, 4800000.0]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.imagery.collars import write_collar_mask
 from repm_qgis.imagery.parameters import COLLARS
 from repm_qgis.imagery.raster import opened, read

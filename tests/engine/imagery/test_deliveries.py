@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import ImageError, OptionError
+from repm_qgis.contracts.errors import ImageError, OptionError
+from repm_qgis.contracts.options import EpmFitOptions, InspectOptions
 from repm_qgis.imagery.deliveries import delivered, whole_of
 from repm_qgis.imagery.raster import opened
-from repm_qgis.options import EpmFitOptions, InspectOptions
 from repm_qgis.rpc.writers import rpb_text, rpc_tags
 from repm_qgis.scene import Scene, load_view
 from repm_qgis.stages import run_stage

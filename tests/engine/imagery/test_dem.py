@@ -7,7 +7,7 @@ import pyproj
 import pytest
 from osgeo import gdal, osr
 
-from repm_qgis.errors import ImageError, OverlapError
+from repm_qgis.contracts.errors import ImageError, OverlapError
 from repm_qgis.imagery.dem import dem_range
 
 LON, LAT = 6.65, 44.38

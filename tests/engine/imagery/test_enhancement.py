@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
-from repm_qgis.errors import ImageError
+from repm_qgis.contracts.arrays import Window
+from repm_qgis.contracts.errors import ImageError
 from repm_qgis.imagery.enhancement import Stretch, view_stretch
 
 

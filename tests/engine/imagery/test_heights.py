@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import ImageError
+from repm_qgis.contracts.errors import ImageError
 from repm_qgis.imagery.dem import dem_range, make_surface
 from repm_qgis.imagery.heights import read_heights, read_values
 from repm_qgis.imagery.raster import opened

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import ImageError, OptionError
+from repm_qgis.contracts.errors import ImageError, OptionError
+from repm_qgis.contracts.options import EpmFitOptions
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.imagery.raster import opened, opened_masked, read
 from repm_qgis.imagery.warping import warp
-from repm_qgis.options import EpmFitOptions
 from repm_qgis.scene import Scene, View, load_views
 from repm_qgis.stages import run_stage
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.checks import Misfit
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.checks import Misfit
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.geometry.map_plane import MapPlane
 from repm_qgis.imagery.ortho_ready import OrthoReady

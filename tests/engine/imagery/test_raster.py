@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Window
-from repm_qgis.errors import ImageError, WorkspaceError
+from repm_qgis.contracts.arrays import Window
+from repm_qgis.contracts.errors import ImageError, WorkspaceError
 from repm_qgis.imagery.raster import created, files_of, grey_band, name_of, opened, read, write
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -245,7 +245,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (400000, 400000))
 import numpy as np
 from osgeo import gdal
 gdal.SetCacheMax({8 << 20 if where == "during" else 64 << 20})
-from repm_qgis.errors import WorkspaceError
+from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.imagery.raster import write
 try:
     write({str(tmp_path / "a.tif")!r}, [np.random.default_rng(0).normal(0, 1, ({rows}, 3000)).astype("float32")],

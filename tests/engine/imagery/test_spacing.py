@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from osgeo import gdal, osr
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.imagery.spacing import stated_spacings
 from repm_qgis.scene import load_view
 

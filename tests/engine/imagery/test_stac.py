@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from repm_qgis.errors import ImageError
+from repm_qgis.contracts.errors import ImageError
 from repm_qgis.imagery.deliveries import delivered
 from repm_qgis.imagery.stac import items_of
 from repm_qgis.rpc.writers import rpc_txt

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import Cancelled, MissingPackageError, OptionError, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, MissingPackageError, OptionError, WorkspaceError
 from repm_qgis.installer import environments, packages
 from repm_qgis.installer import install as installation
 from repm_qgis.installer.install import install, log_of

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from repm_qgis.errors import MissingPackageError
+from repm_qgis.contracts.errors import MissingPackageError
 from repm_qgis.installer import environments, interpreter, packages, pip
 from repm_qgis.installer.interpreter import asked, base_program, candidates, qgis_python
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds, Window
+from repm_qgis.contracts.arrays import Bounds, Window
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.interpolation import interpolate_steps
 from repm_qgis.imagery.warping import reduced, sample_array

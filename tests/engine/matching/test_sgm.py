@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from repm_qgis.contracts.options import BACKENDS
 from repm_qgis.matching.backends import backend_of, pair_matcher, resolve
 from repm_qgis.matching.sgm import BACKEND
 from repm_qgis.matching.sgm import match as match_with_background
-from repm_qgis.options import BACKENDS
 
 HEIGHT, WIDTH = 180, 240
 LOW, HIGH = -12, 20

@@ -17,7 +17,15 @@ import pytest
 from osgeo import gdal
 from scipy import ndimage
 
-from repm_qgis.errors import Cancelled, ImageError, OptionError, OverlapError, RepmError, SceneError, WorkspaceError
+from repm_qgis.contracts.errors import (
+    Cancelled,
+    ImageError,
+    OptionError,
+    OverlapError,
+    RepmError,
+    SceneError,
+    WorkspaceError,
+)
 from repm_qgis.geometry.vertical import DEVIATION_TAG, ELLIPSOID, PLACED, PLACED_TAG, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.stages import run_stage

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import Cancelled, ImageError, OptionError, SceneError
+from repm_qgis.contracts.errors import Cancelled, ImageError, OptionError, SceneError
 from repm_qgis.geometry.vertical import TAG
 from repm_qgis.imagery import raster
 from repm_qgis.scene import Scene

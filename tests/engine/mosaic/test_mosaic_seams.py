@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.mosaic.parameters import MOSAIC
 from repm_qgis.mosaic.seams import mosaicked, reach
 

@@ -11,7 +11,7 @@ import pytest
 from osgeo import gdal
 
 from benchmarks.colour_scene import RATIO, WEIGHTS, make_colour_scene
-from repm_qgis.errors import ImageError, OptionError, OverlapError, RpcMissingError
+from repm_qgis.contracts.errors import ImageError, OptionError, OverlapError, RpcMissingError
 from repm_qgis.ortho.colour_balance import balanced
 from repm_qgis.ortho.colour_sources import multispectral_beside
 from repm_qgis.ortho.pansharpening import Multispectral, brovey, fitted
@@ -212,7 +212,7 @@ def test_the_number_of_workers_and_who_else_runs_change_no_byte(town, sharp, tmp
 
 def test_what_a_tower_hides_is_nodata_or_from_another_view(town, sharp, tmp_path):
     """With one view alone, the cells behind roofs are empty; others fill most of them."""
-    from repm_qgis.arrays import Window
+    from repm_qgis.contracts.arrays import Window
     from repm_qgis.fusion.finished import FinishedSurface
     from repm_qgis.geometry.vertical import HeightDatum
     from repm_qgis.ortho.seen_surface import SeenSurface
@@ -305,7 +305,7 @@ def test_an_xs_of_another_acquisition_is_refused(town, tmp_path, told, urban):
     """A view from another direction over the same place."""
     scene = Scene.load(town["scene"])
     alone = replace(scene, views=scene.views[1:], tiles=(), pairs=(), pointing=None, tie_points="")
-    from repm_qgis.options import DsmFuseOptions
+    from repm_qgis.contracts.options import DsmFuseOptions
     from repm_qgis.ortho.colour_sources import colour_plan
 
     options = DsmFuseOptions(scene="s", output="o", xs=(town["xs"][0],))

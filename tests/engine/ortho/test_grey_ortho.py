@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
+from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.fusion.visible import nadir_first, orthophoto
 from repm_qgis.geometry.vertical import HeightDatum
-from repm_qgis.options import DsmFuseOptions
 from repm_qgis.ortho.grey_ortho import make_grey_ortho
 from repm_qgis.ortho.parameters import ORTHO
 from repm_qgis.scene import Scene

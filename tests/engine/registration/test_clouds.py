@@ -10,8 +10,8 @@ import numpy as np
 import pyproj
 import pytest
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import Cancelled, ImageError, MissingPackageError, OverlapError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import Cancelled, ImageError, MissingPackageError, OverlapError
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.registration import clouds
 from repm_qgis.registration.clouds import CellSums, opened_cloud, read_cloud

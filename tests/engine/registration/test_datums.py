@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.errors import MissingPackageError, OptionError
+from repm_qgis.contracts.errors import MissingPackageError, OptionError
+from repm_qgis.contracts.records import GroundShift
 from repm_qgis.geometry import vertical
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.vertical import HeightDatum
-from repm_qgis.records import GroundShift
 from repm_qgis.registration.datums import likely_datum
 from repm_qgis.registration.found import FoundHeights
 from repm_qgis.registration.parameters import REGISTRATION

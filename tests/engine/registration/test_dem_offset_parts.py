@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.registration import dem_offset as module
 from repm_qgis.registration.dem_offset import dem_offset, stated_height_deviation
 from repm_qgis.registration.parameters import REGISTRATION

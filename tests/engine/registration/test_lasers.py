@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import Cancelled, ImageError, MissingPackageError, OverlapError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import Cancelled, ImageError, MissingPackageError, OverlapError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.registration import lasers
 from repm_qgis.registration.lasers import read_lasers

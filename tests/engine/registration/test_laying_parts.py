@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from repm_qgis.contracts.records import GroundShift
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import write
-from repm_qgis.records import GroundShift
 from repm_qgis.registration.found import FoundHeights
 from repm_qgis.registration.laying import Laid, factor_for, overlaps
 from repm_qgis.registration.parameters import REGISTRATION

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.records import GcpFigures, GroundShift, PointingFigures
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected, projected_from_geodetic
 from repm_qgis.geometry.jitter import Jitter
-from repm_qgis.records import GcpFigures, GroundShift, PointingFigures
 from repm_qgis.registration.moved_scene import moved_scene, moved_view
 from repm_qgis.scene import Scene, Tile
 

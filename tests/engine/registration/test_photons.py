@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.records import ReferenceFigures
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
-from repm_qgis.records import ReferenceFigures
 from repm_qgis.registration import photons
 from repm_qgis.registration.lasers import read_lasers
 from repm_qgis.registration.photons import dense

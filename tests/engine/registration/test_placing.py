@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.records import GroundShift
+from repm_qgis.contracts.records import GroundShift
 from repm_qgis.registration.adjustment import Observation, contradictions, place_scenes
 from repm_qgis.registration.laying import prior_of
 from repm_qgis.registration.parameters import REGISTRATION

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import Cancelled, InputTableError, OverlapError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import Cancelled, InputTableError, OverlapError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.registration import points
 from repm_qgis.registration.points import read_points_of_layer, read_points_of_table

@@ -7,8 +7,8 @@ import pyproj
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Bounds, Window
-from repm_qgis.errors import ImageError, OverlapError
+from repm_qgis.contracts.arrays import Bounds, Window
+from repm_qgis.contracts.errors import ImageError, OverlapError
 from repm_qgis.registration import rasters
 from repm_qgis.registration.rasters import read_raster
 

@@ -7,8 +7,8 @@ import pyproj
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import ImageError, InputTableError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import ImageError, InputTableError
 from repm_qgis.registration import references
 from repm_qgis.registration.found import Within
 from repm_qgis.registration.references import read_reference

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.registration import solve
 from repm_qgis.registration.parameters import REGISTRATION
 from repm_qgis.registration.solve import Prior, _Correlation, _Problem, _Solution

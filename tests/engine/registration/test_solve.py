@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.imagery.sampling import nmad
 from repm_qgis.registration.parameters import REGISTRATION

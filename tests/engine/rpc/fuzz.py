@@ -19,7 +19,7 @@ from typing import Callable, Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import gdal
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.rpc.writers import rpc_tags

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.imagery.vrt import image_vrt_text
 from repm_qgis.rpc.correction import DELIVERED, EXACT, FITTED, JITTERED, SHIFTED, corrected
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.grid import virtual_grid
 from repm_qgis.simulation.sensor import GF7, PLEIADES, ZY3, aim

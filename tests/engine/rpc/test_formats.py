@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OptionError, RpcInvalidError, RpcMissingError
+from repm_qgis.contracts.errors import OptionError, RpcInvalidError, RpcMissingError
+from repm_qgis.contracts.options import EpmFitOptions, PipelineOptions
 from repm_qgis.imagery.raster import opened
-from repm_qgis.options import EpmFitOptions, PipelineOptions
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.formats import _signed_areas, checked
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of, rpc_sidecars

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file, rpc_of
 from repm_qgis.rpc.writers import rpc_tags

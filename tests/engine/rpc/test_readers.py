@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import RpcError, RpcInvalidError, RpcMissingError
+from repm_qgis.contracts.errors import RpcError, RpcInvalidError, RpcMissingError
 from repm_qgis.imagery.raster import opened
 from repm_qgis.rpc import readers
 from repm_qgis.rpc.formats import rpc_from_texts

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.sfm import adjustment
 from repm_qgis.sfm.adjustment import Track, _design, _huber, _log_mean, _pseudo_inverse, _reduced, _Solution, _tukey

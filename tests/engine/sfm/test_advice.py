@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
+from repm_qgis.contracts.records import PairFigures, PointingFigures, ViewPair
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.records import PairFigures, PointingFigures, ViewPair
 from repm_qgis.scene import Scene, Tile
 from repm_qgis.sfm.advice import absolute_height, advice, ties_by_part
 from repm_qgis.sfm.height_uncertainty import height_uncertainty

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.geometry.footprints import ray_slope
 from repm_qgis.geometry.frames import geodetic_from_projected, mean_place, projected_from_geodetic, utm_crs
 from repm_qgis.rpc.writers import rpc_txt

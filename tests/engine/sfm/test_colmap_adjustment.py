@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import EmptyResultError, MissingPackageError, OptionError
+from repm_qgis.contracts.errors import EmptyResultError, MissingPackageError, OptionError
+from repm_qgis.contracts.options import ReconstructOptions
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.options import ReconstructOptions
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.colmap_adjustment import adjust_colmap

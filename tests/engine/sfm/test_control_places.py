@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from repm_qgis.errors import InputTableError
+from repm_qgis.contracts.errors import InputTableError
 from repm_qgis.scene import Scene, View
 from repm_qgis.sfm import control_places
 from repm_qgis.sfm.control_places import misplaced, placed_points, require_places

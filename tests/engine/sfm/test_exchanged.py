@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.scene import load_views
 from repm_qgis.sfm.adjustment import Track
 from repm_qgis.sfm.exchanged import exchanges, require_own_rpcs

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.footprints import box
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.progress import Silent

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.errors import InputTableError
+from repm_qgis.contracts.errors import InputTableError
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.sfm.gcp_measuring import GcpMeasuring, check_point
 from repm_qgis.sfm.ground_control import read_gcps

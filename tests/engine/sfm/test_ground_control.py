@@ -7,7 +7,7 @@ import pyproj
 import pytest
 from osgeo import ogr, osr
 
-from repm_qgis.errors import InputTableError, OptionError
+from repm_qgis.contracts.errors import InputTableError, OptionError
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.vertical import vertical_crs
 from repm_qgis.sfm.ground_control import Gcp, intersect, read_gcps

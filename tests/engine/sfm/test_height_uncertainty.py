@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.records import PairFigures, PointingFigures, ViewPair
+from repm_qgis.contracts.records import PairFigures, PointingFigures, ViewPair
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.height_uncertainty import height_uncertainty, usual_height_deviation
 from repm_qgis.sfm.parameters import POINTING

@@ -10,7 +10,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis import environment
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from repm_qgis.altitudes import ALTITUDES
-from repm_qgis.errors import OptionError
-from repm_qgis.records import ViewPair
+from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.records import ViewPair
 from repm_qgis.scene import View
 from repm_qgis.sfm import altitude_range, promises
 from repm_qgis.sfm.advice import other_season

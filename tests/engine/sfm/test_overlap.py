@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OverlapError, RpcInvalidError
+from repm_qgis.contracts.errors import OverlapError, RpcInvalidError
+from repm_qgis.contracts.options import EpmFitOptions
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.options import EpmFitOptions
 from repm_qgis.scene import common_heights
 from repm_qgis.sfm import overlap
 from repm_qgis.sfm.overlap import foreign_rpc, not_overlapping, of_one_place, places, views_of

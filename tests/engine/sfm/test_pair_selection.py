@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
-from repm_qgis.arrays import Bounds
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.errors import EmptyResultError
+from repm_qgis.contracts.records import ViewPair
 from repm_qgis.geometry.footprints import bounds_of, footprint, geometry_of, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import moment, time_of_name
-from repm_qgis.records import ViewPair
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.scene import Scene, Tile, View
 from repm_qgis.sfm.pair_selection import (

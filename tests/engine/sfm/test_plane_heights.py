@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.map_plane import MapPlane
 from repm_qgis.scene import View
 from repm_qgis.sfm.plane_heights import with_planes

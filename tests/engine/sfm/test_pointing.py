@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from repm_qgis.contracts.records import ViewPair
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.records import ViewPair
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.advice import advice, ties_by_tile

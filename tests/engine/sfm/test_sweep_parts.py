@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 
 from repm_qgis.altitudes import ALTITUDES
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.progress import Silent
 from repm_qgis.scene import View

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.progress import Silent
 from repm_qgis.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.footprints import box
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.imagery.enhancement import view_stretch

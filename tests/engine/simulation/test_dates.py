@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.acquisition import acquired
 from repm_qgis.progress import Silent

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.errors import Cancelled
+from repm_qgis.contracts.errors import Cancelled
 from repm_qgis.geometry.frames import geodetic_from_ecef, projected_from_geodetic
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.parameters import SIMULATION

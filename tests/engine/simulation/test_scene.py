@@ -10,9 +10,9 @@ import pytest
 from osgeo import gdal, osr
 from scipy import ndimage
 
-from repm_qgis.errors import Cancelled, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, WorkspaceError
+from repm_qgis.contracts.options import SampleDataOptions
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.options import SampleDataOptions
 from repm_qgis.progress import Silent
 from repm_qgis.rpc.formats import rpc_from_texts
 from repm_qgis.rpc.model import Rpc

@@ -7,7 +7,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
 from repm_qgis.simulation.sensor import GF7, PLEIADES, PRESETS, ZY3, JitterSine, Look, aim, jitter_px
 
 TARGET = (1.44, 43.60, 200.0)

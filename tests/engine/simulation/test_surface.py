@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from repm_qgis.arrays import Bounds
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.progress import Silent
 from repm_qgis.simulation.scene import SceneSpec, make_surface
 from repm_qgis.simulation.sensor import PLEIADES

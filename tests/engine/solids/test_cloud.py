@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.fusion.layout import DsmLayout
 from repm_qgis.geometry.vertical import HeightDatum
-from repm_qgis.options import DsmFuseOptions
 from repm_qgis.scene import Scene
 from repm_qgis.solids.cloud import gathered_points
 from repm_qgis.stages import run_stage

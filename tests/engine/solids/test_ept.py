@@ -12,7 +12,7 @@ import laspy
 import numpy as np
 import pytest
 
-from repm_qgis.errors import Cancelled, EmptyResultError, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, EmptyResultError, WorkspaceError
 from repm_qgis.progress import Silent
 from repm_qgis.solids.ept import write_ept
 from repm_qgis.solids.parameters import EptParameters

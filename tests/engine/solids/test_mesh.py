@@ -14,9 +14,9 @@ import pytest
 from osgeo import gdal
 from scipy.ndimage import map_coordinates
 
-from repm_qgis.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
+from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.imagery.raster import created, write
-from repm_qgis.options import DsmFuseOptions
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.parameters import SOLIDS, SolidsParameters
 from repm_qgis.stages.collisions import require_distinct

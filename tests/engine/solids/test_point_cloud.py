@@ -10,7 +10,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from repm_qgis.errors import MissingPackageError, OptionError, WorkspaceError
+from repm_qgis.contracts.errors import MissingPackageError, OptionError, WorkspaceError
 from repm_qgis.solids.ply import header
 from repm_qgis.solids.point_cloud import created_cloud
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.errors import (
+from repm_qgis.contracts.errors import (
     EmptyResultError,
     ImageError,
     OptionError,

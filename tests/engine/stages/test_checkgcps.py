@@ -11,7 +11,7 @@ import pyproj
 import pytest
 from osgeo import gdal, ogr, osr
 
-from repm_qgis.errors import EmptyResultError, ImageError, InputTableError, OptionError, SceneError
+from repm_qgis.contracts.errors import EmptyResultError, ImageError, InputTableError, OptionError, SceneError
 from repm_qgis.evaluation.gcp_accuracy import ErrorSummary, wrong_control
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
 from repm_qgis.scene import Scene

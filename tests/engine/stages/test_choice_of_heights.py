@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.arrays import Window
+from repm_qgis.contracts.arrays import Window
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.fusion.layout import DsmLayout
 from repm_qgis.imagery.confidence import Provenance

@@ -9,7 +9,7 @@ import pyproj
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import ImageError
+from repm_qgis.contracts.errors import ImageError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 

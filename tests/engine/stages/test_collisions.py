@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.errors import OptionError, WorkspaceError
+from repm_qgis.contracts.errors import OptionError, WorkspaceError
 from repm_qgis.locks import exclusive
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from repm_qgis.errors import MissingPackageError, OptionError
-from repm_qgis.options import PipelineOptions, SampleDataOptions
+from repm_qgis.contracts.errors import MissingPackageError, OptionError
+from repm_qgis.contracts.options import PipelineOptions, SampleDataOptions
 from repm_qgis.scene import GroundSeen, Scene, ground_of
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.early import require_cell, require_sensible

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import Cancelled, OptionError, SceneError, WorkspaceError
+from repm_qgis.contracts.errors import Cancelled, OptionError, SceneError, WorkspaceError
+from repm_qgis.contracts.records import GroundShift
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
 from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.records import GroundShift
 from repm_qgis.registration.moved_scene import moved_scene
 from repm_qgis.rpc.correction import JITTERED
 from repm_qgis.scene import Scene, load_views

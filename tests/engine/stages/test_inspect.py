@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from osgeo import ogr
 
-from repm_qgis.errors import ImageError, OptionError
+from repm_qgis.contracts.errors import ImageError, OptionError
 from repm_qgis.stages import run_stage
 from tests.engine.pages import plain
 

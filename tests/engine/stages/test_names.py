@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import OptionError
-from repm_qgis.options import CAMERA_FORMATS, EpmFitOptions
+from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.options import CAMERA_FORMATS, EpmFitOptions
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.vector import file_and_layer, open_vector

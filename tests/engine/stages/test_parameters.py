@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from repm_qgis.errors import EmptyResultError
-from repm_qgis.options import EpmFitOptions
+from repm_qgis.contracts.errors import EmptyResultError
+from repm_qgis.contracts.options import EpmFitOptions
 from repm_qgis.parallel import use_workers
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.errors import OptionError
+from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.options import PipelineOptions
 from repm_qgis.geometry.frames import projected_from_geodetic
-from repm_qgis.options import PipelineOptions
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from tests.engine.rasters import bands
@@ -424,7 +424,7 @@ def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_ru
 def test_a_missing_geoid_stops_the_run_before_the_work(urban, tmp_path, told):
     from pyproj.transformer import TransformerGroup
 
-    from repm_qgis.errors import MissingPackageError
+    from repm_qgis.contracts.errors import MissingPackageError
 
     if TransformerGroup("EPSG:4979", "EPSG:4326+3855", always_xy=True, allow_ballpark=False).transformers:
         pytest.skip("PROJ's EGM2008 grid is installed here")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import MissingPackageError, OptionError, OverlapError, SceneError
+from repm_qgis.contracts.errors import MissingPackageError, OptionError, OverlapError, SceneError
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.vertical import HeightDatum

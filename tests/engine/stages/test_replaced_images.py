@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import ImageError, SceneError
+from repm_qgis.contracts.errors import ImageError, SceneError
 from repm_qgis.imagery.raster import content_of
 from repm_qgis.ortho import grey_ortho
 from repm_qgis.scene import Scene

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
-from repm_qgis.errors import Cancelled, EmptyResultError, SceneError
+from repm_qgis.contracts.errors import Cancelled, EmptyResultError, SceneError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 

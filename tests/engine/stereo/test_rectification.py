@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.errors import RpcInvalidError
+from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.stereo.pairing import ground_points, rectified_pair
 from repm_qgis.stereo.parameters import StereoParameters

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from repm_qgis.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.stereo.pairing import rectified_pair
 from repm_qgis.stereo.triangulation import NodeTable, pair_geometry, verticals

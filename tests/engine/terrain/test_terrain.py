@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from repm_qgis.errors import Cancelled, EmptyResultError, ImageError, OptionError
+from repm_qgis.contracts.errors import Cancelled, EmptyResultError, ImageError, OptionError
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.progress import Silent

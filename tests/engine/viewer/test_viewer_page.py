@@ -15,7 +15,7 @@ import pyproj
 import pytest
 from osgeo import gdal
 
-from repm_qgis.errors import EmptyResultError, ImageError, OptionError, OverlapError
+from repm_qgis.contracts.errors import EmptyResultError, ImageError, OptionError, OverlapError
 from repm_qgis.evaluation.grids import Grid
 from repm_qgis.imagery.raster import opened, write
 from repm_qgis.progress import Silent

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import re
+from pathlib import Path
 
 import pytest
 
-from repm_qgis import products
-from repm_qgis.errors import WorkspaceError
+from repm_qgis.contracts import products
+from repm_qgis.contracts.errors import WorkspaceError
+from repm_qgis.contracts.products import PRODUCTS, STYLES, forms, products_of
 from repm_qgis.evaluation.stage_reports import pipeline_report
-from repm_qgis.products import PRODUCTS, STYLES, forms, products_of
 from repm_qgis.scene import Scene
 from repm_qgis.stages import STAGES, run_stage
 from tests.engine.pages import plain
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+ROOT = str(Path(__file__).resolve().parents[3])
 
 
 def test_every_product_is_an_option_of_its_stage_or_a_result_of_it():

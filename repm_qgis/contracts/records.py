@@ -63,7 +63,7 @@ PackedWaves = Annotated[FloatArray, Array((-1, 2), most=1e9)]
 class Record:
     """The base of dataclasses that are written to JSON: one entry a field, under the field's name.
 
-    The annotations of its fields say what the entries must be (:mod:`repm_qgis.checks`).
+    The annotations of its fields say what the entries must be (:mod:`repm_qgis.contracts.checks`).
     """
 
     def to_mapping(self) -> Dict[str, Any]:

@@ -8,12 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis import options as all_options
-from repm_qgis.errors import OptionError
-from repm_qgis.options import DsmFuseOptions, EpmFitOptions, Options, PipelineOptions, RefineOptions, SampleDataOptions
+from repm_qgis.contracts import options as all_options
+from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.options import (
+    DsmFuseOptions,
+    EpmFitOptions,
+    Options,
+    PipelineOptions,
+    RefineOptions,
+    SampleDataOptions,
+)
 from repm_qgis.stages import STAGES
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 FILES = {"images": ["a.tif", "b.tif"], "workspace": "w", "output": "dsm.tif"}
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Dict, List, Mapping, Optional, Tupl
 
 from .checks import Choice, Given, Number, Rectangle, Switch, types_of, unfit
 from .errors import OptionError
-from .las import is_cloud
+from .file_kinds import is_cloud, is_delivery, is_ply, is_textured
 
 MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
@@ -162,16 +162,6 @@ def require_page(name: str, path: str) -> None:
         raise OptionError(name, path, "must end with .html")
 
 
-def is_textured(path: str) -> bool:
-    """Whether a mesh is to be one with a picture, glTF or OBJ, by its extension; QGIS shows neither."""
-    return path.lower().endswith((".glb", ".obj"))
-
-
-def is_ply(path: str) -> bool:
-    """Whether a cloud or a mesh is to be PLY, by its extension."""
-    return path.lower().endswith(".ply")
-
-
 def require_cloud(path: str) -> None:
     """Raise OptionError for a cloud of a kind that is not written."""
     if not (is_cloud(path) or is_ply(path)):
@@ -182,25 +172,6 @@ def require_mesh(path: str) -> None:
     """Raise OptionError for a mesh of a kind that is not written."""
     if not (is_textured(path) or is_ply(path)):
         raise OptionError("MESH", path, "must end with .ply, .glb or .obj")
-
-
-IMAGE_ENDS = (".tif", ".tiff", ".jp2", ".ntf", ".nitf")
-"""How the names of images end in what vendors deliver."""
-
-
-def is_archive(path: str) -> bool:
-    """Whether a path is that of an archive as products are delivered in, by its name."""
-    return path.lower().endswith(".zip") and not path.startswith("/vsi")
-
-
-def is_catalogue(path: str) -> bool:
-    """Whether a path is that of a STAC item or catalogue, by its name."""
-    return path.lower().endswith((".json", ".geojson"))
-
-
-def is_delivery(path: str) -> bool:
-    """Whether a path in IMAGES stands for all images of a folder, an archive or a STAC item."""
-    return is_archive(path) or is_catalogue(path) or os.path.isdir(path)
 
 
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:

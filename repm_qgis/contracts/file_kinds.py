@@ -1,0 +1,38 @@
+"""What a file is, told by its name alone: what a user may name for clouds, meshes and images."""
+
+from __future__ import annotations
+
+import os
+
+IMAGE_ENDS = (".tif", ".tiff", ".jp2", ".ntf", ".nitf")
+"""How the names of images end in what vendors deliver."""
+
+
+def is_cloud(path: str) -> bool:
+    """Whether a file is a point cloud, by its extension."""
+    return path.lower().endswith((".laz", ".las"))
+
+
+def is_textured(path: str) -> bool:
+    """Whether a mesh is to be one with a picture, glTF or OBJ, by its extension; QGIS shows neither."""
+    return path.lower().endswith((".glb", ".obj"))
+
+
+def is_ply(path: str) -> bool:
+    """Whether a cloud or a mesh is to be PLY, by its extension."""
+    return path.lower().endswith(".ply")
+
+
+def is_archive(path: str) -> bool:
+    """Whether a path is that of an archive as products are delivered in, by its name."""
+    return path.lower().endswith(".zip") and not path.startswith("/vsi")
+
+
+def is_catalogue(path: str) -> bool:
+    """Whether a path is that of a STAC item or catalogue, by its name."""
+    return path.lower().endswith((".json", ".geojson"))
+
+
+def is_delivery(path: str) -> bool:
+    """Whether a path in IMAGES stands for all images of a folder, an archive or a STAC item."""
+    return is_archive(path) or is_catalogue(path) or os.path.isdir(path)
