@@ -26,7 +26,7 @@ from repm_qgis.ortho.colour_ortho import ColourTask
 from repm_qgis.ortho.colour_sources import colour_plan
 from repm_qgis.ortho.parameters import ORTHO
 from repm_qgis.ortho.seen_surface import SeenSurface
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.simulation.scene import SceneSpec
 

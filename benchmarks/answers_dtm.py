@@ -20,7 +20,7 @@ from repm_qgis.evaluation.coregistration import Alignment
 from repm_qgis.evaluation.grids import Grid, HeightWarper
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened, read, write
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.scene import make_views, surface_bounds
 from repm_qgis.simulation.surface import Ground
 from repm_qgis.simulation.town import Town

@@ -17,7 +17,7 @@ from benchmarks.scenes import Scene, simulated
 from benchmarks.tables import table
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.parameters import SIMULATION
 from repm_qgis.simulation.scene import SceneSpec, make_views, surface_bounds
 from repm_qgis.simulation.sensor import PLEIADES, Look

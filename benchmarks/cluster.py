@@ -20,10 +20,10 @@ from typing import Any, Callable, Dict, List, Sequence, Tuple
 from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, say
 from benchmarks.scenes import default, real, simulated, zy3
 from benchmarks.tables import Section, table
-from repm_qgis.cluster import cluster_workers
 from repm_qgis.contracts.errors import RepmError
-from repm_qgis.parallel import run_tasks
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.cluster import cluster_workers
+from repm_qgis.runtime.parallel import run_tasks
+from repm_qgis.runtime.progress import Silent
 from tests.engine.cluster_tasks import square
 from tests.engine.local_cluster import Cluster
 

@@ -23,7 +23,7 @@ from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 from benchmarks.runner import ROOT, is_quick, pipeline, say
 from benchmarks.scenes import default
 from benchmarks.tables import Section, table
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 
 WORKERS, SCENES = (1, 8, 64, 512), (1, 100, 10_000)
 SIDE_PX, VIEWS = 40_000, 3
@@ -272,7 +272,7 @@ class Run:
 
 def recorded(images: Sequence[str], address: str, **options: Any) -> Run:
     """The pipeline on a cluster, with what its tasks took."""
-    from repm_qgis import cluster
+    from repm_qgis.runtime import cluster
 
     batches: List[Batch] = []
     original = cluster._ClusterWorkers.run
@@ -306,8 +306,8 @@ def overheads(address: str, process: int, tasks: int) -> Tuple[float, float, flo
     """Seconds a task that does nothing: CPU of the client, the scheduler and the workers; and by the clock."""
     import psutil
 
-    from repm_qgis.cluster import cluster_workers
-    from repm_qgis.parallel import run_tasks
+    from repm_qgis.runtime.cluster import cluster_workers
+    from repm_qgis.runtime.parallel import run_tasks
 
     scheduler = psutil.Process(process)
     workers = [child for child in scheduler.children(recursive=True) if child.is_running()]

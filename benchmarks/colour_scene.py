@@ -14,8 +14,8 @@ from typing import Dict, List, Tuple
 import numpy as np
 
 from repm_qgis.imagery.raster import created, write
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.render import render_view
 from repm_qgis.simulation.scene import (
     SceneSpec,

@@ -13,8 +13,8 @@ from typing import Any, Dict, List, Sequence, Tuple
 from benchmarks.runner import Failed, few, pipeline, stage
 from benchmarks.scenes import Scene, quick_size, real, simulated, zy3
 from benchmarks.tables import Section, table
-from repm_qgis.environment import cuda, gpus
-from repm_qgis.progress import Recorder, Silent
+from repm_qgis.runtime.environment import cuda, gpus
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.scene import Scene as SceneFile
 
 Way = Tuple[str, Dict[str, Any]]

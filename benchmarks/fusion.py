@@ -24,10 +24,10 @@ from benchmarks.tables import Section, table
 from repm_qgis.contracts.arrays import Altitudes, Bounds
 from repm_qgis.contracts.records import HeightMapRecord
 from repm_qgis.matching.pair_backend import rectified_over_tile
-from repm_qgis.parallel import run_tasks
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.parallel import run_tasks
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.simulation.scene import SceneSpec, make_views
 from repm_qgis.stereo.height_maps import write_height_map

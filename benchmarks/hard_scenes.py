@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from repm_qgis.contracts.arrays import Bounds
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.render import render_view
 from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, surface_bounds, write_truth

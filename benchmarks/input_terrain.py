@@ -20,8 +20,8 @@ from benchmarks.runner import is_quick
 from benchmarks.scenes import CACHE, made_once, quick_size
 from repm_qgis.evaluation.coregistration import align
 from repm_qgis.imagery.raster import opened, read, write
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.scene import (
     SceneSpec,

@@ -17,7 +17,8 @@ from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.evaluation.pictures import gradients, hillshade, png_bytes
 from repm_qgis.imagery import raster
 from repm_qgis.imagery.sampling import nmad
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.process_limits import bound_cache
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.surface import Ground, fractal
 from repm_qgis.simulation.town import Town
 
@@ -205,7 +206,7 @@ def picture(path: Path, *surfaces: np.ndarray) -> None:
 
 def enlarged(times: int, folder: str) -> Dict[str, Any]:
     """A mosaic of the town's DSMs in cells ``times`` finer along each side, made in this process alone."""
-    raster.bound_cache()  # as the engine does
+    bound_cache()  # as the engine does
     town_folder = town()
     dsms = [str(town_folder / f"dsm_{i + 1:02d}.tif") for i in range(ROWS * COLUMNS)]
     made = stage(

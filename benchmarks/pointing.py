@@ -23,8 +23,8 @@ from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import duration_text, moment, time_of_name
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.readers import read_rpc_file
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import Tile, View
 from repm_qgis.sfm.adjustment import Track, adjust

@@ -15,9 +15,9 @@ from benchmarks.runner import stage
 from benchmarks.scenes import CACHE, Scene, default
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import View, load_views
 from repm_qgis.sfm.ground_control import Gcp

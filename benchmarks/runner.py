@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
-from repm_qgis.progress import Progress, Silent
+from repm_qgis.runtime.progress import Progress, Silent
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
 

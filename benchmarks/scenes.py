@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Callable, List, Optional, Sequence
 
 from benchmarks.runner import ROOT, is_quick, say
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.scene import SceneSpec, make_scene
 from repm_qgis.simulation.sensor import ZY3
 

@@ -25,7 +25,7 @@ from repm_qgis.evaluation.grids import Grid, HeightWarper, read_heights
 from repm_qgis.evaluation.metrics import THRESHOLDS_M, height_metrics
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters
 from repm_qgis.stages.parameters import ENGINE

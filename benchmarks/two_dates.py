@@ -17,7 +17,7 @@ from osgeo import ogr
 from benchmarks.runner import is_quick, pipeline
 from benchmarks.scenes import CACHE, made_once
 from repm_qgis.contracts.arrays import FloatImage, IntArray, Mask
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.parameters import SIMULATION
 from repm_qgis.simulation.scene import (

@@ -16,9 +16,9 @@ from scipy.interpolate import RectBivariateSpline
 
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
 from repm_qgis.imagery.raster import created
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.render import render_view
 from repm_qgis.simulation.scene import (

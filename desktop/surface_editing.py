@@ -310,7 +310,7 @@ class SurfaceEditingDock(QgsDockWidget):
         if self._task is not None:
             self._again = True
             return
-        from ..repm_qgis.workspace import temporary_name
+        from ..repm_qgis.runtime.workspace import temporary_name
 
         made: dict[str, str] = {}
         if not self._tried(lambda: made.update(OUTPUT=temporary_name(self.records.edited))):
@@ -331,7 +331,7 @@ class SurfaceEditingDock(QgsDockWidget):
         QgsApplication.taskManager().addTask(task)
 
     def _made(self, well: bool, records: Any, made: dict[str, str], feedback: _Feedback) -> None:
-        from ..repm_qgis.workspace import remove_temporary
+        from ..repm_qgis.runtime.workspace import remove_temporary
 
         self._task = self._run = None
         text = " ".join(feedback.notes)
@@ -355,7 +355,7 @@ class SurfaceEditingDock(QgsDockWidget):
 
     def _put(self, temporary: str, path: str, records: Any) -> bool:
         """Give a raster its name, and show it: layers let go of the older file first, as Windows wants it."""
-        from ..repm_qgis.workspace import take_name
+        from ..repm_qgis.runtime.workspace import take_name
 
         project = QgsProject.instance()
         loaded = [

@@ -9,7 +9,7 @@ from typing import Any, Iterator, Mapping
 
 from ..repm_qgis.contracts.products import BUILT_FOLDER, FOLDER, SCENE, forms, kept_folder, tiles_folder
 
-_MARK = ".*.part*"  # repm_qgis/workspace.py: temporary_name
+_MARK = ".*.part*"  # repm_qgis/runtime/workspace.py: temporary_name
 
 
 def _patterns(options: Mapping[str, Any]) -> Iterator[str]:

@@ -24,7 +24,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
 from ..repm_qgis.installer.environments import usable, user_home
 from ..repm_qgis.installer.interpreter import candidates, is_program, program_in, variables
-from ..repm_qgis.installer.packages import PACKAGES
+from ..repm_qgis.runtime.packages import PACKAGES
 from . import settings
 from .cleanup import remove_half_written
 from .language import labels, language, said
@@ -137,9 +137,9 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
 def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.contracts.errors import RepmError
-    from ..repm_qgis.parallel import one_thread_for_loaded_sums
+    from ..repm_qgis.runtime.process_limits import one_thread_for_loaded_sums
+    from ..repm_qgis.runtime.translation import written_in
     from ..repm_qgis.stages import run_stage
-    from ..repm_qgis.translation import written_in
 
     try:
         with written_in(language(), labels(stage)), one_thread_for_loaded_sums():
@@ -269,7 +269,7 @@ class _EngineProcess:
     """One engine process, from its start to its result; ``job`` is a line of JSON."""
 
     def __init__(self, stage: str, python: str, job: str) -> None:
-        from ..repm_qgis.containers import memory_kills
+        from ..repm_qgis.runtime.containers import memory_kills
 
         self._stage, self._python, self._memory_kills = stage, python, memory_kills()
         self._lines: queue.Queue[Optional[str]] = queue.Queue()
@@ -385,8 +385,8 @@ class _EngineProcess:
         raise _failure(self._crash(code))
 
     def _crash(self, code: int) -> str:
-        from ..repm_qgis.containers import memory_kills
-        from ..repm_qgis.shortage import MEMORY_REMEDY, speaks_of_memory
+        from ..repm_qgis.runtime.containers import memory_kills
+        from ..repm_qgis.runtime.shortage import MEMORY_REMEDY, speaks_of_memory
 
         words = next((text for text in reversed(self._last_words) if text.strip()), "")
         said = f" (its last words: {words.strip()[:300]})" if words else ""

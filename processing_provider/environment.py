@@ -7,7 +7,7 @@ from typing import Any, Mapping
 from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback, QgsProcessingParameterFile
 
 from ..repm_qgis.contracts.options import EnvironmentOptions
-from ..repm_qgis.installer.packages import REQUIREMENTS, requirements_of, sizes_mb
+from ..repm_qgis.runtime.packages import REQUIREMENTS, requirements_of, sizes_mb
 from . import engine, installation, parameters
 from .base import RepmAlgorithm
 

@@ -115,7 +115,7 @@ def _tr(text: str) -> str:
 
 
 def _write(path: str, text: str) -> None:
-    from ..repm_qgis.workspace import ensure_folder, write_text
+    from ..repm_qgis.runtime.workspace import ensure_folder, write_text
 
     try:
         with open(path, encoding="utf-8") as stream:

@@ -14,7 +14,7 @@ from ..repm_qgis.contracts.errors import RepmError
 from ..repm_qgis.installer import environments
 from ..repm_qgis.installer.install import log_of, planned
 from ..repm_qgis.installer.interpreter import Interpreter, program_in, qgis_python
-from ..repm_qgis.installer.packages import PACKAGES, REQUIREMENTS, requirements_of
+from ..repm_qgis.runtime.packages import PACKAGES, REQUIREMENTS, requirements_of
 from . import engine, settings
 from .language import said
 

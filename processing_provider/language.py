@@ -7,7 +7,7 @@ from typing import Dict
 from qgis.core import QgsApplication, QgsSettings
 from qgis.PyQt.QtCore import QLocale
 
-from ..repm_qgis.translation import Translator
+from ..repm_qgis.runtime.translation import Translator
 
 
 def locale() -> str:

@@ -26,7 +26,7 @@ from qgis.PyQt.QtCore import QCoreApplication
 from ..repm_qgis.contracts.file_kinds import is_textured
 from ..repm_qgis.contracts.products import STYLES
 from ..repm_qgis.names import titled
-from ..repm_qgis.translation import written_in
+from ..repm_qgis.runtime.translation import written_in
 from .language import language, said
 
 _FROM_TOP = [style.kind for style in STYLES]

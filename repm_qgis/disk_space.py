@@ -15,10 +15,10 @@ from .contracts.errors import WorkspaceError
 from .contracts.options import VIEWER_CELLS, DsmFuseOptions, DtmOptions, EditDsmOptions, MosaicOptions
 from .contracts.products import tiles_folder
 from .contracts.records import ViewPair
-from .progress import Progress
+from .runtime.progress import Progress
+from .runtime.workspace import existing_place, free_bytes, size_of
 from .scene import Scene, folder_of
 from .stereo.parameters import STEREO
-from .workspace import existing_place, free_bytes, size_of
 
 _LEAST = 1 / 3  # of what is expected: less is not refused
 _HEIGHT_MAP = 6.5  # bytes for each pixel of ground that a pair sees: three bands, compressed

@@ -26,12 +26,13 @@ from contextlib import suppress
 from typing import Any, Dict, Tuple
 
 from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
-from .parallel import end_workers, keep_freed_memory, one_thread_for_sums
-from .progress import JsonLines
-from .shortage import reserve_buffers, said_in_a_sentence
-from .translation import reader, written_in
-from .windows import end_children_with_us
-from .workspace import name_nothing_more, remove_own_temporaries
+from .runtime.parallel import end_workers
+from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
+from .runtime.progress import JsonLines
+from .runtime.shortage import reserve_buffers, said_in_a_sentence
+from .runtime.translation import reader, written_in
+from .runtime.windows import end_children_with_us
+from .runtime.workspace import name_nothing_more, remove_own_temporaries
 
 _MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
@@ -189,7 +190,6 @@ def _run(arguments: list[str], lines: JsonLines, line: bytes) -> Dict[str, Any]:
     keep_freed_memory()
     if len(arguments) != 2:
         raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
-    from .imagery.raster import bound_cache
     from .stages import run_stage
 
     bound_cache()

@@ -9,9 +9,9 @@ from typing import NamedTuple, Sequence
 
 from .contracts.records import ViewPair
 from .disk_space import seen_px
-from .memory import planned_mib
-from .parallel import cores
-from .progress import counted
+from .runtime.memory import planned_mib
+from .runtime.parallel import cores
+from .runtime.progress import counted
 from .scene import Scene
 from .stereo.parameters import STEREO
 

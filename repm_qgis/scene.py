@@ -52,8 +52,8 @@ from .imagery.enhancement import Stretch, view_stretch
 from .imagery.ortho_ready import OrthoReady, plane_of
 from .imagery.parameters import SAMPLING, STRETCH, StretchParameters
 from .rpc import Rpc
+from .runtime.workspace import write_text
 from .untrusted import MOST_SIDE_PX
-from .workspace import write_text
 
 SCHEMA = 2
 _MAX_SCENE_BYTES = 512 << 20

@@ -19,7 +19,7 @@ from osgeo import gdal
 
 from .contracts.arrays import Window
 from .contracts.checks import INLINE
-from .workspace import file_identity
+from .runtime.workspace import file_identity
 
 # Formats of files with pixels or shapes, and of files that list such files. None of them is a service of the network,
 # runs programs, or names files of any other format; VRT does, and is looked through.

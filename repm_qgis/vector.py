@@ -13,8 +13,8 @@ from osgeo import gdal, ogr, osr
 from .contracts.arrays import FloatArray
 from .contracts.errors import WorkspaceError
 from .contracts.records import GroundShift
+from .runtime.workspace import not_written, take_name, temporary_folder
 from .untrusted import VECTORS, distrust, drivers_for
-from .workspace import not_written, take_name, temporary_folder
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 Features = Iterable[Tuple[ogr.Geometry, Sequence[Any]]]

@@ -141,7 +141,7 @@ WORDS = (
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16
 _PASSED_OVER = {
-    ROOT / "repm_qgis" / "products.py",  # the dialogs have its texts; pages show titles only
+    ROOT / "repm_qgis" / "contracts" / "products.py",  # the dialogs have its texts; pages show titles only
     ROOT / "repm_qgis" / "imagery" / "sensors.py",  # names, patterns and citations, the same in every language
 }
 SYSTEM = (

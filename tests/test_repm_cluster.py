@@ -53,10 +53,10 @@ def greeting(address, key):
 def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
     from distributed import Client
 
-    from repm_qgis.cluster import cluster_workers, key_file, security
     from repm_qgis.contracts.errors import ClusterError
-    from repm_qgis.parallel import run_tasks
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.cluster import cluster_workers, key_file, security
+    from repm_qgis.runtime.parallel import run_tasks
+    from repm_qgis.runtime.progress import Silent
 
     command = [sys.executable, str(SCRIPT), "local", "2", "--memory", "600"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
@@ -105,7 +105,7 @@ def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
 @needs_dask
 @posix
 def test_a_key_that_others_could_read_is_made_again(tmp_path):
-    from repm_qgis.cluster import key_file
+    from repm_qgis.runtime.cluster import key_file
 
     made = pathlib.Path(key_file(str(tmp_path)))
     own = made.read_bytes()

@@ -21,9 +21,9 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..imagery import raster
 from ..imagery.sampling import nmad
-from ..progress import Part, Progress
+from ..runtime.progress import Part, Progress
+from ..runtime.workspace import temporary_folder
 from ..vector import write_layer
-from ..workspace import temporary_folder
 from .detection import detect
 from .errors import Correlation, ErrorModel, correlation_of, fitted_model
 from .parameters import CHANGE, ChangeParameters

@@ -20,7 +20,7 @@ from ..geometry.frames import flat_crs
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .parameters import CHANGE, DetectionParameters
 
 

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar, Union
 
 from ..contracts.errors import Cancelled, DeviceError
-from ..environment import Gpu
-from ..parallel import as_they_end
-from ..progress import Progress
-from ..workspace import write_text
+from ..runtime.environment import Gpu
+from ..runtime.parallel import as_they_end
+from ..runtime.progress import Progress
+from ..runtime.workspace import write_text
 from .parameters import COLMAP, PatchMatchParameters
 
 ROOT = Path(__file__).resolve().parents[2]

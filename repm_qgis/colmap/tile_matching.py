@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask
 from ..contracts.errors import DeviceError, EmptyResultError, ImageError
 from ..contracts.records import HeightMapRecord
-from ..environment import Gpu
 from ..imagery.correlation import window_statistics
 from ..imagery.enhancement import Stretch
 from ..imagery.warping import box_filter, sample_array
-from ..progress import Progress
+from ..runtime.environment import Gpu
+from ..runtime.progress import Progress
+from ..runtime.workspace import fingerprint, temporary_folder
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.parameters import STEREO, StereoParameters
-from ..workspace import fingerprint, temporary_folder
 from .depth_heights import DepthGeometry, depth_geometry
 from .maps import read_map
 from .parameters import COLMAP, ColmapParameters

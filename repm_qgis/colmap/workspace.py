@@ -22,9 +22,9 @@ from ..contracts.errors import WorkspaceError
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import warp
+from ..runtime.workspace import ensure_folder, write_text
 from ..scene import Scene
 from ..stereo.pairing import ground_points
-from ..workspace import ensure_folder, write_text
 from .parameters import COLMAP, TrackParameters
 from .projective_frame import FrameView, TileFrame
 

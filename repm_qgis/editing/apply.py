@@ -19,7 +19,7 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import doubled, halved
 from ..imagery.confidence import ConfidenceBands, Provenance
 from ..imagery.raster import RasterWriter
-from ..progress import Progress
+from ..runtime.progress import Progress
 from . import membrane
 from .edits import Edit
 from .parameters import EDITING, EditingParameters

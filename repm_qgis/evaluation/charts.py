@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..contracts.arrays import FloatArray
-from ..translation import said
+from ..runtime.translation import said
 from .templates import Drawing, draw
 
 COLOURS = ("#2b83ba", "#e08214", "#35a06a", "#d1495b", "#8367b5", "#8c7a4b", "#1b9e9e", "#b5628f")

@@ -14,7 +14,7 @@ from ..contracts.errors import EmptyResultError
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
-from ..progress import Part, Progress
+from ..runtime.progress import Part, Progress
 from .classes import ErrorsByClass
 from .clouds import Surface
 from .coregistration import Alignment, Patch, align, block_means, moved_by

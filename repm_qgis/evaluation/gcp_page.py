@@ -9,7 +9,7 @@ import numpy as np
 from ..accuracy import EXPLAINED, LEAST_POINTS
 from ..contracts.options import CheckGcpsOptions
 from ..geometry.frames import EnuFrame, mean_place
-from ..progress import counted
+from ..runtime.progress import counted
 from . import charts, verdict
 from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from .report import Report, fixed

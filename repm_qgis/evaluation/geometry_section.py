@@ -13,7 +13,7 @@ from ..contracts.records import GcpFigures, PointingFigures, ViewPair
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import duration_text
-from ..progress import counted
+from ..runtime.progress import counted
 from ..scene import Scene
 from ..sfm.advice import absolute_height
 from ..sfm.pair_selection import shared_part

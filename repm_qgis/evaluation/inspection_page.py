@@ -10,8 +10,8 @@ import numpy as np
 
 from ..contracts.errors import RepmError
 from ..imagery.acquisition import duration_text
-from ..progress import counted
 from ..run_estimate import duration
+from ..runtime.progress import counted
 from ..scene import View
 from ..sfm.advice import expected_accuracy_m
 from ..sfm.inspection import CARE, NO, YES, PairFacts, Place

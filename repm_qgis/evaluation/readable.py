@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Dict, Iterator, Mapping, Tuple
 
-from ..translation import SOURCE_LANGUAGE
+from ..runtime.translation import SOURCE_LANGUAGE
 
 _DOCS = Path(__file__).resolve().parents[2] / "docs"
 _COMMAS = ("de",)

@@ -18,8 +18,8 @@ import re
 import struct
 from typing import Any, Dict, Iterable, List, Sequence, Tuple, Union
 
-from ..translation import labels, reader
-from ..workspace import write_text
+from ..runtime.translation import labels, reader
+from ..runtime.workspace import write_text
 from .readable import readable
 from .templates import Drawing, page
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Sequence, Tuple
 
 from ..contracts.arrays import FloatArray
-from ..progress import counted
 from ..rpc.correction import CorrectedRpc
+from ..runtime.progress import counted
 from ..scene import View
 from . import verdict
 from .report import Report, fixed

@@ -14,14 +14,14 @@ from ..contracts.arrays import ByteImage, FloatArray, FloatImage
 from ..contracts.errors import RepmError
 from ..contracts.products import STYLES, forms, products_of
 from ..contracts.records import FusionFacts
-from ..environment import version_of
 from ..geometry.footprints import footprint
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.raster import opened
-from ..installer.packages import PACKAGES
-from ..progress import counted
+from ..runtime.environment import version_of
+from ..runtime.packages import PACKAGES
+from ..runtime.progress import counted
 from ..scene import Scene, View
 from ..sfm.pair_selection import sun_over
 from . import charts, pictures, verdict

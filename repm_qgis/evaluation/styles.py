@@ -43,8 +43,8 @@ from ..contracts.arrays import FloatImage
 from ..contracts.errors import OptionError
 from ..contracts.products import STYLES, Style
 from ..imagery.raster import opened
-from ..translation import SOURCE_LANGUAGE, reader, said
-from ..workspace import write_text
+from ..runtime.translation import SOURCE_LANGUAGE, reader, said
+from ..runtime.workspace import write_text
 from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, ramp_table, rgb
 from .templates import RESOURCES
 

@@ -1,6 +1,6 @@
 """The templates of reports and charts, in ``resources/templates``; all text that they take is escaped.
 
-Their filter ``said`` translates, see :mod:`repm_qgis.translation`.
+Their filter ``said`` translates, see :mod:`repm_qgis.runtime.translation`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..contracts.errors import MissingPackageError
-from ..translation import said
+from ..runtime.translation import said
 
 if TYPE_CHECKING:
     from jinja2 import Environment

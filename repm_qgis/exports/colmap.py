@@ -13,7 +13,7 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 from typing import Any, Tuple
 
-from ..environment import required_pycolmap
+from ..runtime.environment import required_pycolmap
 from .formats import ExportFormat
 from .model import TileModel
 

@@ -16,8 +16,8 @@ from ..contracts.errors import ImageError
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import RasterWriter, created, opened, quiet, read
 from ..imagery.warping import warp_strips
-from ..progress import Progress
-from ..workspace import not_written, whole_file
+from ..runtime.progress import Progress
+from ..runtime.workspace import not_written, whole_file
 from .model import ExportView
 
 _STRIP = 512  # rows

@@ -13,7 +13,7 @@ from typing import Any, Dict, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
-from ..workspace import write_text
+from ..runtime.workspace import write_text
 from .formats import ExportFormat
 from .model import ExportView, TileModel
 

@@ -22,8 +22,8 @@ from ..contracts.errors import OptionError
 from ..geometry.footprints import ring
 from ..geometry.frames import flat_crs
 from ..imagery.raster import opened
+from ..runtime.workspace import write_text
 from ..scene import Scene
-from ..workspace import write_text
 
 _EXTENSIONS = tuple(
     f"https://stac-extensions.github.io/{name}/v1.1.0/schema.json" for name in ("projection", "raster", "processing")

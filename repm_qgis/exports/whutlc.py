@@ -14,7 +14,7 @@ from typing import Tuple
 
 import numpy as np
 
-from ..workspace import write_text
+from ..runtime.workspace import write_text
 from .formats import ExportFormat
 from .model import ExportView, TileModel
 from .mvsnet import matrix_text

@@ -25,9 +25,9 @@ from ..geometry.gridding import grid_points
 from ..geometry.tiles import enclosing
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
-from ..memory import fusing_mib, tile_work, workers_within
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.memory import fusing_mib, tile_work, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
 from ..scene import Scene, Tile
 from ..stereo.triangulation import nodes
 from .parameters import FUSION, FusionParameters, MapOffsetParameters

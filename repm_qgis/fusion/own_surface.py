@@ -11,9 +11,9 @@ from ..contracts.arrays import Bounds, FloatImage
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.tiles import enclosing
-from ..memory import fusing_mib, tile_work, workers_within
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.memory import fusing_mib, tile_work, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
 from ..scene import Scene
 from .parameters import FUSION, FusionParameters
 from .tile_fusion import FuseTask, fuse_tile

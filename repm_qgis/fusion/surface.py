@@ -13,7 +13,7 @@ import numpy as np
 from ..contracts.arrays import FloatImage, Window
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..imagery.confidence import Provenance
-from ..workspace import writing
+from ..runtime.workspace import writing
 from .brightness import Witnesses, brightness
 from .choice import Problem, chosen, near_reach, reach_cells
 from .joining import JoinedTiles

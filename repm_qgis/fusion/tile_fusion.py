@@ -15,9 +15,9 @@ from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.gridding import grid_points, surface_step
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
+from ..runtime.workspace import whole_file, write_text
 from ..scene import Scene
 from ..stereo.height_maps import HeightMap, HeightSource, checksum_of, require_whole
-from ..workspace import whole_file, write_text
 from .aggregation import FIELDS, FusedCells, HeightLayer, aggregate, rim_cells
 from .layout import own_cells
 from .occluded import occluded_ground

@@ -21,9 +21,9 @@ from osgeo import gdal
 from ..contracts.errors import ImageError, OptionError, RepmError, RpcError
 from ..contracts.file_kinds import IMAGE_ENDS, is_archive, is_catalogue, is_delivery
 from ..contracts.options import EpmFitOptions, InspectOptions
-from ..progress import Progress, counted, listed
 from ..rpc.formats import ARCHIVED, sidecar_text, xml_attributes
 from ..rpc.readers import beside, files_in_folder, product_of, rpc_of
+from ..runtime.progress import Progress, counted, listed
 from .bands import intensity_bands
 from .raster import opened
 from .stac import items_of

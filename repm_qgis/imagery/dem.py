@@ -15,7 +15,7 @@ from ..contracts.errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, geodetic_from_projected, on_earth, vertical_part
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
-from ..workspace import file_identity
+from ..runtime.workspace import file_identity
 from .heights import read_heights, to_metres
 from .parameters import DEM
 from .raster import NODATA, opened, quiet, read, write

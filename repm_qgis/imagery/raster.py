@@ -17,9 +17,9 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask, Size, Window
 from ..contracts.errors import ImageError
-from ..shortage import speaks_of_memory
+from ..runtime.shortage import speaks_of_memory
+from ..runtime.workspace import file_identity, file_sample, not_written, take_name, temporary_name
 from ..untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
-from ..workspace import file_identity, file_sample, not_written, take_name, temporary_name
 
 NODATA = -9999.0
 
@@ -188,11 +188,6 @@ def read(
     if values.dtype.kind == "f":
         result[~np.isfinite(result)] = np.nan
     return result
-
-
-def bound_cache(megabytes: int = 128) -> None:
-    """Keep GDAL's block cache small: its default takes a twentieth of the machine. For processes of our own only."""
-    gdal.SetCacheMax(megabytes << 20)
 
 
 class RasterWriter:

@@ -12,11 +12,11 @@ import sys
 from typing import Sequence
 
 from ..contracts.errors import Cancelled, RepmError
-from ..progress import Silent
+from ..runtime.packages import PLUGIN_FOLDER, REQUIREMENTS, requirements_of
+from ..runtime.progress import Silent
 from . import environments
 from .install import described, install, log_of, planned
 from .interpreter import asked, base_program
-from .packages import PLUGIN_FOLDER, REQUIREMENTS, requirements_of
 
 
 class _Printed(Silent):

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
-from ..workspace import free_bytes, write_text
+from ..runtime.packages import PLUGIN_FOLDER, REQUIREMENTS, package_of, requirements_of, sizes_mb
+from ..runtime.workspace import free_bytes, write_text
 from .interpreter import STAMP, is_program, program_in
-from .packages import PLUGIN_FOLDER, REQUIREMENTS, package_of, requirements_of, sizes_mb
 
 _PREFIX = "engine-"
 _MARGIN = 1.1

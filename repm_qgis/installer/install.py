@@ -12,13 +12,13 @@ from datetime import datetime
 from typing import Callable, List, Optional, Sequence, TextIO
 
 from ..contracts.errors import MissingPackageError, OptionError, WorkspaceError
-from ..locks import exclusive
-from ..progress import Part, Progress
-from ..workspace import cannot_write, ensure_folder
+from ..runtime.locks import exclusive
+from ..runtime.packages import PACKAGES, REPLACEABLE, constraints, name_of, narrowed
+from ..runtime.progress import Part, Progress
+from ..runtime.workspace import cannot_write, ensure_folder
 from . import environments, pip
 from .environments import Plan
 from .interpreter import WINDOWS, Interpreter, asked, program_in, variables
-from .packages import PACKAGES, REPLACEABLE, constraints, name_of, narrowed
 
 LOG = "install.log"
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Dict, List, Sequence, Tuple
 
 from ..contracts.errors import MissingPackageError
-from .packages import OF_QGIS, PACKAGES
+from ..runtime.packages import OF_QGIS, PACKAGES
 
 STAMP = "repm-environment.json"
 """The file in an environment that the installer made: it is written last, so its absence means "not whole"."""

@@ -12,10 +12,10 @@ import threading
 from typing import IO, Callable, Deque, Dict, List, Optional, Sequence
 
 from ..contracts.errors import MissingPackageError, RepmError, WorkspaceError
-from ..progress import Progress
-from ..workspace import size_of
+from ..runtime.packages import name_of
+from ..runtime.progress import Progress
+from ..runtime.workspace import size_of
 from .interpreter import variables
-from .packages import name_of
 
 _POLL_S = 0.3
 _LOOK_S = 1.0

@@ -22,7 +22,7 @@ from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
 from ..geometry.ground_shifts import shift_in
 from ..imagery.enhancement import Stretch
-from ..progress import Part, Progress
+from ..runtime.progress import Part, Progress
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
 from ..stereo.wave_change import WaveChange, WaveGeometry

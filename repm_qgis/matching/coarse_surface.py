@@ -23,8 +23,8 @@ from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read, write
 from ..imagery.sampling import median_of_known, median_of_neighbours
 from ..imagery.warping import sample_array, source_positions
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.triangulation import pair_geometry

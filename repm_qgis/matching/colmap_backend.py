@@ -10,12 +10,12 @@ from ..colmap.tile_matching import GpuTask, match_tiles, tile_height_source
 from ..contracts.arrays import Bounds
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
-from ..environment import Gpu, cuda, cuda_usable, gpus
-from ..progress import Progress
+from ..runtime.environment import Gpu, cuda, cuda_usable, gpus
+from ..runtime.progress import Progress
+from ..runtime.workspace import fingerprint
 from ..scene import Scene, Tile
 from ..stereo.height_maps import HeightSource
 from ..stereo.wave_change import WaveGeometry
-from ..workspace import fingerprint
 from .backends import MatchingJob, MatchingResult
 from .parameters import MatchingParameters
 

@@ -19,9 +19,10 @@ from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
-from ..memory import matching_mib, tile_work, workers_within
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.memory import matching_mib, tile_work, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
+from ..runtime.workspace import drop_temporaries, fingerprint
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.pairing import rectified_pair, reductions
@@ -29,7 +30,6 @@ from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
 from ..stereo.wave_change import WaveGeometry, wave_geometry
-from ..workspace import drop_temporaries, fingerprint
 from .backends import MatchingJob, MatchingResult
 from .disparity_map import DisparityMap, PairMatcher
 from .disparity_prior import (

@@ -19,7 +19,7 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
 from ..imagery.sampling import nmad
-from ..workspace import writing
+from ..runtime.workspace import writing
 from .inputs import Dsm, Layout
 from .offsets import Overlap
 from .parameters import MOSAIC, MosaicParameters, OffsetParameters

@@ -23,7 +23,7 @@ from ..geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .parameters import MOSAIC
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..contracts.options import MosaicOptions
 from ..evaluation import charts, pictures, verdict
 from ..evaluation.report import Report, fixed
-from ..progress import counted
+from ..runtime.progress import counted
 from .inputs import Layout
 from .offsets import Offsets, Overlap
 

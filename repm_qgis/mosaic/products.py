@@ -21,9 +21,9 @@ from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.vertical import TAG
 from ..imagery.raster import RasterWriter, created
 from ..imagery.vrt import Mosaicked, vrt_text
-from ..parallel import run_tasks, run_whole
-from ..progress import Part, Progress
-from ..workspace import whole_file, whole_folder
+from ..runtime.parallel import run_tasks, run_whole
+from ..runtime.progress import Part, Progress
+from ..runtime.workspace import whole_file, whole_folder
 from .blocks import Block
 from .inputs import Layout
 from .parameters import MosaicParameters

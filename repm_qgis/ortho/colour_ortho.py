@@ -19,10 +19,10 @@ from ..fusion.finished import FinishedSurface
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
-from ..memory import Work, colouring_mib, workers_within
-from ..parallel import run_tasks
-from ..progress import Part, Progress, counted
-from ..workspace import ensure_folder, writing
+from ..runtime.memory import Work, colouring_mib, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Part, Progress, counted
+from ..runtime.workspace import ensure_folder, writing
 from .colour_balance import balanced, contrasts
 from .colour_sources import ColourPlan, ColourSource
 from .pansharpening import Multispectral, fitted

@@ -24,7 +24,7 @@ from ..geometry.footprints import footprint, geometry_of, ray_slope
 from ..imagery.bands import band_name, intensity_bands, natural_bands
 from ..imagery.raster import opened, opened_masked
 from ..imagery.warping import sample_source
-from ..progress import Progress, counted, listed
+from ..runtime.progress import Progress, counted, listed
 from ..scene import Scene, View, load_view
 from .pansharpening import Multispectral, brovey
 from .parameters import PansharpeningParameters

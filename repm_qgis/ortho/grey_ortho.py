@@ -14,11 +14,11 @@ from ..contracts.options import DsmFuseOptions
 from ..fusion.finished import FinishedSurface
 from ..fusion.visible import orthophoto
 from ..geometry.cell_grid import overlapping_blocks
-from ..memory import Work, colouring_mib, workers_within
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.memory import Work, colouring_mib, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
+from ..runtime.workspace import ensure_folder, writing
 from ..scene import View
-from ..workspace import ensure_folder, writing
 from .parameters import ORTHO, OrthoParameters
 from .seen_surface import Blocks, SeenSurface, write_blocks
 

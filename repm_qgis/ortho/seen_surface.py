@@ -16,8 +16,8 @@ from ..fusion.visible import blocked, slope_over
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.raster import NODATA, created, opened
-from ..parallel import run_whole
-from ..progress import Progress
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Progress
 from ..scene import View
 from .parameters import ORTHO, OrthoParameters
 

@@ -12,7 +12,7 @@ from ..contracts.arrays import Bounds, FloatArray
 from ..contracts.records import PointingFigures, ViewPair
 from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import duration_text
-from ..progress import counted, listed
+from ..runtime.progress import counted, listed
 from ..scene import Scene, View, pair_gsd_m
 from .graph import components
 from .height_uncertainty import height_le90_m, height_uncertainty

@@ -27,7 +27,7 @@ from ..imagery.correlation import window_statistics
 from ..imagery.dem import dem_range
 from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
-from ..progress import Part, Progress
+from ..runtime.progress import Part, Progress
 from ..scene import View
 from ..stereo.pairing import reductions
 from .pair_selection import change_cost, pair_at, usual_change

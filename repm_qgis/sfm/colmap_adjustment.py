@@ -21,14 +21,14 @@ import numpy as np
 from ..altitudes import ALTITUDES, AltitudeParameters
 from ..contracts.arrays import Bounds, FloatArray, Size
 from ..contracts.errors import EmptyResultError
-from ..environment import required_pycolmap
 from ..geometry.centring import centred
 from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, mean_place, projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography
 from ..imagery.sampling import nmad
-from ..progress import Progress
+from ..runtime.environment import required_pycolmap
+from ..runtime.progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import refined_view
 from .adjustment import Adjustment, Track, track_pixels, with_shifts

@@ -14,7 +14,7 @@ import numpy as np
 import pyproj
 
 from ..contracts.errors import InputTableError
-from ..progress import counted
+from ..runtime.progress import counted
 from ..scene import View
 from .control_noise import most_set_aside
 from .ground_control import Gcp

@@ -16,11 +16,11 @@ from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
-from ..progress import counted, listed
+from ..runtime.progress import counted, listed
+from ..runtime.workspace import write_text
 from ..scene import View
 from ..tables import CsvTable, LayerTable, Limits, number_in
 from ..vector import file_and_layer
-from ..workspace import write_text
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")

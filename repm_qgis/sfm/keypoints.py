@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import environment
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage
 from ..contracts.errors import EmptyResultError, RepmError
-from ..parallel import cores
-from ..progress import Progress
+from ..runtime import environment
+from ..runtime.parallel import cores
+from ..runtime.progress import Progress
 from .parameters import POINTING, KeypointParameters
 
 T = TypeVar("T")

@@ -20,7 +20,7 @@ from ..contracts.options import EpmFitOptions
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring
 from ..imagery.deliveries import with_images
 from ..imagery.raster import opened, read
-from ..progress import Silent, listed
+from ..runtime.progress import Silent, listed
 from ..scene import View, common_heights, load_views
 
 Warn = Callable[[str], None]

@@ -18,7 +18,7 @@ from ..contracts.arrays import Altitudes, Bounds
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.dem import dem_range, surface_of
 from ..imagery.ortho_ready import OPTION
-from ..progress import Progress, listed
+from ..runtime.progress import Progress, listed
 from ..scene import View
 from .altitude_range import sweep_altitudes
 from .parameters import POINTING, PlaneParameters, SweepParameters

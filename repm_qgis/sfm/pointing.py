@@ -15,7 +15,7 @@ from ..geometry.footprints import ray_slope
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
 from ..imagery.sampling import nmad
-from ..progress import Part, Progress
+from ..runtime.progress import Part, Progress
 from ..scene import Scene, View
 from .adjustment import Adjustment, Track, adjust, tracks_from
 from .advice import absolute_height, ties_by_part, ties_by_tile

@@ -22,8 +22,8 @@ from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.sampling import known_or_zero
 from ..imagery.warping import PixelMap, gaussian_mean, warp_coarsened
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.rectification import RectifiedPair

@@ -15,7 +15,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.tiles import enclosing
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked, read
-from ..progress import Progress
+from ..runtime.progress import Progress
 from ..scene import Scene
 from .parameters import POINTING, PatchParameters
 

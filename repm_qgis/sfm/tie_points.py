@@ -23,8 +23,8 @@ from ..imagery.enhancement import Stretch
 from ..imagery.parameters import SAMPLING
 from ..imagery.raster import opened_masked
 from ..imagery.warping import warp_coarsened
-from ..parallel import run_tasks
-from ..progress import Part, Progress, counted
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Part, Progress, counted
 from ..scene import Scene, View
 from ..stereo.pairing import ground_points, rectify_over, reductions, refined_view
 from ..stereo.rectification import RectifiedPair

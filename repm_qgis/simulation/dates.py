@@ -18,10 +18,10 @@ from osgeo import osr
 from ..contracts.arrays import FloatArray, FloatImage
 from ..geometry.frames import ecef_from_geodetic, projected_from_geodetic, utm_crs
 from ..imagery.raster import created, write
-from ..progress import Progress
 from ..rpc.model import Rpc
 from ..rpc.writers import rpc_tags
-from ..workspace import ensure_folder
+from ..runtime.progress import Progress
+from ..runtime.workspace import ensure_folder
 from .chips import grey_of, pansharpened, toned
 from .district import Date, District
 from .parameters import SIMULATION, SimulationParameters

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from ..contracts.arrays import FloatImage, Mask
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .parameters import SIMULATION, DistrictParameters, EffectParameters
 from .surface import Area, Ground, fractal
 from .town import Place, Town

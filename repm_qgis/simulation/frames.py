@@ -13,8 +13,8 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..geometry.frames import EnuFrame
-from ..progress import Part, Progress
-from ..workspace import ensure_folder
+from ..runtime.progress import Part, Progress
+from ..runtime.workspace import ensure_folder
 from .parameters import SIMULATION, SimulationParameters
 from .scene import SceneSpec, fit_view_rpcs, make_surface, pointing_errors, surface_bounds, write_image, write_truth
 from .sensor import Look, PushbroomView, Sensor, aim

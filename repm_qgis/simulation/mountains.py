@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .surface import Ground, fractal, slopes
 
 

@@ -17,7 +17,7 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from ..contracts.arrays import FloatArray, FloatImage, IntArray
-from ..progress import Part, Progress
+from ..runtime.progress import Part, Progress
 from .parameters import SIMULATION, RenderParameters
 from .sensor import PushbroomView
 from .surface import SimulatedSurface, facade_radiance, interpolate

@@ -11,7 +11,7 @@ from typing import Any, Optional, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray, Mask
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .parameters import SIMULATION, TownParameters
 from .surface import Area, Ground, fractal
 

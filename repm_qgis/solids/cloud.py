@@ -22,11 +22,11 @@ from ..fusion.layout import DsmLayout, own_cells
 from ..fusion.parameters import FUSION, IsolatedPointParameters
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
-from ..memory import gathering_mib, tile_work, workers_within
-from ..parallel import run_tasks
-from ..progress import Progress
+from ..runtime.memory import gathering_mib, tile_work, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress
+from ..runtime.workspace import ensure_folder, writing
 from ..scene import Scene
-from ..workspace import ensure_folder, writing
 from .cloud_points import cloud_points
 from .painting import opened_paint
 from .parameters import SOLIDS, CloudParameters, PaintingParameters

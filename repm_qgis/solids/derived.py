@@ -8,8 +8,8 @@ from typing import Iterator, Optional, Tuple
 
 from ..contracts.options import DsmFuseOptions
 from ..contracts.products import Product, paths_of
-from ..parallel import run_whole
-from ..progress import Progress
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Progress
 from .parameters import SolidsParameters
 
 

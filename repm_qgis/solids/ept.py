@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from ..contracts.arrays import FloatArray, IntArray
 from ..contracts.errors import EmptyResultError, WorkspaceError
 from ..las import laz_backend, required_laspy
-from ..progress import Progress, Silent
-from ..workspace import cannot_write, whole_folder
+from ..runtime.progress import Progress, Silent
+from ..runtime.workspace import cannot_write, whole_folder
 from .derived import FinishedDsm
 from .parameters import SOLIDS, EptParameters
 

@@ -12,7 +12,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
 from ..imagery.raster import read
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .painting import Colours, Paint
 
 # Corners of the square between four cells, as (row, column): triangles counter-clockwise, seen from above.

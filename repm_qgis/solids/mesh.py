@@ -16,8 +16,8 @@ from ..contracts.file_kinds import is_textured
 from ..contracts.options import require_mesh
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..imagery.raster import opened
-from ..progress import Progress, Silent
-from ..workspace import whole_file
+from ..runtime.progress import Progress, Silent
+from ..runtime.workspace import whole_file
 from . import ply
 from .derived import FinishedDsm
 from .gltf import write_glb

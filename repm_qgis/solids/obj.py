@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..contracts.errors import WorkspaceError
 from ..geometry.vertical import ELLIPSOID, TAG
-from ..workspace import whole_file
+from ..runtime.workspace import whole_file
 from .lattice import Lattice
 from .texture import middle, picture, picture_places
 

@@ -13,7 +13,7 @@ from ..contracts.file_kinds import is_ply
 from ..contracts.options import require_cloud
 from ..geometry.vertical import ELLIPSOID
 from ..las import laz_backend, required_laspy
-from ..workspace import whole_file
+from ..runtime.workspace import whole_file
 from . import ply
 from .painting import Colours
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask
-from ..progress import Progress
+from ..runtime.progress import Progress
 from .lattice import TRIANGLES, Kept, Lattice, square_triangles, thinned
 from .parameters import SimplificationParameters, SolidsParameters
 

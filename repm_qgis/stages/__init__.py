@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mappi
 from ..contracts import options as _options
 from ..contracts.errors import MissingPackageError, OptionError
 from ..contracts.products import FOLDER, SCENE, paths_of
-from ..locks import exclusive
-from ..progress import Progress
-from ..shortage import said_in_a_sentence
-from ..workspace import following_links_of
+from ..runtime.locks import exclusive
+from ..runtime.progress import Progress
+from ..runtime.shortage import said_in_a_sentence
+from ..runtime.workspace import following_links_of
 
 if TYPE_CHECKING:  # QGIS asks for the options alone
     from .parameters import EngineParameters
@@ -54,7 +54,7 @@ def run_stage(
     fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, OutOfMemoryError, and whatever
     RepmError the stage raises.
     """
-    from ..parallel import require_main
+    from ..runtime.parallel import require_main
 
     require_main()
     with following_links_of(_texts(options)):
@@ -105,7 +105,7 @@ def _workers_for(name: str, options: _options.Options, progress: Progress) -> Co
     if not address:
         return nullcontext()
     try:
-        from ..cluster import cluster_workers
+        from ..runtime.cluster import cluster_workers
     except ImportError as error:
         remedy = "run 'bash scripts/setup --cluster' in the plugin's folder, or leave CLUSTER empty"
         raise MissingPackageError(f"CLUSTER needs the Python package 'distributed' ({error}): {remedy}.") from error

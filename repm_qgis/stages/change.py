@@ -11,8 +11,8 @@ from ..contracts.options import ChangeOptions
 from ..contracts.products import products_of
 from ..evaluation.styles import write_style
 from ..names import dates_title
-from ..parallel import run_whole
-from ..progress import Part, Progress, counted
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Part, Progress, counted
 
 
 def run(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:

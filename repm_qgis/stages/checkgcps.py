@@ -15,7 +15,7 @@ from ..evaluation.styles import write_style
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
-from ..progress import Progress, counted
+from ..runtime.progress import Progress, counted
 from ..scene import Scene
 from ..sfm.control_places import misplaced, placed_points
 from ..sfm.ground_control import Gcp, read_gcps

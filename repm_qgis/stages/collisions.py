@@ -12,9 +12,9 @@ from ..contracts.products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
 from ..contracts.records import with_files
 from ..imagery.raster import files_of
 from ..rpc.readers import rpc_sidecars
+from ..runtime.workspace import existing_place, require_replaceable
 from ..scene import Scene
 from ..vector import file_and_layer
-from ..workspace import existing_place, require_replaceable
 
 
 def require_distinct(stage: str, options: Options) -> None:

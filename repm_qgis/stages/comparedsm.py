@@ -20,8 +20,8 @@ from ..evaluation.profiles import read_lines
 from ..evaluation.styles import write_style
 from ..imagery import raster
 from ..names import surface_title
-from ..parallel import run_whole
-from ..progress import Part, Progress
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Part, Progress
 
 
 def run(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:

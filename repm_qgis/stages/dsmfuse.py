@@ -33,14 +33,14 @@ from ..names import scene_title
 from ..ortho.colour_ortho import make_colour_ortho
 from ..ortho.colour_sources import ColourPlan, colour_plan
 from ..ortho.grey_ortho import make_grey_ortho
-from ..parallel import run_whole
-from ..progress import Part, Progress
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Part, Progress
+from ..runtime.workspace import ensure_folder, temporary_folder
 from ..scene import Scene
 from ..solids.cloud import TilePoints, clouds_of, gathered_points, write_cloud
 from ..solids.derived import FinishedDsm, make_derived
 from ..solids.ept import require_ept_place
 from ..solids.parameters import PaintingParameters
-from ..workspace import ensure_folder, temporary_folder
 from . import viewer
 from .early import require_cell
 from .fusing import Fusion, fused

@@ -13,15 +13,15 @@ from ..contracts.products import product
 from ..disk_space import require_space, terrain_needs
 from ..evaluation.styles import write_style
 from ..imagery.raster import NODATA, created
-from ..memory import Work, workers_within
 from ..names import surface_title
-from ..parallel import kept_workers, run_tasks, run_whole
-from ..progress import Part, Progress, Recorder
+from ..runtime.memory import Work, workers_within
+from ..runtime.parallel import kept_workers, run_tasks, run_whole
+from ..runtime.progress import Part, Progress, Recorder
+from ..runtime.workspace import temporary_folder
 from ..terrain import blocks
 from ..terrain.inputs import Surface, surface_of
 from ..terrain.page import terrain_page
 from ..terrain.whole import coarse_of
-from ..workspace import temporary_folder
 from . import dsmfuse
 from .parameters import ENGINE, EngineParameters
 

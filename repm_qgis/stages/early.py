@@ -19,7 +19,7 @@ from ..contracts.options import (
     SampleDataOptions,
 )
 from ..geometry.vertical import HeightDatum, named_datum
-from ..memory import free_mib
+from ..runtime.memory import free_mib
 from ..scene import GroundSeen, ground_of
 from ..sfm.overlap import views_of
 from .parameters import ENGINE, EngineParameters, TileParameters

@@ -29,9 +29,9 @@ from ..geometry.vertical import DEVIATION_TAG
 from ..imagery import raster
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, ConfidenceBands, confidence_bands
 from ..imagery.heights import read_heights
-from ..progress import Part, Progress, counted
+from ..runtime.progress import Part, Progress, counted
+from ..runtime.workspace import fingerprint
 from ..terrain.inputs import surface_of
-from ..workspace import fingerprint
 
 _COPIED = 0.4  # of the progress
 

@@ -10,11 +10,11 @@ from typing import Any, Dict, List, Optional, Tuple
 from .. import __version__
 from ..contracts.errors import OptionError, WorkspaceError
 from ..contracts.options import EnvironmentOptions
-from ..environment import GRIDS, survey
 from ..evaluation.report import Report
 from ..installer.interpreter import base_program
-from ..installer.packages import PACKAGES
-from ..progress import Progress
+from ..runtime.environment import GRIDS, survey
+from ..runtime.packages import PACKAGES
+from ..runtime.progress import Progress
 
 
 def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:

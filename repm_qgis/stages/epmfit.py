@@ -28,18 +28,18 @@ from ..imagery.collars import write_collar_mask
 from ..imagery.deliveries import with_images
 from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
-from ..memory import planned_mib
 from ..names import scene_title
-from ..parallel import task_mib
-from ..progress import Part, Progress, Recorder, counted
 from ..rpc.readers import rpc_sidecars
+from ..runtime.memory import planned_mib
+from ..runtime.parallel import task_mib
+from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
 from ..scene import Scene, Tile, TileView, View, common_heights, finest_gsd_m, folder_of, middle_of, reusable
 from ..sfm.altitude_range import altitude_range
 from ..sfm.overlap import views_of
 from ..sfm.plane_heights import with_planes
 from ..stereo.parameters import STEREO
 from ..vector import write_layer
-from ..workspace import ensure_folder, file_identity, fingerprint, with_copy
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _MOST_NAMED = 12  # images that the log names one by one

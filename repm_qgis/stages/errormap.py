@@ -19,7 +19,7 @@ from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
 from ..imagery.raster import created
 from ..names import scene_title
-from ..progress import Progress
+from ..runtime.progress import Progress
 from ..scene import Scene, Tile, View
 
 _BANDS = ("magnitude (px)", "column (px)", "row (px)", "worst over the altitudes (px)")

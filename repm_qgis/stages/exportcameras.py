@@ -18,9 +18,9 @@ from ..exports.images import write_image
 from ..exports.model import TileModel, tile_model
 from ..exports.ties import tie_points
 from ..imagery.enhancement import Stretch
-from ..progress import Progress
+from ..runtime.progress import Progress
+from ..runtime.workspace import ensure_folder, whole_folder, write_text
 from ..scene import Scene, Tile
-from ..workspace import ensure_folder, whole_folder, write_text
 
 _MARK = "repm-cameras"
 _FRAME_FILE = "frame.json"

@@ -17,11 +17,11 @@ from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
 from ..imagery.vrt import image_vrt_text
 from ..names import scene_title
-from ..progress import Progress, counted
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
+from ..runtime.progress import Progress, counted
+from ..runtime.workspace import whole_folder, write_text
 from ..scene import Scene, View
-from ..workspace import whole_folder, write_text
 
 _LIST = "rpcs.json"
 

@@ -23,13 +23,13 @@ from ..fusion.surface import Block, LightTask, SurfaceTask, blocks_of, halo, lig
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
 from ..fusion.water import Water, find_water
-from ..memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
-from ..parallel import run_tasks, run_whole
-from ..progress import Part, Progress, counted
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
+from ..runtime.memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
+from ..runtime.parallel import run_tasks, run_whole
+from ..runtime.progress import Part, Progress, counted
+from ..runtime.workspace import ensure_folder, fingerprint
 from ..scene import Scene
-from ..workspace import ensure_folder, fingerprint
 from .parameters import EngineParameters
 
 _TILES = 0.8  # of the fusion's progress, for the tiles

@@ -15,8 +15,8 @@ from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
-from ..progress import Progress, counted
 from ..run_estimate import RunEstimate, estimate
+from ..runtime.progress import Progress, counted
 from ..scene import View, load_view
 from ..sfm.inspection import CARE, YES, Place, inspect_views
 from ..vector import write_layer

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Iterator, Optional
 
 from ..contracts.errors import Cancelled, ClusterError
-from ..locks import exclusive
-from ..progress import Progress
-from ..workspace import drop_temporaries
+from ..runtime.locks import exclusive
+from ..runtime.progress import Progress
+from ..runtime.workspace import drop_temporaries
 
 _FINGERPRINT = re.compile(r"[0-9a-f]{24}")
 

@@ -20,7 +20,6 @@ from ..contracts.products import kept_folder
 from ..disk_space import mosaic_needs, require_space
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
-from ..memory import Work, workers_within
 from ..mosaic.blocks import (
     STEP_BINS,
     STEP_M,
@@ -40,9 +39,10 @@ from ..mosaic.page import mosaic_page
 from ..mosaic.parameters import MosaicParameters, OffsetParameters
 from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
 from ..names import mosaic_name
-from ..parallel import kept_workers, run_tasks
-from ..progress import Part, Progress, Recorder, Silent, counted
-from ..workspace import ensure_folder, file_identity, fingerprint
+from ..runtime.memory import Work, workers_within
+from ..runtime.parallel import kept_workers, run_tasks
+from ..runtime.progress import Part, Progress, Recorder, Silent, counted
+from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from . import dsmfuse
 from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters

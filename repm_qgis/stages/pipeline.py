@@ -17,15 +17,15 @@ from ..evaluation.stage_reports import pipeline_report
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
-from ..parallel import kept_workers
-from ..progress import Part, Progress, Silent
 from ..run_estimate import estimate_run
+from ..runtime.parallel import kept_workers
+from ..runtime.progress import Part, Progress, Silent
+from ..runtime.workspace import ensure_folder, with_copy
 from ..scene import Scene
 from ..sfm.control_places import require_places
 from ..sfm.ground_control import read_gcps
 from ..sfm.overlap import views_of
 from ..solids.ept import require_ept_place
-from ..workspace import ensure_folder, with_copy
 from . import dsmfuse, epmfit, reconstruct, refine, register
 from .early import require_cell
 from .parameters import ENGINE, EngineParameters

@@ -26,8 +26,9 @@ from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
 from ..names import scene_title
-from ..parallel import run_tasks
-from ..progress import Part, Progress, Recorder, counted
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.workspace import ensure_folder, fingerprint, with_copy
 from ..scene import Scene, Tile, View, folder_of, reusable
 from ..sfm.adjustment import Adjustment, Track
 from ..sfm.advice import advice
@@ -39,7 +40,6 @@ from ..sfm.tie_patches import covered_by_ties
 from ..sfm.vertical_parallax import largest_parallax
 from ..stereo.height_maps import is_whole
 from ..vector import copy_layer, write_layer
-from ..workspace import ensure_folder, fingerprint, with_copy
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
 

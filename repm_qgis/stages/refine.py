@@ -20,12 +20,12 @@ from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_
 from ..geometry.parameters import VIRTUAL_GRID
 from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import raster_identity, write
-from ..memory import refining_mib, tile_work, workers_within
 from ..names import scene_title
-from ..parallel import run_tasks
-from ..progress import Progress, Recorder
+from ..runtime.memory import refining_mib, tile_work, workers_within
+from ..runtime.parallel import run_tasks
+from ..runtime.progress import Progress, Recorder
+from ..runtime.workspace import fingerprint
 from ..scene import Scene, Tile, reusable
-from ..workspace import fingerprint
 from .parameters import ENGINE, EngineParameters
 
 _BATCH = 32  # tiles of a task that writes no images: starting processes costs as much as the maps of some hundred tiles

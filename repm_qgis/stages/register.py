@@ -25,7 +25,6 @@ from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum
 from ..imagery.raster import opened, raster_identity, read, write
 from ..names import scene_title
-from ..progress import Part, Progress, Recorder
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
 from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps, prior_of
 from ..registration.moved_scene import moved_scene
@@ -33,10 +32,11 @@ from ..registration.references import FoundHeights, read_reference
 from ..registration.solve import Prior, Shift, solve_shift
 from ..registration.stable import stable_cells
 from ..registration.surfaces import SupportMeans
+from ..runtime.progress import Part, Progress, Recorder
+from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from ..scene import Scene, folder_of, reusable
 from ..sfm.height_uncertainty import height_le90_m
 from ..vector import copy_layer, file_and_layer, write_layer
-from ..workspace import ensure_folder, file_identity, fingerprint
 from .dsmfuse import reconstructed
 from .parameters import ENGINE, EngineParameters
 

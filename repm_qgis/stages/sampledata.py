@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..contracts.options import SampleDataOptions
-from ..progress import Progress
+from ..runtime.progress import Progress
 from ..simulation.scene import SceneSpec, make_scene
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Dict
 
 from ..contracts.options import ViewerOptions
-from ..parallel import run_whole
-from ..progress import Progress
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Progress
 from ..viewer.page import write_viewer
 
 

@@ -18,7 +18,7 @@ from ..geometry.levels import halved
 from ..imagery import raster
 from ..imagery.confidence import Provenance
 from ..imagery.heights import read_heights
-from ..workspace import writing
+from ..runtime.workspace import writing
 from . import ground, objects
 from .inputs import Surface
 from .parameters import TERRAIN, TerrainParameters

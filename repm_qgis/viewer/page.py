@@ -31,9 +31,9 @@ from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
 from ..names import surface_title
-from ..progress import Progress
-from ..translation import reader
-from ..workspace import write_text
+from ..runtime.progress import Progress
+from ..runtime.translation import reader
+from ..runtime.workspace import write_text
 from .parameters import VIEWER, ViewerParameters
 from .surface import page_grid, read_draped, read_on, without_holes
 

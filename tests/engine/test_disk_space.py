@@ -14,9 +14,9 @@ from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.contracts.products import PIPELINE, products_of
 from repm_qgis.disk_space import Need, fusion_needs, heights_need, images_need, require_space
+from repm_qgis.runtime.workspace import size_of
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
-from repm_qgis.workspace import size_of
 
 MIB = 1 << 20
 PRODUCTS = {

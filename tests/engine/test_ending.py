@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis.workspace import process_exists
+from repm_qgis.runtime.workspace import process_exists
 
 ROOT = Path(__file__).resolve().parents[2]
 # A stage with two workers, amid the writing of a file. The tasks fill the pipe through which they go.
@@ -19,8 +19,8 @@ CODE = """
 import os, signal, sys, time
 from pathlib import Path
 from repm_qgis import engine_process
-from repm_qgis.parallel import run_tasks
-from repm_qgis.workspace import whole_file
+from repm_qgis.runtime.parallel import run_tasks
+from repm_qgis.runtime.workspace import whole_file
 
 def work(task):
     Path(task[0], f"{os.getpid()}.pid").touch()

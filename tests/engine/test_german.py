@@ -14,9 +14,9 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.contracts.errors import OptionError
+from repm_qgis.runtime.translation import Translator, written_in
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
-from repm_qgis.translation import Translator, written_in
 from tests.english import english_in
 
 ROOT = Path(__file__).resolve().parents[2]

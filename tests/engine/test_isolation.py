@@ -53,7 +53,7 @@ def test_reports_need_jinja2_and_no_wheel(blocked, tmp_path):
     """The survey itself runs without jinja2, or nothing could tell that it is missing."""
     done = python(
         f"import sys\nfor name in {blocked.split()!r}:\n    sys.modules[name] = None\n"
-        "from repm_qgis.contracts.errors import MissingPackageError\nfrom repm_qgis.progress import Silent\n"
+        "from repm_qgis.contracts.errors import MissingPackageError\nfrom repm_qgis.runtime.progress import Silent\n"
         "from repm_qgis.stages import run_stage\nrun_stage('environment', {}, Silent())\n"
         f"try:\n    run_stage('environment', {{'report': {str(tmp_path / 'r.html')!r}}}, Silent())\n"
         "except MissingPackageError as error:\n    print(error)"

@@ -111,7 +111,7 @@ def test_the_engine_runs_where_qgis_cannot_be_imported(tmp_path):
 SWALLOWED = """
 import os, signal, sys, time
 from repm_qgis import engine_process
-from repm_qgis.workspace import write_text
+from repm_qgis.runtime.workspace import write_text
 def run(arguments, lines, line):
     try:
         os.kill(os.getpid(), signal.SIGTERM)

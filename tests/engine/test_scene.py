@@ -12,7 +12,7 @@ import pytest
 
 from repm_qgis.contracts.errors import ImageError, RpcInvalidError, SceneError, SceneVersionError, WorkspaceError
 from repm_qgis.geometry.jitter import Jitter
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import SCHEMA, Scene, ground_of, load_views, reusable
 from repm_qgis.stages import run_stage
 

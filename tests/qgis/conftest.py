@@ -252,7 +252,7 @@ def desktop_start(tmp_path):
 
 
 def _truth_scene(folder, size):
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     return run_stage("sampledata", {"folder": str(folder), "kind": "urban", "size": size, "seed": 7}, Silent())

@@ -130,7 +130,7 @@ def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample
 )
 def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp_path, values, words):
     """Before the run begins, and for a scene that was fitted earlier too."""
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     registry = QgsApplication.processingRegistry()

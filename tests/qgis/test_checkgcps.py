@@ -25,7 +25,7 @@ def said(done):
 
 @pytest.fixture(scope="module")
 def fitted(sample, tmp_path_factory):
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("fitted")

@@ -51,7 +51,7 @@ def test_only_the_stages_own_fresh_temporary_files_go(plugin, tmp_path):
 def test_the_name_of_temporary_files_is_the_engines(plugin, tmp_path):
     from repm.processing_provider.cleanup import remove_half_written
 
-    from repm_qgis.workspace import temporary_name
+    from repm_qgis.runtime.workspace import temporary_name
 
     target = tmp_path / "dsm.tif"
     half = temporary_name(str(target))

@@ -80,7 +80,7 @@ def test_a_mosaic_of_scenes_in_the_desktop(desktop, town, tmp_path):
     """Two halves of the town, as reconstructed scenes; the mosaic is a VRT."""
     from osgeo import gdal
 
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     truth = gdal.Info(town["truth"], format="json")
@@ -105,7 +105,7 @@ def test_a_mosaic_of_scenes_in_the_desktop(desktop, town, tmp_path):
 
 
 def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     fitted = run_stage("epmfit", {"images": town["images"], "workspace": str(tmp_path / "old town")}, Silent())
@@ -118,7 +118,7 @@ def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
 
 
 def test_a_registration_in_the_desktop_shows_what_it_did(desktop, town, tmp_path):
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.scene import Scene
     from repm_qgis.stages import run_stage
 

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start, sample, tmp_path):
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(tmp_path / "work")}, Silent())

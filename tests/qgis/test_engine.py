@@ -305,7 +305,7 @@ def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch)
 def test_light_stages_have_one_thread_for_linear_algebra(plugin, feedback, monkeypatch):
     """The same input gives the same bytes, whatever number of cores QGIS's own numpy uses."""
     from repm.processing_provider import engine
-    from repm.repm_qgis.parallel import _thread_settings
+    from repm.repm_qgis.runtime.parallel import _thread_settings
 
     def threads():
         return {get() for get, _ in _thread_settings()}

@@ -10,7 +10,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def refined(sample, tmp_path_factory):
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("refined")

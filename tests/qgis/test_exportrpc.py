@@ -15,7 +15,7 @@ from tests.engine.pages import plain
 @pytest.fixture(scope="module")
 def scenes(sample, tmp_path_factory):
     """A scene of the sample images as fitted, and one whose views have an affine pointing."""
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.scene import Scene
     from repm_qgis.stages import run_stage
 

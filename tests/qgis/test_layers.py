@@ -98,7 +98,7 @@ def test_a_layers_name_tells_what_of_which_scene_and_of_when(plugin):
 @pytest.fixture(scope="module")
 def rebuilt(town, tmp_path_factory):
     """A scene with heights in a workspace named "old town"."""
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("rebuilt") / "old town"

@@ -271,7 +271,7 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
 
 
 def test_legends_are_in_the_users_language(styled):
-    from repm_qgis.translation import written_in
+    from repm_qgis.runtime.translation import written_in
 
     with written_in("de"):
         names = [name for kind in FIELDS for name, _ in legend(styled(kind))]

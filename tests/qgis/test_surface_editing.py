@@ -130,7 +130,7 @@ def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
     assert (source[26:54, 32:68] == 6).all() and (source[95:105] == 0).all()
     assert (read(dsm) == surface.astype(np.float32))[:110].all()
     # The same records give the same bytes without the desktop.
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     again = str(tmp_path / "again.tif")

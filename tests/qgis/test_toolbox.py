@@ -109,7 +109,7 @@ def test_the_scene_that_was_written_last_is_remembered(no_scenes, context, feedb
 def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(no_scenes, town, tmp_path):
     from repm.processing_provider.last_scene import last_scene, remember
 
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
     fitted = run_stage("epmfit", {"images": town["images"], "workspace": str(tmp_path)}, Silent())["scene"]

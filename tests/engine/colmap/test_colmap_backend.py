@@ -31,13 +31,13 @@ from repm_qgis.colmap.tile_matching import GpuTask, match_tile
 from repm_qgis.colmap.workspace import view_intensity, write_workspace
 from repm_qgis.contracts.errors import Cancelled, DeviceError, ImageError, SceneError
 from repm_qgis.contracts.records import HeightMapRecord
-from repm_qgis.environment import Gpu, cuda_usable
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.matching import backends, colmap_backend
 from repm_qgis.matching.backends import height_source
 from repm_qgis.matching.colmap_backend import ColmapBackend
+from repm_qgis.runtime.environment import Gpu, cuda_usable
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from tests.engine.colmap.emulation import Workspace, plane_sweep

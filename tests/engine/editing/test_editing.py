@@ -16,7 +16,7 @@ from repm_qgis.editing.parameters import EDITING
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.imagery.confidence import CONFIDENCE_BANDS, Provenance
-from repm_qgis.progress import Recorder, Silent
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.stages import editdsm, run_stage
 
 UTM31 = "EPSG:32631"

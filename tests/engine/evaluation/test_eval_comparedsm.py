@@ -17,7 +17,7 @@ from repm_qgis.evaluation.comparison import compare as compare_rasters
 from repm_qgis.evaluation.grids import Grid, metres_per_unit
 from repm_qgis.evaluation.parameters import EVALUATION
 from repm_qgis.evaluation.profiles import read_lines
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 
 ORIGIN = (500000.0, 5000000.0)

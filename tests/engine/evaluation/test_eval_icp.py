@@ -11,7 +11,7 @@ import pytest
 
 from repm_qgis.contracts.errors import EmptyResultError, ImageError, MissingPackageError, OverlapError
 from repm_qgis.evaluation.icp import shift_onto
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 
 WEST, NORTH = 500000.0, 5000000.0

@@ -8,7 +8,7 @@ import pytest
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.evaluation import charts, pictures
 from repm_qgis.evaluation.report import Report
-from repm_qgis.translation import written_in
+from repm_qgis.runtime.translation import written_in
 
 LABELS = {"GCPS": "Ground control points", "ALIGN": "Alignment", "DEM": "Terrain model", "EXTENT": "Area <m>"}
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.evaluation.scoring import score, score_aligned, score_files
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 
 

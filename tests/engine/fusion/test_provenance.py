@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis import parallel
 from repm_qgis.contracts.errors import OutOfMemoryError, WorkerError
 from repm_qgis.fusion.aggregation import Candidate, FusedCells
 from repm_qgis.fusion.provenance import described
 from repm_qgis.imagery.confidence import Provenance
+from repm_qgis.runtime import parallel
 from repm_qgis.stages import run_stage
 
 NAN = float("nan")

@@ -11,8 +11,8 @@ from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.errors import RepmError
 from repm_qgis.geometry.frames import on_earth
 from repm_qgis.imagery.dem import dem_range, make_surface
-from repm_qgis.progress import Silent
 from repm_qgis.registration.references import read_reference
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 
 LOCAL = 'LOCAL_CS["site of works",UNIT["metre",1]]'

@@ -19,11 +19,12 @@ from pathlib import Path
 import pytest
 
 from repm_qgis.contracts.errors import Cancelled, MissingPackageError, OptionError, WorkspaceError
-from repm_qgis.installer import environments, packages
+from repm_qgis.installer import environments
 from repm_qgis.installer import install as installation
 from repm_qgis.installer.install import install, log_of
 from repm_qgis.installer.interpreter import base_program, program_in
-from repm_qgis.progress import Recorder, Silent
+from repm_qgis.runtime import packages
+from repm_qgis.runtime.progress import Recorder, Silent
 
 ROOT = Path(__file__).resolve().parents[3]
 PYTHON = base_program()

@@ -9,8 +9,9 @@ import sys
 import pytest
 
 from repm_qgis.contracts.errors import MissingPackageError
-from repm_qgis.installer import environments, interpreter, packages, pip
+from repm_qgis.installer import environments, interpreter, pip
 from repm_qgis.installer.interpreter import asked, base_program, candidates, qgis_python
+from repm_qgis.runtime import packages
 
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
 

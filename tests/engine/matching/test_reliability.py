@@ -14,7 +14,7 @@ from repm_qgis.imagery.confidence import Provenance
 from repm_qgis.matching.disparity_map import DisparityMap
 from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.matching.sgm import match
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))

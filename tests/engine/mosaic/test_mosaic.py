@@ -309,7 +309,7 @@ def test_cancel_leaves_what_the_next_run_takes(four, tmp_path, told):
 def test_a_killed_run_is_continued_and_damaged_blocks_are_made_again(four, tmp_path, told):
     options = {"dsms": four, "output": str(tmp_path / "m.tif"), "workers": 1}
     code = (
-        "import json, os, sys, repm_qgis.mosaic.products as p; from repm_qgis.progress import Silent; "
+        "import json, os, sys, repm_qgis.mosaic.products as p; from repm_qgis.runtime.progress import Silent; "
         "from repm_qgis.stages import run_stage; p._write_files = lambda *_: os._exit(9); "
         "run_stage('mosaic', json.loads(sys.argv[1]), Silent())"
     )

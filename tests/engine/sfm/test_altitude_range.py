@@ -13,11 +13,11 @@ from repm_qgis.contracts.errors import OptionError
 from repm_qgis.geometry.footprints import ray_slope
 from repm_qgis.geometry.frames import geodetic_from_projected, mean_place, projected_from_geodetic, utm_crs
 from repm_qgis.rpc.writers import rpc_txt
+from repm_qgis.runtime.workspace import write_text
 from repm_qgis.sfm import altitude_range as altitude_range_module
 from repm_qgis.sfm.altitude_range import SweepResult, altitude_range, sweep_altitudes, sweep_patches
 from repm_qgis.sfm.parameters import POINTING
 from repm_qgis.stages import run_stage
-from repm_qgis.workspace import write_text
 
 NONE = (None, None)
 SWEEP = POINTING.sweep

@@ -10,7 +10,7 @@ from osgeo import ogr
 from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.footprints import box
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene, load_view
 from repm_qgis.sfm.adjustment import Track, adjust
 from repm_qgis.sfm.altitude_range import _near, sweep_altitudes

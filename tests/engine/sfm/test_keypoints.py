@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis import environment
 from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.progress import Silent
+from repm_qgis.runtime import environment
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.sfm import keypoints
 from repm_qgis.sfm.keypoints import CPU_DETECTOR, ColmapSift, DetectorError, OpenCvSift

@@ -9,7 +9,7 @@ import pytest
 
 from repm_qgis.contracts.records import PairFigures, PointingFigures
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.sfm.advice import absolute_height, advice
 from repm_qgis.sfm.height_uncertainty import height_uncertainty

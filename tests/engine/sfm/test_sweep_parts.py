@@ -11,7 +11,7 @@ from scipy import ndimage
 from repm_qgis.altitudes import ALTITUDES
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import View
 from repm_qgis.sfm import altitude_range
 from repm_qgis.sfm.altitude_range import _correlation, _in_large_parts, _middle, sweep_patches

@@ -9,7 +9,7 @@ import pytest
 
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.sfm import tie_patches
 from repm_qgis.sfm.parameters import POINTING

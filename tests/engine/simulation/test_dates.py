@@ -11,7 +11,7 @@ from osgeo import gdal
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.acquisition import acquired
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.chips import pansharpened, toned
 from repm_qgis.simulation.dates import (
     WORLDVIEW3,

@@ -8,7 +8,7 @@ import pytest
 
 from repm_qgis.contracts.errors import Cancelled
 from repm_qgis.geometry.frames import geodetic_from_ecef, projected_from_geodetic
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.parameters import SIMULATION
 from repm_qgis.simulation.render import RayCaster, _expose, render_view
 from repm_qgis.simulation.scene import SceneSpec, make_surface

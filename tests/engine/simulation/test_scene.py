@@ -13,9 +13,9 @@ from scipy import ndimage
 from repm_qgis.contracts.errors import Cancelled, WorkspaceError
 from repm_qgis.contracts.options import SampleDataOptions
 from repm_qgis.geometry.frames import geodetic_from_projected
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.formats import rpc_from_texts
 from repm_qgis.rpc.model import Rpc
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.render import RayCaster
 from repm_qgis.simulation.scene import SceneSpec, make_surface, make_views, pointing_errors, surface_bounds
 from repm_qgis.stages.sampledata import run

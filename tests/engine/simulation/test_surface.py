@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.contracts.arrays import Bounds
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.scene import SceneSpec, make_surface
 from repm_qgis.simulation.sensor import PLEIADES
 from repm_qgis.simulation.surface import Sun, fractal, interpolate, shadow_height

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.contracts.errors import Cancelled, EmptyResultError, WorkspaceError
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.solids.ept import write_ept
 from repm_qgis.solids.parameters import EptParameters
 from repm_qgis.solids.point_cloud import created_cloud

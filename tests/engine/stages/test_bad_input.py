@@ -26,8 +26,8 @@ from repm_qgis.contracts.errors import (
     WorkspaceError,
 )
 from repm_qgis.geometry.frames import projected_from_geodetic
-from repm_qgis.progress import Silent
 from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from repm_qgis.contracts.errors import OptionError, WorkspaceError
-from repm_qgis.locks import exclusive
+from repm_qgis.runtime.locks import exclusive
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
@@ -82,8 +82,8 @@ def test_a_product_that_another_program_has_open_is_refused_before_the_work(proj
     def refused(source, target):
         raise in_use
 
-    monkeypatch.setattr("repm_qgis.workspace.os.replace", refused)
-    monkeypatch.setattr("repm_qgis.workspace._PATIENCE_S", 0)
+    monkeypatch.setattr("repm_qgis.runtime.workspace.os.replace", refused)
+    monkeypatch.setattr("repm_qgis.runtime.workspace._PATIENCE_S", 0)
     with pytest.raises(WorkspaceError, match="dsm.tif': another program has it open, QGIS perhaps as a layer: remove"):
         run_stage("pipeline", job(project), told())
     assert (project / "dsm.tif").read_bytes() == b"the last one" and not (project / "w").exists()

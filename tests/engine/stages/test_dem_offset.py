@@ -44,7 +44,7 @@ def true_offset(truth, dsm):
 
 
 def told_nothing():
-    from repm_qgis.progress import Silent
+    from repm_qgis.runtime.progress import Silent
 
     return Silent()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from repm_qgis.progress import Recorder, Silent
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.stages import environment, run_stage
 from tests.engine.pages import plain
 

@@ -10,7 +10,7 @@ import pytest
 
 from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.contracts.options import EpmFitOptions
-from repm_qgis.parallel import use_workers
+from repm_qgis.runtime.parallel import use_workers
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.epmfit import _key

@@ -21,7 +21,7 @@ from repm_qgis.stages import run_stage
 
 LEAVE_HALF = """
 import os, sys
-from repm_qgis.workspace import temporary_name
+from repm_qgis.runtime.workspace import temporary_name
 open(temporary_name(sys.argv[1]), "w").write("half a file")
 os.kill(os.getpid(), 9)
 """
@@ -334,7 +334,7 @@ def test_a_scene_in_place(again, told):
 STOP_AFTER_TWO = """
 import json, os, sys
 from repm_qgis.fusion import tile_fusion
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 fuse, done = tile_fusion.fuse_tile, []
 def fuse_tile(task):

@@ -11,7 +11,7 @@ import pytest
 from repm_qgis.contracts.errors import Cancelled, EmptyResultError, ImageError, OptionError
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
 

@@ -11,9 +11,9 @@ from osgeo import gdal
 from scipy import ndimage
 
 from repm_qgis.imagery.raster import write
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
+from repm_qgis.runtime.translation import written_in
 from repm_qgis.stages import run_stage
-from repm_qgis.translation import written_in
 from tests.browser import PROGRAM, Browser
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium, which draws the page")

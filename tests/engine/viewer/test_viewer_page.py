@@ -18,9 +18,9 @@ from osgeo import gdal
 from repm_qgis.contracts.errors import EmptyResultError, ImageError, OptionError, OverlapError
 from repm_qgis.evaluation.grids import Grid
 from repm_qgis.imagery.raster import opened, write
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.progress import Silent
+from repm_qgis.runtime.translation import written_in
 from repm_qgis.stages import run_stage
-from repm_qgis.translation import written_in
 from repm_qgis.viewer.parameters import ViewerParameters
 from repm_qgis.viewer.surface import page_grid, without_holes
 from tests.english import english_in

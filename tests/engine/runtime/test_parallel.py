@@ -15,14 +15,14 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis import parallel
 from repm_qgis.contracts.errors import Cancelled, OptionError, OutOfMemoryError, WorkerError
-from repm_qgis.parallel import cores, kept_workers, run_tasks
-from repm_qgis.progress import Silent
-from repm_qgis.shortage import said_in_a_sentence
+from repm_qgis.runtime import parallel
+from repm_qgis.runtime.parallel import cores, kept_workers, run_tasks
+from repm_qgis.runtime.progress import Silent
+from repm_qgis.runtime.shortage import said_in_a_sentence
 from repm_qgis.stages import run_stage
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 # In a module of its own: workers import the function by its name, and a test's module has none that they know.
 WORK = """
 import ctypes, os, signal, time
@@ -72,9 +72,9 @@ def who(x):
 BOUNDED = """
 import resource, sys
 from repm_qgis.contracts.errors import OutOfMemoryError
-from repm_qgis.parallel import run_tasks
-from repm_qgis.progress import Silent
-from repm_qgis.shortage import said_in_a_sentence
+from repm_qgis.runtime.parallel import run_tasks
+from repm_qgis.runtime.progress import Silent
+from repm_qgis.runtime.shortage import said_in_a_sentence
 
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
@@ -161,8 +161,8 @@ def test_what_a_killed_run_leaves_behind_the_next_one_removes(tmp_path):
     """SIGKILL of the whole group: nobody is left who could remove the socket of the server."""
     code = tmp_path / "begun.py"
     code.write_text(
-        "import sys, time\nfrom repm_qgis.parallel import kept_workers, run_tasks\n"
-        "from repm_qgis.progress import Silent\nif __name__ == '__main__':\n    with kept_workers():\n"
+        "import sys, time\nfrom repm_qgis.runtime.parallel import kept_workers, run_tasks\n"
+        "from repm_qgis.runtime.progress import Silent\nif __name__ == '__main__':\n    with kept_workers():\n"
         "        run_tasks(abs, list(range(8)), 2, Silent(), str)\n"
         "        print('begun', flush=True)\n        time.sleep(60 if sys.argv[1:] else 0)\n",
         encoding="utf-8",
@@ -182,7 +182,7 @@ def test_a_script_without_a_guard_is_told_so(tmp_path, monkeypatch):
     """Workers import the script that started them, which then starts workers itself."""
     code = tmp_path / "unguarded.py"
     code.write_text(
-        "from repm_qgis.parallel import run_tasks\nfrom repm_qgis.progress import Silent\n"
+        "from repm_qgis.runtime.parallel import run_tasks\nfrom repm_qgis.runtime.progress import Silent\n"
         "run_tasks(abs, list(range(8)), 2, Silent(), str)\n",
         encoding="utf-8",
     )
@@ -302,7 +302,7 @@ def test_the_environment_of_this_process_stays(work, told, monkeypatch):
 _PINNING = """
 import threading
 import numpy as np
-from repm_qgis.parallel import _thread_settings, one_thread_for_loaded_sums
+from repm_qgis.runtime.process_limits import _thread_settings, one_thread_for_loaded_sums
 
 def threads():
     return [get() for get, _ in _thread_settings()]

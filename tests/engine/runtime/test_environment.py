@@ -11,10 +11,10 @@ import types
 
 import pytest
 
-from repm_qgis import environment
 from repm_qgis.contracts.errors import INSTALL_REMEDY, MissingPackageError
-from repm_qgis.environment import remedy_for, survey, version_of
-from repm_qgis.installer.packages import PACKAGES, Package
+from repm_qgis.runtime import environment
+from repm_qgis.runtime.environment import remedy_for, survey, version_of
+from repm_qgis.runtime.packages import PACKAGES, Package
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +136,7 @@ def test_proj_grids_are_looked_for_where_proj_looks(found, tmp_path, monkeypatch
 
 def test_the_survey_imports_none_of_the_heavy_packages():
     code = (
-        "import sys; from repm_qgis.environment import survey; survey();"
+        "import sys; from repm_qgis.runtime.environment import survey; survey();"
         "print(sorted(set(sys.modules) & {'cv2', 'pycolmap', 'laspy', 'lazrs', 'qgis'}))"
     )
     done = subprocess.run(
@@ -144,7 +144,7 @@ def test_the_survey_imports_none_of_the_heavy_packages():
         stdout=subprocess.PIPE,
         text=True,
         check=True,
-        cwd=os.path.dirname(os.path.dirname(environment.__file__)),
+        cwd=os.path.dirname(os.path.dirname(os.path.dirname(environment.__file__))),
     )
     assert done.stdout.strip() == "[]"
 

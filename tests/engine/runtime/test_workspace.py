@@ -13,11 +13,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from repm_qgis import workspace
 from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.imagery.raster import write as write_raster
-from repm_qgis.stages import run_stage
-from repm_qgis.workspace import (
+from repm_qgis.runtime import workspace
+from repm_qgis.runtime.workspace import (
     drop_temporaries,
     drop_temporary,
     ensure_folder,
@@ -29,6 +28,7 @@ from repm_qgis.workspace import (
     whole_folder,
     write_text,
 )
+from repm_qgis.stages import run_stage
 
 
 def test_text_is_written_whole(tmp_path):

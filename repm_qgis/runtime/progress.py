@@ -128,6 +128,6 @@ class JsonLines:
 
     def check_cancelled(self) -> None:
         if self._cancelled is not None and self._cancelled():
-            from .contracts.errors import Cancelled
+            from ..contracts.errors import Cancelled
 
             raise Cancelled

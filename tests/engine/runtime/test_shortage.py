@@ -14,23 +14,24 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
-from repm_qgis import las, shortage
+from repm_qgis import las
 from repm_qgis.contracts.errors import ImageError, MissingPackageError, OutOfMemoryError, WorkerError, WorkspaceError
 from repm_qgis.exports.images import encode
 from repm_qgis.imagery.raster import write
-from repm_qgis.shortage import said_in_a_sentence, speaks_of_memory
+from repm_qgis.runtime import shortage
+from repm_qgis.runtime.shortage import said_in_a_sentence, speaks_of_memory
+from repm_qgis.runtime.workspace import write_text, writing
 from repm_qgis.solids.ept import write_ept
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.point_cloud import created_cloud
 from repm_qgis.stages import run_stage
 from repm_qgis.vector import write_layer
-from repm_qgis.workspace import write_text, writing
 
 if sys.platform != "win32":
     import resource
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limits")
 CRS = "EPSG:32631"
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems do not bound it")
 NOISE = np.random.default_rng(1).uniform(0, 250, (400, 400))
 DSM = (NOISE.astype(np.float32), (5e5, 1, 0, 4.8e6, 0, -1))

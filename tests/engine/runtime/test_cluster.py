@@ -17,7 +17,7 @@ from osgeo import gdal
 
 from repm_qgis.contracts.errors import Cancelled, ClusterError, MissingPackageError, OptionError
 from repm_qgis.imagery import raster
-from repm_qgis.parallel import run_tasks, run_whole, task_mib
+from repm_qgis.runtime.parallel import run_tasks, run_whole, task_mib
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
 from tests.engine import cluster_tasks as tasks
@@ -50,7 +50,7 @@ def cluster(start_cluster):
 @pytest.fixture
 def on(told):
     """on(cluster, **changes): the block in which tasks run on a cluster, and what was said."""
-    from repm_qgis.cluster import cluster_workers
+    from repm_qgis.runtime.cluster import cluster_workers
 
     def block(cluster, read=(), folders=(), cancel_at=None):
         said = told(cancel_at)
@@ -181,7 +181,7 @@ def test_workers_that_differ_are_a_sentence(cluster, on, monkeypatch):
         with on(cluster)[0]:
             pass
     assert re.search(r"The worker tcp://\S+ on '127.0.0.1' has numpy \S+, this machine 9.9", str(caught.value))
-    monkeypatch.setattr("repm_qgis.cluster._PACKAGES", ("repm_qgis", "tests.engine.cluster_tasks", "nowhere"))
+    monkeypatch.setattr("repm_qgis.runtime.cluster._PACKAGES", ("repm_qgis", "tests.engine.cluster_tasks", "nowhere"))
     monkeypatch.setitem(sys.modules, "nowhere", numpy)
     with pytest.raises(ClusterError, match="has nowhere missing .ModuleNotFoundError"), on(cluster)[0]:
         pass
@@ -230,7 +230,7 @@ def test_a_cluster_without_dask_is_a_sentence_and_nothing_imports_it_otherwise(u
     found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert found.stdout == "False\n"
     monkeypatch.setitem(sys.modules, "distributed", None)
-    monkeypatch.delitem(sys.modules, "repm_qgis.cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "repm_qgis.runtime.cluster", raising=False)
     options = {"images": urban.images[:2], "workspace": str(tmp_path / "w"), "output": str(tmp_path / "d.tif")}
     with pytest.raises(MissingPackageError, match="CLUSTER needs the Python package 'distributed'"):
         run_stage("pipeline", {**options, "cluster": "tcp://127.0.0.1:1"}, told())

@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from typing import Iterator, Sequence, Set
 
-from .contracts.errors import WorkspaceError
+from ..contracts.errors import WorkspaceError
 from .progress import Progress
 from .workspace import cannot_write, ensure_folder, keeping_place, real_target
 

@@ -17,7 +17,7 @@ import pytest
 
 from repm_qgis.imagery.raster import opened
 
-ROOT = pathlib.Path(__file__).resolve().parents[2]
+ROOT = pathlib.Path(__file__).resolve().parents[3]
 # Workers that begin by spawn run this file too, up to its last line.
 START = """
 import multiprocessing, os, signal, sys

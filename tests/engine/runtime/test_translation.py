@@ -9,8 +9,8 @@ import pytest
 
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.evaluation.report import Report
-from repm_qgis.progress import JsonLines
-from repm_qgis.translation import Translator, reader, said, written_in
+from repm_qgis.runtime.progress import JsonLines
+from repm_qgis.runtime.translation import Translator, reader, said, written_in
 
 WORDS = {
     "{0} tiles of up to {1} px": "{0} Kacheln, bis {1} px groß",

@@ -7,8 +7,8 @@ import re
 from contextlib import contextmanager
 from typing import Iterator, List, Optional
 
+from ..contracts.errors import OutOfMemoryError, RepmError, WorkspaceError
 from .containers import own_rest
-from .contracts.errors import OutOfMemoryError, RepmError, WorkspaceError
 from .workspace import OF_THE_DISK, cannot_write
 
 MEMORY_REMEDY = "use fewer WORKERS, a smaller TILE_SIZE or EXTENT, or set MEMORY to what all workers may take"

@@ -11,11 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from repm_qgis import memory
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.fusion.aggregation import HeightLayer, aggregate
 from repm_qgis.imagery.raster import created
-from repm_qgis.memory import (
+from repm_qgis.runtime import memory
+from repm_qgis.runtime.memory import (
     colouring_mib,
     fitting_mib,
     free_mib,
@@ -28,10 +28,10 @@ from repm_qgis.memory import (
     workers_within,
 )
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 BEGIN = """
 import json, sys
-from repm_qgis.parallel import begin_worker
+from repm_qgis.runtime.parallel import begin_worker
 begin_worker()
 from repm_qgis.scene import Scene
 path, side, extra, out = sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4]
@@ -117,7 +117,7 @@ end(max(view.window.width for view in tile.views.values()) if side else 0)
 )
 CHOOSING = """
 import json, sys
-from repm_qgis.parallel import begin_worker
+from repm_qgis.runtime.parallel import begin_worker
 begin_worker()
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.joining import JoinedTiles

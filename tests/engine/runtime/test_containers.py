@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from repm_qgis import memory
-from repm_qgis.containers import container_rest, memory_kills, own_rest
+from repm_qgis.runtime import memory
+from repm_qgis.runtime.containers import container_rest, memory_kills, own_rest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 MIB = 1 << 20
 V2 = "41 31 0:38 {} /sys/fs/cgroup rw,nosuid shared:9 - cgroup2 cgroup2 rw"
 V1 = "35 31 0:32 {} /sys/fs/cgroup/memory rw - cgroup cgroup rw,memory"
@@ -96,7 +96,7 @@ def test_kills_for_memory_are_those_of_the_own_group_or_of_the_machine(kernel):
 def test_the_limit_of_the_shell_counts():
     code = (
         "import resource; resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30)); "
-        "from repm_qgis.memory import free_mib; print(free_mib())"
+        "from repm_qgis.runtime.memory import free_mib; print(free_mib())"
     )
     said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert 700 < float(said) < 1024

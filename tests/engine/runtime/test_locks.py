@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 from repm_qgis.contracts.errors import Cancelled, WorkspaceError
-from repm_qgis.locks import exclusive
-from repm_qgis.workspace import write_text
+from repm_qgis.runtime.locks import exclusive
+from repm_qgis.runtime.workspace import write_text
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 HOLD = """
 import sys, time
-from repm_qgis.locks import exclusive
-from repm_qgis.progress import Silent
+from repm_qgis.runtime.locks import exclusive
+from repm_qgis.runtime.progress import Silent
 with exclusive("pipeline", Silent(), folders=[sys.argv[1]], files=[sys.argv[2]]):
     print("held", flush=True)
     time.sleep(float(sys.argv[3]))

@@ -21,8 +21,9 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
-from . import __version__, windows
-from .contracts.errors import Cancelled, RepmError, WorkspaceError
+from .. import __version__
+from ..contracts.errors import Cancelled, RepmError, WorkspaceError
+from . import windows
 
 _kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
 

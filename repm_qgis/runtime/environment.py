@@ -17,9 +17,9 @@ import sys
 from dataclasses import dataclass
 from typing import Any, Optional
 
-from .contracts.errors import INSTALL_REMEDY, MissingPackageError
-from .installer.packages import PACKAGES, Package
+from ..contracts.errors import INSTALL_REMEDY, MissingPackageError
 from .memory import kernel_memory, physical_memory
+from .packages import PACKAGES, Package
 from .parallel import cores
 
 CUDA_WHEEL = "pycolmap-cuda12>=4.2,<5"

@@ -23,8 +23,9 @@ from distributed.scheduler import KilledWorker
 from distributed.security import Security
 from osgeo import gdal
 
-from .contracts.errors import ClusterError
-from .parallel import do_task, packed, prepare_process, use_workers
+from ..contracts.errors import ClusterError
+from .parallel import do_task, packed, use_workers
+from .process_limits import prepare_process
 from .progress import Progress
 from .workspace import ensure_folder, whole_file
 
@@ -273,7 +274,7 @@ def _require_shared(
 
 
 class _ClusterWorkers:
-    """Dask's workers, as :class:`repm_qgis.parallel.Workers`."""
+    """Dask's workers, as :class:`repm_qgis.runtime.parallel.Workers`."""
 
     def __init__(self, client: Client, address: str, task_mib: Optional[float]) -> None:
         self._client, self._address, self.task_mib = client, address, task_mib
@@ -286,7 +287,7 @@ class _ClusterWorkers:
         progress: Progress,
         describe: Callable[[Any], str],
     ) -> List[Any]:
-        """See :func:`repm_qgis.parallel.run_tasks`; a task whose worker is lost is done again by another, three times.
+        """See :func:`~repm_qgis.runtime.parallel.run_tasks`; a task whose worker is lost goes to another, three times.
 
         Then the rest is finished, and ClusterError names those that were lost.
         """

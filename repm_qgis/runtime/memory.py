@@ -8,8 +8,8 @@ import sys
 from dataclasses import dataclass
 from typing import Any, Callable, Dict, Optional, Sequence
 
+from ..contracts.errors import ClusterError, OptionError
 from .containers import container_rest, own_rest
-from .contracts.errors import ClusterError, OptionError
 from .parallel import cores, task_mib
 from .progress import Progress
 
@@ -135,7 +135,7 @@ def matching_mib(width: float, height: float, disparities: float, paths: int = 3
     """Peak memory of a worker that matches a rectified tile of width x height px over so many disparities, MiB.
 
     ``paths`` are the directions of aggregation: with 8, the costs of all these disparities are kept. Fitted to measured
-    peaks of 0.2 to 2.1 Mpx; tests/engine/test_memory.py holds it to them within a factor of 1.5.
+    peaks of 0.2 to 2.1 Mpx; tests/engine/runtime/test_memory.py holds it to them within a factor of 1.5.
     """
     volume = _BYTES_PER_COST * (width + disparities) * height * disparities if paths == 8 else 0.0
     frame = _BYTES_PER_PX * width * height + _BYTES_PER_STRIP_PX * disparities * height
