@@ -32,7 +32,7 @@ fuzz: setup ## broken RPC files against the readers (COUNT=20000 SEED=1)
 	@$(PYTHON) -m tests.engine.rpc.fuzz $(or $(COUNT),20000) $(or $(SEED),1)
 
 MUTATION := dist/mutation/tool
-mutation: setup ## small faults in the code that a test must notice (SAMPLE=600, 0 for all; SEED=1; ONLY=sfm/; AGAIN=1: what survived)
+mutation: setup ## small faults in the code that a test must notice (SAMPLE=600, 0 for all; SEED=1; ONLY=pointing/; AGAIN=1: what survived)
 	@[ -x $(MUTATION)/bin/cosmic-ray ] || { $(PYTHON) -m venv $(MUTATION) && $(MUTATION)/bin/pip install -q cosmic-ray==8.7.0 coverage==7.17.4; } || \
 		{ echo "mutation: Cosmic Ray could not be installed into $(MUTATION): it needs the Python package index"; exit 1; }
 	@$(MUTATION)/bin/python benchmarks/mutation.py --sample $(or $(SAMPLE),600) --seed $(or $(SEED),1) $(if $(ONLY),--only '$(ONLY)') $(if $(AGAIN),--again)

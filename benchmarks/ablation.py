@@ -113,8 +113,9 @@ def _missing() -> List[str]:
 
 def _drawn(contrast: float) -> EngineParameters:
     """The engine with keypoints of another contrast, and so with a pointing that is a little different."""
-    keypoints = replace(ENGINE.pointing.keypoints, contrast=contrast)
-    return replace(ENGINE, pointing=replace(ENGINE.pointing, keypoints=keypoints))
+    keypoints = replace(ENGINE.pointing.ties.keypoints, contrast=contrast)
+    ties = replace(ENGINE.pointing.ties, keypoints=keypoints)
+    return replace(ENGINE, pointing=replace(ENGINE.pointing, ties=ties))
 
 
 # Each step ----------------------------------------------------------------------------------------------------------

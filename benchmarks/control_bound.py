@@ -9,9 +9,10 @@ import numpy as np
 from benchmarks.pointing_case import Case, numeric_moves
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.imagery.sampling import NMAD_FACTOR
-from repm_qgis.sfm.adjustment import Track, adjust
-from repm_qgis.sfm.ground_control import Gcp
-from repm_qgis.sfm.pointing import Pointing
+from repm_qgis.pointing.adjustment import adjust
+from repm_qgis.pointing.ground_control import Gcp
+from repm_qgis.pointing.pointing import Pointing
+from repm_qgis.ties.tracks import Track
 
 DRAWS = 10  # of noisy control points
 TERMS = {"shift": 2, "affine": 6}  # of a view's correction

@@ -16,9 +16,9 @@ from benchmarks.runner import alone, is_quick, pipeline
 from benchmarks.scenes import CACHE, made_once
 from benchmarks.scoring import scores, shares
 from benchmarks.tables import Section, table
+from repm_qgis.planning.pair_selection import choose_pairs
+from repm_qgis.pointing.pointing import point_views
 from repm_qgis.runtime.progress import Silent
-from repm_qgis.sfm.pair_selection import choose_pairs
-from repm_qgis.sfm.pointing import point_views
 from repm_qgis.simulation.frames import Exposure, exposed, frames_of, make_frames
 from repm_qgis.simulation.parameters import SIMULATION
 from repm_qgis.simulation.scene import SceneSpec

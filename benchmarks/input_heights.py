@@ -23,16 +23,17 @@ from benchmarks.tables import table
 from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.contracts.records import PointingFigures
 from repm_qgis.imagery.raster import opened, read, write
+from repm_qgis.planning.height_uncertainty import height_uncertainty, usual_height_deviation
+from repm_qgis.planning.pair_selection import choose_pairs
+from repm_qgis.planning.parameters import PLANNING
+from repm_qgis.planning.promises import promise_of
+from repm_qgis.pointing.adjustment import Adjustment, adjust
+from repm_qgis.pointing.pointing import Pointing, ground_heights
+from repm_qgis.pointing.vertical_parallax import tracks_of_pair
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import View, load_views
-from repm_qgis.sfm.adjustment import Adjustment, Track, adjust
-from repm_qgis.sfm.height_uncertainty import height_uncertainty, usual_height_deviation
-from repm_qgis.sfm.pair_selection import choose_pairs
-from repm_qgis.sfm.parameters import POINTING
-from repm_qgis.sfm.pointing import Pointing, ground_heights
-from repm_qgis.sfm.promises import promise_of
-from repm_qgis.sfm.vertical_parallax import tracks_of_pair
+from repm_qgis.ties.tracks import Track
 
 _DEM_CELLS = 20  # of the true surface in one of the DEM's
 _STATED = "The absolute height is uncertain by"
@@ -91,7 +92,7 @@ def judged(truth: Callable[[], str], words: Sequence[str], ended: Ended) -> str:
     found, stated = off(ended, truth()), re.search(_STATED + r" ([\d.]+) m", " ".join(ended.said))
     wrong = re.search(r"([\d.]+) m wrong", found)
     if stated and wrong:
-        found += f", {POINTING.promises.le90 * float(wrong[1]) / float(stated[1]):.1f} stated standard deviations"
+        found += f", {PLANNING.promises.le90 * float(wrong[1]) / float(stated[1]):.1f} stated standard deviations"
     return f"{found}; {say_of(ended, words)}"
 
 
@@ -221,11 +222,11 @@ def figures_of(views: Sequence[View], tracks: Sequence[Track], adjusted: Adjustm
 def drawn(views: Sequence[View], scatter: bool, rng: np.random.Generator) -> Tuple[List[View], float]:
     """The views with RPCs that are wrong as is promised, and the largest error, px; with ``scatter`` some scenes are
     better than promised and others worse, as the formula has it."""
-    freedom = POINTING.promises.freedom
+    freedom = PLANNING.promises.freedom
     factor = float(np.sqrt(freedom / rng.chisquare(freedom))) if scatter else 1.0
     wrong, most = [], 0.0
     for view in views:
-        deviation = factor * promise_of(view).horizontal_m / POINTING.promises.ce90 / view.gsd_m
+        deviation = factor * promise_of(view).horizontal_m / PLANNING.promises.ce90 / view.gsd_m
         shift = rng.normal(0.0, deviation, 2)
         while np.hypot(*shift) > _MOST_PX:
             shift = rng.normal(0.0, deviation, 2)

@@ -17,8 +17,8 @@ from benchmarks.scenes import Scene, simulated, zy3
 from benchmarks.scoring import scores
 from benchmarks.tables import Section, table
 from repm_qgis.imagery.raster import write
+from repm_qgis.pointing.vertical_parallax import vertical_parallax
 from repm_qgis.scene import Scene as SceneFile
-from repm_qgis.sfm.vertical_parallax import vertical_parallax
 from repm_qgis.simulation.scene import make_views
 
 SIZE, RELIEF_M = 2048, 900.0

@@ -39,11 +39,12 @@ from typing import Any, Dict, Iterator, List, Sequence, Tuple
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "dist" / "mutation"
 PYTHON = str(ROOT / ".venv" / "bin" / "python")
-PACKAGES = ("geometry", "rpc", "sfm", "registration")
+PACKAGES = ("geometry", "rpc", "planning", "ties", "pointing", "registration")
 MODULES = ("runtime/workspace.py", "runtime/parallel.py", "evaluation/verdict.py")
 SLOW = ("test_fuzz.py", "test_gridding_of_truth.py")  # whole campaigns and scenes
 ALSO = {  # tests of stages, for what has no test of its own
-    "sfm": ("stages/test_early.py",),
+    "planning": ("stages/test_early.py",),
+    "pointing": ("stages/test_early.py",),
     "registration": ("stages/test_register.py", "stages/test_dem_offset.py"),
 }
 MEMORY_BYTES = 8 << 30  # of one test process: a mutant may ask for any size
@@ -424,7 +425,7 @@ def main() -> None:
         sys.exit("mutation: this Python has no Cosmic Ray: run 'make mutation', which makes an environment for it.")
     PLACE.mkdir(parents=True, exist_ok=True)
     if not modules(asked.only):
-        sys.exit(f"mutation: '{asked.only}' is in the path of no module: give a part of one, such as sfm/.")
+        sys.exit(f"mutation: '{asked.only}' is in the path of no module: give a part of one, such as pointing/.")
     start = time.monotonic()
     mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
     last: List[Dict[str, Any]] = []

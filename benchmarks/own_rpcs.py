@@ -14,10 +14,10 @@ from benchmarks.runner import few, say
 from benchmarks.scenes import absent, default, real, simulated, whu_tlc, zy3
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.errors import RepmError
+from repm_qgis.planning.height_uncertainty import height_uncertainty
+from repm_qgis.pointing import exchanged, pointing
+from repm_qgis.pointing.exchanged import Exchange, exchanges
 from repm_qgis.runtime.progress import Silent
-from repm_qgis.sfm import exchanged, pointing
-from repm_qgis.sfm.exchanged import Exchange, exchanges
-from repm_qgis.sfm.height_uncertainty import height_uncertainty
 from repm_qgis.stages import run_stage
 
 

@@ -23,15 +23,18 @@ from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import duration_text, moment, time_of_name
+from repm_qgis.planning.pair_selection import choose_pairs, pair_cost
+from repm_qgis.planning.parameters import PLANNING
+from repm_qgis.pointing.adjustment import adjust
+from repm_qgis.pointing.colmap_adjustment import adjust_colmap
+from repm_qgis.pointing.parameters import POINTING
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import Tile, View
-from repm_qgis.sfm.adjustment import Track, adjust
-from repm_qgis.sfm.colmap_adjustment import adjust_colmap
-from repm_qgis.sfm.pair_selection import choose_pairs, pair_cost
-from repm_qgis.sfm.parameters import POINTING
 from repm_qgis.stereo.pairing import convergence
+from repm_qgis.ties.parameters import TIES
+from repm_qgis.ties.tracks import Track
 
 
 def truth_urban() -> List[str]:
@@ -157,10 +160,10 @@ def triplet() -> List[str]:
 
 def timed_pointing(path: str, detector: str) -> Dict[str, Any]:
     """Ties and adjustment of a scene with seconds; ``detector`` is opencv or colmap, both on the CPU."""
-    keypoints = replace(POINTING.keypoints, colmap_on_cpu=detector == "colmap")
+    keypoints = replace(TIES.keypoints, colmap_on_cpu=detector == "colmap")
     scene = replace(SceneFile.load(path), refinement="polynomial")
     wall, before = time.perf_counter(), os.times()
-    found = pointed(scene, parameters=replace(POINTING, keypoints=keypoints))
+    found = pointed(scene, parameters=replace(POINTING, ties=replace(POINTING.ties, keypoints=keypoints)))
     wall, after = time.perf_counter() - wall, os.times()
     pointing = {name: A.tolist() for name, A in found.adjusted.pointing.items()}
     cpu = sum(after[:4]) - sum(before[:4])
@@ -296,7 +299,7 @@ def pair_selection() -> List[str]:
     seconds = time.process_time() - start
     lon, lat, height = scene.frame.lon, scene.frame.lat, sum(scene.altitudes) / 2
     every = [convergence(a, b, lon, lat, height) for a, b in combinations(scene.views, 2)]
-    good, angles = POINTING.pairs, [angle for angle, _ in every]
+    good, angles = PLANNING.pairs, [angle for angle, _ in every]
     narrow, wide = (sum(ratio < good.narrow for _, ratio in every), sum(ratio > good.wide for _, ratio in every))
     slanting = max(ratio for angle, ratio in every if angle < 8)
     count = [sum(view.name in (pair.first, pair.second) for pair in pairs) for view in scene.views]

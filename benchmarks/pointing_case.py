@@ -15,15 +15,15 @@ from benchmarks.runner import stage
 from benchmarks.scenes import CACHE, Scene, default
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.imagery.enhancement import view_stretch
+from repm_qgis.planning.pair_selection import choose_pairs
+from repm_qgis.pointing.ground_control import Gcp
+from repm_qgis.pointing.parameters import POINTING, PointingParameters
+from repm_qgis.pointing.pointing import Pointing, point_views
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import View, load_views
-from repm_qgis.sfm.ground_control import Gcp
-from repm_qgis.sfm.pair_selection import choose_pairs
-from repm_qgis.sfm.parameters import POINTING, PointingParameters
-from repm_qgis.sfm.pointing import Pointing, point_views
 from repm_qgis.simulation.scene import SceneSpec, make_views
 
 _MARGIN_M = 30  # of the RPCs' heights beyond those of the surface

@@ -27,6 +27,7 @@ from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.tiles import enclosing
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import write
+from repm_qgis.planning.promises import promised
 from repm_qgis.registration.found import FoundHeights
 from repm_qgis.registration.laying import OwnSurface, are_coarse, factor_for, finest_cell, lay
 from repm_qgis.registration.parameters import REGISTRATION
@@ -34,7 +35,6 @@ from repm_qgis.registration.solve import Prior
 from repm_qgis.registration.surfaces import Reference, SupportMeans
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
-from repm_qgis.sfm.promises import promised
 from repm_qgis.simulation.scene import SceneSpec
 from repm_qgis.simulation.sensor import PLEIADES
 

@@ -29,6 +29,7 @@ from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters
 from repm_qgis.stages.parameters import ENGINE
+from repm_qgis.ties.parameters import TIES
 
 _FOLDER = SHARED / "jax_068"
 _CLASSES = {"ground": 2, "trees": 5, "buildings": 6}
@@ -236,7 +237,8 @@ def limits() -> List[str]:
 
 def _run(names: Sequence[str], contrast: float) -> List[float]:
     """C1, MAE and RMSE of some images' DSM with other keypoints, and so with ties and pointings a little different."""
-    pointing = replace(ENGINE.pointing, keypoints=replace(ENGINE.pointing.keypoints, contrast=contrast))
+    ties = replace(TIES, keypoints=replace(TIES.keypoints, contrast=contrast))
+    pointing = replace(ENGINE.pointing, ties=ties)
     with tempfile.TemporaryDirectory() as folder:
         dsm = pipeline(_images(names), folder, parameters=replace(ENGINE, pointing=pointing), resolution=0.5)["output"]
         return _c1_mae_rmse(score_files(dsm, _LIDAR.heights, "3d").error)
@@ -255,7 +257,7 @@ def chance() -> List[str]:
         )
     return [
         "How much of this is chance: the same with another threshold of the keypoints' contrast "
-        f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of {ENGINE.pointing.keypoints.contrast}), which moves the "
+        f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of {TIES.keypoints.contrast}), which moves the "
         "pointings by some thousandths of a px. Rectified images then have their pixels elsewhere, and each match in a "
         "shadow falls anew. Mean, standard deviation and range of such runs; a row above is one more draw.",
         table("images | runs | C1, % | MAE, m | RMSE, m", rows),

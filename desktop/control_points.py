@@ -1,6 +1,6 @@
 """The dock "Measure control points": a point on the map or in a table, and the same point in each image.
 
-What is computed is the engine's (:mod:`repm_qgis.sfm.gcp_measuring`), and light enough for QGIS's own process.
+What is computed is the engine's (:mod:`repm_qgis.pointing.gcp_measuring`), and light enough for QGIS's own process.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class ControlPointsDock(QgsDockWidget):
     """Measures control points; ``close_down`` takes its marks and its tool off the map."""
 
     def __init__(self, iface: Any) -> None:
-        from ..repm_qgis.sfm.gcp_measuring import GcpMeasuring
+        from ..repm_qgis.pointing.gcp_measuring import GcpMeasuring
 
         super().__init__(iface.mainWindow())
         self.setObjectName("RepmControlPoints")
@@ -218,7 +218,7 @@ class ControlPointsDock(QgsDockWidget):
 
     def open_points(self, path: str) -> bool:
         """Take the points of a table or layer, with the pixels that it has of these images."""
-        from ..repm_qgis.sfm.ground_control import read_gcps
+        from ..repm_qgis.pointing.ground_control import read_gcps
 
         datum = "" if self.datum.currentIndex() == 0 else self.datum.currentText()
         views, elsewhere = self.measuring.views or None, []
@@ -248,7 +248,7 @@ class ControlPointsDock(QgsDockWidget):
         """The height of the chosen layer there, above the ellipsoid; None where there is none."""
         from ..repm_qgis.evaluation.gcp_accuracy import GcpAccuracy, measure_dsm
         from ..repm_qgis.imagery.raster import opened
-        from ..repm_qgis.sfm.ground_control import point_of
+        from ..repm_qgis.pointing.ground_control import point_of
 
         layer = self.heights.currentLayer()
         if layer is None:

@@ -13,7 +13,7 @@ FIELDS = {0: "id", 5: "height", 6: "lon", 7: "lat"}  # that can be edited, by co
 
 
 class PointTable(QAbstractTableModel):
-    """The points of a :class:`repm_qgis.sfm.gcp_measuring.GcpMeasuring`, one a row."""
+    """The points of a :class:`repm_qgis.pointing.gcp_measuring.GcpMeasuring`, one a row."""
 
     edited = pyqtSignal(str)  # the point's name after the change
     refused = pyqtSignal(str)
@@ -30,7 +30,7 @@ class PointTable(QAbstractTableModel):
 
     def check(self, row: int) -> Any:
         """How well a row's pixels agree, computed once."""
-        from ..repm_qgis.sfm.gcp_measuring import check_point
+        from ..repm_qgis.pointing.gcp_measuring import check_point
 
         gcp = self._measuring.points[row]
         if gcp.id not in self._checks:

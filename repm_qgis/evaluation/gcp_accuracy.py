@@ -18,8 +18,8 @@ from ..contracts.arrays import FloatArray, Mask
 from ..contracts.checks import as_text
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
 from ..imagery.sampling import nmad
+from ..pointing.ground_control import Gcp, intersect, residuals
 from ..scene import View
-from ..sfm.ground_control import Gcp, intersect, residuals
 from .grids import Grid, HeightWarper, metres_per_unit
 from .parameters import GCPS, GcpParameters
 

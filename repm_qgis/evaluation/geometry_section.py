@@ -13,11 +13,11 @@ from ..contracts.records import GcpFigures, PointingFigures, ViewPair
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import duration_text
+from ..planning.advice import absolute_height
+from ..planning.pair_selection import shared_part
+from ..planning.parameters import PLANNING
 from ..runtime.progress import counted
 from ..scene import Scene
-from ..sfm.advice import absolute_height
-from ..sfm.pair_selection import shared_part
-from ..sfm.parameters import POINTING
 from ..vector import read_points
 from . import charts
 from .gcp_accuracy import ErrorSummary
@@ -43,7 +43,7 @@ def _pairs(report: Report, scene: Scene) -> None:
     for pair in scene.pairs:
         metres = _metres_per_px(scene, pair)
         overlap = overlap_percent(scene, pair.first, pair.second)
-        accuracy = fixed(metres, POINTING.advice.matching_px * metres, decimals=2)
+        accuracy = fixed(metres, PLANNING.advice.matching_px * metres, decimals=2)
         figures = f"{pair.base_to_height:.2f}", f"{overlap:.0f}", *accuracy
         times = duration_text(pair.days), "unknown" if pair.sun_deg is None else f"{pair.sun_deg:.1f}°"
         rows.append([pair.first, pair.second, f"{pair.angle_deg:.1f}°", *figures, *times])
@@ -52,7 +52,7 @@ def _pairs(report: Report, scene: Scene) -> None:
         "angle between suns",
         rows,
         "The overlap is a share of the smaller footprint, at the middle altitude. The expected accuracy is that of "
-        f"single heights where matching is accurate to {POINTING.advice.matching_px:g} px. A narrow pair (B/H below "
+        f"single heights where matching is accurate to {PLANNING.advice.matching_px:g} px. A narrow pair (B/H below "
         "0.1) measures heights poorly, and a wide one (above 0.9) is hard to match. Images that were taken at very "
         "different times or under another sun have changed, and their matches have gaps.",
     )

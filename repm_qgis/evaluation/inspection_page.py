@@ -10,12 +10,12 @@ import numpy as np
 
 from ..contracts.errors import RepmError
 from ..imagery.acquisition import duration_text
-from ..run_estimate import duration
+from ..planning.advice import expected_accuracy_m
+from ..planning.inspection import CARE, NO, YES, PairFacts, Place
+from ..planning.parameters import PLANNING, PlanningParameters
+from ..planning.run_estimate import duration
 from ..runtime.progress import counted
 from ..scene import View
-from ..sfm.advice import expected_accuracy_m
-from ..sfm.inspection import CARE, NO, YES, PairFacts, Place
-from ..sfm.parameters import POINTING, PointingParameters
 from . import charts, pictures
 from .report import Report, fixed
 
@@ -34,7 +34,7 @@ class Choice:
 def inspection_page(
     places: Sequence[Place],
     unusable: Mapping[str, str],
-    parameters: PointingParameters = POINTING,
+    parameters: PlanningParameters = PLANNING,
     outlook: str = "",
     choices: Sequence[Choice] = (),
 ) -> Report:
@@ -156,7 +156,7 @@ def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) 
     )
 
 
-def _overlaps(page: Report, places: Sequence[Place], parameters: PointingParameters) -> None:
+def _overlaps(page: Report, places: Sequence[Place], parameters: PlanningParameters) -> None:
     rows: List[List[Any]] = []
     for place in places:
         gsd = {facts.view.name: facts.view.gsd_m for facts in place.images}
@@ -184,7 +184,7 @@ def _overlaps(page: Report, places: Sequence[Place], parameters: PointingParamet
     )
 
 
-def _first_area(page: Report, places: Sequence[Place], parameters: PointingParameters) -> None:
+def _first_area(page: Report, places: Sequence[Place], parameters: PlanningParameters) -> None:
     """A small square to begin with, as the parameter EXTENT of the other algorithms."""
     for place in places:
         area = place.first_area(parameters)

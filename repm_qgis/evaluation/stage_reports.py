@@ -19,11 +19,11 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.raster import opened
+from ..planning.pair_selection import sun_over
 from ..runtime.environment import version_of
 from ..runtime.packages import PACKAGES
 from ..runtime.progress import counted
 from ..scene import Scene, View
-from ..sfm.pair_selection import sun_over
 from . import charts, pictures, verdict
 from .error_study import add_error_study
 from .geometry_section import add_geometry

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..geometry.frames import geodetic_from_projected
+from ..pointing.parameters import POINTING
 from ..scene import Scene, Tile
-from ..sfm.parameters import POINTING
 from ..vector import read_points
 
 

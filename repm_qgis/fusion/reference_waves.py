@@ -16,6 +16,7 @@ from ..contracts.records import HeightMapRecord, RegistrationFigures
 from ..geometry.jitter import Jitter
 from ..matching.backends import height_source, wave_geometry
 from ..matching.parameters import MATCHING, MatchingParameters
+from ..pointing.jitter import can_jitter
 from ..registration.parameters import REGISTRATION, WaveParameters
 from ..registration.surfaces import Reference
 from ..registration.waves import FoundWaves, MapDifferences, find_waves
@@ -23,7 +24,6 @@ from ..runtime.memory import fusing_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Progress
 from ..scene import Scene
-from ..sfm.jitter import can_jitter
 
 Along = Dict[str, FloatArray]
 

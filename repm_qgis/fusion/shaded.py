@@ -18,8 +18,8 @@ from ..geometry.frames import projected_from_geodetic
 from ..geometry.sun import mean_position
 from ..imagery.sampling import median_of_known
 from ..imagery.warping import gaussian_mean
+from ..planning.pair_selection import sun_over
 from ..scene import Scene
-from ..sfm.pair_selection import sun_over
 from .aggregation import Candidate
 from .parameters import FUSION, ShadedGroundParameters
 from .surroundings import farthest, places

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Tuple
 
-from ..altitudes import ALTITUDES
 from ..colmap.parameters import ColmapParameters
 from ..contracts.parameters import Parameters
+from ..planning.altitudes import ALTITUDES
 from ..stereo.parameters import StereoParameters
 
 

@@ -14,10 +14,10 @@ from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.vertical import HeightDatum
 from ..imagery.sampling import nmad
+from ..planning.height_uncertainty import usual_height_deviation
+from ..planning.parameters import PLANNING, PlanningParameters
+from ..planning.promises import promised
 from ..scene import Scene
-from ..sfm.height_uncertainty import usual_height_deviation
-from ..sfm.parameters import POINTING, PointingParameters
-from ..sfm.promises import promised
 from .datums import DatumChoice, likely_datum
 from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import block_means, slopes_of
@@ -106,15 +106,15 @@ class Laid:
 
 
 def prior_of(
-    scene: Scene, pointing: PointingParameters = POINTING, parameters: RegistrationParameters = REGISTRATION
+    scene: Scene, planning: PlanningParameters = PLANNING, parameters: RegistrationParameters = REGISTRATION
 ) -> Prior:
     """What is known of a scene's place before it is laid anywhere: what vendors promise, and of heights what is
     usual."""
-    horizontal, up = promised(scene.views, pointing)
+    horizontal, up = promised(scene.views, planning)
     ties = scene.pointing
     if ties is not None and not ties.controlled:  # errors that images share do not change heights
-        up = min(up, usual_height_deviation(scene.pairs, ties, scene.gsd_m, pointing))
-    circle = pointing.promises.ce90
+        up = min(up, usual_height_deviation(scene.pairs, ties, scene.gsd_m, planning))
+    circle = planning.promises.ce90
     return Prior(horizontal, up, max(parameters.search * circle * horizontal, parameters.least_search_m))
 
 

@@ -1,8 +1,8 @@
 """Waves of the attitude along the parallax, from a reference: they change heights and nothing else.
 
 The differences of a reference from the height maps of all pairs are explained by a function of the line for each view,
-as splines (sfm/jitter.py), beside one tilted plane. A wave of a view is the same wherever its lines lie in a map, while
-errors of the reference are not: so waves of decimetres are found under noise of metres.
+as splines (pointing/jitter.py), beside one tilted plane. A wave of a view is the same wherever its lines lie in a map,
+while errors of the reference are not: so waves of decimetres are found under noise of metres.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from ..contracts.arrays import FloatArray
 from ..geometry.jitter import ORDER, splines
 from ..imagery.sampling import nmad
-from ..sfm.jitter import Waves
-from ..sfm.parameters import POINTING, JitterParameters
+from ..pointing.jitter import Waves
+from ..pointing.parameters import POINTING, JitterParameters
 from .parameters import REGISTRATION, WaveParameters
 
 Ends = Tuple[float, float]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import OptionError
-from ..sfm.ground_control import Gcp
+from ..pointing.ground_control import Gcp
 from .parameters import SIMULATION, SimulatedGcpParameters
 from .render import RayCaster
 from .sensor import PushbroomView

@@ -22,12 +22,12 @@ from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import OptionError
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import created
+from ..pointing.ground_control import Gcp, write_gcps
 from ..rpc.fit import RpcFit, fit_rpc
 from ..rpc.model import Rpc
 from ..rpc.writers import rpc_tags
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import ensure_folder, write_text
-from ..sfm.ground_control import Gcp, write_gcps
 from .gcps import choose_gcps, common_square
 from .mountains import build_mountains
 from .parameters import SIMULATION, JitterParameters, SimulationParameters, VendorParameters

@@ -15,10 +15,10 @@ from ..evaluation.styles import write_style
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
+from ..pointing.control_places import misplaced, placed_points
+from ..pointing.ground_control import Gcp, read_gcps
 from ..runtime.progress import Progress, counted
 from ..scene import Scene
-from ..sfm.control_places import misplaced, placed_points
-from ..sfm.ground_control import Gcp, read_gcps
 from ..vector import file_and_layer, write_layer
 from .errormap import error_at
 

@@ -19,9 +19,9 @@ from ..contracts.options import (
     SampleDataOptions,
 )
 from ..geometry.vertical import HeightDatum, named_datum
+from ..planning.overlap import views_of
 from ..runtime.memory import free_mib
 from ..scene import GroundSeen, ground_of
-from ..sfm.overlap import views_of
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _SAMPLE_BYTES = {"urban": 450.0, "mountains": 180.0}  # memory for each px of a sample image; measured at 1000 px

@@ -16,7 +16,6 @@ import numpy as np
 from ..contracts.checks import as_text
 from ..contracts.options import EditDsmOptions
 from ..contracts.products import product
-from ..disk_space import editing_needs, require_space
 from ..editing.apply import Surface
 from ..editing.edits import Edits, read_edits
 from ..editing.parameters import EDITING, EditingParameters
@@ -29,6 +28,7 @@ from ..geometry.vertical import DEVIATION_TAG
 from ..imagery import raster
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, ConfidenceBands, confidence_bands
 from ..imagery.heights import read_heights
+from ..planning.disk_space import editing_needs, require_space
 from ..runtime.progress import Part, Progress, counted
 from ..runtime.workspace import fingerprint
 from ..terrain.inputs import surface_of

@@ -29,15 +29,15 @@ from ..imagery.deliveries import with_images
 from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
 from ..names import scene_title
+from ..planning.altitude_range import altitude_range
+from ..planning.overlap import views_of
+from ..planning.plane_heights import with_planes
 from ..rpc.readers import rpc_sidecars
 from ..runtime.memory import planned_mib
 from ..runtime.parallel import task_mib
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
 from ..scene import Scene, Tile, TileView, View, common_heights, finest_gsd_m, folder_of, middle_of, reusable
-from ..sfm.altitude_range import altitude_range
-from ..sfm.overlap import views_of
-from ..sfm.plane_heights import with_planes
 from ..stereo.parameters import STEREO
 from ..vector import write_layer
 from .parameters import ENGINE, EngineParameters, TileParameters
@@ -121,13 +121,13 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
         search,
         options.dem,
         Part(progress, 0.0, 0.3),
-        parameters.pointing.sweep,
-        parameters.pointing.planes,
+        parameters.pointing.planning.sweep,
+        parameters.pointing.planning.planes,
     )
     ends, part, sweep = (
         (options.altitude_min, options.altitude_max),
         Part(progress, 0.0, 0.6),
-        parameters.pointing.sweep,
+        parameters.pointing.planning.sweep,
     )
     if options.extent is not None:
         known = [*search, *(end for end in ends if end is not None)]

@@ -191,7 +191,7 @@ def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optio
     """How far the DSM lies above the DEM; None, with the reason in the log, where that cannot be told."""
     scene, numbers = fusion.scene, fusion.parameters.registration
     surface = fusion.layout.crs, means.grid, means.means(numbers.covered)
-    prior = prior_of(scene, fusion.parameters.pointing, numbers)
+    prior = prior_of(scene, fusion.parameters.pointing.planning, numbers)
     try:
         return dem_offset(scene, *surface, prior, progress.check_cancelled, numbers)
     except RepmError as error:

@@ -15,10 +15,10 @@ from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
-from ..run_estimate import RunEstimate, estimate
+from ..planning.inspection import CARE, YES, Place, inspect_views
+from ..planning.run_estimate import RunEstimate, estimate
 from ..runtime.progress import Progress, counted
 from ..scene import View, load_view
-from ..sfm.inspection import CARE, YES, Place, inspect_views
 from ..vector import write_layer
 from .parameters import ENGINE, EngineParameters
 
@@ -37,7 +37,7 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
         path, reason = next(iter(unusable.items()))
         raise ImageError(f"None of {counted(len(unusable), 'image')} can be used; '{os.path.basename(path)}': {reason}")
     progress.step(0.8, "overlaps of pairs")
-    places = inspect_views(views, parameters.tiles.least_overlap_px, parameters.pointing)
+    places = inspect_views(views, parameters.tiles.least_overlap_px, parameters.pointing.planning)
     crs = places[0].crs if len(places) == 1 else _GEODETIC
     if options.footprints:
         _write_footprints(places, crs, options.footprints)
@@ -46,7 +46,7 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     tile_px = max(parameters.tiles.sizes_px)
     outlook, choices = _outlook(places, tile_px), _choices(places, tile_px)
     if options.report:
-        page = inspection_page(places, unusable, parameters.pointing, outlook, choices)
+        page = inspection_page(places, unusable, parameters.pointing.planning, outlook, choices)
         page.of(images_name(options.images)).write(options.report)
     progress.info(verdict(places, unusable))
     if outlook:

@@ -17,7 +17,6 @@ from ..contracts.checks import as_text
 from ..contracts.errors import EmptyResultError, ImageError, OverlapError
 from ..contracts.options import DsmFuseOptions, MosaicOptions
 from ..contracts.products import kept_folder
-from ..disk_space import mosaic_needs, require_space
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
 from ..mosaic.blocks import (
@@ -39,6 +38,7 @@ from ..mosaic.page import mosaic_page
 from ..mosaic.parameters import MosaicParameters, OffsetParameters
 from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
 from ..names import mosaic_name
+from ..planning.disk_space import mosaic_needs, require_space
 from ..runtime.memory import Work, workers_within
 from ..runtime.parallel import kept_workers, run_tasks
 from ..runtime.progress import Part, Progress, Recorder, Silent, counted

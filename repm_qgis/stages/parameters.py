@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, List, Tuple
 
-from ..altitudes import AltitudeParameters
 from ..contracts.parameters import Parameters
 from ..fusion.parameters import FusionParameters
 from ..imagery.parameters import StretchParameters
 from ..matching.parameters import MatchingParameters
 from ..mosaic.parameters import MosaicParameters
 from ..ortho.parameters import OrthoParameters
+from ..planning.altitudes import AltitudeParameters
+from ..pointing.parameters import PointingParameters
 from ..registration.parameters import RegistrationParameters
-from ..sfm.parameters import PointingParameters
 from ..solids.parameters import SolidsParameters
 from ..terrain.parameters import TerrainParameters
 
@@ -59,7 +59,8 @@ class EngineParameters(Parameters):
         pointing, matching = self.pointing, self.matching
         if quality == "fast":
             # Fewer subpixel steps save a fifteenth of the CPU and cost two views of jax_068 1.6 points of C1.
-            return replace(self, pointing=replace(pointing, pairs=pointing.pairs.fewest()))
+            planning = replace(pointing.planning, pairs=pointing.planning.pairs.fewest())
+            return replace(self, pointing=replace(pointing, planning=planning))
         # A third pair for each view takes another third of the CPU and gains nothing with 19 views.
         return replace(self, matching=replace(matching, sgm=matching.sgm.in_eight_directions()))
 

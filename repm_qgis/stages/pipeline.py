@@ -12,19 +12,19 @@ from osgeo import ogr
 from ..contracts.options import PRESETS, PipelineOptions
 from ..contracts.products import FOLDER, paths_of
 from ..contracts.records import ViewPair
-from ..disk_space import Need, fusion_needs, heights_need, require_space
 from ..evaluation.stage_reports import pipeline_report
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
-from ..run_estimate import estimate_run
+from ..planning.disk_space import Need, fusion_needs, heights_need, require_space
+from ..planning.overlap import views_of
+from ..planning.run_estimate import estimate_run
+from ..pointing.control_places import require_places
+from ..pointing.ground_control import read_gcps
 from ..runtime.parallel import kept_workers
 from ..runtime.progress import Part, Progress, Silent
 from ..runtime.workspace import ensure_folder, with_copy
 from ..scene import Scene
-from ..sfm.control_places import require_places
-from ..sfm.ground_control import read_gcps
-from ..sfm.overlap import views_of
 from ..solids.ept import require_ept_place
 from . import dsmfuse, epmfit, reconstruct, refine, register
 from .early import require_cell

@@ -11,12 +11,10 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..altitudes import AltitudeParameters
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
-from ..disk_space import heights_need, require_space
 from ..evaluation.stage_reports import reconstruct_report
 from ..evaluation.styles import write_style
 from ..fusion.map_offsets import with_agreeing_maps
@@ -26,19 +24,22 @@ from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
 from ..names import scene_title
+from ..planning.advice import advice
+from ..planning.altitudes import AltitudeParameters
+from ..planning.disk_space import heights_need, require_space
+from ..planning.pair_selection import choose_pairs
+from ..pointing.adjustment import Adjustment
+from ..pointing.control_places import require_places
+from ..pointing.ground_control import Gcp, read_gcps
+from ..pointing.pointing import point_views
+from ..pointing.vertical_parallax import largest_parallax
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, fingerprint, with_copy
 from ..scene import Scene, Tile, View, folder_of, reusable
-from ..sfm.adjustment import Adjustment, Track
-from ..sfm.advice import advice
-from ..sfm.control_places import require_places
-from ..sfm.ground_control import Gcp, read_gcps
-from ..sfm.pair_selection import choose_pairs
-from ..sfm.pointing import point_views
-from ..sfm.tie_patches import covered_by_ties
-from ..sfm.vertical_parallax import largest_parallax
 from ..stereo.height_maps import is_whole
+from ..ties.tie_patches import covered_by_ties
+from ..ties.tracks import Track
 from ..vector import copy_layer, write_layer
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
@@ -105,7 +106,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
 
 def pairs_of(scene: Scene, options: ReconstructOptions, parameters: EngineParameters = ENGINE) -> List[ViewPair]:
     """The pairs that are matched, best first; raises EmptyResultError where no pair is usable."""
-    numbers = parameters.of_quality(options.quality).pointing.pairs
+    numbers = parameters.of_quality(options.quality).pointing.planning.pairs
     return choose_pairs(scene, numbers.fewest() if options.pairs == "fewest" else numbers)
 
 
@@ -160,7 +161,7 @@ def _pointed(
     found = point_views(scene, tied, stretches, options.pointing, gcps, progress, *mode, *numbers)
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
-    for text in advice(scene, scene.pairs, found.figures, parameters.pointing):
+    for text in advice(scene, scene.pairs, found.figures, parameters.pointing.planning):
         progress.warn(text)
     return _narrowed(scene, lambda bounds: found.altitudes(bounds, parameters.pointing), parameters.altitudes)
 
@@ -184,7 +185,7 @@ def _with_coarse_surface(
     progress: Progress,
 ) -> Scene:
     """The scene with altitudes of the coarse surface, where ties do not cover it or the refinement needs it."""
-    if covered_by_ties(scene, parameters.pointing.patches) and not options.own_surface:
+    if covered_by_ties(scene, parameters.pointing.ties.patches) and not options.own_surface:
         return scene
     names = [pair.names for pair in scene.pairs]
     match = pair_matcher(backend)

@@ -25,6 +25,7 @@ from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum
 from ..imagery.raster import opened, raster_identity, read, write
 from ..names import scene_title
+from ..planning.height_uncertainty import height_le90_m
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
 from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps, prior_of
 from ..registration.moved_scene import moved_scene
@@ -35,7 +36,6 @@ from ..registration.surfaces import SupportMeans
 from ..runtime.progress import Part, Progress, Recorder
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from ..scene import Scene, folder_of, reusable
-from ..sfm.height_uncertainty import height_le90_m
 from ..vector import copy_layer, file_and_layer, write_layer
 from .dsmfuse import reconstructed
 from .parameters import ENGINE, EngineParameters
@@ -96,7 +96,7 @@ def require_references(
     """Raise what reading the references over a scene raises, before anything is matched."""
     bounds, numbers = enclosing([tile.bounds for tile in scene.tiles]), parameters.registration
     cell = numbers.averaged_cells * finest_cell(bounds, parameters.tiles.cell_gsd * scene.gsd_m, numbers)
-    around = bounds.grown(prior_of(scene, parameters.pointing, numbers).most_m)
+    around = bounds.grown(prior_of(scene, parameters.pointing.planning, numbers).most_m)
     for path in options.reference:
         read_reference(path, scene.crs, around, cell, progress.check_cancelled)
 
@@ -180,7 +180,7 @@ def _work(
 ) -> _Work:
     """A scene's own surface, laid on all references that cover it."""
     numbers, check = parameters.registration, progress.check_cancelled
-    prior = prior_of(scene, parameters.pointing, numbers)
+    prior = prior_of(scene, parameters.pointing.planning, numbers)
     bounds = enclosing([tile.bounds for tile in scene.tiles if tile.heights])
     native = parameters.tiles.cell_gsd * scene.gsd_m
     finest = finest_cell(bounds, native, numbers)
@@ -214,8 +214,8 @@ def _work(
 def _promise(work: _Work, parameters: EngineParameters) -> Tuple[float, float]:
     """CE90 and LE90 that are to be expected without a registration, m: the LE90 is the one that the scene's own report
     has, not what is usual, which the datum of a reference is told by."""
-    numbers, ties = parameters.pointing.promises, work.scene.pointing
-    stated = height_le90_m(ties, parameters.pointing) if ties is not None else None
+    numbers, ties = parameters.pointing.planning.promises, work.scene.pointing
+    stated = height_le90_m(ties, parameters.pointing.planning) if ties is not None else None
     return numbers.ce90 * work.prior.horizontal_m, numbers.le90 * work.prior.up_m if stated is None else stated
 
 

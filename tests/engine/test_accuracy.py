@@ -8,8 +8,8 @@ from repm_qgis.contracts.options import CheckGcpsOptions
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.gcp_page import gcp_page
 from repm_qgis.evaluation.metrics import ErrorCollector, height_metrics
-from repm_qgis.sfm.ground_control import Gcp
-from repm_qgis.sfm.parameters import POINTING
+from repm_qgis.planning.parameters import PLANNING
+from repm_qgis.pointing.ground_control import Gcp
 from tests.engine.pages import plain
 
 
@@ -20,7 +20,7 @@ def test_nine_of_ten_errors_are_no_larger_in_either_direction():
     assert le90(noise[:, 0]) == pytest.approx(LE90, abs=0.01)
     assert le90(distances(noise)) == pytest.approx(CE90, abs=0.01)
     assert le90(noise[:, 0] + 3.0) > 4.0, "a bias counts, as it does in a contract"
-    assert (POINTING.promises.le90, POINTING.promises.ce90) == (LE90, CE90)
+    assert (PLANNING.promises.le90, PLANNING.promises.ce90) == (LE90, CE90)
 
 
 def test_a_comparison_has_it_exactly_and_from_a_histogram():

@@ -16,9 +16,9 @@ from osgeo import gdal
 from repm_qgis import untrusted
 from repm_qgis.contracts.errors import ImageError, InputTableError, SceneError
 from repm_qgis.imagery.raster import opened, opened_image, raster_identity, read
+from repm_qgis.pointing import ground_control
+from repm_qgis.pointing.ground_control import read_gcps
 from repm_qgis.scene import Scene, load_views
-from repm_qgis.sfm import ground_control
-from repm_qgis.sfm.ground_control import read_gcps
 from repm_qgis.untrusted import distrust
 from repm_qgis.vector import open_vector
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.pointing.ground_control import read_gcps
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import load_views
-from repm_qgis.sfm.ground_control import read_gcps
 from repm_qgis.stages import run_stage
 
 pytestmark = pytest.mark.skipif(

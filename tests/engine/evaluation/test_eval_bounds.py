@@ -12,8 +12,8 @@ from repm_qgis.evaluation import verdict
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.metrics import HeightMetrics
 from repm_qgis.evaluation.parameters import VERDICT
+from repm_qgis.pointing.ground_control import Gcp
 from repm_qgis.rpc.correction import DELIVERED
-from repm_qgis.sfm.ground_control import Gcp
 
 
 def reference(name, seen, used, other_relief=None):

@@ -18,9 +18,9 @@ from repm_qgis.evaluation.report import Report
 from repm_qgis.evaluation.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
 from repm_qgis.fusion.rasters import overlap_m2
 from repm_qgis.imagery.raster import opened, read
+from repm_qgis.pointing.ground_control import Gcp
 from repm_qgis.runtime.translation import written_in
 from repm_qgis.scene import Scene
-from repm_qgis.sfm.ground_control import Gcp
 from tests.engine.pages import plain
 
 

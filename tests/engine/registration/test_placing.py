@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from repm_qgis.contracts.records import GroundShift
+from repm_qgis.planning.height_uncertainty import usual_height_deviation
+from repm_qgis.planning.parameters import PLANNING
+from repm_qgis.planning.promises import promised
 from repm_qgis.registration.adjustment import Observation, contradictions, place_scenes
 from repm_qgis.registration.laying import prior_of
 from repm_qgis.registration.parameters import REGISTRATION
 from repm_qgis.registration.solve import Prior, Shift
 from repm_qgis.scene import Scene
-from repm_qgis.sfm.height_uncertainty import usual_height_deviation
-from repm_qgis.sfm.parameters import POINTING
-from repm_qgis.sfm.promises import promised
 
 PRIOR = Prior(8.0, 5.0, 60.0)
 
@@ -116,7 +116,7 @@ def test_what_is_known_before_is_what_vendors_promise_and_what_is_usual(urban_ru
     assert usual < up and prior_of(scene).up_m == usual and prior_of(scene).horizontal_m == horizontal
     controlled = replace(scene.pointing, height_uncertainty_m=None, control_information=np.eye(3))
     assert prior_of(replace(scene, pointing=controlled)).up_m == up == prior_of(replace(scene, pointing=None)).up_m
-    reach = REGISTRATION.search * POINTING.promises.ce90 * horizontal
+    reach = REGISTRATION.search * PLANNING.promises.ce90 * horizontal
     assert prior_of(scene).most_m == pytest.approx(max(reach, 40.0))
     near = replace(REGISTRATION, least_search_m=1e4)
     assert prior_of(scene, parameters=near).most_m == 1e4

@@ -15,8 +15,8 @@ from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
+from repm_qgis.planning.advice import absolute_height
 from repm_qgis.scene import Scene
-from repm_qgis.sfm.advice import absolute_height
 from repm_qgis.stages import run_stage
 from repm_qgis.vector import read_points
 

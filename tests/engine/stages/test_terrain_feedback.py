@@ -14,9 +14,9 @@ from repm_qgis.imagery.sampling import sample
 from repm_qgis.matching import sgm
 from repm_qgis.matching.coarse_surface import coarse_surface
 from repm_qgis.scene import Scene
-from repm_qgis.sfm.tie_patches import covered_by_ties
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
+from repm_qgis.ties.tie_patches import covered_by_ties
 
 
 def true_heights(scene, x, y):
@@ -59,8 +59,9 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
 
 def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mountains, told, tmp_path):
     """Parameters that search the small scene in patches, as a large one: its ties do not cover the tiles."""
-    patches = replace(ENGINE.pointing.patches, whole_px=150, least_px=130, most_px=130)
-    parameters = replace(ENGINE, pointing=replace(ENGINE.pointing, patches=patches))
+    patches = replace(ENGINE.pointing.ties.patches, whole_px=150, least_px=130, most_px=130)
+    ties = replace(ENGINE.pointing.ties, patches=patches)
+    parameters = replace(ENGINE, pointing=replace(ENGINE.pointing, ties=ties))
     fitted = run_stage("epmfit", {"images": mountains.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     made = run_stage(
         "reconstruct",

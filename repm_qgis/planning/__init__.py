@@ -1,0 +1,1 @@
+"""What the images can give, and what that costs: overlap, pairs, altitudes, promises of vendors, time and space."""

@@ -1,0 +1,1 @@
+"""Where the images really look: relative pointing from ties, ground control, waves of the attitude."""

@@ -1,0 +1,122 @@
+"""Whether control points belong to the images at all: where the vendors' RPCs put their pixels, and where they lie.
+
+The adjustment finds and leaves out single wrong points. A table that is wrong as a whole (another place, CRS or order
+of columns) has no majority to find them by, and would be fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Callable, Dict, List, Sequence, Tuple
+
+import numpy as np
+import pyproj
+
+from ..contracts.errors import InputTableError
+from ..planning.promises import promise_of
+from ..runtime.progress import counted
+from ..scene import View
+from .control_noise import most_set_aside
+from .ground_control import Gcp
+from .parameters import POINTING, PointingParameters
+
+_WGS84 = pyproj.Geod(ellps="WGS84")
+_SWAPS: Tuple[Tuple[str, Callable[[Gcp], Gcp]], ...] = (
+    ("lon and lat", lambda gcp: replace(gcp, lon=gcp.lat, lat=gcp.lon)),
+    ("col and row", lambda gcp: replace(gcp, pixels={view: pixel[::-1] for view, pixel in gcp.pixels.items()})),
+)
+
+
+@dataclass(frozen=True)
+class PlacedPoint:
+    """A point in the image where it is nearest to its pixel: metres on the ground between the two (infinite where the
+    RPC cannot say), the largest distance that is believable, and whether it lies in the footprint of any image."""
+
+    gcp: Gcp
+    view: str
+    distance_m: float
+    limit_m: float
+    inside: bool
+
+    @property
+    def is_far(self) -> bool:
+        return self.distance_m > self.limit_m
+
+
+def placed_points(
+    gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingParameters = POINTING
+) -> List[PlacedPoint]:
+    """Every point that is measured in an image; pointing corrections are not used."""
+    return [_placed(gcp, seen, parameters) for gcp in gcps for seen in [_seen(gcp, views)] if seen]
+
+
+def misplaced(gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING) -> str:
+    """What is wrong with points as a whole, in one sentence; "" where at most as many are far from their pixels as
+    the adjustment can name and leave out."""
+    placed = placed_points(gcps, views, parameters)
+    far = [point for point in placed if point.is_far]
+    if len(far) <= most_set_aside(len(placed)):
+        return ""
+    worst = max(far, key=lambda point: point.distance_m)
+    distances = sorted(point.distance_m for point in far)
+    outside = sum(not point.inside for point in far)
+    limit = max(point.limit_m for point in far)
+    return (
+        f"{len(far)} of {counted(len(placed), 'point')} of '{path}' lie too far from where the vendors' RPCs put their "
+        f"pixels: {_length(distances[len(distances) // 2])} in the median, {_length(worst.distance_m)} at the worst "
+        f"('{worst.gcp.id}' in {worst.view}), where at most {limit:.0f} m are believable (the RPCs' promise and "
+        f"{parameters.places.margin_m:.0f} m), and {outside or 'none'} of them outside the images' footprints: "
+        f"{_remedy(gcps, views, parameters)}."
+    )
+
+
+def require_places(
+    gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING
+) -> None:
+    """Raise InputTableError where points as a whole do not belong to the images (:func:`misplaced`)."""
+    text = misplaced(gcps, views, path, parameters)
+    if text:
+        raise InputTableError(text)
+
+
+def _remedy(gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingParameters) -> str:
+    for columns, swapped in _SWAPS:
+        placed = placed_points([swapped(gcp) for gcp in gcps], views, parameters)
+        if sum(point.is_far for point in placed) <= most_set_aside(len(placed)):
+            return f"the columns {columns} are swapped, so exchange their names in the table"
+    return (
+        "choose the points of this place, and check that lon and lat are degrees in WGS 84 and not in another CRS, "
+        "that the columns col and row are not swapped, and the datum of the heights (GCP_DATUM)"
+    )
+
+
+def _seen(gcp: Gcp, views: Sequence[View]) -> List[View]:
+    return [view for view in views if view.name in gcp.pixels]
+
+
+def _placed(gcp: Gcp, views: Sequence[View], parameters: PointingParameters) -> PlacedPoint:
+    found: Dict[str, Tuple[float, float]] = {}
+    inside = False
+    for view in views:
+        limit = promise_of(view, parameters.planning.promises).horizontal_m + parameters.places.margin_m
+        found[view.name] = (_distance(gcp, view), limit)
+        reach = limit / view.gsd_m
+        pixel = view.model.project(gcp.lon_lat_h)
+        inside = inside or bool(((pixel > -reach) & (pixel < np.array(view.size) + reach)).all())
+    name = min(found, key=lambda view: found[view][0] - found[view][1])
+    return PlacedPoint(gcp, name, *found[name], inside)
+
+
+def _distance(gcp: Gcp, view: View) -> float:
+    """Metres on the ground from a point to where a view's RPC puts its pixel, at the point's height."""
+    lon, lat, _ = view.model.localise(gcp.pixels[view.name], gcp.height)
+    distance = float(_WGS84.inv(gcp.lon, gcp.lat, lon, lat)[2])
+    return distance if math.isfinite(distance) else math.inf
+
+
+def _length(metres: float) -> str:
+    """A distance as people read it."""
+    if not math.isfinite(metres):
+        return "farther than the RPC reaches"
+    return f"{metres / 1000:.1f} km" if metres >= 1000 else f"{metres:.0f} m"

@@ -1,0 +1,1 @@
+"""Tie points: where they are searched, keypoints and their matches, subpixel alignment, tracks."""
