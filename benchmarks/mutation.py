@@ -40,7 +40,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "dist" / "mutation"
 PYTHON = str(ROOT / ".venv" / "bin" / "python")
 PACKAGES = ("geometry", "rpc", "planning", "ties", "pointing", "registration")
-MODULES = ("runtime/workspace.py", "runtime/parallel.py", "evaluation/verdict.py")
+MODULES = ("runtime/workspace.py", "runtime/parallel.py", "reports/verdict.py")
 SLOW = ("test_fuzz.py", "test_gridding_of_truth.py")  # whole campaigns and scenes
 ALSO = {  # tests of stages, for what has no test of its own
     "planning": ("stages/test_early.py",),

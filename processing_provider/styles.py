@@ -213,7 +213,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
         from ..repm_qgis.contracts.errors import RepmError
 
         try:
-            from ..repm_qgis.evaluation.styles import write_style
+            from ..repm_qgis.reports.styles import write_style
 
             with written_in(language()):
                 write_style(kind, path)
@@ -226,7 +226,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
 def _views(kind: str, path: str, feedback: QgsProcessingFeedback) -> dict[str, str]:
     """Further styles of a kind of layer, by their names, which QGIS offers beside the first one."""
     from ..repm_qgis.contracts.errors import RepmError
-    from ..repm_qgis.evaluation.styles import style_text
+    from ..repm_qgis.reports.styles import style_text
 
     found = {}
     for style in STYLES:

@@ -71,7 +71,7 @@ def keep(path: str, name: str, most: int = MAX_BYTES) -> None:
 
 def shaded(dsm: str, name: str, size: int, folder: str) -> None:
     """A shaded DSM on white."""
-    from repm_qgis.evaluation import pictures
+    from repm_qgis.reports import pictures
 
     heights, cell = pictures.preview(dsm, size)
     relief = pictures.shaded_relief(heights, cell)
@@ -87,7 +87,7 @@ def two_dates(folder: str) -> None:
     import numpy as np
 
     from benchmarks.earthquake import dates
-    from repm_qgis.evaluation import pictures
+    from repm_qgis.reports import pictures
 
     if not os.path.isdir(os.path.join(SHARED, "pleiades_two_dates")):
         say("  the picture of two dates is left as it is: no pleiades_two_dates")

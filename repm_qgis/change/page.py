@@ -8,9 +8,9 @@ import numpy as np
 from pyproj import Transformer
 
 from ..contracts.options import ChangeOptions
-from ..evaluation import charts, pictures, verdict
-from ..evaluation.report import Report, fixed
 from ..geometry.frames import flat_crs
+from ..reports import charts, pictures, verdict
+from ..reports.report import Report, fixed
 from .finding import Found
 from .parameters import CHANGE
 from .volumes import centre_of

@@ -81,28 +81,6 @@ class GcpParameters(Parameters):
 
 
 @dataclass(frozen=True)
-class VerdictParameters(Parameters):
-    """From where on a report says "look at" instead of "good". All values are chosen: good scenes, simulated and real,
-    lie well on the other side (docs/benchmarks.md)."""
-
-    least_covered_percent: float = 80.0  # cells with a height, of the ground that two images see
-    most_residual_px: float = 0.5  # median residual of the tie points after the correction; 0.1 to 0.3 is usual
-    most_parallax_px: float = 0.5  # median vertical parallax of one pair then: beyond, its matching finds other rows
-    most_equivalent_px: float = 0.3  # RMSE of a tile's cameras after refinement; below, matching is not disturbed
-    most_rpc_px: float = 0.01  # from an exported RPC to the pointed model; corrections of usual size stay below 0.001
-    least_compared_percent: float = 50.0  # reference cells with a height of the DSM
-    least_points: int = 4  # ground control points: with fewer, none can be called wrong
-    most_bias_m: float = 0.5  # median difference from a reference, or of two DSMs of a mosaic ...
-    most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
-    most_spread_m: float = 10.0  # NMAD against a reference; DSMs of satellite images have 0.3 to 4 m ...
-    most_spread_cells: float = 1.0  # ... and global DEMs less than a cell: a coarse surface is off by its relief
-    most_changed_share: float = 0.3  # of what two dates show: beyond, the ground is not mostly stable
-    most_offset_m: float = 10.0  # between two dates: images without control points differ by metres, geoids by more
-    most_level_m: float = 3.0  # a storey
-    least_used_share: float = 0.5  # of a reference's heights that agree with the surface; forests leave a third
-
-
-@dataclass(frozen=True)
 class EvaluationParameters(Parameters):
     """The choices of all comparisons."""
 
@@ -110,9 +88,8 @@ class EvaluationParameters(Parameters):
     icp: IcpParameters = field(default_factory=IcpParameters)
     comparison: ComparisonParameters = field(default_factory=ComparisonParameters)
     gcps: GcpParameters = field(default_factory=GcpParameters)
-    verdict: VerdictParameters = field(default_factory=VerdictParameters)
 
 
 EVALUATION = EvaluationParameters()
 COREGISTRATION, COMPARISON, GCPS = EVALUATION.coregistration, EVALUATION.comparison, EVALUATION.gcps
-ICP, VERDICT = EVALUATION.icp, EVALUATION.verdict
+ICP = EVALUATION.icp

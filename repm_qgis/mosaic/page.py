@@ -8,8 +8,8 @@ from typing import Dict, List, Optional, Sequence
 import numpy as np
 
 from ..contracts.options import MosaicOptions
-from ..evaluation import charts, pictures, verdict
-from ..evaluation.report import Report, fixed
+from ..reports import charts, pictures, verdict
+from ..reports.report import Report, fixed
 from ..runtime.progress import counted
 from .inputs import Layout
 from .offsets import Offsets, Overlap

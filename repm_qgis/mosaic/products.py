@@ -16,11 +16,11 @@ from ..contracts.arrays import FloatImage, Window
 from ..contracts.errors import WorkspaceError
 from ..contracts.options import MosaicOptions
 from ..contracts.products import product, tiles_folder
-from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.vertical import TAG
 from ..imagery.raster import RasterWriter, created
 from ..imagery.vrt import Mosaicked, vrt_text
+from ..reports.styles import write_style
 from ..runtime.parallel import run_tasks, run_whole
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import whole_file, whole_folder

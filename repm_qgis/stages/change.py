@@ -9,8 +9,8 @@ from ..change.page import change_page
 from ..change.parameters import CHANGE
 from ..contracts.options import ChangeOptions
 from ..contracts.products import products_of
-from ..evaluation.styles import write_style
 from ..names import dates_title
+from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress, counted
 

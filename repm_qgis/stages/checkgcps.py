@@ -10,13 +10,13 @@ from osgeo import ogr
 from ..contracts.errors import EmptyResultError, InputTableError
 from ..contracts.options import CheckGcpsOptions
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
-from ..evaluation.gcp_page import gcp_page
-from ..evaluation.styles import write_style
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
 from ..pointing.control_places import misplaced, placed_points
 from ..pointing.ground_control import Gcp, read_gcps
+from ..reports.gcp_page import gcp_page
+from ..reports.styles import write_style
 from ..runtime.progress import Progress, counted
 from ..scene import Scene
 from ..vector import file_and_layer, write_layer

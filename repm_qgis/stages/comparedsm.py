@@ -13,13 +13,13 @@ from ..contracts.file_kinds import is_cloud
 from ..contracts.options import CompareDsmOptions
 from ..evaluation.clouds import raster_of_cloud
 from ..evaluation.comparison import Comparison, compare
-from ..evaluation.comparison_page import comparison_page
 from ..evaluation.grids import Grid
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.profiles import read_lines
-from ..evaluation.styles import write_style
 from ..imagery import raster
 from ..names import surface_title
+from ..reports.comparison_page import comparison_page
+from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress
 

@@ -18,7 +18,6 @@ from ..contracts.file_kinds import is_textured
 from ..contracts.options import DsmFuseOptions, ViewerOptions
 from ..contracts.products import not_requested, paths_of, product, products_of
 from ..contracts.records import FusionFacts, ViewPair
-from ..evaluation.styles import height_limits, write_style
 from ..exports.stac import require_times, write_item
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
@@ -33,6 +32,7 @@ from ..ortho.colour_ortho import make_colour_ortho
 from ..ortho.colour_sources import ColourPlan, colour_plan
 from ..ortho.grey_ortho import make_grey_ortho
 from ..planning.disk_space import fusion_needs, require_space
+from ..reports.styles import height_limits, write_style
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import ensure_folder, temporary_folder

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..contracts.options import DsmFuseOptions, DtmOptions
 from ..contracts.products import product
-from ..evaluation.styles import write_style
 from ..imagery.raster import NODATA, created
 from ..names import surface_title
 from ..planning.disk_space import require_space, terrain_needs
+from ..reports.styles import write_style
 from ..runtime.memory import Work, workers_within
 from ..runtime.parallel import kept_workers, run_tasks, run_whole
 from ..runtime.progress import Part, Progress, Recorder

@@ -22,13 +22,13 @@ from ..editing.parameters import EDITING, EditingParameters
 from ..editing.session import ORIGIN
 from ..editing.shapes import shapes_of
 from ..evaluation.grids import Grid
-from ..evaluation.styles import write_style
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.vertical import DEVIATION_TAG
 from ..imagery import raster
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, ConfidenceBands, confidence_bands
 from ..imagery.heights import read_heights
 from ..planning.disk_space import editing_needs, require_space
+from ..reports.styles import write_style
 from ..runtime.progress import Part, Progress, counted
 from ..runtime.workspace import fingerprint
 from ..terrain.inputs import surface_of

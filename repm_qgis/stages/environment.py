@@ -10,8 +10,8 @@ from typing import Any, Dict, List, Optional, Tuple
 from .. import __version__
 from ..contracts.errors import OptionError, WorkspaceError
 from ..contracts.options import EnvironmentOptions
-from ..evaluation.report import Report
 from ..installer.interpreter import base_program
+from ..reports.report import Report
 from ..runtime.environment import GRIDS, survey
 from ..runtime.packages import PACKAGES
 from ..runtime.progress import Progress

@@ -17,7 +17,6 @@ from osgeo import ogr
 from ..contracts.arrays import Altitudes, Bounds, Window
 from ..contracts.errors import OptionError, OverlapError
 from ..contracts.options import EpmFitOptions, Extent
-from ..evaluation.stage_reports import fit_report
 from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
@@ -32,6 +31,7 @@ from ..names import scene_title
 from ..planning.altitude_range import altitude_range
 from ..planning.overlap import views_of
 from ..planning.plane_heights import with_planes
+from ..reports.stage_reports import fit_report
 from ..rpc.readers import rpc_sidecars
 from ..runtime.memory import planned_mib
 from ..runtime.parallel import task_mib
@@ -320,7 +320,7 @@ def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> T
 
 def write_tiles(scene: Scene, path: str) -> None:
     """The TILES layer: outlines with each view's equivalent error in px."""
-    from ..evaluation.styles import write_style
+    from ..reports.styles import write_style
 
     fields: Dict[str, type] = {"tile": str, "worst_rmse": float, "worst_max": float}
     for number in range(1, max(len(tile.views) for tile in scene.tiles) + 1):

@@ -11,14 +11,14 @@ import pyproj
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import OptionError
 from ..contracts.options import ErrorMapOptions
-from ..evaluation.stage_reports import errormap_report
-from ..evaluation.styles import write_style
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
 from ..imagery.raster import created
 from ..names import scene_title
+from ..reports.stage_reports import errormap_report
+from ..reports.styles import write_style
 from ..runtime.progress import Progress
 from ..scene import Scene, Tile, View
 

@@ -11,12 +11,12 @@ import numpy as np
 from .. import __version__
 from ..contracts.errors import RpcInvalidError, WorkspaceError
 from ..contracts.options import ExportRpcOptions
-from ..evaluation.rpc_page import ExportedRpc, rpc_page, within_px
-from ..evaluation.verdict import of_rpcs
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
 from ..imagery.vrt import image_vrt_text
 from ..names import scene_title
+from ..reports.rpc_page import ExportedRpc, rpc_page, within_px
+from ..reports.verdict import of_rpcs
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
 from ..runtime.progress import Progress, counted

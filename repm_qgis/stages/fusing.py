@@ -12,7 +12,6 @@ from ..contracts.errors import RepmError
 from ..contracts.options import DsmFuseOptions
 from ..contracts.products import product
 from ..contracts.records import DemOffset, FusionFacts
-from ..evaluation.styles import write_style
 from ..fusion.brightness import Witnesses
 from ..fusion.coarse_means import CoarseMeans
 from ..fusion.joining import JoinedTiles, join_tiles
@@ -25,6 +24,7 @@ from ..fusion.walls import has_walls
 from ..fusion.water import Water, find_water
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
+from ..reports.styles import write_style
 from ..runtime.memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks, run_whole
 from ..runtime.progress import Part, Progress, counted

@@ -10,13 +10,13 @@ from osgeo import ogr
 
 from ..contracts.errors import Cancelled, ImageError, RepmError
 from ..contracts.options import InspectOptions
-from ..evaluation.inspection_page import Choice, inspection_page, verdict
-from ..evaluation.styles import write_style
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
 from ..planning.inspection import CARE, YES, Place, inspect_views
 from ..planning.run_estimate import RunEstimate, estimate
+from ..reports.inspection_page import Choice, inspection_page, verdict
+from ..reports.styles import write_style
 from ..runtime.progress import Progress, counted
 from ..scene import View, load_view
 from ..vector import write_layer

@@ -12,7 +12,6 @@ from osgeo import ogr
 from ..contracts.options import PRESETS, PipelineOptions
 from ..contracts.products import FOLDER, paths_of
 from ..contracts.records import ViewPair
-from ..evaluation.stage_reports import pipeline_report
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
@@ -21,6 +20,7 @@ from ..planning.overlap import views_of
 from ..planning.run_estimate import estimate_run
 from ..pointing.control_places import require_places
 from ..pointing.ground_control import read_gcps
+from ..reports.stage_reports import pipeline_report
 from ..runtime.parallel import kept_workers
 from ..runtime.progress import Part, Progress, Silent
 from ..runtime.workspace import ensure_folder, with_copy

@@ -15,8 +15,6 @@ from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
-from ..evaluation.stage_reports import reconstruct_report
-from ..evaluation.styles import write_style
 from ..fusion.map_offsets import with_agreeing_maps
 from ..imagery.enhancement import Stretch
 from ..imagery.parameters import StretchParameters
@@ -33,6 +31,8 @@ from ..pointing.control_places import require_places
 from ..pointing.ground_control import Gcp, read_gcps
 from ..pointing.pointing import point_views
 from ..pointing.vertical_parallax import largest_parallax
+from ..reports.stage_reports import reconstruct_report
+from ..reports.styles import write_style
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, fingerprint, with_copy

@@ -13,7 +13,6 @@ import pyproj
 
 from ..contracts.errors import OptionError
 from ..contracts.options import RefineOptions
-from ..evaluation.stage_reports import refine_report
 from ..fusion.own_surface import lon_lat_bounds, own_surface
 from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
 from ..geometry.parameters import VIRTUAL_GRID
@@ -21,6 +20,7 @@ from ..imagery.dem import load_surface, make_surface
 from ..imagery.raster import raster_identity, write
 from ..names import scene_title
 from ..planning.disk_space import images_need, require_space
+from ..reports.stage_reports import refine_report
 from ..runtime.memory import refining_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Progress, Recorder

@@ -16,8 +16,6 @@ from osgeo import ogr
 from ..contracts.errors import EmptyResultError, OverlapError, SceneError
 from ..contracts.options import RegisterOptions
 from ..contracts.records import GroundShift, RegistrationFigures
-from ..evaluation.registration_section import registration_page
-from ..evaluation.styles import write_style
 from ..fusion.own_surface import own_surface
 from ..fusion.reference_waves import with_reference_waves
 from ..geometry.cell_grid import CellGrid
@@ -33,6 +31,8 @@ from ..registration.references import FoundHeights, read_reference
 from ..registration.solve import Prior, Shift, solve_shift
 from ..registration.stable import stable_cells
 from ..registration.surfaces import SupportMeans
+from ..reports.registration_section import registration_page
+from ..reports.styles import write_style
 from ..runtime.progress import Part, Progress, Recorder
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from ..scene import Scene, folder_of, reusable

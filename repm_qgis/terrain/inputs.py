@@ -12,12 +12,12 @@ from .. import __version__
 from ..contracts.arrays import Size
 from ..contracts.errors import ImageError
 from ..evaluation.grids import Grid, cell_sides
-from ..evaluation.pictures import preview
 from ..geometry.frames import flat_crs, on_earth, utm_crs
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.raster import opened
 from ..mosaic.inputs import looked_at
+from ..reports.pictures import preview
 
 _SAMPLE_PX = 1000  # of the confidence raster, from which the usual error is
 _SQUARE = 0.01  # share by which the sides of a cell may differ

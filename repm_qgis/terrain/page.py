@@ -8,8 +8,8 @@ import numpy as np
 
 from ..contracts.arrays import FloatImage
 from ..contracts.options import DtmOptions
-from ..evaluation import charts, pictures
-from ..evaluation.report import Report
+from ..reports import charts, pictures
+from ..reports.report import Report
 from .inputs import Surface
 
 _PICTURE_PX = 700

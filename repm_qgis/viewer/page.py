@@ -24,13 +24,13 @@ from ..contracts.errors import EmptyResultError
 from ..contracts.options import ViewerOptions
 from ..contracts.products import STYLES
 from ..evaluation.grids import Grid, metres_per_unit
-from ..evaluation.pictures import RAMPS, jpeg_bytes, percentile_range
-from ..evaluation.styles import value_range
-from ..evaluation.templates import page
 from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
 from ..names import surface_title
+from ..reports.pictures import RAMPS, jpeg_bytes, percentile_range
+from ..reports.styles import value_range
+from ..reports.templates import page
 from ..runtime.progress import Progress
 from ..runtime.translation import reader
 from ..runtime.workspace import write_text

@@ -145,7 +145,7 @@ def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
         pytest.skip(f"QGIS {Qgis.QGIS_VERSION}: the elevation profile tool is there from 3.26 on")
     from osgeo import gdal
 
-    from repm_qgis.evaluation.styles import write_style
+    from repm_qgis.reports.styles import write_style
 
     dsm = str(tmp_path / "dsm.tif")
     shutil.copyfile(town["truth"], dsm)

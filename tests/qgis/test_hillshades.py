@@ -15,8 +15,8 @@ SHADE = f"Hillshade of {DSM}"
 @pytest.fixture
 def dsm(tmp_path):
     """A house on a slope."""
-    from repm_qgis.evaluation.styles import write_style
     from repm_qgis.imagery import raster
+    from repm_qgis.reports.styles import write_style
 
     heights = np.add.outer(np.linspace(100, 110, 120), np.zeros(160)).astype(np.float32)
     heights[40:70, 50:110] += 9

@@ -54,7 +54,7 @@ def test_an_ept_opens_with_all_its_points_in_their_place(plugin, ept):
 
 
 def test_an_ept_is_drawn_where_its_points_are_and_coloured_by_height(plugin, ept):
-    from repm_qgis.evaluation.styles import write_style
+    from repm_qgis.reports.styles import write_style
 
     folder, points = ept
     style = write_style("ept", str(folder / "ept.json"), (100.0, 200.0))

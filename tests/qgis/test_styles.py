@@ -39,7 +39,7 @@ GEOMETRY = {"tie_points": "Point", "gcps": "Point", "tiles": "Polygon"}
 @pytest.fixture
 def styled(plugin, tmp_path):
     """Makes a memory layer with the style of a kind, and the features that are given."""
-    from repm_qgis.evaluation.styles import write_style
+    from repm_qgis.reports.styles import write_style
 
     def make(kind, *rows):
         layer = QgsVectorLayer(f"{GEOMETRY[kind]}?crs={UTM}&{FIELDS[kind]}", kind, "memory")
@@ -57,8 +57,8 @@ def styled(plugin, tmp_path):
 @pytest.fixture
 def raster(plugin, tmp_path):
     """Makes a GeoTIFF with the style of a kind, and opens it."""
-    from repm_qgis.evaluation.styles import write_style
     from repm_qgis.imagery.raster import write
+    from repm_qgis.reports.styles import write_style
 
     def make(kind, *bands, **more):
         path = str(tmp_path / f"{kind}.tif")
@@ -154,7 +154,7 @@ def test_the_error_map_is_not_black(raster):
 
 
 def test_a_zoomed_hillshade_has_no_grid(raster):
-    from repm_qgis.evaluation.templates import RESOURCES
+    from repm_qgis.reports.templates import RESOURCES
 
     east, north = np.meshgrid(np.arange(40.0), np.arange(40.0))
     layer = raster("dsm", 3 * np.sin(east / 6) + 2 * np.cos(north / 7))
@@ -177,7 +177,7 @@ def test_an_orthophoto_is_shown_when_its_images_were_taken(raster):
 
 
 def test_footprints_have_the_times_of_their_images(plugin, tmp_path):
-    from repm_qgis.evaluation.styles import write_style
+    from repm_qgis.reports.styles import write_style
 
     layer = QgsVectorLayer(f"Point?crs={UTM}&field=view:string&field=taken:string", "footprints", "memory")
     for view, taken in (("a", "2019-04-02 10:15:00"), ("b", "2019-06-01 10:15:00"), ("c", None)):

@@ -33,10 +33,10 @@ def read(path, band=1):
 @pytest.fixture
 def town(tmp_path):
     """A slope with houses, water of which matching made noise, a void, and its confidence, in a folder of its own."""
-    from repm_qgis.evaluation.styles import write_style
     from repm_qgis.geometry.vertical import ELLIPSOID, TAG
     from repm_qgis.imagery import raster
     from repm_qgis.imagery.confidence import CONFIDENCE_BANDS
+    from repm_qgis.reports.styles import write_style
 
     surface = GROUND + 8.0 * ((abs(ROWS - 40) < 12) & (abs(COLUMNS - 50) < 16))
     for column, height in ((40, 5), (75, 6), (120, 7), (160, 4)):

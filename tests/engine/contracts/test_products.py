@@ -11,7 +11,7 @@ import pytest
 from repm_qgis.contracts import products
 from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.contracts.products import PRODUCTS, STYLES, forms, products_of
-from repm_qgis.evaluation.stage_reports import pipeline_report
+from repm_qgis.reports.stage_reports import pipeline_report
 from repm_qgis.scene import Scene
 from repm_qgis.stages import STAGES, run_stage
 from tests.engine.pages import plain

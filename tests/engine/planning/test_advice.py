@@ -200,7 +200,7 @@ def disagreeing(scene, first_px, third_px, sensor="Pleiades 1A", uncertain=40.0)
     ),
 )
 def test_rpcs_that_are_worse_than_promised_are_named(scene, figures, words):
-    """Such figures stood in reports that said "Good."; any warning takes that word away (test_eval_verdict)."""
+    """Such figures stood in reports that said "Good."; any warning takes that word away (reports/test_verdict.py)."""
     scene = replace(scene, views=tuple(replace(view, sensor="Pleiades 1A", gsd_m=0.5) for view in scene.views))
     (said,) = advice(scene, all_three(PAIR), figures)
     assert words in said and "check that each RPC belongs to its image" in said

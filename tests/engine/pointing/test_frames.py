@@ -118,7 +118,8 @@ def test_each_pair_of_a_block_has_patches_of_its_own(block):
 
 
 def test_a_block_is_adjusted_as_a_whole(block):
-    found = point_views(block.scene, block.pairs, block.stretches, "auto", [], Silent(), 1, "rpc", replace(POINTING, ties=IN_PATCHES))
+    pointing = replace(POINTING, ties=IN_PATCHES)
+    found = point_views(block.scene, block.pairs, block.stretches, "auto", [], Silent(), 1, "rpc", pointing)
     assert found.figures.after_px < 0.15 and found.figures.count > 200
     # What the corrections leave of the errors, apart from moves of the whole, which no image shows.
     middle = np.array([block.spec.lon, block.spec.lat, 920.0])

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from repm_qgis.contracts.errors import OptionError
-from repm_qgis.evaluation.report import Report
+from repm_qgis.reports.report import Report
 from repm_qgis.runtime.progress import JsonLines
 from repm_qgis.runtime.translation import Translator, reader, said, written_in
 

@@ -10,10 +10,10 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.contracts.records import DemOffset, FusionFacts
-from repm_qgis.evaluation import verdict
-from repm_qgis.evaluation.stage_reports import pipeline_report
 from repm_qgis.imagery.raster import write
 from repm_qgis.registration.dem_offset import stated_height_deviation
+from repm_qgis.reports import verdict
+from repm_qgis.reports.stage_reports import pipeline_report
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from tests.engine.pages import plain

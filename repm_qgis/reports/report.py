@@ -4,7 +4,7 @@
 >>> page.section("Accuracy").table("metric | value", [["RMSE", "0.42 m"]]).write("report.html")
 
 The templates lie in ``resources/templates``. They escape all text; only drawings of
-:mod:`repm_qgis.evaluation.charts` are taken as they are.
+:mod:`repm_qgis.reports.charts` are taken as they are.
 """
 
 from __future__ import annotations
@@ -129,9 +129,9 @@ class Report:
         return self._add("gallery", pictures=pictures, caption=caption)
 
     def svg(self, drawing: Drawing, caption: str = "") -> Report:
-        """A drawing of :mod:`~repm_qgis.evaluation.charts`. Raises ValueError for text that was not escaped there."""
+        """A drawing of :mod:`~repm_qgis.reports.charts`. Raises ValueError for text that was not escaped there."""
         if not isinstance(drawing, Drawing):
-            raise ValueError("Only the drawings of repm_qgis.evaluation.charts can be shown.")
+            raise ValueError("Only the drawings of repm_qgis.reports.charts can be shown.")
         return self._add("svg", drawing=drawing, caption=caption)
 
     def command(self, text: str) -> Report:

@@ -9,16 +9,16 @@ import pytest
 
 from repm_qgis.contracts.options import CheckGcpsOptions
 from repm_qgis.contracts.records import FusionFacts
-from repm_qgis.evaluation import verdict
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
-from repm_qgis.evaluation.gcp_page import gcp_page
 from repm_qgis.evaluation.metrics import height_metrics
-from repm_qgis.evaluation.parameters import VERDICT
-from repm_qgis.evaluation.report import Report
-from repm_qgis.evaluation.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
 from repm_qgis.fusion.rasters import overlap_m2
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.pointing.ground_control import Gcp
+from repm_qgis.reports import verdict
+from repm_qgis.reports.gcp_page import gcp_page
+from repm_qgis.reports.parameters import VERDICT
+from repm_qgis.reports.report import Report
+from repm_qgis.reports.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
 from repm_qgis.runtime.translation import written_in
 from repm_qgis.scene import Scene
 from tests.engine.pages import plain

@@ -10,9 +10,9 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.contracts.errors import ImageError, OptionError, WorkspaceError
-from repm_qgis.evaluation import charts, pictures, styles
-from repm_qgis.evaluation.report import Report, number
 from repm_qgis.imagery import raster
+from repm_qgis.reports import charts, pictures, styles
+from repm_qgis.reports.report import Report, number
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 from tests.engine.pages import checked

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..accuracy import EXPLAINED
 from ..contracts.arrays import FloatArray
+from ..evaluation.comparison import Comparison
+from ..evaluation.grids import Grid, cell_sides
+from ..evaluation.metrics import HeightMetrics
 from ..geometry.frames import flat_crs, vertical_part
 from . import charts, pictures, verdict
-from .comparison import Comparison
-from .grids import Grid, cell_sides
-from .metrics import HeightMetrics
 from .report import Report, fixed
 
 _METHODS = {

@@ -16,8 +16,8 @@ from osgeo import gdal
 
 from ..contracts.arrays import ByteImage, FloatImage, Floats
 from ..contracts.errors import ImageError
+from ..evaluation.grids import Grid, metres_per_unit
 from ..imagery import raster
-from .grids import Grid, metres_per_unit
 
 _PNG_LEVEL = "ZLEVEL=4"  # of a shaded surface 6 % more bytes than level 7, in a fifth of the time
 

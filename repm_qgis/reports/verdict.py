@@ -12,12 +12,13 @@ from typing import List, Mapping, NamedTuple, Optional, Sequence
 import numpy as np
 
 from ..contracts.records import FusionFacts, RegistrationFigures
+from ..evaluation.gcp_accuracy import GcpAccuracy
+from ..evaluation.metrics import HeightMetrics
+from ..evaluation.parameters import GCPS
 from ..imagery.sampling import nmad
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
 from ..scene import Scene
-from .gcp_accuracy import GcpAccuracy
-from .metrics import HeightMetrics
-from .parameters import GCPS, VERDICT, VerdictParameters
+from .parameters import VERDICT, VerdictParameters
 
 
 def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictParameters = VERDICT) -> List[str]:

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from repm_qgis.contracts.records import GroundShift, OtherRelief, ReferenceFigures, RegistrationFigures
-from repm_qgis.evaluation import verdict
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.metrics import HeightMetrics
-from repm_qgis.evaluation.parameters import VERDICT
 from repm_qgis.pointing.ground_control import Gcp
+from repm_qgis.reports import verdict
+from repm_qgis.reports.parameters import VERDICT
 from repm_qgis.rpc.correction import DELIVERED
 
 

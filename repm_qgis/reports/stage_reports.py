@@ -1,4 +1,4 @@
-"""The content of each stage's HTML report; :mod:`repm_qgis.evaluation.report` makes the page."""
+"""The content of each stage's HTML report; :mod:`repm_qgis.reports.report` makes the page."""
 
 from __future__ import annotations
 

@@ -11,11 +11,11 @@ import pytest
 from osgeo import ogr
 
 from repm_qgis.contracts.records import GcpFigures
-from repm_qgis.evaluation.geometry_section import add_geometry, overlap_percent
-from repm_qgis.evaluation.report import Report
-from repm_qgis.evaluation.stage_reports import fit_report
 from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.geometry.sun import sun_position
+from repm_qgis.reports.geometry_section import add_geometry, overlap_percent
+from repm_qgis.reports.report import Report
+from repm_qgis.reports.stage_reports import fit_report
 from repm_qgis.scene import Scene
 from tests.engine.pages import plain
 

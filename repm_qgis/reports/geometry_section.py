@@ -10,6 +10,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..contracts.records import GcpFigures, PointingFigures, ViewPair
+from ..evaluation.gcp_accuracy import ErrorSummary
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import duration_text
@@ -20,7 +21,6 @@ from ..runtime.progress import counted
 from ..scene import Scene
 from ..vector import read_points
 from . import charts
-from .gcp_accuracy import ErrorSummary
 from .report import Report, fixed
 
 _MOST_TIES = 200000

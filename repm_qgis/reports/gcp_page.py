@@ -8,10 +8,10 @@ import numpy as np
 
 from ..accuracy import EXPLAINED, LEAST_POINTS
 from ..contracts.options import CheckGcpsOptions
+from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from ..geometry.frames import EnuFrame, mean_place
 from ..runtime.progress import counted
 from . import charts, verdict
-from .gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from .report import Report, fixed
 
 _MOST_LABELS = 60

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from repm_qgis.contracts.errors import OptionError
-from repm_qgis.evaluation import charts, pictures
-from repm_qgis.evaluation.report import Report
+from repm_qgis.reports import charts, pictures
+from repm_qgis.reports.report import Report
 from repm_qgis.runtime.translation import written_in
 
 LABELS = {"GCPS": "Ground control points", "ALIGN": "Alignment", "DEM": "Terrain model", "EXTENT": "Area <m>"}
