@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.pointing_case import Case, numeric_moves
 from repm_qgis.geometry.frames import EnuFrame
-from repm_qgis.imagery.sampling import NMAD_FACTOR
+from repm_qgis.numerics.robust import NMAD_FACTOR
 from repm_qgis.pointing.adjustment import adjust
 from repm_qgis.pointing.ground_control import Gcp
 from repm_qgis.pointing.pointing import Pointing

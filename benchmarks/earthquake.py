@@ -18,7 +18,7 @@ from benchmarks.runner import pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
 from repm_qgis.imagery.raster import opened
-from repm_qgis.imagery.sampling import nmad
+from repm_qgis.numerics.robust import nmad
 
 _IMAGES = SHARED / "pleiades_two_dates"
 _CRS = "EPSG:32637"

@@ -15,7 +15,7 @@ from benchmarks.scenes import CACHE, made_once
 from benchmarks.tables import DOCS, Section, table
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.imagery import raster
-from repm_qgis.imagery.sampling import nmad
+from repm_qgis.numerics.robust import nmad
 from repm_qgis.reports.pictures import gradients, hillshade, png_bytes
 from repm_qgis.runtime.process_limits import bound_cache
 from repm_qgis.runtime.progress import Silent

@@ -17,6 +17,7 @@ from osgeo import ogr
 from benchmarks.runner import is_quick, pipeline
 from benchmarks.scenes import CACHE, made_once
 from repm_qgis.contracts.arrays import FloatImage, IntArray, Mask
+from repm_qgis.files.vector import write_layer
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
 from repm_qgis.simulation.parameters import SIMULATION
@@ -32,7 +33,6 @@ from repm_qgis.simulation.scene import (
 from repm_qgis.simulation.sensor import PLEIADES, Look
 from repm_qgis.simulation.surface import Area, Ground, Sun
 from repm_qgis.simulation.town import Town
-from repm_qgis.vector import write_layer
 
 KINDS = ("added",) * 7 + ("removed",) * 7 + ("raised",) * 6
 RAISED_M = 3.0

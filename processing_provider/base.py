@@ -239,7 +239,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return ""
 
     def _check_files(self, name: str, value: object, context: QgsProcessingContext) -> str:
-        from ..repm_qgis.vector import file_and_layer
+        from ..repm_qgis.files.vector import file_and_layer
 
         for item in raster_items(value, context):
             if isinstance(item, str) and not os.path.exists(file_and_layer(item)[0]):
@@ -255,7 +255,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     ) -> str:
         """Files must be there, and be rasters where nothing else is taken; the engine names what is wrong in others."""
         from ..repm_qgis.contracts.file_kinds import is_cloud
-        from ..repm_qgis.vector import file_and_layer
+        from ..repm_qgis.files.vector import file_and_layer
 
         name, kinds = definition.name(), _taken_kinds(definition)
         for item in (each for each in raster_items(value, context) if isinstance(each, str)):

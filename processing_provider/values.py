@@ -78,7 +78,7 @@ def points_path(value: object, context: QgsProcessingContext) -> Optional[str]:
 
     A layer that is no file, or of which a filter shows a part, is written to a temporary one.
     """
-    from ..repm_qgis.vector import file_and_layer
+    from ..repm_qgis.files.vector import file_and_layer
 
     item = next(iter(raster_items(value, context)), None)
     if item is None:

@@ -38,6 +38,7 @@ from .contracts.records import (
     ViewPair,
     with_files,
 )
+from .files.untrusted import MOST_SIDE_PX
 from .geometry.equivalent_error import EquivalentError, RefinedPinhole
 from .geometry.footprints import bounds_of_wkt
 from .geometry.frames import EnuFrame, projected_crs
@@ -53,7 +54,6 @@ from .imagery.ortho_ready import OrthoReady, plane_of
 from .imagery.parameters import SAMPLING, STRETCH, StretchParameters
 from .rpc import Rpc
 from .runtime.workspace import write_text
-from .untrusted import MOST_SIDE_PX
 
 SCHEMA = 2
 _MAX_SCENE_BYTES = 512 << 20

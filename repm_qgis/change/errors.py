@@ -16,7 +16,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage, Floats
 from ..contracts.errors import EmptyResultError
-from ..imagery.sampling import NMAD_FACTOR, nmad
+from ..numerics.robust import NMAD_FACTOR, nmad
 from .parameters import CHANGE, ErrorModelParameters
 from .surfaces import Cells
 

@@ -17,13 +17,13 @@ from ..contracts.options import ChangeOptions
 from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
+from ..files.vector import write_layer
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..imagery import raster
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import temporary_folder
-from ..vector import write_layer
 from .detection import detect
 from .errors import Correlation, ErrorModel, correlation_of, fitted_model
 from .parameters import CHANGE, ChangeParameters

@@ -20,6 +20,7 @@ from ..geometry.frames import flat_crs
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
+from ..numerics.robust import NMAD_FACTOR
 from ..runtime.progress import Progress
 from .parameters import CHANGE, DetectionParameters
 
@@ -175,7 +176,7 @@ def _steady(after: FloatImage, before: FloatImage, stable: float) -> FloatImage:
     """BEFORE without the cells in which the difference is far from what is usual."""
     away = np.abs(after - before)
     known = away[np.isfinite(away)]
-    most = stable * 1.4826 * float(np.median(known)) if known.size else math.inf
+    most = stable * NMAD_FACTOR * float(np.median(known)) if known.size else math.inf
     return np.where(away <= most, before, np.float32(np.nan))
 
 

@@ -13,7 +13,7 @@ from typing import Any, Dict, Optional, Sequence, Tuple
 from osgeo import ogr
 
 from ..contracts.errors import InputTableError
-from ..vector import file_and_layer, open_vector, write_layer
+from ..files.vector import file_and_layer, open_vector, write_layer
 
 OPERATIONS = ("remove", "fill", "set", "flatten", "breakline")
 """What an edit does: takes heights away, fills from the rim, sets a value, flattens water, keeps a breakline."""

@@ -21,7 +21,8 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage, Floats, IntArray
 from ..contracts.errors import EmptyResultError
-from ..imagery.sampling import mean_of_known, nmad
+from ..imagery.sampling import mean_of_known
+from ..numerics.robust import nmad, tukey
 from .parameters import COREGISTRATION, CoregistrationParameters
 
 Patch = Tuple[Floats, Floats]
@@ -220,7 +221,7 @@ def _robust_step(design: FloatArray, e: FloatArray, parameters: CoregistrationPa
     for _ in range(parameters.reweightings):
         residual = e - design @ solution
         scale = max(nmad(residual), 1e-4)
-        weight = np.clip(1 - (residual / (parameters.tukey * scale)) ** 2, 0, None) ** 2
+        weight = tukey(residual / (parameters.tukey * scale))
         weighted = design * weight[:, None]
         normal = weighted.T @ design
         _require_relief(normal, scale, e.size, parameters)

@@ -13,11 +13,11 @@ import numpy as np
 from osgeo import gdal
 from pyproj import CRS, Transformer
 
-from ..accuracy import distances, le90
 from ..contracts.arrays import FloatArray, Mask
 from ..contracts.checks import as_text
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
-from ..imagery.sampling import nmad
+from ..numerics.accuracy import distances, le90
+from ..numerics.robust import nmad
 from ..pointing.ground_control import Gcp, intersect, residuals
 from ..scene import View
 from .grids import Grid, HeightWarper, metres_per_unit

@@ -17,7 +17,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray, Mask
 from ..contracts.errors import INSTALL_REMEDY, EmptyResultError, MissingPackageError
 from ..geometry.neighbours import principal_axes
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad, tukey
 from .parameters import COREGISTRATION, ICP, IcpParameters
 
 
@@ -86,7 +86,7 @@ def _step(xyz: FloatArray, normal: FloatArray, theirs: _Planes, reach: float, pa
     design = theirs.normal[near]
     distance = ((xyz[found] - theirs.xyz[near]) * design).sum(axis=1)
     scale = max(nmad(distance), parameters.least_rough_m)
-    weight = np.clip(1 - (distance / (COREGISTRATION.tukey * scale)) ** 2, 0, None) ** 2
+    weight = tukey(distance / (COREGISTRATION.tukey * scale))
     matrix = (design * weight[:, None]).T @ design
     least = float(np.linalg.eigvalsh(matrix)[0]) / max(float(weight.sum()), 1e-12)
     independent = max(len(found) / COREGISTRATION.independent, 1.0)

@@ -6,7 +6,7 @@ With e = DSM - reference over the cells where both have a height (N of them), an
 - MedAE = median(\\|e\\|), the paper's "median error" ME. Elsewhere ME is the mean error, signed.
 - MAE = sum(\\|e\\|) / N.
 - bias = median(e), signed: positive where the DSM is too high.
-- LE90: the quantile of 90 % of \\|e\\|, as contracts ask for (:mod:`repm_qgis.accuracy`).
+- LE90: the quantile of 90 % of \\|e\\|, as contracts ask for (:mod:`repm_qgis.numerics.accuracy`).
 - NMAD = 1.4826 median(\\|e - median(e)\\|): the standard deviation that the bulk of the cells has, without the bias.
 - valid = 100 N / M.
 - completeness(t) = 100 count(\\|e\\| < t) / M, over *all* reference cells: a hole counts as a miss, so that leaving
@@ -23,9 +23,9 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..accuracy import SHARE, le90
 from ..contracts.arrays import Floats, IntArray
-from ..imagery.sampling import NMAD_FACTOR, nmad
+from ..numerics.accuracy import SHARE, le90
+from ..numerics.robust import NMAD_FACTOR, nmad
 
 THRESHOLDS_M = (1.0, 2.5, 5.0)
 

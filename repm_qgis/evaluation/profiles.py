@@ -13,8 +13,8 @@ from osgeo import ogr, osr
 from ..contracts.arrays import Bounds, FloatArray, FloatImage
 from ..contracts.checks import as_text
 from ..contracts.errors import InputTableError
+from ..files.vector import file_and_layer, open_vector
 from ..geometry.frames import flat_crs
-from ..vector import file_and_layer, open_vector
 from .coregistration import Alignment
 from .grids import Grid, HeightWarper, metres_per_unit
 

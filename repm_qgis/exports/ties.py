@@ -7,10 +7,10 @@ from typing import Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..files.vector import read_points
 from ..geometry.frames import geodetic_from_projected
 from ..pointing.parameters import POINTING
 from ..scene import Scene, Tile
-from ..vector import read_points
 
 
 def tie_points(scene: Scene, tile: Tile, most_px: float = POINTING.good_px) -> Tuple[FloatArray, FloatArray]:

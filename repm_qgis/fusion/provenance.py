@@ -13,9 +13,9 @@ from typing import Tuple
 
 import numpy as np
 
-from ..accuracy import LE90
 from ..contracts.arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
+from ..numerics.accuracy import LE90
 from .aggregation import Candidate, FusedCells
 from .parameters import FUSION, ErrorParameters, EvidenceParameters
 from .surroundings import extremes

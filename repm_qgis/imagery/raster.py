@@ -17,9 +17,9 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask, Size, Window
 from ..contracts.errors import ImageError
+from ..files.untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
 from ..runtime.shortage import speaks_of_memory
 from ..runtime.workspace import file_identity, file_sample, not_written, take_name, temporary_name
-from ..untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
 
 NODATA = -9999.0
 

@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 from functools import reduce
-from typing import Callable, List, Optional, Tuple, Union
+from typing import Callable, List, Tuple, Union
 
 import numpy as np
 
 from ..contracts.arrays import Floats, Mask
 from ..geometry.interpolation import bilinear
-
-NMAD_FACTOR = 1.4826  # the standard deviation of Gaussian noise over its median absolute deviation
-
-
-def nmad(values: Floats, centre: Optional[float] = None) -> float:
-    """The normalised absolute deviation of finite values from their median or a known centre; inf where none are."""
-    away = values - (np.median(values) if centre is None else centre) if values.size else np.array([np.inf])
-    return NMAD_FACTOR * float(np.median(np.abs(away)))
 
 
 def sample(image: Floats, cols: Floats, rows: Floats) -> Floats:

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 
 from ..contracts.arrays import FloatImage, Size
-from ..imagery.sampling import nmad
 from ..imagery.warping import gaussian_mean
+from ..numerics.robust import nmad
 from .parameters import DetailParameters, SubpixelParameters
 
 _HALF = 2  # px between the pixels that wide means are made of

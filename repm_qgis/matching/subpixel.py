@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from ..contracts.arrays import FloatImage, Mask
-from ..imagery.sampling import NMAD_FACTOR, known_or_zero
+from ..imagery.sampling import known_or_zero
 from ..imagery.warping import gaussian_mean
+from ..numerics.robust import NMAD_FACTOR
 from .detail import bilateral_mean, tail, without_noise
 from .disparity_map import matched_positions
 from .parameters import MATCHING, SubpixelParameters

@@ -18,7 +18,7 @@ from ..evaluation.grids import Grid, HeightWarper, cell_metres, metres_per_unit
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..runtime.workspace import writing
 from .inputs import Dsm, Layout
 from .offsets import Overlap

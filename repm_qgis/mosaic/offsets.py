@@ -14,6 +14,7 @@ from typing import Collection, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..numerics.robust import NMAD_FACTOR
 from .parameters import MOSAIC, OffsetParameters
 
 _LEAST_STATED_M = 0.01  # no DSM's absolute height is known better
@@ -123,7 +124,7 @@ def _solved(
         residuals = np.abs(design @ solution - wanted) / sigma
         redundant = len(overlaps) - len(free) + (0 if anchored else 1)
         scale = max(1.0, math.sqrt(float((robust * residuals**2).sum()) / redundant)) if redundant > 0 else 1.0
-        usual = max(1.0, 1.4826 * float(np.median(residuals)))
+        usual = max(1.0, NMAD_FACTOR * float(np.median(residuals)))
         robust = np.minimum(1.0, parameters.huber * usual / np.maximum(residuals, 1e-12))
         if np.abs(solution - before).max() < 1e-5:
             break

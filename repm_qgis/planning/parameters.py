@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Tuple
 
-from ..accuracy import CE90, LE90
 from ..contracts.parameters import Parameters
+from ..numerics.accuracy import CE90, LE90
 
 
 @dataclass(frozen=True)

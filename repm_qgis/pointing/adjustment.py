@@ -20,7 +20,7 @@ from ..contracts.arrays import FloatArray
 from ..contracts.errors import OptionError
 from ..geometry.frames import EnuFrame, mean_place
 from ..geometry.jitter import Jitter
-from ..imagery.sampling import nmad
+from ..numerics.robust import huber, nmad, tukey
 from ..scene import View
 from ..ties.tracks import Track
 from .control_noise import ControlEquations, contradicts, first_noise, robust_weight, suspects, variance_component
@@ -558,9 +558,9 @@ def _log_mean(square: Any) -> float:
 
 
 def _huber(size: FloatArray, sigma: float, parameters: AdjustmentParameters) -> FloatArray:
-    return np.minimum(1.0, parameters.huber_px / np.maximum(size, 1e-9))
+    return huber(size, parameters.huber_px)
 
 
 def _tukey(size: FloatArray, sigma: float, parameters: AdjustmentParameters) -> FloatArray:
     # In the residuals' own standard deviation: a poor model must not reject good matches.
-    return np.asarray(np.maximum(1.0 - (size / (parameters.tukey * sigma)) ** 2, 0.0) ** 2)
+    return tukey(size / (parameters.tukey * sigma))

@@ -25,7 +25,7 @@ from ..geometry.equivalent_error import RefinedPinhole
 from ..geometry.frames import EnuFrame, mean_place, projected_from_geodetic
 from ..geometry.pinhole import PinholeCamera
 from ..geometry.refinement import apply_homography
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..planning.altitudes import ALTITUDES, AltitudeParameters
 from ..runtime.environment import required_pycolmap
 from ..runtime.progress import Progress

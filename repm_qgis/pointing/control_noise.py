@@ -16,7 +16,7 @@ from typing import List, Sequence
 import numpy as np
 
 from ..contracts.arrays import FloatArray
-from ..imagery.sampling import nmad
+from ..numerics.robust import huber, nmad
 from .parameters import ControlParameters
 
 
@@ -50,7 +50,7 @@ def variance_component(residuals: Sequence[FloatArray], redundancy: float, param
 
 def robust_weight(residual: FloatArray, noise_px: float) -> float:
     """Nearly the weight of least absolute residuals, the best start where some points are wrong."""
-    return min(1.0, noise_px / max(_size(residual), 1e-9))
+    return float(huber(_size(residual), noise_px))
 
 
 def suspects(residuals: Sequence[FloatArray], noise_px: float, parameters: ControlParameters) -> List[int]:

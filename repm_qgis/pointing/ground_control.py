@@ -14,13 +14,13 @@ import pyproj
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError
+from ..files.tables import CsvTable, LayerTable, Limits, number_in
+from ..files.vector import file_and_layer
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
 from ..runtime.progress import counted, listed
 from ..runtime.workspace import write_text
 from ..scene import View
-from ..tables import CsvTable, LayerTable, Limits, number_in
-from ..vector import file_and_layer
 
 ROLES = ("control", "check")
 FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")

@@ -13,7 +13,7 @@ from ..contracts.records import GcpFigures, PairFigures, PointingFigures, ViewPa
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.enhancement import Stretch
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..planning.advice import absolute_height, ties_by_part, ties_by_tile
 from ..planning.altitudes import ALTITUDES, AltitudeParameters
 from ..planning.height_uncertainty import height_uncertainty

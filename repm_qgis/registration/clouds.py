@@ -13,11 +13,11 @@ import pyproj
 
 from ..contracts.arrays import Bounds, FloatArray, Mask
 from ..contracts.errors import ImageError, RepmError
+from ..files.las import impossible_header, required_laspy
+from ..files.untrusted import distrust
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import metres_per_unit, stated_datum
-from ..las import impossible_header, required_laspy
-from ..untrusted import distrust
 from .found import FoundHeights, Within, no_heights, places_unit
 from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import slopes_of

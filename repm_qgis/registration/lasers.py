@@ -18,9 +18,9 @@ from osgeo import gdal
 
 from ..contracts.arrays import Bounds, FloatArray, Mask
 from ..contracts.errors import ImageError, MissingPackageError
+from ..files.untrusted import distrust
 from ..geometry.vertical import ELLIPSOID, HeightDatum
 from ..imagery.raster import quiet
-from ..untrusted import distrust
 from .found import FoundHeights, FoundPoints, Within
 from .parameters import REGISTRATION, RegistrationParameters
 from .photons import dense

@@ -13,7 +13,7 @@ from ..contracts.records import GroundShift, ReferenceFigures
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.vertical import HeightDatum
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..planning.height_uncertainty import usual_height_deviation
 from ..planning.parameters import PLANNING, PlanningParameters
 from ..planning.promises import promised

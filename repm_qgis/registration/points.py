@@ -13,9 +13,9 @@ import pyproj
 
 from ..contracts.arrays import Bounds, FloatArray
 from ..contracts.errors import InputTableError
+from ..files.tables import CsvTable, LayerTable, Limits, number_in
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import ELLIPSOID, HeightDatum, metres_per_unit, stated_datum
-from ..tables import CsvTable, LayerTable, Limits, number_in
 from .found import FoundHeights, FoundPoints, Within, places_unit
 from .lasers import Laser, flags, lasers
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..contracts.arrays import Bounds
 from ..contracts.file_kinds import is_cloud
+from ..files.vector import file_and_layer, open_vector
 from ..geometry.vertical import HeightDatum
-from ..vector import file_and_layer, open_vector
 from .clouds import read_cloud
 from .found import FoundHeights
 from .lasers import read_lasers

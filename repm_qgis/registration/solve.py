@@ -21,7 +21,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray, IntArray, Mask
 from ..contracts.errors import EmptyResultError
 from ..contracts.records import GroundShift, LocalOffset, OtherRelief
-from ..imagery.sampling import NMAD_FACTOR, nmad
+from ..numerics.robust import NMAD_FACTOR, nmad, tukey
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
 
@@ -245,7 +245,7 @@ class _Problem:
             if iteration < 3:  # the middle of the differences until the shift is nearly right
                 residual = residual - mode(residual[seen], p.mode_share)
             noise = self._noise(residual, np.hypot(design[:, 0], design[:, 1]), seen)
-            weight = _tukey(residual / noise, p.tukey) * seen
+            weight = tukey(residual / noise / p.tukey) * seen
             weighted = (self._instruments(design) @ basis * (weight / noise**2)[:, None]).T
             step = basis @ np.linalg.lstsq(weighted @ design @ basis, weighted @ residual, rcond=None)[0]
             longest = np.hypot(*step[:2])
@@ -257,7 +257,7 @@ class _Problem:
                 break
         residual, design, seen = self._linearised(unknowns)
         noise = self._noise(residual, np.hypot(design[:, 0], design[:, 1]), seen)
-        weight = _tukey(np.where(seen, residual, np.inf) / noise, p.tukey) * seen
+        weight = tukey(np.where(seen, residual, np.inf) / noise / p.tukey) * seen
         return _Solution(unknowns, residual, weight, seen, noise, design, self._instruments(design))
 
     def _instruments(self, design: FloatArray) -> FloatArray:
@@ -484,7 +484,3 @@ def _basis(free: FloatArray, tilted: bool) -> FloatArray:
     if tilted:
         columns += [np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 1.0])]
     return np.column_stack(columns)
-
-
-def _tukey(u: FloatArray, limit: float) -> FloatArray:
-    return np.asarray(np.clip(1 - (u / limit) ** 2, 0, None) ** 2)

@@ -10,9 +10,9 @@ from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import Mask
 from ..contracts.errors import ImageError, InputTableError
+from ..files.vector import file_and_layer, open_vector
 from ..geometry.cell_grid import CellGrid
 from ..imagery.raster import opened
-from ..vector import file_and_layer, open_vector
 
 _MOST_FEATURES = 100_000
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..geometry.jitter import ORDER, splines
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad, tukey
 from ..pointing.jitter import Waves
 from ..pointing.parameters import POINTING, JitterParameters
 from .parameters import REGISTRATION, WaveParameters
@@ -117,7 +117,7 @@ def _solved(
         residual = value - design @ solution
         sigma = max(nmad(residual), parameters.least_noise_m)
         spread = _spread(residual, weight, x, y, width_m, parameters)
-        weight = _tukey(residual, sigma, parameters)
+        weight = _weight(residual, sigma, parameters)
         scaled = design.T @ sparse.diags(weight / (spread * sigma**2))
         normal = np.asarray((scaled @ design).todense())
         solution = np.linalg.solve(normal + full, np.asarray(scaled @ value).ravel())
@@ -151,15 +151,15 @@ def _robust(design: FloatArray, value: FloatArray, parameters: WaveParameters) -
     solution, weight = np.zeros(design.shape[1]), np.ones(len(value))
     for _ in range(parameters.iterations):
         residual = value - design @ solution
-        weight = _tukey(residual, max(nmad(residual), parameters.least_noise_m), parameters)
+        weight = _weight(residual, max(nmad(residual), parameters.least_noise_m), parameters)
         scaled = design.T * weight
         solution = np.linalg.solve(scaled @ design, scaled @ value)
     return value - design @ solution, weight
 
 
-def _tukey(residual: FloatArray, sigma: float, parameters: WaveParameters) -> FloatArray:
+def _weight(residual: FloatArray, sigma: float, parameters: WaveParameters) -> FloatArray:
     middle = float(np.median(residual))
-    return np.asarray(np.maximum(1.0 - ((residual - middle) / (parameters.tukey * sigma)) ** 2, 0.0) ** 2)
+    return tukey((residual - middle) / (parameters.tukey * sigma))
 
 
 def _spread(

@@ -7,12 +7,12 @@ from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from ..accuracy import EXPLAINED
 from ..contracts.arrays import FloatArray
 from ..evaluation.comparison import Comparison
 from ..evaluation.grids import Grid, cell_sides
 from ..evaluation.metrics import HeightMetrics
 from ..geometry.frames import flat_crs, vertical_part
+from ..numerics.accuracy import EXPLAINED
 from . import charts, pictures, verdict
 from .report import Report, fixed
 

@@ -6,10 +6,10 @@ from typing import Any, List
 
 import numpy as np
 
-from ..accuracy import EXPLAINED, LEAST_POINTS
 from ..contracts.options import CheckGcpsOptions
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from ..geometry.frames import EnuFrame, mean_place
+from ..numerics.accuracy import EXPLAINED, LEAST_POINTS
 from ..runtime.progress import counted
 from . import charts, verdict
 from .report import Report, fixed

@@ -11,6 +11,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray
 from ..contracts.records import GcpFigures, PointingFigures, ViewPair
 from ..evaluation.gcp_accuracy import ErrorSummary
+from ..files.vector import read_points
 from ..geometry.footprints import footprint, geometry_of
 from ..geometry.frames import projected_from_geodetic
 from ..imagery.acquisition import duration_text
@@ -19,7 +20,6 @@ from ..planning.pair_selection import shared_part
 from ..planning.parameters import PLANNING
 from ..runtime.progress import counted
 from ..scene import Scene
-from ..vector import read_points
 from . import charts
 from .report import Report, fixed
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..contracts.records import ReferenceFigures, RegistrationFigures
 from ..imagery.raster import opened, read
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..scene import Scene
 from . import charts, pictures, verdict
 from .geometry_section import add_jitter

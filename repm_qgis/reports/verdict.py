@@ -15,7 +15,7 @@ from ..contracts.records import FusionFacts, RegistrationFigures
 from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.parameters import GCPS
-from ..imagery.sampling import nmad
+from ..numerics.robust import nmad
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
 from ..scene import Scene
 from .parameters import VERDICT, VerdictParameters

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..contracts.arrays import FloatArray, IntArray
 from ..contracts.errors import EmptyResultError, WorkspaceError
-from ..las import laz_backend, required_laspy
+from ..files.las import laz_backend, required_laspy
 from ..runtime.progress import Progress, Silent
 from ..runtime.workspace import cannot_write, whole_folder
 from .derived import FinishedDsm

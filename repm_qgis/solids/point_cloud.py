@@ -11,8 +11,8 @@ import pyproj
 from ..contracts.arrays import FloatArray
 from ..contracts.file_kinds import is_ply
 from ..contracts.options import require_cloud
+from ..files.las import laz_backend, required_laspy
 from ..geometry.vertical import ELLIPSOID
-from ..las import laz_backend, required_laspy
 from ..runtime.workspace import whole_file
 from . import ply
 from .painting import Colours

@@ -10,6 +10,7 @@ from osgeo import ogr
 from ..contracts.errors import EmptyResultError, InputTableError
 from ..contracts.options import CheckGcpsOptions
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
+from ..files.vector import file_and_layer, write_layer
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
@@ -19,7 +20,6 @@ from ..reports.gcp_page import gcp_page
 from ..reports.styles import write_style
 from ..runtime.progress import Progress, counted
 from ..scene import Scene
-from ..vector import file_and_layer, write_layer
 from .errormap import error_at
 
 _SHORT = {"east": "e", "north": "n", "height": "h"}

@@ -10,11 +10,11 @@ from ..contracts.errors import ImageError, OptionError, SceneError
 from ..contracts.options import Options
 from ..contracts.products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
 from ..contracts.records import with_files
+from ..files.vector import file_and_layer
 from ..imagery.raster import files_of
 from ..rpc.readers import rpc_sidecars
 from ..runtime.workspace import existing_place, require_replaceable
 from ..scene import Scene
-from ..vector import file_and_layer
 
 
 def require_distinct(stage: str, options: Options) -> None:

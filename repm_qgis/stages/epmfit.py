@@ -17,6 +17,7 @@ from osgeo import ogr
 from ..contracts.arrays import Altitudes, Bounds, Window
 from ..contracts.errors import OptionError, OverlapError
 from ..contracts.options import EpmFitOptions, Extent
+from ..files.vector import write_layer
 from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
@@ -39,7 +40,6 @@ from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
 from ..scene import Scene, Tile, TileView, View, common_heights, finest_gsd_m, folder_of, middle_of, reusable
 from ..stereo.parameters import STEREO
-from ..vector import write_layer
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _MOST_NAMED = 12  # images that the log names one by one

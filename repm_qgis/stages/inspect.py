@@ -10,6 +10,7 @@ from osgeo import ogr
 
 from ..contracts.errors import Cancelled, ImageError, RepmError
 from ..contracts.options import InspectOptions
+from ..files.vector import write_layer
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
@@ -19,7 +20,6 @@ from ..reports.inspection_page import Choice, inspection_page, verdict
 from ..reports.styles import write_style
 from ..runtime.progress import Progress, counted
 from ..scene import View, load_view
-from ..vector import write_layer
 from .parameters import ENGINE, EngineParameters
 
 _GEODETIC = "EPSG:4326"

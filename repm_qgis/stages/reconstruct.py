@@ -15,6 +15,7 @@ from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
+from ..files.vector import copy_layer, write_layer
 from ..fusion.map_offsets import with_agreeing_maps
 from ..imagery.enhancement import Stretch
 from ..imagery.parameters import StretchParameters
@@ -40,7 +41,6 @@ from ..scene import Scene, Tile, View, folder_of, reusable
 from ..stereo.height_maps import is_whole
 from ..ties.tie_patches import covered_by_ties
 from ..ties.tracks import Track
-from ..vector import copy_layer, write_layer
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
 

@@ -16,6 +16,7 @@ from osgeo import ogr
 from ..contracts.errors import EmptyResultError, OverlapError, SceneError
 from ..contracts.options import RegisterOptions
 from ..contracts.records import GroundShift, RegistrationFigures
+from ..files.vector import copy_layer, file_and_layer, write_layer
 from ..fusion.own_surface import own_surface
 from ..fusion.reference_waves import with_reference_waves
 from ..geometry.cell_grid import CellGrid
@@ -36,7 +37,6 @@ from ..reports.styles import write_style
 from ..runtime.progress import Part, Progress, Recorder
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from ..scene import Scene, folder_of, reusable
-from ..vector import copy_layer, file_and_layer, write_layer
 from .dsmfuse import reconstructed
 from .parameters import ENGINE, EngineParameters
 

@@ -23,6 +23,7 @@ from ..imagery.enhancement import Stretch
 from ..imagery.parameters import SAMPLING
 from ..imagery.raster import opened_masked
 from ..imagery.warping import warp_coarsened
+from ..numerics.robust import tukey
 from ..planning.graph import components
 from ..planning.overlap import foreign_rpc
 from ..runtime.parallel import run_tasks
@@ -386,7 +387,7 @@ def parallax_trend(
     plane = np.array([mode, 0.0, 0.0])
     for reach in parameters.trend_reach_px:
         # Tukey's weights, which become stricter: what lies beyond the reach does not count.
-        weight = np.maximum(1.0 - ((parallax - own @ plane) / reach) ** 2, 0.0)
+        weight = np.sqrt(tukey((parallax - own @ plane) / reach))
         plane, *_ = np.linalg.lstsq(own * weight[:, None], parallax * weight, rcond=1e-6)
     near = parameters.agree_px
     if (np.abs(parallax - own @ plane) < near).sum() < (np.abs(parallax - mode) < near).sum():

@@ -18,12 +18,12 @@ from osgeo import ogr
 
 from repm_qgis.contracts.errors import RepmError
 from repm_qgis.contracts.options import PipelineOptions
+from repm_qgis.files.vector import write_layer
 from repm_qgis.pointing.ground_control import read_gcps
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene
 from repm_qgis.simulation.scene import SceneSpec, make_scene
 from repm_qgis.stages import STAGES, run_stage
-from repm_qgis.vector import write_layer
 
 HANG_S = 20
 VALUES = (

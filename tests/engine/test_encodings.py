@@ -8,11 +8,11 @@ from osgeo import gdal, ogr, osr
 
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.checks import as_text, as_texts
+from repm_qgis.files.tables import LayerTable
 from repm_qgis.imagery.acquisition import acquired
 from repm_qgis.imagery.bands import band_name
 from repm_qgis.imagery.spacing import stated_spacings
 from repm_qgis.registration.references import read_reference
-from repm_qgis.tables import LayerTable
 
 UTM = "EPSG:32631"
 BOUNDS = Bounds(500_000.0, 4_000_000.0, 500_100.0, 4_000_100.0)

@@ -58,7 +58,7 @@ def town(tmp_path):
 def test_a_layer_of_polygons_from_the_command_line(headless, town, tmp_path):
     from osgeo import ogr
 
-    from repm_qgis.vector import write_layer
+    from repm_qgis.files.vector import write_layer
 
     dsm, confidence, surface = town
     wkt = f"POLYGON(({', '.join(f'{x} {y}' for x, y in [*corners(30, 24, 70, 56), place(30, 24)])}))"

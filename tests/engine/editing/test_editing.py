@@ -317,7 +317,7 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path):
 
 
 def test_a_layer_without_operations_is_refused(tmp_path):
-    from repm_qgis.vector import write_layer
+    from repm_qgis.files.vector import write_layer
 
     path = write_layer(str(tmp_path / "areas.gpkg"), UTM31, ogr.wkbPolygon, {"name": str}, [])
     with pytest.raises(InputTableError, match="has no field 'operation'"):

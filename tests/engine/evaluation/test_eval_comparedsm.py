@@ -402,7 +402,7 @@ def test_several_dsms_in_one_table(make_raster, terrain, tmp_path):
 def line_layer(path, crs, **lines):
     from osgeo import ogr
 
-    from repm_qgis.vector import write_layer
+    from repm_qgis.files.vector import write_layer
 
     def shape(points):
         line = ogr.Geometry(ogr.wkbLineString)

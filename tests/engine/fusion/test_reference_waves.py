@@ -11,8 +11,8 @@ from repm_qgis.contracts.records import GroundShift, RegistrationFigures
 from repm_qgis.fusion.reference_waves import with_reference_waves
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.jitter import Jitter
-from repm_qgis.imagery.sampling import nmad
 from repm_qgis.matching.backends import height_source, wave_geometry
+from repm_qgis.numerics.robust import nmad
 from repm_qgis.registration.surfaces import Reference
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage

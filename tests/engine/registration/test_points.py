@@ -8,10 +8,10 @@ from osgeo import gdal, ogr
 
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.errors import Cancelled, InputTableError, OverlapError
+from repm_qgis.files.vector import write_layer
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.registration import points
 from repm_qgis.registration.points import read_points_of_layer, read_points_of_table
-from repm_qgis.vector import write_layer
 
 UTM = "EPSG:32631"
 BOUNDS = Bounds(500_000.0, 4_000_000.0, 502_000.0, 4_002_000.0)

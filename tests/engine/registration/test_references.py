@@ -9,10 +9,10 @@ from osgeo import gdal, ogr
 
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.errors import ImageError, InputTableError
+from repm_qgis.files.vector import write_layer
 from repm_qgis.registration import references
 from repm_qgis.registration.found import Within
 from repm_qgis.registration.references import read_reference
-from repm_qgis.vector import write_layer
 
 UTM = "EPSG:32631"
 BOUNDS = Bounds(500_000.0, 4_000_000.0, 501_000.0, 4_001_000.0)

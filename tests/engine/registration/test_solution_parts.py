@@ -244,7 +244,6 @@ def test_unknowns_are_the_free_directions_the_height_and_the_tilt():
     assert (solve._basis(np.eye(2), True) == np.eye(5)).all()
     assert (solve._basis(np.eye(2), False) == np.eye(5)[:, :3]).all()
     assert solve._basis(np.array([[0.6, 0.8]]), False).T.tolist() == [[0.6, 0.8, 0, 0, 0], [0, 0, 1, 0, 0]]
-    assert solve._tukey(np.array([0.0, 0.5, 1.0, 2.0]) * 4.685, 4.685).tolist() == [1.0, 0.5625, 0.0, 0.0]
 
 
 def test_parts_ask_for_the_weighted_mean_of_their_own_differences():

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.cell_grid import CellGrid
-from repm_qgis.imagery.sampling import nmad
+from repm_qgis.numerics.robust import nmad
 from repm_qgis.registration.parameters import REGISTRATION
 from repm_qgis.registration.solve import Prior, mode, solve_shift
 from repm_qgis.registration.surfaces import Reference, SupportMeans

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
-from repm_qgis import las
 from repm_qgis.contracts.errors import ImageError, MissingPackageError, OutOfMemoryError, WorkerError, WorkspaceError
 from repm_qgis.exports.images import encode
+from repm_qgis.files import las
+from repm_qgis.files.vector import write_layer
 from repm_qgis.imagery.raster import write
 from repm_qgis.runtime import shortage
 from repm_qgis.runtime.shortage import said_in_a_sentence, speaks_of_memory
@@ -25,7 +26,6 @@ from repm_qgis.solids.ept import write_ept
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.point_cloud import created_cloud
 from repm_qgis.stages import run_stage
-from repm_qgis.vector import write_layer
 
 if sys.platform != "win32":
     import resource

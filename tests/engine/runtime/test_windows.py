@@ -122,8 +122,8 @@ def test_tasks_pass_all_their_tests_with_spawned_workers(tmp_path):
 
 def test_a_drive_is_no_format_and_no_address():
     """GDAL's descriptions begin with a format's name and a colon: one letter is a drive."""
-    from repm_qgis import untrusted
-    from repm_qgis.vector import file_and_layer
+    from repm_qgis.files import untrusted
+    from repm_qgis.files.vector import file_and_layer
 
     for path in (r"D:\images\a b.tif", "D:/images/a.tif"):
         assert not untrusted._DRIVER.match(path) and not untrusted._REMOTE.match(path)

@@ -15,9 +15,9 @@ from osgeo import gdal
 
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.contracts.options import CAMERA_FORMATS, EpmFitOptions
+from repm_qgis.files.vector import file_and_layer, open_vector
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
-from repm_qgis.vector import file_and_layer, open_vector
 from tests.engine.pages import checked
 
 # Signs of HTML, XML, SQL, shells, templates, QGIS's and GDAL's URIs; a line break, another script, a leading dash.

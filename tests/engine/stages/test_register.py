@@ -12,13 +12,13 @@ from osgeo import gdal
 
 from repm_qgis.contracts.errors import MissingPackageError, OptionError, OverlapError, SceneError
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.files.vector import read_points
 from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.planning.advice import absolute_height
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
-from repm_qgis.vector import read_points
 
 CELL = 4.0
 MOVED = np.array([6.0, -4.0, 9.0])  # of the reference: all of it is wrong by so much

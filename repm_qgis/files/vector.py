@@ -10,10 +10,10 @@ from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple
 import numpy as np
 from osgeo import gdal, ogr, osr
 
-from .contracts.arrays import FloatArray
-from .contracts.errors import WorkspaceError
-from .contracts.records import GroundShift
-from .runtime.workspace import not_written, take_name, temporary_folder
+from ..contracts.arrays import FloatArray
+from ..contracts.errors import WorkspaceError
+from ..contracts.records import GroundShift
+from ..runtime.workspace import not_written, take_name, temporary_folder
 from .untrusted import VECTORS, distrust, drivers_for
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
@@ -23,7 +23,7 @@ _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 
 
 def open_vector(path: str) -> Optional[gdal.Dataset]:
-    """A file or database of layers; None where it cannot be opened, or is not to be (:mod:`repm_qgis.untrusted`)."""
+    """A file or database of layers; None where it cannot be opened, or is not to be (:func:`distrust`)."""
     if distrust(path):
         return None
     gdal.PushErrorHandler("CPLQuietErrorHandler")

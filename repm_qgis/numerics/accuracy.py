@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .contracts.arrays import FloatArray, Floats
+from ..contracts.arrays import FloatArray, Floats
 
 SHARE = 0.9
 LE90 = 1.645

@@ -17,9 +17,9 @@ from xml.parsers import expat  # declarations of types, and so of entities, are 
 
 from osgeo import gdal
 
-from .contracts.arrays import Window
-from .contracts.checks import INLINE
-from .runtime.workspace import file_identity
+from ..contracts.arrays import Window
+from ..contracts.checks import INLINE
+from ..runtime.workspace import file_identity
 
 # Formats of files with pixels or shapes, and of files that list such files. None of them is a service of the network,
 # runs programs, or names files of any other format; VRT does, and is looked through.

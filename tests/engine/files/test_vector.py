@@ -8,7 +8,7 @@ import pytest
 from osgeo import gdal, ogr
 
 from repm_qgis.contracts.errors import WorkspaceError
-from repm_qgis.vector import open_vector, read_points, write_layer
+from repm_qgis.files.vector import open_vector, read_points, write_layer
 
 FIELDS = {"name": str, "count": int, "height": float}
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from repm_qgis.accuracy import CE90, LE90, distances, le90
 from repm_qgis.contracts.options import CheckGcpsOptions
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.metrics import ErrorCollector, height_metrics
+from repm_qgis.numerics.accuracy import CE90, LE90, distances, le90
 from repm_qgis.planning.parameters import PLANNING
 from repm_qgis.pointing.ground_control import Gcp
 from repm_qgis.reports.gcp_page import gcp_page

@@ -13,10 +13,10 @@ from typing import Any, Dict, Iterator, List, Mapping, Optional, Tuple
 import pyproj
 from osgeo import gdal, ogr
 
-from .contracts.arrays import Bounds
-from .contracts.checks import as_text
-from .contracts.errors import InputTableError
-from .geometry.frames import on_earth
+from ..contracts.arrays import Bounds
+from ..contracts.checks import as_text
+from ..contracts.errors import InputTableError
+from ..geometry.frames import on_earth
 from .untrusted import distrust
 from .vector import open_vector
 

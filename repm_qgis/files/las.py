@@ -6,8 +6,8 @@ import os
 import struct
 from typing import Any
 
-from .contracts.errors import INSTALL_REMEDY, MissingPackageError
-from .runtime.containers import own_rest
+from ..contracts.errors import INSTALL_REMEDY, MissingPackageError
+from ..runtime.containers import own_rest
 
 # LAS 1.4 R15, table 3: the header's size, the offset of the points and the number of records before them; from version
 # 1.4 on where the records after them begin, and their number. A record has a header of so many bytes (tables 6 and 7).

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis import untrusted
 from repm_qgis.contracts.errors import ImageError, InputTableError, SceneError
+from repm_qgis.files import untrusted
+from repm_qgis.files.untrusted import distrust
+from repm_qgis.files.vector import open_vector
 from repm_qgis.imagery.raster import opened, opened_image, raster_identity, read
 from repm_qgis.pointing import ground_control
 from repm_qgis.pointing.ground_control import read_gcps
 from repm_qgis.scene import Scene, load_views
-from repm_qgis.untrusted import distrust
-from repm_qgis.vector import open_vector
 
 VRT = (
     '<VRTDataset rasterXSize="100" rasterYSize="80"><VRTRasterBand dataType="UInt16" band="1"><SimpleSource>'
@@ -96,7 +96,7 @@ def test_vrts_that_fan_out_are_refused_at_once(tmp_path, write_image):
 
 
 def test_vrts_of_very_many_files_are_refused(tmp_path, write_image, monkeypatch):
-    monkeypatch.setattr("repm_qgis.untrusted._MOST_FILES", 15)
+    monkeypatch.setattr("repm_qgis.files.untrusted._MOST_FILES", 15)
     parts = []
     for number in range(20):
         write_image(tmp_path / f"{number}.tif")
