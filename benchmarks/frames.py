@@ -15,11 +15,11 @@ from benchmarks.pointing_case import fitted
 from benchmarks.runner import alone, is_quick, pipeline
 from benchmarks.scenes import CACHE, made_once
 from benchmarks.scoring import scores, shares
+from benchmarks.simulated.frames import Exposure, exposed, frames_of, make_frames
 from benchmarks.tables import Section, table
 from repm_qgis.planning.pair_selection import choose_pairs
 from repm_qgis.pointing.pointing import point_views
 from repm_qgis.runtime.progress import Silent
-from repm_qgis.simulation.frames import Exposure, exposed, frames_of, make_frames
 from repm_qgis.simulation.parameters import SIMULATION
 from repm_qgis.simulation.scene import SceneSpec
 from repm_qgis.simulation.sensor import PLEIADES, Look, PushbroomView

@@ -18,6 +18,8 @@ from scipy import ndimage
 
 from benchmarks.runner import ROOT, earlier, few, made_by, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, default, made_once, real
+from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
+from benchmarks.simulated.parameters import DATED, REAL, EffectParameters
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.options import QUALITIES
 from repm_qgis.evaluation import coregistration
@@ -26,8 +28,6 @@ from repm_qgis.evaluation.metrics import THRESHOLDS_M, height_metrics
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.runtime.progress import Silent
-from repm_qgis.simulation.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
-from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters
 from repm_qgis.stages.parameters import ENGINE
 from repm_qgis.ties.parameters import TIES
 
@@ -316,7 +316,7 @@ def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
     Only scenes of equally many dates show the same town.
     """
     spec = DatedSpec(acquisitions=WORLDVIEW3_JACKSONVILLE[:dates])
-    every = replace(SIMULATION, effects=replace(REAL, **changes))
+    every = replace(DATED, effects=replace(REAL, **changes))
     folder = CACHE / f"district_{dates}_{name.replace(' ', '_').replace(',', '')}"
     return made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), every))
 

@@ -17,7 +17,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
 PROGRAMS += [ROOT / "scripts" / name for name in ("scan", "repm-cluster", "qgis-matrix", "windows-trial")]
 PROGRAMS.append(ROOT / "scripts" / "workflow-trial")
-PROGRAMS += sorted((ROOT / "benchmarks").glob("*.py"))
+PROGRAMS += sorted((ROOT / "benchmarks").rglob("*.py"))
 
 
 def missing(module, name):

@@ -1,6 +1,5 @@
 """Truth scenes: known surfaces seen by simulated pushbroom satellites, for demonstrations, tests and benchmarks.
 
 What -> file: the ground -> ``surface``, ``mountains``, ``town``; orbit, attitude and detectors -> ``sensor``; pixels ->
-``render``; the RPC that a vendor would deliver -> ``rpc/fit``; all of it as files on disk -> ``scene``. Scenes of many
-dates: what stays, and what each date changes -> ``district``; colour chips -> ``chips``; on disk -> ``dates``.
+``render``; the RPC that a vendor would deliver -> ``rpc/fit``; all of it as files on disk -> ``scene``.
 """

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from osgeo import ogr
 
+from benchmarks.simulated.frames import exposed, frames_of, make_frames
 from repm_qgis.contracts.errors import EmptyResultError
 from repm_qgis.geometry.footprints import box
 from repm_qgis.imagery.enhancement import view_stretch
@@ -19,7 +20,6 @@ from repm_qgis.pointing.parameters import POINTING
 from repm_qgis.pointing.pointing import point_views, with_base
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene, load_view
-from repm_qgis.simulation.frames import exposed, frames_of, make_frames
 from repm_qgis.simulation.parameters import SIMULATION
 from repm_qgis.simulation.scene import SceneSpec
 from repm_qgis.simulation.sensor import Look

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.contracts.arrays import Bounds
-from repm_qgis.geometry.frames import projected_from_geodetic
-from repm_qgis.imagery.acquisition import acquired
-from repm_qgis.runtime.progress import Silent
-from repm_qgis.simulation.chips import pansharpened, toned
-from repm_qgis.simulation.dates import (
+from benchmarks.simulated.chips import pansharpened, toned
+from benchmarks.simulated.dates import (
     WORLDVIEW3,
     WORLDVIEW3_JACKSONVILLE,
     DatedSpec,
@@ -22,11 +18,15 @@ from repm_qgis.simulation.dates import (
     make_dated_scene,
     to_satellite,
 )
-from repm_qgis.simulation.district import CAR, GRASS, METAL, SHEDDING, Date, District
-from repm_qgis.simulation.parameters import REAL, SIMULATION, EffectParameters
+from benchmarks.simulated.district import CAR, GRASS, METAL, SHEDDING, Date, District
+from benchmarks.simulated.parameters import DATED, REAL, EffectParameters
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.geometry.frames import projected_from_geodetic
+from repm_qgis.imagery.acquisition import acquired
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.surface import Ground, Sun, irradiance
 
-OWN = SIMULATION.district
+OWN = DATED.district
 WINTER, SUMMER = Date(735000, 100, 20), Date(735180, 100, 200)
 
 
@@ -45,7 +45,7 @@ def _box(tall=20.0, cell=0.25, side=600):
 @pytest.mark.parametrize("azimuth, elevation", [(90.0, 40.0), (180.0, 60.0), (270.0, 33.5)])
 def test_the_shadow_of_a_box_has_its_length_away_from_the_sun(azimuth, elevation):
     height, cell = _box()
-    light = replace(SIMULATION.light, sun_disc_deg=REAL.sun_disc_deg)
+    light = replace(DATED.light, sun_disc_deg=REAL.sun_disc_deg)
     direct, _, _ = irradiance(height, cell, Sun(azimuth, elevation), 0.9, light)
     full = math.sin(math.radians(elevation))
     assert direct[10, 10] == pytest.approx(full, rel=0.01)  # level ground sees the whole sun
@@ -61,7 +61,7 @@ def test_the_edge_of_a_shadow_is_as_wide_as_the_sun_s_disc_makes_it():
     height, cell = _box(40.0, 0.25, 900)
     sun, widths = Sun(270.0, 40.0), {}
     for disc in (0.0, 0.53):
-        direct, _, _ = irradiance(height, cell, sun, 0.9, replace(SIMULATION.light, sun_disc_deg=disc))
+        direct, _, _ = irradiance(height, cell, sun, 0.9, replace(DATED.light, sun_disc_deg=disc))
         line = direct[300, 330:] / math.sin(math.radians(40.0))
         widths[disc] = ((line > 0.02) & (line < 0.98)).sum() * cell
     # d(h / tan e) / de = h / sin^2 e
@@ -73,7 +73,7 @@ def test_each_image_has_the_sun_of_its_own_time(district):
     ground, material = district.dated(SUMMER, EffectParameters())
     sight, seen = np.array([0.0, 0.0, 1.0]), []
     for sun in (Sun(100.0, 40.0), Sun(250.0, 40.0)):
-        seen.append(band_surfaces("EPSG:32617", ground, material, sun, sight, SIMULATION)[1].radiance)
+        seen.append(band_surfaces("EPSG:32617", ground, material, sun, sight, DATED)[1].radiance)
     assert (np.abs(seen[0] - seen[1]) > 0.5 * np.minimum(*seen)).mean() > 0.05
 
 
@@ -117,11 +117,11 @@ def test_metal_roofs_shine_where_the_mirrored_sun_is_near(district):
     sun = Sun(150.0, 50.0)
     east, north, up = sun.direction()
     mirror, elsewhere = np.array([-east, -north, up]), np.array([east, north, up])
-    every = replace(SIMULATION, effects=replace(EffectParameters(), gloss=1.0))
+    every = replace(DATED, effects=replace(EffectParameters(), gloss=1.0))
     roof = (material == METAL) & (_level(ground.height))
     lit = {}
     for name, sight in (("mirror", mirror), ("elsewhere", elsewhere)):
-        for amount in (every, SIMULATION):
+        for amount in (every, DATED):
             radiance = band_surfaces("EPSG:32617", ground, material, sun, sight, amount)[1].radiance
             lit[name, amount is every] = float(np.median(radiance[roof]))
     assert lit["mirror", True] > 1.3 * lit["mirror", False]
@@ -198,7 +198,7 @@ def test_times_and_suns_are_those_of_the_real_images(shared_data):
 
 def test_a_scene_on_disk_is_whole_and_the_same_again(tmp_path):
     spec = DatedSpec(side_m=60.0, acquisitions=WORLDVIEW3_JACKSONVILLE[:2])
-    made = [make_dated_scene(spec, str(tmp_path / name), Silent(), replace(SIMULATION, effects=REAL)) for name in "ab"]
+    made = [make_dated_scene(spec, str(tmp_path / name), Silent(), replace(DATED, effects=REAL)) for name in "ab"]
     for first, again in zip(made[0]["images"], made[1]["images"]):
         dataset = gdal.Open(first)
         assert dataset.RasterCount == 3 and dataset.GetMetadata("RPC")

@@ -15,20 +15,21 @@ from typing import Any, Dict, List, Sequence, Tuple
 import numpy as np
 from osgeo import osr
 
-from ..contracts.arrays import FloatArray, FloatImage
-from ..geometry.frames import ecef_from_geodetic, projected_from_geodetic, utm_crs
-from ..imagery.raster import created, write
-from ..rpc.model import Rpc
-from ..rpc.writers import rpc_tags
-from ..runtime.progress import Progress
-from ..runtime.workspace import ensure_folder
+from repm_qgis.contracts.arrays import FloatArray, FloatImage
+from repm_qgis.geometry.frames import ecef_from_geodetic, projected_from_geodetic, utm_crs
+from repm_qgis.imagery.raster import created, write
+from repm_qgis.rpc.model import Rpc
+from repm_qgis.rpc.writers import rpc_tags
+from repm_qgis.runtime.progress import Progress
+from repm_qgis.runtime.workspace import ensure_folder
+from repm_qgis.simulation.render import RayCaster
+from repm_qgis.simulation.scene import SceneSpec, fit_view_rpcs, pointing_errors, surface_bounds
+from repm_qgis.simulation.sensor import Look, PushbroomView, Sensor, aim
+from repm_qgis.simulation.surface import Ground, SimulatedSurface, Sun, irradiance, wall_light
+
 from .chips import grey_of, pansharpened, toned
 from .district import Date, District
-from .parameters import SIMULATION, SimulationParameters
-from .render import RayCaster
-from .scene import SceneSpec, fit_view_rpcs, pointing_errors, surface_bounds
-from .sensor import Look, PushbroomView, Sensor, aim
-from .surface import Ground, SimulatedSurface, Sun, irradiance, wall_light
+from .parameters import DATED, DatedParameters
 
 _LIDAR = Date(1, 0, 200)
 _MARGIN = 1.04  # of the images over the square
@@ -140,7 +141,7 @@ def _sight_angles(view: PushbroomView, target: Sequence[float], heading_deg: flo
 
 
 def band_surfaces(
-    crs: str, ground: Ground, material: Any, sun: Sun, sight: FloatArray, parameters: SimulationParameters
+    crs: str, ground: Ground, material: Any, sun: Sun, sight: FloatArray, parameters: DatedParameters
 ) -> List[SimulatedSurface]:
     """The ground in red, green and blue light, as one satellite sees it.
 
@@ -177,7 +178,7 @@ def exposed(
     view: PushbroomView,
     seed: int,
     progress: Progress,
-    every: SimulationParameters,
+    every: DatedParameters,
 ) -> Tuple[FloatImage, ...]:
     """The bands of a chip: red, green and blue of 8 bits, or one grey band of 12 bits without a tone curve."""
     step, chunk = every.render.oversample, every.render.chunk_cols
@@ -201,7 +202,7 @@ def exposed(
 
 
 def make_dated_scene(
-    spec: DatedSpec, folder: str, progress: Progress, parameters: SimulationParameters = SIMULATION
+    spec: DatedSpec, folder: str, progress: Progress, parameters: DatedParameters = DATED
 ) -> Dict[str, Any]:
     """Simulate a scene of many dates with ``parameters.effects`` and write it into a folder.
 
@@ -255,7 +256,7 @@ def _write_chip(path: str, bands: Sequence[FloatImage], utc: str, rpc: Rpc) -> N
 
 
 def _write_truth(
-    spec: DatedSpec, folder: str, ground: Ground, district: District, parameters: SimulationParameters
+    spec: DatedSpec, folder: str, ground: Ground, district: District, parameters: DatedParameters
 ) -> Dict[str, str]:
     """Heights and classes of the square about the target, which all images see; a cell has the value at its middle."""
     height, classes = district.truth(_LIDAR, parameters.effects)

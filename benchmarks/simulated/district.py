@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from ..contracts.arrays import FloatImage, Mask
-from ..runtime.progress import Progress
-from .parameters import SIMULATION, DistrictParameters, EffectParameters
-from .surface import Area, Ground, fractal
-from .town import Place, Town
+from repm_qgis.contracts.arrays import FloatImage, Mask
+from repm_qgis.runtime.progress import Progress
+from repm_qgis.simulation.surface import Area, Ground, fractal
+from repm_qgis.simulation.town import Place, Town
+
+from .parameters import DATED, DistrictParameters, EffectParameters
 
 Codes = NDArray[np.uint8]
 PLAIN, GRASS, EVERGREEN, SHEDDING, GRAVEL, METAL, MEMBRANE, CAR = range(8)  # places in DistrictParameters.materials
@@ -61,7 +62,7 @@ class District(Town):
     """Builds what stays: ground, buildings, materials and classes, and the places of trees and cars."""
 
     def __init__(
-        self, ground: Ground, base: float, seed: int, progress: Progress, own: DistrictParameters = SIMULATION.district
+        self, ground: Ground, base: float, seed: int, progress: Progress, own: DistrictParameters = DATED.district
     ) -> None:
         super().__init__(ground, base, seed, progress, own.plan)
         self._own, self._seed = own, seed

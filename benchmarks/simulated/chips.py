@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..contracts.arrays import FloatImage
+from repm_qgis.contracts.arrays import FloatImage
+from repm_qgis.simulation.sensor import Sensor
+
 from .parameters import DistrictParameters, EffectParameters
-from .sensor import Sensor
 
 _LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the grey in which colour images are matched
 

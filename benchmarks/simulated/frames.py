@@ -11,13 +11,21 @@ from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatArray
-from ..geometry.frames import EnuFrame
-from ..runtime.progress import Part, Progress
-from ..runtime.workspace import ensure_folder
-from .parameters import SIMULATION, SimulationParameters
-from .scene import SceneSpec, fit_view_rpcs, make_surface, pointing_errors, surface_bounds, write_image, write_truth
-from .sensor import Look, PushbroomView, Sensor, aim
+from repm_qgis.contracts.arrays import FloatArray
+from repm_qgis.geometry.frames import EnuFrame
+from repm_qgis.runtime.progress import Part, Progress
+from repm_qgis.runtime.workspace import ensure_folder
+from repm_qgis.simulation.parameters import SIMULATION, SimulationParameters
+from repm_qgis.simulation.scene import (
+    SceneSpec,
+    fit_view_rpcs,
+    make_surface,
+    pointing_errors,
+    surface_bounds,
+    write_image,
+    write_truth,
+)
+from repm_qgis.simulation.sensor import Look, PushbroomView, Sensor, aim
 
 SKYSAT = Sensor("SKYSAT", 500e3, (), detectors=2560, wobble_rad=0.0, distortion_px=0.2)
 """A camera of frames: no attitude moves within one, because all its lines are exposed at once."""
