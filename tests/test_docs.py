@@ -7,6 +7,8 @@ import re
 
 import pytest
 
+from tests.every_file import wrong
+
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 HELP = sorted((ROOT / "resources" / "help").glob("*.md"))
@@ -18,37 +20,41 @@ def anchors(page: pathlib.Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", head).strip().lower().replace(" ", "-") for head in heads}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_links_lead_somewhere(page):
-    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
-    for link in links:
-        if re.match(r"[a-z]+:", link):
-            continue
+def dead_links(page: pathlib.Path) -> list[str]:
+    """Links to files and headings that are not there."""
+    dead = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
         path, _, anchor = link.partition("#")
         target = (page.parent / path).resolve() if path else page
-        assert target.exists(), f"{page.name} links to {link}"
-        assert not anchor or anchor in anchors(target), f"{page.name} links to {link}"
+        if not re.match(r"[a-z]+:", link) and not (target.exists() and (not anchor or anchor in anchors(target))):
+            dead.append(link)
+    return dead
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_pages_name_no_folder_of_one_machine(page):
-    assert not re.search(r"(?<![\w.])/(work|root|home|tmp)/", page.read_text(encoding="utf-8"))
+def test_links_lead_somewhere():
+    assert wrong(PAGES, dead_links) == {}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_pages_name_files_that_exist(page):
-    names = set(re.findall(r"`([a-z_]+/[a-z_/]*\.py)`", page.read_text(encoding="utf-8")))
-    assert not [name for name in names if not any((folder / name).is_file() for folder in (ROOT, ROOT / "repm_qgis"))]
+def test_pages_name_no_folder_of_one_machine():
+    folder = r"(?<![\w.])/(?:work|root|home|tmp)/"
+    assert wrong(PAGES, lambda page: re.findall(folder, page.read_text(encoding="utf-8"))) == {}
 
 
-@pytest.mark.parametrize(
-    "page",
-    [page for page in PAGES + HELP if page.stem not in ("glossary", "benchmarks") and "benchmarks" not in page.parts],
-    ids=lambda page: page.relative_to(ROOT).as_posix(),
-)
-def test_pages_use_plain_words(page):
-    found = re.findall(r"(?i)\b(?:told|forth|wants|wanted|lonely|islands?|rows left)\b", page.read_text("utf-8"))
-    assert not found, "see docs/glossary.md"
+def missing_files(page: pathlib.Path) -> list[str]:
+    """Files that a page names, and that are not there."""
+    names = sorted(set(re.findall(r"`([a-z_]+/[a-z_/]*\.py)`", page.read_text(encoding="utf-8"))))
+    return [name for name in names if not any((folder / name).is_file() for folder in (ROOT, ROOT / "repm_qgis"))]
+
+
+def test_pages_name_files_that_exist():
+    assert wrong(PAGES, missing_files) == {}
+
+
+def test_pages_use_plain_words():
+    """See docs/glossary.md for the words to take instead."""
+    banned = r"(?i)\b(?:told|forth|wants|wanted|lonely|islands?|rows left)\b"
+    pages = [page for page in PAGES + HELP if not {"glossary", "benchmarks"} & {page.stem, *page.parts}]
+    assert wrong(pages, lambda page: re.findall(banned, page.read_text(encoding="utf-8"))) == {}
 
 
 def structure(page):
@@ -59,12 +65,12 @@ def structure(page):
     return shape, sorted(re.findall(r"`[^`]+`", text)), re.findall(r"\(([^)\s]+\.png)\)", text)
 
 
-@pytest.mark.parametrize("page", HELP, ids=lambda page: page.stem)
-def test_help_says_the_same_in_every_language(page):
+def test_help_says_the_same_in_every_language():
     languages = {path.stem.split("_", 1)[1] for path in (ROOT / "i18n").glob("repm_*.ts")}
-    assert languages == {folder.name for folder in page.parent.iterdir() if folder.is_dir()}
-    for language in languages:
-        assert structure(page.parent / language / page.name) == structure(page), language
+    for page in HELP:
+        assert languages == {folder.name for folder in page.parent.iterdir() if folder.is_dir()}
+        for language in languages:
+            assert structure(page.parent / language / page.name) == structure(page), (page.stem, language)
 
 
 def test_every_algorithm_has_its_page_and_its_help():

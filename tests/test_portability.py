@@ -8,6 +8,8 @@ from typing import Iterator
 
 import pytest
 
+from tests.every_file import wrong
+
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SHIPPED = [ROOT / "__init__.py", ROOT / "plugin.py"]
 for _folder in ("repm_qgis", "processing_provider", "desktop"):
@@ -120,9 +122,8 @@ def _takes_absence(handler: ast.ExceptHandler) -> bool:
     return any(word in text for word in ("AttributeError", "ImportError", "ModuleNotFoundError"))
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_nothing_that_windows_lacks_is_used_unasked(path):
-    assert posix_only(path.read_text(encoding="utf-8")) == []
+def test_nothing_that_windows_lacks_is_used_unasked():
+    assert wrong(SHIPPED, lambda path: posix_only(path.read_text(encoding="utf-8"))) == {}
 
 
 @pytest.mark.parametrize(
@@ -150,14 +151,24 @@ def test_the_rule_finds_what_it_is_for(code, found):
     assert posix_only(code) == found
 
 
-@pytest.mark.parametrize("path", EVERYTHING, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_the_oldest_python_can_read_it(path):
-    ast.parse(path.read_text(encoding="utf-8"), feature_version=OLDEST)
+def too_new(path: pathlib.Path) -> str:
+    """Why the oldest Python cannot read a file, "" where it can."""
+    try:
+        ast.parse(path.read_text(encoding="utf-8"), feature_version=OLDEST)
+    except SyntaxError as error:
+        return str(error)
+    return ""
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_text_is_read_and_written_as_utf_8(path):
-    """Windows takes its code page where none is named."""
+def test_the_oldest_python_can_read_everything(tmp_path):
+    assert wrong(EVERYTHING, too_new) == {}
+    newer = tmp_path / "newer.py"
+    newer.write_text("match x:\n    case 1:\n        pass\n", encoding="utf-8")
+    assert too_new(newer)
+
+
+def without_encoding(path: pathlib.Path) -> list[int]:
+    """Lines in which text is read or written in the system's own encoding."""
     unnamed = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Call) or any(keyword.arg in ("encoding", None) for keyword in node.keywords):
@@ -176,7 +187,15 @@ def test_text_is_read_and_written_as_utf_8(path):
             and len(node.args) == 1
         ):
             unnamed.append(node.lineno)
-    assert unnamed == []
+    return unnamed
+
+
+def test_text_is_read_and_written_as_utf_8(tmp_path):
+    """Windows takes its code page where none is named."""
+    assert wrong(SHIPPED, without_encoding) == {}
+    careless = tmp_path / "careless.py"
+    careless.write_text("open('a')\nopen('b', 'rb')\np.read_text()\nopen('c', encoding='utf-8')\n", encoding="utf-8")
+    assert without_encoding(careless) == [1, 3]
 
 
 def test_no_two_files_differ_in_case_alone():

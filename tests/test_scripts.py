@@ -13,6 +13,8 @@ import zipfile
 
 import pytest
 
+from tests.every_file import wrong
+
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
 PROGRAMS += [ROOT / "scripts" / name for name in ("scan", "repm-cluster", "qgis-matrix", "windows-trial")]
@@ -27,8 +29,8 @@ def missing(module, name):
     return importlib.util.find_spec(f"{module}.{name}") is None
 
 
-@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_what_a_program_imports_from_the_project_is_there(path):
+def absent(path):
+    """What a program imports from the project and what is not there."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     wanted = [
         (node.module, alias.name)
@@ -36,11 +38,11 @@ def test_what_a_program_imports_from_the_project_is_there(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("repm_qgis", "benchmarks")
         for alias in node.names
     ]
-    assert [f"{module}.{name}" for module, name in wanted if missing(module, name)] == []
+    return [f"{module}.{name}" for module, name in wanted if missing(module, name)]
 
 
-def test_there_are_programs():
-    assert len(PROGRAMS) > 20
+def test_what_programs_import_from_the_project_is_there():
+    assert len(PROGRAMS) > 20 and wrong(PROGRAMS, absent) == {}
 
 
 METADATA = """[general]
