@@ -29,7 +29,7 @@ from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, Op
 from .runtime.parallel import end_workers
 from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
 from .runtime.progress import JsonLines
-from .runtime.shortage import reserve_buffers, said_in_a_sentence
+from .runtime.shortage import reserve_buffers, shortage_as_error
 from .runtime.translation import reader, written_in
 from .runtime.windows import end_children_with_us
 from .runtime.workspace import name_nothing_more, remove_own_temporaries
@@ -221,7 +221,7 @@ def main(arguments: list[str]) -> int:
 def _ended(arguments: list[str], lines: JsonLines, cancelling: _Cancelling, line: bytes) -> int:
     """Run the stage and send the last line; gives the exit code."""
     try:
-        with said_in_a_sentence():
+        with shortage_as_error():
             result = _run(arguments, lines, line)
         cancelling.stop_listening()
     except Exception as error:

@@ -17,7 +17,7 @@ from ..contracts.arrays import Bounds
 from ..contracts.checks import as_text
 from ..contracts.errors import InputTableError
 from ..geometry.frames import on_earth
-from .untrusted import distrust
+from .untrusted import refusal_of
 from .vector import open_vector
 
 _INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
@@ -51,7 +51,7 @@ class Limits:
 
         Layers that know how many rows they have may be larger.
         """
-        wrong = distrust(path)
+        wrong = refusal_of(path)
         if wrong:
             raise InputTableError(f"'{path}' {wrong}")
         size = os.path.getsize(path) if os.path.isfile(path) else 0

@@ -62,7 +62,7 @@ def drivers_for(path: str, formats: Sequence[str]) -> List[str]:
     return list(formats) if os.path.exists(path) else []
 
 
-def distrust(path: str) -> str:
+def refusal_of(path: str) -> str:
     """Why a path should not be opened, as the rest of a sentence that begins with it; "" where it may be.
 
     Not opened are pipes and devices, on which reading would wait, XML and JSON in place of a path, and files that reach
@@ -94,7 +94,7 @@ def _distrust(path: str, *_: Any) -> str:
 
 
 def claimed(dataset: gdal.Dataset) -> str:
-    """Why an opened raster cannot be what it claims to be, in the form of :func:`distrust`; "" where it can.
+    """Why an opened raster cannot be what it claims to be, in the form of :func:`refusal_of`; "" where it can.
 
     Raster files of a few kB can claim billions of pixels: reading them takes as long as if they were there.
     """
@@ -114,7 +114,7 @@ def claimed(dataset: gdal.Dataset) -> str:
 
 
 def unlike_an_image(dataset: gdal.Dataset) -> str:
-    """Why an opened raster is no satellite image, in the form of :func:`distrust`; "" where it may be one."""
+    """Why an opened raster is no satellite image, in the form of :func:`refusal_of`; "" where it may be one."""
     width, height = dataset.RasterXSize, dataset.RasterYSize
     if max(width, height) > MOST_SIDE_PX or width * height > _MOST_PX:
         most = f"{MOST_SIDE_PX} px a side and {_MOST_PX:.0e} px in all"
@@ -122,9 +122,9 @@ def unlike_an_image(dataset: gdal.Dataset) -> str:
     return ""
 
 
-def hollow(dataset: gdal.Dataset, part: Optional[Window] = None) -> str:
-    """Why a part of an opened raster (None: all of it) is not worth reading, in the form of :func:`distrust`; "" where
-    it is."""
+def refusal_of_empty(dataset: gdal.Dataset, part: Optional[Window] = None) -> str:
+    """Why a part of an opened raster (None: all of it) is not worth reading, as :func:`refusal_of` says it; "" where it
+    is."""
     col, row, width, height = part or (0, 0, dataset.RasterXSize, dataset.RasterYSize)
     if width * height > _HARMLESS_PX:
         flags, share = dataset.GetRasterBand(1).GetDataCoverageStatus(col, row, width, height)[:2]

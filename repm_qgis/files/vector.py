@@ -14,7 +14,7 @@ from ..contracts.arrays import FloatArray
 from ..contracts.errors import WorkspaceError
 from ..contracts.records import GroundShift
 from ..runtime.workspace import not_written, take_name, temporary_folder
-from .untrusted import VECTORS, distrust, drivers_for
+from .untrusted import VECTORS, drivers_for, refusal_of
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
 Features = Iterable[Tuple[ogr.Geometry, Sequence[Any]]]
@@ -23,8 +23,8 @@ _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 
 
 def open_vector(path: str) -> Optional[gdal.Dataset]:
-    """A file or database of layers; None where it cannot be opened, or is not to be (:func:`distrust`)."""
-    if distrust(path):
+    """A file or database of layers; None where it cannot be opened, or is not to be (:func:`refusal_of`)."""
+    if refusal_of(path):
         return None
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:

@@ -51,7 +51,7 @@ class Sun:
 
 
 def support(first: Candidate, parameters: ShadedGroundParameters = FUSION.shaded) -> ByteImage:
-    """What is behind the heights of cells: :data:`SUPPORTED` by the images, :data:`WEAK` (a single map's, which the
+    """The image support of each height: :data:`SUPPORTED` by the images, :data:`WEAK` (a single map's, which the
     images hardly support), or :data:`NOTHING` (no height, or one that matching took from the background)."""
     result = np.full(first.height.shape, SUPPORTED, np.uint8)
     with np.errstate(invalid="ignore"):
@@ -70,9 +70,9 @@ def shaded_ground(
 ) -> FloatImage:
     """(H, W) heights of the ground on which shadows lie, for cells that take them; NaN for all others.
 
-    Cells in shadow take them that have no height of their own, or a weak one. ``height`` (H, W) is in m, NaN = none,
-    ``behind`` (H, W) as of :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row and column
-    of the first cell on the ground: rays are the same whatever part of a DSM is asked for.
+    Shadowed cells whose measured height is missing or weak take the height of the ground. ``height`` (H, W) is in m,
+    NaN = none, ``behind`` (H, W) as of :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row
+    and column of the first cell on the ground: rays are the same whatever part of a DSM is asked for.
 
     The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
     support its height. Several directions about the sun's are asked, and the second lowest end is believed, because
@@ -86,7 +86,7 @@ def shaded_ground(
     cells = _within(np.flatnonzero(shadow & doubted), np.isfinite(height), cell, sun, parameters)
     sure = ~doubted & ~(shadow & steep)
     ground = np.full(height.shape, np.nan, np.float32)
-    ground.ravel()[cells] = _ends(height, cells, sure, steep, cell, sun, parameters)
+    ground.ravel()[cells] = _shadow_ends(height, cells, sure, steep, cell, sun, parameters)
     smooth = np.full(height.shape, np.nan, np.float32)
     smooth.ravel()[cells] = _like_around(ground, cells, cell, parameters)
     return smooth
@@ -100,7 +100,7 @@ def _within(cells: IntArray, known: Mask, cell: float, sun: Sun, parameters: Sha
     return cells
 
 
-def _ends(
+def _shadow_ends(
     height: Floats, cells: IntArray, sure: Mask, steep: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters
 ) -> FloatImage:
     """(N,) the level ground at which the shadow of each of N cells ends; NaN where fewer than two directions end so."""

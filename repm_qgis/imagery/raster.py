@@ -17,7 +17,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask, Size, Window
 from ..contracts.errors import ImageError
-from ..files.untrusted import RASTERS, claimed, distrust, drivers_for, hollow, unlike_an_image
+from ..files.untrusted import RASTERS, claimed, drivers_for, refusal_of, refusal_of_empty, unlike_an_image
 from ..runtime.shortage import speaks_of_memory
 from ..runtime.workspace import file_identity, file_sample, not_written, take_name, temporary_name
 
@@ -107,7 +107,7 @@ def opened(path: str, overviews: bool = True) -> Iterator[gdal.Dataset]:
     (gdaladdo's default), or what JPEG 2000 keeps, and files of other kinds would give other results.
     """
     path = str(path)
-    _require(path, distrust(path))
+    _require(path, refusal_of(path))
     flags, drivers = gdal.OF_RASTER | gdal.OF_READONLY | gdal.OF_VERBOSE_ERROR, drivers_for(path, RASTERS)
     options = [] if overviews else _NO_OVERVIEWS
     dataset, reason = _attempt(lambda: gdal.OpenEx(path, flags, allowed_drivers=drivers, open_options=options))
@@ -135,14 +135,14 @@ def opened_image(path: str, whole: bool = True) -> Iterator[gdal.Dataset]:
     the ``whole`` of it will be read, by its content."""
     with opened(path) as dataset:
         with quiet():
-            _require(path, unlike_an_image(dataset) or (hollow(dataset) if whole else ""))
+            _require(path, unlike_an_image(dataset) or (refusal_of_empty(dataset) if whole else ""))
         yield dataset
 
 
 def require_content(path: str, part: Optional[Window] = None) -> None:
     """Raise ImageError where the file holds almost nothing of a part of its image (None: of the whole)."""
     with opened(path) as dataset, quiet():
-        _require(path, hollow(dataset, part))
+        _require(path, refusal_of_empty(dataset, part))
 
 
 def read(

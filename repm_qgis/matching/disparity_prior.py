@@ -107,7 +107,7 @@ class CoarseLevel:
         step = parameters.factor * parameters.cell_px
         rows, columns = (np.minimum(step * np.arange(-(-n // step) + 1.0), n - 1.0) for n in self.shape)
         ground = []
-        for disparity, more in zip(self._ends(parameters), (-1.0, 1.0) * np.array(_more(geometry, parameters))):
+        for disparity, more in zip(self._extremes(parameters), (-1.0, 1.0) * np.array(_more(geometry, parameters))):
             at = np.clip(disparity + more, *self.search)
             for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
                 place = columns[j : len(columns) - 1 + j], rows[i : len(rows) - 1 + i]
@@ -122,7 +122,7 @@ class CoarseLevel:
         right, bottom = (min(step * int(of[-1] + 1), n) for of, n in zip((across, down), self.shape[::-1]))
         return Window.spanning(left, top, right, bottom)
 
-    def _ends(self, parameters: PriorParameters) -> Tuple[FloatArray, FloatArray]:
+    def _extremes(self, parameters: PriorParameters) -> Tuple[FloatArray, FloatArray]:
         """(rows, columns) least and greatest disparity of each cell and its neighbours, the last cells incomplete."""
         step, cell = parameters.factor * parameters.cell_px, parameters.cell_px
         height, width = (-(-n // step) for n in self.shape)
@@ -171,7 +171,7 @@ def find_prior(
     residual = _residual(coarse.disparity, ground, p)
     if _is_town(residual, coarse.disparity[np.isfinite(coarse.disparity)], p):
         return None
-    ends = _ends(residual, geometry, p)
+    ends = _residual_range(residual, geometry, p)
     if ends[1] - ends[0] > p.least_gain * (coarse.search[1] - coarse.search[0]):
         return None
     return DisparityPrior(_nodes(ground, window, ends, step_px), *ends, (window[0], window[1]))
@@ -254,7 +254,7 @@ def _tails(values: Floats, parameters: PriorParameters) -> FloatArray:
     return ends
 
 
-def _ends(residual: FloatArray, geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
+def _residual_range(residual: FloatArray, geometry: PairGeometry, parameters: PriorParameters) -> Tuple[int, int]:
     """Least and greatest residual to search."""
     low, high = _tails(residual, parameters)
     more = _more(geometry, parameters)

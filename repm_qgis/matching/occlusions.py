@@ -40,8 +40,8 @@ def fill_occlusions(
     """
     sign, known = np.float32(height_sign), np.isfinite(disparity)
     gaps = np.nonzero(~known)
-    left, right, before, after, length = _ends(sign * disparity, known, gaps, 1)
-    up, down, _, _, rows = _ends(sign * disparity, known, gaps, 0)
+    left, right, before, after, length = _around_gaps(sign * disparity, known, gaps, 1)
+    up, down, _, _, rows = _around_gaps(sign * disparity, known, gaps, 0)
     displacement = height_sign * relief_displacement
     # Verticals lead from the foot of a wall to its upper end, at the left or at the right of the gap.
     upper, lower, end = (right, left, after) if displacement > 0 else (left, right, before)
@@ -64,7 +64,7 @@ def fill_occlusions(
     return filled
 
 
-def _ends(
+def _around_gaps(
     surface: FloatImage, known: Mask, gaps: Tuple[IntArray, ...], axis: int
 ) -> Tuple[FloatImage, FloatImage, FloatArray, FloatArray, FloatArray]:
     """For (N,) unknown pixels, along an axis: the known values before and after each (NaN: none), their places (NaN),

@@ -14,7 +14,7 @@ import pyproj
 from ..contracts.arrays import Bounds, FloatArray, Mask
 from ..contracts.errors import ImageError, RepmError
 from ..files.las import impossible_header, required_laspy
-from ..files.untrusted import distrust
+from ..files.untrusted import refusal_of
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import metres_per_unit, stated_datum
@@ -83,8 +83,8 @@ class OpenedCloud:
         Cells need not be larger for what lies around it.
         """
         header = self.reader.header
-        forth = pyproj.Transformer.from_crs(flat_crs(self.system), crs, always_xy=True)
-        west, south, east, north = forth.transform_bounds(*header.mins[:2], *header.maxs[:2])
+        to_flat = pyproj.Transformer.from_crs(flat_crs(self.system), crs, always_xy=True)
+        west, south, east, north = to_flat.transform_bounds(*header.mins[:2], *header.maxs[:2])
         low = max(west - _MARGIN_M, bounds.xmin), max(south - _MARGIN_M, bounds.ymin)
         high = min(east + _MARGIN_M, bounds.xmax), min(north + _MARGIN_M, bounds.ymax)
         if not (low[0] < high[0] and low[1] < high[1]):
@@ -112,7 +112,7 @@ def opened_cloud(path: str, option: str = "REFERENCE") -> Iterator[OpenedCloud]:
 
     Raises ImageError for a file that cannot be read or has no CRS, in the block too, MissingPackageError without laspy.
     """
-    laspy, wrong = required_laspy(option), distrust(path)
+    laspy, wrong = required_laspy(option), refusal_of(path)
     if wrong:
         raise ImageError(f"'{path}' {wrong}")
     try:

@@ -18,7 +18,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import Bounds, FloatArray, Mask
 from ..contracts.errors import ImageError, MissingPackageError
-from ..files.untrusted import distrust
+from ..files.untrusted import refusal_of
 from ..geometry.vertical import ELLIPSOID, HeightDatum
 from ..imagery.raster import quiet
 from .found import FoundHeights, FoundPoints, Within
@@ -145,7 +145,7 @@ def read_lasers(path: str, crs: str, bounds: Bounds, check: Callable[[], None] =
     Raises ImageError for a file that cannot be read or is of no known product, MissingPackageError where nothing here
     reads HDF5, OverlapError where it has no heights within the bounds.
     """
-    wrong = distrust(path)
+    wrong = refusal_of(path)
     if wrong:
         raise ImageError(f"'{path}' {wrong}")
     store = _opened(path)

@@ -40,9 +40,9 @@ def read_raster(
         places_in = None if dataset.GetRasterBand(1).GetUnitType() else places_unit(system)
         datum = stated_datum(system, as_text(dataset.GetMetadataItem(TAG) or ""))
         place = dataset.GetGeoTransform()
-        forth = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
+        to_flat = pyproj.Transformer.from_crs(crs, flat_crs(system), always_xy=True)
         back = pyproj.Transformer.from_crs(flat_crs(system), crs, always_xy=True)
-        window = _window(dataset, place, forth, bounds)
+        window = _window(dataset, place, to_flat, bounds)
         if window is None:
             raise OverlapError(f"The reference '{path}' does not cover the scene: choose one that does.")
         jacobian = _jacobian(place, back, window)
@@ -70,11 +70,11 @@ def read_raster(
 
 
 def _window(
-    dataset: gdal.Dataset, place: Tuple[float, ...], forth: pyproj.Transformer, bounds: Bounds
+    dataset: gdal.Dataset, place: Tuple[float, ...], to_flat: pyproj.Transformer, bounds: Bounds
 ) -> Optional[Window]:
     """The cells that bounds may need, and two more on each side; None where there are none."""
     u, v = np.linspace(bounds.xmin, bounds.xmax, 9), np.linspace(bounds.ymin, bounds.ymax, 9)
-    x, y = (values.ravel() for values in _moved(forth, *np.meshgrid(u, v)))
+    x, y = (values.ravel() for values in _moved(to_flat, *np.meshgrid(u, v)))
     inverse = gdal.InvGeoTransform(place)
     col, row = inverse[0] + x * inverse[1] + y * inverse[2], inverse[3] + x * inverse[4] + y * inverse[5]
     good = np.isfinite(col) & np.isfinite(row)

@@ -21,7 +21,7 @@ from ..contracts.errors import OutOfMemoryError, RepmError, WorkerError
 from .containers import memory_kills
 from .process_limits import THREAD_VARIABLES, one_thread_for_sums, prepare_process
 from .progress import Progress, Recorder, Silent
-from .shortage import MEMORY_REMEDY, said_in_a_sentence
+from .shortage import MEMORY_REMEDY, shortage_as_error
 from .translation import reader, written_in
 from .windows import cancel_transfers, exit_code
 from .workspace import ensure_folder, remove_temporary, temporary_name
@@ -149,7 +149,7 @@ class _Pool:
         except (BrokenProcessPool, ConnectionError, EOFError) as error:  # the latter two: the workers' server is gone
             _require_thread(error, *(future.exception() for future in pending if future.done()))
             certain = killed_before is not None and (memory_kills() or 0) > killed_before
-            raise _death(self._ends(), certain, len(results), len(tasks)) from error
+            raise _death(self._exit_codes(), certain, len(results), len(tasks)) from error
         except BaseException:
             self._end()
             raise
@@ -164,7 +164,7 @@ class _Pool:
             self._workers = workers
         return self._executor
 
-    def _ends(self) -> List[Optional[int]]:
+    def _exit_codes(self) -> List[Optional[int]]:
         """Close a broken pool; gives the exit codes of its workers, negative ones are signals."""
         processes = self._processes()
         self.close()
@@ -320,7 +320,7 @@ def packed(function: Callable[[Any], Any], task: Any) -> bytes:
 
 def do_task(work: bytes) -> Any:
     """A :func:`packed` task, in a worker. It is unpacked here, so that what an import lacks is said."""
-    with said_in_a_sentence():
+    with shortage_as_error():
         function, task = pickle.loads(work)  # nosec B301 # noqa: S301 - made by the process that started this one
         return function(task)
 
@@ -409,7 +409,7 @@ def _end_with_engine() -> None:
 def begin_worker() -> None:
     """One thread a worker: N workers use N cores, not N times N. Ctrl-C is for the engine, which ends its workers."""
     try:
-        with said_in_a_sentence():
+        with shortage_as_error():
             _prepare()
     except (OutOfMemoryError, ImportError) as error:
         if isinstance(error, ModuleNotFoundError):

@@ -45,7 +45,7 @@ def reserve_buffers() -> None:
 
 
 @contextmanager
-def said_in_a_sentence() -> Iterator[None]:
+def shortage_as_error() -> Iterator[None]:
     """Within the block want of memory, disk space or open files raises OutOfMemoryError or WorkspaceError."""
     try:
         yield

@@ -33,7 +33,7 @@ def write_glb(path: str, lattice: Lattice, vertices: int, faces: int) -> None:
     Memory does not grow with the DSM, but for the picture's. Raises OptionError beyond the 4 GiB that GLB can hold.
     """
     origin = middle(lattice)
-    low, high = _ends(lattice, origin)
+    low, high = _bounds(lattice, origin)
     image = picture(lattice.dataset, lattice.paint) if lattice.paint is not None else None
     sizes = [vertices * _POSITION, vertices * _PLACE if image else 0, faces * _CORNERS, len(image or b"")]
     document = _padded(json.dumps(_document(lattice, origin, (low, high), sizes, bool(image))).encode("ascii"), b" ")
@@ -58,7 +58,7 @@ def _turned(xyz: FloatArray) -> FloatArray:
     return np.column_stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]])
 
 
-def _ends(lattice: Lattice, origin: FloatArray) -> Tuple[List[float], List[float]]:
+def _bounds(lattice: Lattice, origin: FloatArray) -> Tuple[List[float], List[float]]:
     """The least and greatest coordinates, as single precision rounds them: readers compare them."""
     low, high = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
     for first, block in lattice.rows():

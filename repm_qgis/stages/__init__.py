@@ -15,7 +15,7 @@ from ..contracts.errors import MissingPackageError, OptionError
 from ..contracts.products import FOLDER, SCENE, paths_of
 from ..runtime.locks import exclusive
 from ..runtime.progress import Progress
-from ..runtime.shortage import said_in_a_sentence
+from ..runtime.shortage import shortage_as_error
 from ..runtime.workspace import following_links_of
 
 if TYPE_CHECKING:  # QGIS asks for the options alone
@@ -44,7 +44,7 @@ STAGES: dict[str, type[_options.Options]] = {
 }
 
 
-@said_in_a_sentence()
+@shortage_as_error()
 def run_stage(
     name: str, options: Mapping[str, Any], progress: Progress, parameters: Optional[EngineParameters] = None
 ) -> dict[str, Any]:

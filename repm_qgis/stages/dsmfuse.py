@@ -68,7 +68,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         drop_others(kept, fusion.folder)
         clouds = clouds_of(options, str(fusion.folder))
         painted = bool(plan or draped.ortho)
-        ends = [whole * each for each in _ends(1.0, _ORTHO * painted, _POINTS * bool(clouds))]
+        ends = [whole * each for each in _cumulative_shares(1.0, _ORTHO * painted, _POINTS * bool(clouds))]
         facts, stored = fused(fusion, Part(progress, 0.0, ends[0]))
         dsm = FinishedSurface.of(options.output, layout.crs, layout.datum)
         ortho = _orthophoto(fusion, dsm, plan, require_same, Part(progress, ends[0], ends[1])) if painted else None
@@ -232,7 +232,7 @@ def _cloud_written(
     return write_cloud(*task)
 
 
-def _ends(*weights: float) -> List[float]:
+def _cumulative_shares(*weights: float) -> List[float]:
     """Where steps of these weights end, as shares of all of them."""
     return [end / sum(weights) for end in accumulate(weights)]
 

@@ -15,7 +15,7 @@ from osgeo import gdal
 
 from repm_qgis.contracts.errors import ImageError, InputTableError, SceneError
 from repm_qgis.files import untrusted
-from repm_qgis.files.untrusted import distrust
+from repm_qgis.files.untrusted import refusal_of
 from repm_qgis.files.vector import open_vector
 from repm_qgis.imagery.raster import opened, opened_image, raster_identity, read
 from repm_qgis.pointing import ground_control
@@ -104,7 +104,7 @@ def test_vrts_of_very_many_files_are_refused(tmp_path, write_image, monkeypatch)
     for count, refused in ((10, False), (20, True)):
         band = f'<VRTRasterBand dataType="UInt16" band="1">{"".join(parts[:count])}</VRTRasterBand>'
         (tmp_path / f"m{count}.vrt").write_text(whole(band))
-        said = distrust(str(tmp_path / f"m{count}.vrt"))
+        said = refusal_of(str(tmp_path / f"m{count}.vrt"))
         assert said.startswith("leads to more than 15 files") if refused else said == ""
 
 

@@ -19,7 +19,7 @@ from repm_qgis.contracts.errors import Cancelled, OptionError, OutOfMemoryError,
 from repm_qgis.runtime import parallel
 from repm_qgis.runtime.parallel import cores, kept_workers, run_tasks
 from repm_qgis.runtime.progress import Silent
-from repm_qgis.runtime.shortage import said_in_a_sentence
+from repm_qgis.runtime.shortage import shortage_as_error
 from repm_qgis.stages import run_stage
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -74,12 +74,12 @@ import resource, sys
 from repm_qgis.contracts.errors import OutOfMemoryError
 from repm_qgis.runtime.parallel import run_tasks
 from repm_qgis.runtime.progress import Silent
-from repm_qgis.runtime.shortage import said_in_a_sentence
+from repm_qgis.runtime.shortage import shortage_as_error
 
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
     try:
-        with said_in_a_sentence():
+        with shortage_as_error():
             print(run_tasks(abs, list(range(8)), 2, Silent(), str))
     except OutOfMemoryError as error:
         print("OutOfMemoryError", error)
@@ -208,7 +208,7 @@ def test_where_the_system_says_that_it_killed_for_memory_so_do_we(work, told, mo
 @pytest.mark.parametrize("workers", (1, 2))
 def test_want_of_memory_in_a_task_is_a_sentence(work, told, workers):
     with pytest.raises(OutOfMemoryError, match=r"Memory ran out \(.*allocate.*\): use fewer WORKERS"):
-        with said_in_a_sentence():
+        with shortage_as_error():
             run_tasks(work.hungry, list(range(8)), workers, told(), str)
 
 

@@ -20,7 +20,7 @@ from repm_qgis.files import las
 from repm_qgis.files.vector import write_layer
 from repm_qgis.imagery.raster import write
 from repm_qgis.runtime import shortage
-from repm_qgis.runtime.shortage import said_in_a_sentence, speaks_of_memory
+from repm_qgis.runtime.shortage import shortage_as_error, speaks_of_memory
 from repm_qgis.runtime.workspace import write_text, writing
 from repm_qgis.solids.ept import write_ept
 from repm_qgis.solids.mesh import write_mesh
@@ -165,25 +165,25 @@ def test_what_libraries_say_of_memory_is_understood(words):
     assert speaks_of_memory(words) and not speaks_of_memory("the raster 'a.tif' has no memory of its mask")
     for kind in (RuntimeError, ImportError, MemoryError, SystemError):
         with pytest.raises(OutOfMemoryError, match=r"^Memory ran out \(.*\): use fewer WORKERS") as caught:
-            with said_in_a_sentence():
+            with shortage_as_error():
                 raise kind(f"line one\n{words}")
         assert "\n" not in str(caught.value) and "MEMORY" in str(caught.value)
 
 
 def test_memory_is_named_where_another_error_hides_it():
-    with pytest.raises(OutOfMemoryError), said_in_a_sentence():
+    with pytest.raises(OutOfMemoryError), shortage_as_error():
         try:
             raise ImportError("libtorch.so: cannot allocate memory in static TLS block")
         except ImportError as error:
             raise MissingPackageError("Point clouds need the Python package 'laspy'.") from error
-    with pytest.raises(OutOfMemoryError), said_in_a_sentence():
+    with pytest.raises(OutOfMemoryError), shortage_as_error():
         raise OSError(errno.ENOMEM, "Cannot allocate memory")
 
 
 def test_the_disk_is_named_where_nobody_did():
-    with pytest.raises(WorkspaceError, match="'/w/a': the disk is full"), said_in_a_sentence():
+    with pytest.raises(WorkspaceError, match="'/w/a': the disk is full"), shortage_as_error():
         raise OSError(errno.ENOSPC, "No space left on device", "/w/a")
-    with pytest.raises(WorkspaceError, match=r"\(Too many open files\): .*ulimit -n"), said_in_a_sentence():
+    with pytest.raises(WorkspaceError, match=r"\(Too many open files\): .*ulimit -n"), shortage_as_error():
         raise OSError(errno.EMFILE, "Too many open files")
 
 
@@ -229,7 +229,7 @@ def test_other_errors_stay_as_they_are():
         RuntimeError("no"),
         ImageError("a.tif is bad."),
     ):
-        with pytest.raises(type(error)) as caught, said_in_a_sentence():
+        with pytest.raises(type(error)) as caught, shortage_as_error():
             raise error
         assert caught.value is error
 

@@ -356,7 +356,7 @@ def fails(kind, told, *words, **options):
     assert "\n" not in text and text.endswith(".") and all(word in text for word in words), text
 
 
-def test_what_cannot_be_checked_is_said_in_a_sentence(urban, scene, exact, points, tmp_path, told):
+def test_what_cannot_be_checked_is_shortage_as_error(urban, scene, exact, points, tmp_path, told):
     fails(OptionError, told, "SCENE is None", "or DSM, or both", gcps=exact)
     fails(OptionError, told, "GCPS", gcps="", dsm=urban.truth)
     fails(OptionError, told, "GCP_DATUM is 'sea'", gcps=exact, dsm=urban.truth, gcp_datum="sea")

@@ -154,7 +154,7 @@ def test_heights_that_were_interpolated_and_wide_errors_say_little(scene, tmp_pa
     assert (plain > 0.4).all() and abs(weighted[0]) < 0.1 and weighted[1] < 0.25
 
 
-def test_what_cannot_be_used_is_said_in_a_sentence(scene, tmp_path):
+def test_what_cannot_be_used_is_shortage_as_error(scene, tmp_path):
     dsm = write(tmp_path / "dsm.tif", [scene[1]])
     degrees = write(tmp_path / "degrees.tif", [scene[1]], crs="EPSG:4326", cell=1e-5)
     other = write(tmp_path / "other.tif", [scene[1][:100]])
